@@ -1,0 +1,81 @@
+"""View directions -> features."""
+
+import torch
+from torch import Tensor, nn
+
+from qnerf.registry import Registry
+
+DIRECTIONS: Registry[nn.Module] = Registry("directions")
+DEGREES = (1, 2, 3, 4)
+
+
+def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
+    """Real spherical harmonics of bands 0..degree - 1 of unit directions (..., 3): (..., degree^2), degree 1 to 4.
+
+    Orthonormal over the sphere, band by band with m from -l to l, as polynomials in (x, y, z) without the
+    Condon-Shortley sign. Of a direction that is not of unit length, zero included, they are those polynomials.
+    """
+    if degree not in DEGREES:
+        raise ValueError(f"directions=sh: degree must be one of {', '.join(map(str, DEGREES))}, got {degree}")
+    x, y, z = directions.unbind(-1)
+    terms = [torch.full_like(x, 0.28209479177387814)]
+    if degree > 1:
+        terms += [0.4886025119029199 * y, 0.4886025119029199 * z, 0.4886025119029199 * x]
+    if degree > 2:
+        xx, yy, zz = x * x, y * y, z * z
+        terms += [
+            1.0925484305920792 * x * y,
+            1.0925484305920792 * y * z,
+            0.9461746957575601 * zz - 0.31539156525252005,
+            1.0925484305920792 * x * z,
+            0.5462742152960396 * (xx - yy),
+        ]
+    if degree > 3:
+        terms += [
+            0.5900435899266435 * y * (3 * xx - yy),
+            2.890611442640554 * x * y * z,
+            0.4570457994644658 * y * (5 * zz - 1),
+            0.3731763325901154 * z * (5 * zz - 3),
+            0.4570457994644658 * x * (5 * zz - 1),
+            1.445305721320277 * z * (xx - yy),
+            0.5900435899266435 * x * (xx - 3 * yy),
+        ]
+    return torch.stack(terms, dim=-1)
+
+
+@DIRECTIONS.register("sh")
+class SphericalHarmonics(nn.Module):
+    """`spherical_harmonics` of unit directions (..., 3): (..., degree^2).
+
+    Args:
+        degree: number of bands, 1 to 4.
+    """
+
+    def __init__(self, in_dim: int = 3, *, degree: int = 4) -> None:
+        super().__init__()
+        if in_dim != 3:
+            raise ValueError(f"directions=sh: directions must have 3 coordinates, got {in_dim}")
+        if degree not in DEGREES:
+            raise ValueError(f"directions=sh: degree must be one of {', '.join(map(str, DEGREES))}, got {degree}")
+        self.degree = degree
+        self.out_dim = degree**2
+
+    def forward(self, directions: Tensor) -> Tensor:
+        return spherical_harmonics(directions, self.degree)
+
+
+@DIRECTIONS.register("raw")
+class RawDirections(nn.Module):
+    """The directions themselves (..., in_dim), times `scale`.
+
+    Args:
+        scale: factor.
+    """
+
+    def __init__(self, in_dim: int = 3, *, scale: float = 1.0) -> None:
+        super().__init__()
+        self.scale = scale
+        self.out_dim = in_dim
+
+    def forward(self, directions: Tensor) -> Tensor:
+        return directions if self.scale == 1.0 else directions * self.scale

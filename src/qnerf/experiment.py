@@ -1,0 +1,260 @@
+"""One run, top to bottom: scene -> rays -> samples -> field -> render -> loss -> metrics -> parquet."""
+
+import contextlib
+import signal
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import torch
+
+from qnerf.activations import ACTIVATIONS
+from qnerf.cameras import CAMERAS
+from qnerf.config import Settings, settings_from
+from qnerf.contraction import CONTRACTIONS
+from qnerf.encoders import DIRECTIONS, ENCODERS
+from qnerf.environment import capture, dirty_diff
+from qnerf.evaluate import Evaluator
+from qnerf.field import Field
+from qnerf.heads import HEADS
+from qnerf.identity import clean, run_id
+from qnerf.labels import labels, slug
+from qnerf.model import Model
+from qnerf.quantum import QuantumLayer
+from qnerf.rays import RayTable
+from qnerf.records import Run, RunStore, read_metrics, read_summary
+from qnerf.samplers import SAMPLERS
+from qnerf.scenes import SCENES, Scene
+from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
+from qnerf.train import Trainer
+from qnerf.visibility import VisibilityGrid
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an invocation ended: `state` is finished, interrupted, or busy (another process is at it)."""
+
+    run_id: str
+    path: Path
+    state: str
+    summary: dict[str, Any]
+    message: str
+
+
+class Display:
+    """What a run tells while it goes on. This one is silent; the command line has one that speaks."""
+
+    def begin(self, path: Path, step: int, steps: int) -> None: ...
+
+    def step(self, step: int, metrics: Mapping[str, float]) -> None: ...
+
+    def note(self, text: str) -> None: ...
+
+    def end(self) -> None: ...
+
+
+def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
+    """Builds `node["name"]` from the registry with the node's other keys as options."""
+    options = {key: value for key, value in node.items() if key != "name"}
+    return registry.build(node["name"], *wiring, **options)
+
+
+def build_scene(settings: Settings) -> Scene:
+    scene = component(SCENES, settings.scene)
+    if scene.images.shape[-1] == 4 and settings.render.background == "last_sample":
+        raise ValueError(
+            f"scene {scene.name}: the images have alpha, which render.background=last_sample cannot be compared with; "
+            "use render.background=white, black or random"
+        )
+    return scene
+
+
+def build_head(node: Mapping[str, Any], settings: Settings, in_dim: int, out_dim: int) -> torch.nn.Module:
+    """The head that `node` (density or color) names, with that kind's options."""
+    options = {"mlp": {"layers": node["layers"], "width": node["width"]}, "qiren": node["qiren"]}
+    options["qfgn"] = {**node["qiren"], **settings.qfgn}
+    HEADS.get(node["name"])
+    return HEADS.build(node["name"], in_dim, out_dim, **options[node["name"]])
+
+
+def build_field(settings: Settings, views: int) -> Field:
+    """Contraction, encoder, density head, colour head, in the order in which a point passes them."""
+    contraction = component(CONTRACTIONS, settings.contraction)
+    encoder = component(ENCODERS, settings.encoder, 3)
+    density = build_head(settings.density, settings, encoder.out_dim, 1 + settings.geo_features)
+    degree = {"degree": settings.color["degree"]} if settings.color["directions"] == "sh" else {}
+    directions = DIRECTIONS.build(settings.color["directions"], **degree)
+    color_in = directions.out_dim + settings.geo_features + settings.appearance
+    color = build_head(settings.color, settings, color_in, 3)
+    activation = ACTIVATIONS.get(settings.density["activation"])
+    initial = settings.density["initial"]
+    if not initial > 0:
+        raise ValueError(f"density.initial must be above 0, got {initial}")
+    return Field(
+        contraction, encoder, directions, density, color, activation, initial, views, settings.appearance
+    )
+
+
+def build_model(settings: Settings, scene: Scene) -> Model:
+    """Field, sampler and pose refinement for the scene, in the run's dtype, on its device."""
+    torch.manual_seed(settings.seed)
+    previous = torch.get_default_dtype()
+    torch.set_default_dtype(settings.dtype)
+    try:
+        field = build_field(settings, scene.cameras.poses.shape[0])
+        sampler = component(SAMPLERS, settings.sampler, field.contraction)
+        cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
+        if settings.visibility.cameras:
+            grid = VisibilityGrid(
+                field.contraction,
+                scene.cameras,
+                scene.train,
+                settings.visibility.cameras,
+                settings.visibility.resolution,
+            )
+            field.mask = sampler.mask = grid
+        return Model(field, sampler, cameras).to(settings.torch_device)
+    finally:
+        torch.set_default_dtype(previous)
+
+
+def parameter_counts(model: Model) -> dict[str, int]:
+    counts = {f"params.{name}": sum(p.numel() for p in parameters) for name, parameters in model.parts.items()}
+    counts.setdefault("params.appearance", 0)
+    return counts | {"params.total": sum(counts.values())}
+
+
+@contextlib.contextmanager
+def stop_requests() -> Iterator[list[int]]:
+    """Collects SIGINT and SIGTERM instead of dying of them; a second one acts as usual."""
+    received: list[int] = []
+    previous: dict[int, Any] = {}
+
+    def note(number: int, _frame: object) -> None:
+        received.append(number)
+        signal.signal(number, previous[number])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(ValueError):  # not the main thread: the caller's own signals stay
+            previous[number] = signal.signal(number, note)
+    try:
+        yield received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Display | None = None) -> Outcome:
+    """Trains and evaluates the configuration, or skips it if it is finished, or goes on where it was interrupted.
+
+    Raises:
+        ValueError: a mistake in the configuration or the scene; nothing has been written.
+        Diverged: the loss turned NaN or infinite; the last good checkpoint is kept.
+    """
+    display = display or Display()
+    settings = settings_from(config)
+    if settings.threads is not None:
+        torch.set_num_threads(settings.threads)
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+
+    name = run_id(slug(config), config, scene.fingerprint)
+    columns = labels(config) | parameter_counts(model) | {"steps": 0}
+    claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
+    if claim.run is None:
+        return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
+    if claim.outcome == "resumed":
+        display.note(claim.message)
+    with claim.run as store, stop_requests() as stops:
+        store.write_environment(capture(settings.seed), dirty_diff())
+        return _execute(settings, scene, model, store, display, stops)
+
+
+def _execute(
+    settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stops: list[int]
+) -> Outcome:
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+    table = RayTable(
+        scene,
+        near=settings.render.near,
+        far=settings.render.far,
+        device=settings.torch_device,
+        dtype=settings.dtype,
+    )
+    trainer = Trainer(model, table, settings, watch)
+    evaluator = Evaluator(
+        scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
+    )
+    checkpoint = store.load_checkpoint() if store.resumed else None
+    if checkpoint is not None:
+        trainer.load(checkpoint)
+    if store.resumed:
+        store.resume(trainer.step)
+
+    display.begin(store.dir, trainer.step, settings.train.steps)
+    train = settings.train
+    measured = None
+    try:
+        # Rows are logged before the checkpoint that includes their step: a resumed run neither doubles nor misses one.
+        for metrics in trainer.steps(store, lambda: bool(stops)):
+            done = trainer.step == train.steps
+            if metrics:
+                store.log(trainer.step, trainer.seconds, metrics)
+                display.step(trainer.step, metrics)
+            if done or (train.eval_every and trainer.step % train.eval_every == 0):
+                views = scene.eval if done else scene.eval[: train.eval_views or None]
+                measured = evaluate(evaluator, store, views, trainer.step, pictures=done)
+                store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in measured.items() if is_number(v)})
+                display.note(f"step {trainer.step}: held-out PSNR {measured['psnr']:.2f} dB")
+    finally:
+        display.end()
+    if trainer.step < train.steps:
+        store.interrupt()
+        message = f"stopped at step {trainer.step} of {train.steps}; the same command goes on from there"
+        return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
+
+    if measured is None:  # killed between the last checkpoint and the end
+        measured = evaluate(evaluator, store, scene.eval, trainer.step, pictures=True)
+    timings = {
+        "train_s": trainer.seconds,
+        "step_ms": median_ms(trainer.step_seconds),
+        "steps": trainer.step,
+        "peak_memory_mb": peak_memory_mb(settings.torch_device),
+    }
+    store.finish(measured | timings | part_times(store.dir))
+    return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
+
+
+def evaluate(
+    evaluator: Evaluator, store: Run, views: Sequence[int], step: int, *, pictures: bool
+) -> dict[str, float | str | None]:
+    """Measures the views, writes eval.parquet and, if asked, the pictures; returns the means over the views."""
+    start = time.perf_counter()
+    rows = []
+    for rendered, row in evaluator.views(list(views), step):
+        rows.append(row)
+        if pictures:
+            name = Path(str(row["image"])).with_suffix("").as_posix()
+            store.save_image(clean(name), evaluator.picture(rendered))
+    store.write_eval(rows)
+    measured: dict[str, float | str | None] = {}
+    for key in ("psnr", "ssim", "lpips", "depth_error", "depth_rel_error"):
+        values = [value for row in rows if is_number(value := row[key])]
+        measured[key] = sum(values) / len(values) if values else None
+    measured["lpips_reason"] = next((row["lpips_reason"] for row in rows if row["lpips_reason"]), None)
+    measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
+    store.write_summary(measured | {"steps": step})
+    return measured
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, (int, float))
+
+
+def part_times(path: Path) -> dict[str, float]:
+    """Median milliseconds of each part of a step, over the logged steps after the first 50."""
+    logged = read_metrics(path)
+    times = logged[logged["key"].str.startswith("time/") & (logged["step"] >= 50)].groupby("key")["value"].median()
+    return {f"time.{part}_ms": float(times.get(f"time/{part}_ms", float("nan"))) for part in PARTS}

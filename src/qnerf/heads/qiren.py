@@ -1,0 +1,85 @@
+"""The quantum head: hybrid layers of a linear map, a normalisation and a re-uploading circuit (QIREN)."""
+
+from torch import Tensor, nn
+
+from qnerf.heads.base import HEADS, at_least
+from qnerf.quantum import QuantumLayer
+
+
+class HybridLayer(nn.Module):
+    """Linear -> batch normalisation -> circuit: (N, in_dim) -> (N, wires), values in [-1, 1].
+
+    The normalisation cancels the scale of the linear map, so a frequency scale has to come after it: `input_scale`
+    multiplies the normalised values, which are the circuit's angles in radians.
+    """
+
+    def __init__(self, in_dim: int, wires: int, circuit: QuantumLayer, *, input_scale: float = 1.0) -> None:
+        super().__init__()
+        self.linear = nn.Linear(in_dim, wires)
+        self.norm = nn.BatchNorm1d(wires)
+        self.circuit = circuit
+        self.input_scale = input_scale
+
+    def forward(self, features: Tensor) -> Tensor:
+        angles = self.norm(self.linear(features))
+        if self.input_scale != 1.0:
+            angles = angles * self.input_scale
+        return self.circuit(angles)
+
+
+@HEADS.register("qiren")
+class QirenHead(nn.Module):
+    """A first hybrid layer, `layers` hidden ones, and a last linear map of the measured values: "xL+yS".
+
+    Trainable parameters of one hybrid layer: 8 in + 8 + 16 + 48 (S + 1) at 8 qubits.
+
+    Args:
+        in_dim, out_dim: features in and values out.
+        layers: hidden hybrid layers x, at least 1 (x + 1 circuits).
+        spectral: data re-uploadings y of each circuit, at least 1.
+        qubits: wires of each circuit, 1 to 14.
+        ansatz, method, init: see `QuantumLayer`.
+        gain: fixed factor on the measured values before the last linear map. Circuits with uniform angles vary by only
+            0.05 over their inputs, which starts a head almost constant.
+        sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
+        input_scale: factor on the normalised inputs, radians.
+    """
+
+    def __init__(
+        self,
+        in_dim: int,
+        out_dim: int,
+        *,
+        layers: int = 1,
+        spectral: int = 2,
+        qubits: int = 8,
+        ansatz: str = "qiren",
+        method: str = "auto",
+        init: str = "uniform",
+        gain: float = 1.0,
+        sum_layers: bool = False,
+        input_scale: float = 1.0,
+    ) -> None:
+        super().__init__()
+        at_least(1, layers=layers)
+        self.gain = gain
+        self.sum_layers = sum_layers
+        self.hybrid = nn.ModuleList()
+        for index in range(layers + 1):
+            circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init)
+            self.hybrid.append(self.hybrid_layer(index, in_dim if index == 0 else qubits, qubits, circuit, input_scale))
+        self.readout = nn.Linear(qubits, out_dim)
+
+    def hybrid_layer(
+        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float
+    ) -> nn.Module:
+        """The `index`-th layer; a head with other preprocessing overrides this."""
+        return HybridLayer(in_dim, wires, circuit, input_scale=input_scale)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(N, in_dim) -> (N, out_dim)."""
+        values = total = self.hybrid[0](features)
+        for layer in self.hybrid[1:]:
+            values = layer(values)
+            total = total + values
+        return self.readout((total if self.sum_layers else values) * self.gain)

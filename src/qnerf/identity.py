@@ -1,0 +1,87 @@
+"""What a run is called: a readable slug and a hash of everything that decides its numbers."""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+# Top-level keys that say where and how a run is executed, not what it computes.
+EXECUTION = ("device", "store", "run", "threads", "hydra")
+SLUG_LENGTH = 80
+DIGITS = 10  # hexadecimal
+
+
+def plain(value: Any, name: str = "config") -> Any:
+    """`value` as dicts with text keys, lists, text, numbers, booleans and None; ValueError names the rest."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, f"{name}.{key}") for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item, f"{name}[{i}]") for i, item in enumerate(value)]
+    if isinstance(value, np.generic):
+        return plain(value.item(), name)
+    if isinstance(value, PurePath):
+        return str(value)
+    if value is None or type(value) in (bool, int, float, str):
+        return value
+    for kind in (str, int, float):  # subclasses, such as enumerations of text
+        if isinstance(value, kind):
+            return kind(value)
+    raise ValueError(f"{name}: expected text, number, true/false, null, list or dict, got {type(value).__name__}")
+
+
+def identity(config: Mapping[str, Any], fingerprint: str | None = None) -> str:
+    """Ten hexadecimal digits of the SHA-256 of the resolved configuration.
+
+    The keys of `EXECUTION` do not enter; `scene.path` enters as `fingerprint`, that of the scene's contents, where
+    one is given. Equal numbers count as equal however they were written (1 and 1.0); the order of keys does not matter.
+    """
+    kept = {key: value for key, value in plain(config).items() if key not in EXECUTION}
+    if fingerprint is not None:
+        scene = kept.get("scene")
+        kept["scene"] = (dict(scene) if isinstance(scene, dict) else {"name": scene}) | {"path": fingerprint}
+    text = json.dumps(_canonical(kept), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+
+
+def run_id(slug: str, config: Mapping[str, Any], fingerprint: str | None = None) -> str:
+    """`slug`, made fit for a folder's name, a dash and `identity(config, fingerprint)`."""
+    return f"{clean(slug)}-{identity(config, fingerprint)}"
+
+
+def clean(slug: str) -> str:
+    """Letters, digits, dot, underscore and dash only, at most `SLUG_LENGTH`, starting with a letter or digit."""
+    text = re.sub(r"[^A-Za-z0-9._-]+", "-", slug)
+    return text.lstrip("._-")[:SLUG_LENGTH].rstrip("._-") or "run"
+
+
+def flatten(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted names -> values. Lists and empty dicts become JSON text, so that every value fits one table cell."""
+    flat: dict[str, Any] = {}
+
+    def visit(prefix: str, value: Any) -> None:
+        if isinstance(value, dict) and value:
+            for key, item in value.items():
+                visit(f"{prefix}.{key}" if prefix else key, item)
+        elif isinstance(value, (dict, list)):
+            flat[prefix] = json.dumps(value)
+        else:
+            flat[prefix] = value
+
+    for key, value in plain(config).items():
+        visit(key, value)
+    return flat
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _canonical(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_canonical(item) for item in value]
+    if isinstance(value, float) and math.isfinite(value) and value.is_integer():
+        return int(value)
+    return value

@@ -1,0 +1,325 @@
+"""Multiresolution hash encoding (Sec. 3, arXiv:2201.05989): the plain PyTorch form and a fast CPU one.
+
+Level l has a grid of `resolutions[l]` cells along each side of the unit cube, with its vertices at k / resolution,
+k = 0..resolution. A point's features at that level are interpolated trilinearly from the 8 vertices of its cell. Vertex
+(i, j, k) finds its features in row
+
+    i + j s + k s^2, s = resolution + 1                      where the whole grid fits into the table (`dense`)
+    (i xor j * 2654435761 xor k * 805459861) mod T           elsewhere (Eq. 4, arXiv:2201.05989)
+
+At the edges: points outside [0, 1] are moved to the nearest face, and their gradient across it is 0; a point on a
+border belongs to the cell above it, at 1 to the last cell; a NaN coordinate gives NaN features.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.kernels.jit import jit, run
+
+PRIMES = (1, 2654435761, 805459861)
+CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]
+FINEST = 2**20  # cells along a side: beyond, float32 coordinates cannot tell cells apart
+BLOCK = 128  # points worked on at a time: their corner rows and weights stay in the first-level cache
+GRAIN = 1024  # points worth waking a thread for
+
+
+def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:
+    """Features of points (N, 3) in [0, 1] from a table (L, T, F): (N, L F), level-major.
+
+    `resolutions` (L,) int64: cells along a side, 1 to 2^20. T is a power of two. On the CPU this is a compiled loop
+    that gives the values of `hash_encode_reference` to the last bit and its gradients with respect to points and table
+    to rounding, the same bits for any number of threads; higher derivatives come from the reference, and off the CPU
+    everything does. ValueError where shapes, dtypes or resolutions do not fit.
+    """
+    _check(points, table, resolutions)
+    if points.device.type == "cpu" and points.dtype in (torch.float32, torch.float64):
+        cells = resolutions.numpy()
+        if cells.min() < 1 or cells.max() > FINEST:
+            raise ValueError(f"hash grid: resolutions must be 1 to {FINEST}, got {cells.tolist()}")
+        encoded: Tensor = _HashEncode.apply(points, table, resolutions, dense)
+        return encoded
+    return hash_encode_reference(points, table, resolutions, dense)
+
+
+def hash_encode_reference(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:
+    """What `hash_encode` computes, in plain PyTorch: any device, any dtype, differentiable any number of times."""
+    _check(points, table, resolutions)
+    levels, size, _ = table.shape
+    resolution = resolutions.to(points.device)[:, None, None]  # (L, 1, 1)
+    scaled = points.clamp(0, 1) * resolution.to(points.dtype)  # (L, N, 3)
+    cell = torch.minimum(scaled.detach().nan_to_num(nan=0.0).long(), resolution - 1)
+    high = scaled - cell.to(points.dtype)
+    low = 1 - high
+    side = resolution[..., 0] + 1  # (L, 1)
+    direct = torch.full_like(side, dense, dtype=torch.bool) & (side**3 <= size)
+    level = torch.arange(levels, device=points.device)[:, None]
+    features = None
+    for corner in CORNERS:
+        weight_x, weight_y, weight_z = (high[..., a] if bit else low[..., a] for a, bit in enumerate(corner))
+        x, y, z = (cell[..., a] + bit for a, bit in enumerate(corner))
+        hashed = (x ^ (y * PRIMES[1]) ^ (z * PRIMES[2])) & (size - 1)
+        row = torch.where(direct, x + y * side + z * side * side, hashed)
+        term = (weight_x * (weight_y * weight_z))[..., None] * table[level, row]  # (L, N, F)
+        features = term if features is None else features + term
+    assert features is not None
+    return features.transpose(0, 1).flatten(1)
+
+
+def _check(points: Tensor, table: Tensor, resolutions: Tensor) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"hash grid: points must be (N, 3), got {tuple(points.shape)}")
+    if table.ndim != 3 or table.shape[1] & (table.shape[1] - 1) or not 1 < table.shape[1] <= 2**31 or not table.numel():
+        raise ValueError(f"hash grid: table must be (L, T, F) with T a power of two from 2, got {tuple(table.shape)}")
+    if resolutions.shape != table.shape[:1] or resolutions.dtype != torch.int64:
+        raise ValueError(
+            f"hash grid: resolutions must be int64 ({table.shape[0]},), "
+            f"got {resolutions.dtype} {tuple(resolutions.shape)}"
+        )
+    if points.dtype != table.dtype or not points.is_floating_point():
+        raise ValueError(f"hash grid: points and table must share a dtype, got {points.dtype} and {table.dtype}")
+
+
+class _HashEncode(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool) -> Tensor:
+        levels, _, features = table.shape
+        out = points.new_empty(points.shape[0], levels * features)
+        arrays = (_flat(points), _flat(table), _flat(resolutions), dense, features, _flat(out))
+        run(_forward, len(points), *arrays, grain=GRAIN)
+        ctx.save_for_backward(points, table, resolutions)
+        ctx.dense = dense
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        points, table, resolutions = ctx.saved_tensors
+        if torch.is_grad_enabled():  # asked for with create_graph=True, to be differentiated again
+            again = _differentiable_gradients(ctx.needs_input_grad, gradient, points, table, resolutions, ctx.dense)
+            return *again, None, None
+        levels, _, features = table.shape
+        common = (_flat(points), _flat(gradient), _flat(resolutions), ctx.dense, features)
+        to_points = to_table = None
+        if ctx.needs_input_grad[1]:
+            # Each level is zeroed by the thread that owns it. numpy asks for huge pages and PyTorch does not: a fresh
+            # 64 MB in small pages costs ten times the gradient itself.
+            to_table = torch.from_numpy(np.empty(table.shape, _flat(table).dtype))
+            run(_table_gradient, levels, *common, _flat(to_table), grain=1)
+        if ctx.needs_input_grad[0]:
+            to_points = torch.empty(points.shape, dtype=points.dtype)
+            run(_points_gradient, len(points), *common, _flat(table), _flat(to_points), grain=GRAIN)
+        return to_points, to_table, None, None
+
+
+def _differentiable_gradients(
+    needed: tuple[bool, ...], gradient: Tensor, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool
+) -> tuple[Tensor | None, Tensor | None]:
+    out = hash_encode_reference(points, table, resolutions, dense)
+    inputs = [tensor for tensor, need in zip((points, table), needed[:2], strict=True) if need]
+    found = iter(torch.autograd.grad(out, inputs, gradient, create_graph=True))
+    return next(found) if needed[0] else None, next(found) if needed[1] else None
+
+
+def _flat(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().reshape(-1).numpy()
+
+
+# The loops below index flat arrays with unsigned integers, because numba tests every signed index for wrap-around.
+U = np.uintp
+
+
+@jit
+def _corners(points, first, count, resolution, direct, mask, row, weight, fraction):  # type: ignore[no-untyped-def]
+    """Of points first..first + count: corner rows and weights (8, BLOCK), `fraction` (3, BLOCK) across the cell."""
+    number = points.dtype.type
+    zero, one, cells = number(0), number(1), number(resolution)
+    last = np.int32(resolution - 1)
+    side = np.uint32(resolution + 1)
+    plane = side * side
+    prime_y, prime_z = np.uint32(2654435761), np.uint32(805459861)
+    u1 = np.uint32(1)
+    b = U(BLOCK)
+    for i in range(U(count)):
+        j = U(3) * (U(first) + i)
+        x, y, z = points[j], points[j + U(1)], points[j + U(2)]
+        # Both comparisons are false for NaN, which so stays; the cell is then that of 0: a NaN has no integer.
+        x = (zero if x < zero else (one if x > one else x)) * cells
+        y = (zero if y < zero else (one if y > one else y)) * cells
+        z = (zero if z < zero else (one if z > one else z)) * cells
+        ix = min(np.int32(x if x >= zero else zero), last)
+        iy = min(np.int32(y if y >= zero else zero), last)
+        iz = min(np.int32(z if z >= zero else zero), last)
+        fx, fy, fz = x - number(ix), y - number(iy), z - number(iz)
+        x0, y0, z0 = np.uint32(ix), np.uint32(iy), np.uint32(iz)
+        if direct:
+            low = x0 + y0 * side + z0 * plane
+            high = low + plane
+            row[i], row[b + i] = low, low + u1
+            row[U(2) * b + i], row[U(3) * b + i] = low + side, low + side + u1
+            row[U(4) * b + i], row[U(5) * b + i] = high, high + u1
+            row[U(6) * b + i], row[U(7) * b + i] = high + side, high + side + u1
+        else:
+            x1 = x0 + u1
+            y0, z0 = y0 * prime_y, z0 * prime_z
+            y1, z1 = y0 + prime_y, z0 + prime_z
+            row[i], row[b + i] = (x0 ^ y0 ^ z0) & mask, (x1 ^ y0 ^ z0) & mask
+            row[U(2) * b + i], row[U(3) * b + i] = (x0 ^ y1 ^ z0) & mask, (x1 ^ y1 ^ z0) & mask
+            row[U(4) * b + i], row[U(5) * b + i] = (x0 ^ y0 ^ z1) & mask, (x1 ^ y0 ^ z1) & mask
+            row[U(6) * b + i], row[U(7) * b + i] = (x0 ^ y1 ^ z1) & mask, (x1 ^ y1 ^ z1) & mask
+        fraction[i], fraction[b + i], fraction[U(2) * b + i] = fx, fy, fz
+        gx, gy, gz = one - fx, one - fy, one - fz
+        w00, w10, w01, w11 = gy * gz, fy * gz, gy * fz, fy * fz
+        weight[i], weight[b + i] = gx * w00, fx * w00
+        weight[U(2) * b + i], weight[U(3) * b + i] = gx * w10, fx * w10
+        weight[U(4) * b + i], weight[U(5) * b + i] = gx * w01, fx * w01
+        weight[U(6) * b + i], weight[U(7) * b + i] = gx * w11, fx * w11
+
+
+@jit
+def _forward(start, stop, points, table, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
+    """Owns the features of points start..stop."""
+    levels = resolutions.size
+    width = U(table.size // levels)
+    size = table.size // (levels * features)
+    mask = np.uint32(size - 1)
+    stride = U(levels * features)
+    b, nf = U(BLOCK), U(features)
+    row = np.empty(8 * BLOCK, np.uint32)
+    weight = np.empty(8 * BLOCK, points.dtype)
+    fraction = np.empty(3 * BLOCK, points.dtype)
+    total = np.empty(max(BLOCK, features), points.dtype)
+    zero = points.dtype.type(0)
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        for level in range(levels):
+            direct = dense and (resolutions[level] + 1) ** 3 <= size
+            _corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            entry = table[U(level) * width : U(level + 1) * width]
+            base = U(first) * stride + U(level) * nf
+            if features == 1:
+                for i in range(U(count)):
+                    total[i] = weight[i] * entry[row[i]]
+                for c in range(U(1), U(8)):
+                    for i in range(U(count)):
+                        total[i] += weight[c * b + i] * entry[row[c * b + i]]
+                for i in range(U(count)):
+                    out[base + i * stride] = total[i]
+            elif features == 2:
+                for i in range(U(count)):
+                    even, odd = zero, zero
+                    for c in range(U(8)):
+                        k, w = U(2) * U(row[c * b + i]), weight[c * b + i]
+                        even += w * entry[k]
+                        odd += w * entry[k + U(1)]
+                    out[base + i * stride] = even
+                    out[base + i * stride + U(1)] = odd
+            else:
+                for i in range(U(count)):
+                    for f in range(nf):
+                        total[f] = zero
+                    for c in range(U(8)):
+                        k, w = nf * U(row[c * b + i]), weight[c * b + i]
+                        for f in range(nf):
+                            total[f] += w * entry[k + f]
+                    for f in range(nf):
+                        out[base + i * stride + f] = total[f]
+
+
+@jit
+def _table_gradient(start, stop, points, gradient, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
+    """Owns the gradient of levels start..stop; adds the points in their order."""
+    levels = resolutions.size
+    width = U(out.size // levels)
+    size = out.size // (levels * features)
+    mask = np.uint32(size - 1)
+    stride = U(levels * features)
+    b, nf = U(BLOCK), U(features)
+    row = np.empty(8 * BLOCK, np.uint32)
+    weight = np.empty(8 * BLOCK, points.dtype)
+    fraction = np.empty(3 * BLOCK, points.dtype)
+    count_all = points.size // 3
+    for level in range(start, stop):
+        entry = out[U(level) * width : U(level + 1) * width]
+        entry[:] = 0
+        direct = dense and (resolutions[level] + 1) ** 3 <= size
+        for first in range(0, count_all, BLOCK):
+            count = min(BLOCK, count_all - first)
+            _corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            base = U(first) * stride + U(level) * nf
+            if features == 1:
+                for i in range(U(count)):
+                    g = gradient[base + i * stride]
+                    for c in range(U(8)):
+                        entry[row[c * b + i]] += weight[c * b + i] * g
+            elif features == 2:
+                for i in range(U(count)):
+                    even, odd = gradient[base + i * stride], gradient[base + i * stride + U(1)]
+                    for c in range(U(8)):
+                        k, w = U(2) * U(row[c * b + i]), weight[c * b + i]
+                        entry[k] += w * even
+                        entry[k + U(1)] += w * odd
+            else:
+                for i in range(U(count)):
+                    for c in range(U(8)):
+                        k, w = nf * U(row[c * b + i]), weight[c * b + i]
+                        for f in range(nf):
+                            entry[k + f] += w * gradient[base + i * stride + f]
+
+
+@jit
+def _points_gradient(start, stop, points, gradient, resolutions, dense, features, table, out):  # type: ignore[no-untyped-def]
+    """Owns the gradient of points start..stop."""
+    levels = resolutions.size
+    width = U(table.size // levels)
+    size = table.size // (levels * features)
+    mask = np.uint32(size - 1)
+    stride = U(levels * features)
+    b, nf = U(BLOCK), U(features)
+    row = np.empty(8 * BLOCK, np.uint32)
+    weight = np.empty(8 * BLOCK, points.dtype)
+    fraction = np.empty(3 * BLOCK, points.dtype)
+    dot = np.empty(8 * BLOCK, points.dtype)  # of the gradient with each corner's features
+    total = np.empty(3 * BLOCK, points.dtype)
+    number = points.dtype.type
+    zero, one = number(0), number(1)
+    for first in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - first)
+        total[:] = 0
+        for level in range(levels):
+            direct = dense and (resolutions[level] + 1) ** 3 <= size
+            cells = number(resolutions[level])
+            _corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            entry = table[U(level) * width : U(level + 1) * width]
+            base = U(first) * stride + U(level) * nf
+            for c in range(U(0), U(8) * b, b):
+                if features == 1:
+                    for i in range(U(count)):
+                        dot[c + i] = gradient[base + i * stride] * entry[row[c + i]]
+                elif features == 2:
+                    for i in range(U(count)):
+                        j, k = base + i * stride, U(2) * U(row[c + i])
+                        dot[c + i] = gradient[j] * entry[k] + gradient[j + U(1)] * entry[k + U(1)]
+                else:
+                    for i in range(U(count)):
+                        k, product = nf * U(row[c + i]), zero
+                        for f in range(nf):
+                            product += gradient[base + i * stride + f] * entry[k + f]
+                        dot[c + i] = product
+            for i in range(U(count)):
+                fx, fy, fz = fraction[i], fraction[b + i], fraction[U(2) * b + i]
+                gx, gy, gz = one - fx, one - fy, one - fz
+                d0, d1, d2, d3 = dot[i], dot[b + i], dot[U(2) * b + i], dot[U(3) * b + i]
+                d4, d5, d6, d7 = dot[U(4) * b + i], dot[U(5) * b + i], dot[U(6) * b + i], dot[U(7) * b + i]
+                along_x = gz * (gy * (d1 - d0) + fy * (d3 - d2)) + fz * (gy * (d5 - d4) + fy * (d7 - d6))
+                along_y = gz * (gx * (d2 - d0) + fx * (d3 - d1)) + fz * (gx * (d6 - d4) + fx * (d7 - d5))
+                along_z = gy * (gx * (d4 - d0) + fx * (d5 - d1)) + fy * (gx * (d6 - d2) + fx * (d7 - d3))
+                total[i] += cells * along_x
+                total[b + i] += cells * along_y
+                total[U(2) * b + i] += cells * along_z
+        for i in range(U(count)):
+            for axis in range(U(3)):
+                j = U(3) * (U(first) + i) + axis
+                inside = points[j] >= zero and points[j] <= one
+                out[j] = total[axis * b + i] if inside else zero

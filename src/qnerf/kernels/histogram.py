@@ -1,0 +1,160 @@
+"""Compiled loops over the histograms of rays: drawing edges, the interlevel and distortion losses with their gradients.
+
+Each walks a ray once and sums in float64. Their plain PyTorch references are in pdf.py and losses.py.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.kernels.jit import jit, run
+
+_GRAIN = 50_000  # weights that are worth waking a thread for
+
+
+def compiled(*tensors: Tensor) -> bool:
+    """Whether the compiled loops take these tensors: all on the CPU, all float32 or all float64."""
+    dtype = tensors[0].dtype
+    return dtype in (torch.float32, torch.float64) and all(t.device.type == "cpu" and t.dtype == dtype for t in tensors)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
+def _grain(weights: Tensor) -> int:
+    return max(_GRAIN // max(weights.shape[1], 1), 1)
+
+
+@jit
+def _draw(start, stop, s, w, jitter, padding, least, out):  # type: ignore[no-untyped-def]
+    bins, count = w.shape[1], out.shape[1]
+    for ray in range(start, stop):
+        total = 0.0
+        for j in range(bins):
+            total += np.float64(w[ray, j]) + padding
+        fill = max(least - total, 0.0) / bins
+        total += fill * bins
+        j = 0
+        below = 0.0
+        mass = np.float64(w[ray, 0]) + padding + fill
+        for k in range(count):
+            target = (k + np.float64(jitter[ray])) / count * total
+            while j < bins - 1 and below + mass <= target:
+                below += mass
+                j += 1
+                mass = np.float64(w[ray, j]) + padding + fill
+            share = 0.0
+            if mass > 0:
+                share = min(max((target - below) / mass, 0.0), 1.0)
+            low, high = np.float64(s[ray, j]), np.float64(s[ray, j + 1])
+            out[ray, k] = min(low + share * (high - low), high)
+
+
+def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None, least: float) -> Tensor:
+    """`qnerf.pdf.sample_edges` of tensors that are `compiled`."""
+    out = torch.empty(s.shape[0], count, dtype=s.dtype)
+    offset = torch.full((s.shape[0],), 0.5, dtype=s.dtype) if jitter is None else jitter[:, 0]
+    arrays = (_array(s), _array(w), _array(offset))
+    run(_draw, s.shape[0], *arrays, padding, least, out.numpy(), grain=_grain(w))
+    return out
+
+
+@jit
+def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: ignore[no-untyped-def]
+    bins, outer_bins = w.shape[1], w_outer.shape[1]
+    cumulative = np.empty(outer_bins + 1)
+    slope = np.empty(outer_bins + 1)
+    for ray in range(start, stop):
+        cumulative[0] = 0.0
+        slope[:] = 0.0
+        for j in range(outer_bins):
+            cumulative[j + 1] = cumulative[j] + w_outer[ray, j]
+        above = 0  # outer edges at or below the inner one
+        while above <= outer_bins and s_outer[ray, above] <= s[ray, 0]:
+            above += 1
+        total = 0.0
+        for i in range(bins):
+            low = max(above - 1, 0)
+            while above <= outer_bins and s_outer[ray, above] <= s[ray, i + 1]:
+                above += 1
+            high = min(above, outer_bins)
+            excess = w[ray, i] - (cumulative[high] - cumulative[low])
+            if not excess <= 0:  # also where it is NaN
+                total += excess * excess / (w[ray, i] + eps)
+                step = -2 * excess / (w[ray, i] + eps)
+                slope[low] += step
+                slope[high] -= step
+        loss[ray] = total
+        running = 0.0
+        for j in range(outer_bins):
+            running += slope[j]
+            grad[ray, j] = running
+
+
+class Interlevel(torch.autograd.Function):
+    """Sum over rays and intervals of max(0, w - w_outer)^2 / (w + eps); gradient for w_outer's weights alone."""
+
+    @staticmethod
+    def forward(ctx: Any, w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float) -> Tensor:
+        loss, grad = np.empty(s.shape[0]), torch.empty_like(w_outer, memory_format=torch.contiguous_format)
+        arrays = (_array(s), _array(w), _array(s_outer), _array(w_outer))
+        run(_interlevel, s.shape[0], *arrays, eps, loss, grad.numpy(), grain=_grain(w_outer))
+        ctx.save_for_backward(grad)
+        return torch.tensor(loss.sum(), dtype=w.dtype)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None, None]:
+        (grad,) = ctx.saved_tensors
+        return upstream * grad, None, None, None, None
+
+
+@jit
+def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
+    bins = w.shape[1]
+    for ray in range(start, stop):
+        whole = 0.0
+        for i in range(bins):
+            whole += w[ray, i]
+        # dL/dw_i = sum_{k<i} gap_k W_k + sum_{k>=i} gap_k (W - W_k) + 2/3 w_i (s_(i+1) - s_i), gap_k = s_(k+2) - s_k
+        before = 0.0
+        cumulative = 0.0
+        total = 0.0
+        for i in range(bins):
+            weight = np.float64(w[ray, i])
+            length = np.float64(s[ray, i + 1]) - s[ray, i]
+            grad[ray, i] = before + 2 / 3 * weight * length
+            cumulative += weight
+            total += weight * weight * length / 3
+            if i < bins - 1:
+                gap = np.float64(s[ray, i + 2]) - s[ray, i]
+                before += gap * cumulative
+                total += gap * cumulative * (whole - cumulative)
+        behind = 0.0
+        cumulative = 0.0
+        for i in range(bins - 1, -1, -1):
+            if i < bins - 1:
+                behind += (np.float64(s[ray, i + 2]) - s[ray, i]) * cumulative
+            cumulative += w[ray, i]
+            grad[ray, i] += behind
+        loss[ray] = total
+
+
+class Distortion(torch.autograd.Function):
+    """Sum over rays of the distortion loss; gradient for the weights alone."""
+
+    @staticmethod
+    def forward(ctx: Any, w: Tensor, s: Tensor) -> Tensor:
+        loss, grad = np.empty(w.shape[0]), torch.empty_like(w, memory_format=torch.contiguous_format)
+        run(_distortion, w.shape[0], _array(s), _array(w), loss, grad.numpy(), grain=_grain(w))
+        ctx.save_for_backward(grad)
+        return torch.tensor(loss.sum(), dtype=w.dtype)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        (grad,) = ctx.saved_tensors
+        return upstream * grad, None

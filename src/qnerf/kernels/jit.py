@@ -1,0 +1,137 @@
+"""Compiled CPU loops: one decorator, one way to share a loop among threads.
+
+A kernel is a function `kernel(start, stop, *arrays)` that owns the outputs of items start..stop, so that the result
+does not depend on the number of threads. Kernels release the GIL and run on plain Python threads: no second OpenMP pool
+competes with PyTorch's.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from itertools import count, pairwise
+from queue import SimpleQueue
+from threading import Lock, Thread
+from typing import Any, TypeAlias
+
+import numba
+import torch
+from numba.core import event
+
+Kernel: TypeAlias = Callable[..., Any]
+SECONDS_PER_KERNEL = 1.0  # to compile one, measured on one core
+
+_kernels: set[Any] = set()
+_uncached: set[Any] = set()
+
+
+def jit(function: Kernel) -> Kernel:
+    """Compiles on first use for the given types; the machine code is cached on disk.
+
+    The cache lies beside the source file, else in the user's cache folder, else (neither can be written) there is none.
+    """
+    try:
+        kernel: Any = numba.njit(function, cache=True, nogil=True, error_model="numpy")
+    except RuntimeError:  # "no locator available": no folder for the cache can be written
+        kernel = numba.njit(function, cache=False, nogil=True, error_model="numpy")
+        _uncached.add(kernel)
+    _kernels.add(kernel)
+    return kernel
+
+
+class _Announcer(event.Listener):
+    """Says once, on stderr, that kernels are being compiled; numba sends the event on a cache miss only."""
+
+    def __init__(self) -> None:
+        self.said = False
+
+    def on_start(self, event: Any) -> None:
+        if not self.said and event.data["dispatcher"] in _kernels and "pytest" not in sys.modules:
+            self.said = True
+            seconds = max(round(SECONDS_PER_KERNEL * len(_kernels)), 1)
+            after = "not cached: no folder for it can be written" if _uncached else "cached afterwards"
+            print(f"compiling CPU kernels for first use, about {seconds} s; {after}", file=sys.stderr, flush=True)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+event.register("numba:compile", _Announcer())
+
+
+class _Job:
+    """One loop over `parts`, taken one by one by whichever thread is free."""
+
+    def __init__(self, kernel: Kernel, arguments: tuple[Any, ...], parts: list[tuple[int, int]]) -> None:
+        self.kernel, self.arguments = kernel, arguments
+        self.left = iter(parts)  # next() on a list iterator and on a count is atomic
+        self.last, self.ended = len(parts), count(1)
+        self.failure: BaseException | None = None
+        self.running = Lock()
+        self.running.acquire()
+
+    def work(self) -> None:
+        for start, stop in self.left:
+            try:
+                self.kernel(start, stop, *self.arguments)
+            except BaseException as failure:
+                self.failure = failure
+            if next(self.ended) == self.last:
+                self.running.release()
+
+
+class _Helpers:
+    """Threads that wait for jobs. A queue written in C: futures of the standard pool cost more than small kernels."""
+
+    def __init__(self) -> None:
+        self.jobs: SimpleQueue[_Job] = SimpleQueue()
+        self.started = 0
+        self.starting = Lock()
+
+    def call(self, job: _Job, threads: int) -> None:
+        if self.started < threads:
+            with self.starting:
+                while self.started < threads:
+                    Thread(target=self.serve, name=f"qnerf-kernel-{self.started}", daemon=True).start()
+                    self.started += 1
+        for _ in range(threads):
+            self.jobs.put(job)
+
+    def serve(self) -> None:
+        while True:
+            self.jobs.get().work()
+
+
+_helpers = _Helpers()
+
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
+    os.register_at_fork(after_in_child=lambda: _helpers.__init__())  # type: ignore[misc]
+
+
+def split(items: int, parts: int) -> list[tuple[int, int]]:
+    """Contiguous, nearly equal ranges that cover range(items); empty ones are left out."""
+    edges = [items * i // parts for i in range(parts + 1)]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
+    """Calls `kernel(start, stop, *arguments)` over range(items), on as many threads as PyTorch uses.
+
+    A thread takes about `grain` items at a time (default: an equal share), and the next ones when it is done: give it
+    where items cost different amounts, or where few items are not worth waking a thread for.
+
+    The calling thread takes parts too and waits only for those that another has begun: it never depends on a free
+    thread, so that kernels may be run from any thread, even from inside a part.
+    """
+    threads = torch.get_num_threads()
+    parts = split(items, threads if grain is None else max(items // grain, 1))
+    if threads == 1 or len(parts) <= 1:
+        if items > 0:
+            kernel(0, items, *arguments)
+        return
+    job = _Job(kernel, arguments, parts)
+    _helpers.call(job, min(threads, len(parts)) - 1)
+    job.work()
+    with job.running:
+        pass
+    if job.failure is not None:
+        raise job.failure

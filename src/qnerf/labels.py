@@ -1,0 +1,61 @@
+"""Short names of a configuration, from its resolved values: `qiren.layers=3` never reads 1L2S."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+HASH_TABLES = {
+    "C1": (16, 16, 2048, 19, 2),
+    "C2": (16, 16, 2048, 17, 2),
+    "C3": (12, 16, 2048, 17, 2),
+    "C4": (12, 16, 2048, 17, 1),
+    "C5": (12, 16, 1024, 15, 1),
+    "C6": (8, 16, 1024, 15, 1),
+    "C7": (8, 16, 1024, 13, 1),
+}
+"""Levels, coarsest and finest resolution, log2 of the table size, features an entry: the paper's configurations."""
+
+FIELDS = {(False, False): "classical", (False, True): "qcolor", (True, False): "qdensity", (True, True): "qboth"}
+
+
+def head_label(head: Mapping[str, Any]) -> str:
+    """`2x64` for an MLP of 2 layers, 64 wide; `1L2S` for a circuit head."""
+    if head["name"] == "mlp":
+        return f"{head['layers']}x{head['width']}"
+    circuit = f"{head['qiren']['layers']}L{head['qiren']['spectral']}S"
+    return circuit if head["name"] == "qiren" else f"{head['name']}-{circuit}"
+
+
+def hash_label(table: Mapping[str, Any]) -> str:
+    keys = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
+    values = tuple(table[key] for key in keys)
+    for name, known in HASH_TABLES.items():
+        if values == known:
+            return name
+    return "-".join(str(value) for value in values)
+
+
+def labels(config: Mapping[str, Any]) -> dict[str, str]:
+    """One label a config group, and one a head."""
+    density, color = config["density"], config["color"]
+    return {
+        "field": FIELDS[density["name"] != "mlp", color["name"] != "mlp"],
+        "encoder": config["encoder"]["name"],
+        "qiren": f"{config['qiren']['layers']}L{config['qiren']['spectral']}S",
+        "hash": hash_label(config["hash"]),
+        "scene": config["scene"]["name"],
+        "sampler": config["sampler"]["name"],
+        "cameras": config["cameras"]["name"],
+        "train": config["train"]["name"],
+        "density": head_label(density),
+        "color": head_label(color),
+    }
+
+
+def slug(config: Mapping[str, Any]) -> str:
+    """The readable part of a run's id: scene, field, encoder, heads, seed."""
+    names = labels(config)
+    path = config["scene"].get("path")
+    scene = Path(path).name if path else names["scene"]
+    encoder = f"hash{names['hash']}" if names["encoder"] == "hash" else names["encoder"]
+    return "-".join([scene, names["field"], encoder, names["density"], names["color"], f"s{config['seed']}"])

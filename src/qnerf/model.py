@@ -1,0 +1,58 @@
+"""Sampler, field and pose refinement as one module: rays -> samples -> field -> render."""
+
+import torch
+from torch import Tensor, nn
+
+from qnerf.field import Field
+from qnerf.render import render
+from qnerf.samplers import SampledRays
+from qnerf.timing import Stopwatch
+from qnerf.types import Rays, Rendering
+
+
+class Model(nn.Module):
+    """What is trained. `parts` groups its parameters as they are counted and optimised."""
+
+    def __init__(self, field: Field, sampler: nn.Module, cameras: nn.Module) -> None:
+        super().__init__()
+        self.field = field
+        self.sampler = sampler
+        self.cameras = cameras
+
+    @property
+    def parts(self) -> dict[str, list[nn.Parameter]]:
+        modules = {
+            "encoder": self.field.encoder,
+            "density": self.field.density_head,
+            "color": self.field.color_head,
+            "sampler": self.sampler,
+            "cameras": self.cameras,
+        }
+        parts = {name: list(module.parameters()) for name, module in modules.items()}
+        if self.field.appearance is not None:
+            parts["appearance"] = list(self.field.appearance.parameters())
+        assert sum(map(len, parts.values())) == len(list(self.parameters())), "a parameter belongs to no part"
+        return parts
+
+    def forward(
+        self,
+        rays: Rays,
+        *,
+        background: str,
+        step: int,
+        watch: Stopwatch,
+        generator: torch.Generator | None = None,
+    ) -> tuple[Rendering, SampledRays, Tensor | None]:
+        """Renders R rays; `generator` None is deterministic evaluation (no jitter).
+
+        Also returns the samples (for the regularisers) and the colour (R, 3) behind the rays, where there is one of
+        known colour: what a target with alpha has to be composited on.
+        """
+        with watch.part("sampling"):
+            sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
+        with watch.part("field"):
+            points = rays.along(sampled.samples.mids)
+            density, color = self.field(points, rays.directions, rays.cameras)
+        with watch.part("render"):
+            rendering, behind = render(density, color, sampled.samples, background=background, generator=generator)
+        return rendering, sampled, behind

@@ -1,0 +1,46 @@
+"""Drawing edges from a histogram on each ray: s are its edges (R, J + 1), w the weights (R, J) of the intervals."""
+
+import torch
+from torch import Tensor
+
+from qnerf.kernels import histogram
+
+_LEAST = 1e-5  # a total below this is filled up evenly: an empty ray is sampled evenly
+
+
+def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jitter: Tensor | None = None) -> Tensor:
+    """Draws `count` ordered edges by inverting the cumulative distribution of a histogram.
+
+    The k-th edge lies where the distribution reaches (k + jitter) / count: one random offset a ray, so that the edges
+    stay stratified.
+
+    Args:
+        s: (R, J + 1) edges of the histogram.
+        w: (R, J) weights >= 0; they need not sum to 1.
+        count: edges to draw.
+        padding: added to every weight, so that no interval is closed for ever.
+        jitter: (R, 1) in [0, 1); None: 1/2.
+
+    Returns:
+        (R, count) non-decreasing, within [s_0, s_J], detached.
+    """
+    s, w = s.detach(), w.detach()
+    if histogram.compiled(s, w):
+        return histogram.draw(s, w, count, padding, jitter, _LEAST)
+    return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)
+
+
+def sample_edges_reference(s: Tensor, w: Tensor, count: int, *, padding: float, jitter: Tensor | None) -> Tensor:
+    """`sample_edges` in plain PyTorch."""
+    w = w + padding
+    w = w + (_LEAST - w.sum(-1, keepdim=True)).clamp(min=0) / w.shape[-1]
+    cdf = torch.nn.functional.pad(w.cumsum(-1), (1, 0))
+    cdf = (cdf / cdf[:, -1:]).cummax(-1).values  # a parallel scan may step back by a rounding
+    k = torch.arange(count, dtype=s.dtype, device=s.device)
+    u = ((k + (0.5 if jitter is None else jitter)) / count).expand(s.shape[0], count).contiguous()
+    above = torch.searchsorted(cdf, u, right=True).clamp_(1, w.shape[-1])
+    below = above - 1
+    c0, c1 = cdf.gather(-1, below), cdf.gather(-1, above)
+    s0, s1 = s.gather(-1, below), s.gather(-1, above)
+    share = ((u - c0) / (c1 - c0)).nan_to_num_(0, 0, 0).clamp_(0, 1)
+    return torch.minimum(s0 + share * (s1 - s0), s1)

@@ -1,0 +1,145 @@
+"""Explicit SIMD for Numba kernels: values that hold one machine vector of consecutive floats.
+
+LLVM's loop vectoriser gives up on butterflies with more than a handful of pointers. Here a kernel says what it wants:
+
+>>> a, b = load(x, i), load(x, j)          # `lanes` consecutive elements each
+>>> store(x, i, a - t * b)                 # element-wise, multiply-adds are fused
+
+The vector type follows from the array's dtype: VECTOR_BYTES wide, float32 or float64. LLVM splits what the machine at hand lacks.
+"""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+VECTOR_BYTES = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
+"""Bytes of one vector: samples that travel through the circuit side by side."""
+
+
+def jit(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compiles on first use; the machine code is cached on disk. The GIL is released."""
+    return numba.njit(function, cache=True, nogil=True, error_model="numpy", boundscheck=False)
+
+
+def inner(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `jit`, for functions that only compiled code calls: nothing is compiled to call them from Python."""
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return numba.njit(function, cache=True, nogil=True, error_model="numpy", boundscheck=False, **options)
+
+
+def lanes(itemsize: int) -> int:
+    """Elements of one vector."""
+    return VECTOR_BYTES // itemsize
+
+
+class Vector(types.Type):
+    """Numba's type of one vector of `dtype`."""
+
+    def __init__(self, dtype: types.Type) -> None:
+        self.dtype = dtype
+        self.lanes = VECTOR_BYTES * 8 // dtype.bitwidth
+        super().__init__(name=f"Vector({dtype}, {self.lanes})")
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Vector) -> None:
+        super().__init__(manager, kind, ir.VectorType(manager.lookup(kind.dtype).get_value_type(), kind.lanes))
+
+
+def pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: Any) -> Any:
+    """LLVM value: address of the vector that starts at array[index]."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), context.get_value_type(vector).as_pointer())
+
+
+@intrinsic
+def load(typing_context: Any, array: Any, index: Any) -> Any:
+    """The vector at array[index : index + lanes] of a flat, contiguous array. No bounds are checked."""
+    vector = Vector(array.dtype)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = pointer(context, builder, array, arguments[0], arguments[1], vector)
+        return builder.load(place, align=array.dtype.bitwidth // 8)
+
+    return vector(array, types.intp), generate
+
+
+@intrinsic
+def store(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
+    """array[index : index + lanes] = value."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = pointer(context, builder, array, arguments[0], arguments[1], value)
+        builder.store(arguments[2], place, align=array.dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, value), generate
+
+
+@intrinsic
+def splat(typing_context: Any, scalar: Any) -> Any:
+    """The vector whose elements are all `scalar`."""
+    vector = Vector(scalar)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = context.get_value_type(vector)
+        undefined = ir.Constant(kind, ir.Undefined)
+        first = builder.insert_element(undefined, arguments[0], ir.Constant(ir.IntType(32), 0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), [0] * vector.lanes)
+        return builder.shuffle_vector(first, undefined, zeros)
+
+    return vector(scalar), generate
+
+
+def _operator(symbol: Any, instruction: str) -> None:
+    @type_callable(symbol)
+    def typing(context: Any) -> Any:
+        def kind(a, b):  # type: ignore[no-untyped-def]  # Numba compares the argument lists, annotations included
+            return a if isinstance(a, Vector) and isinstance(b, Vector) else None
+
+        return kind
+
+    @lower_builtin(symbol, Vector, Vector)
+    def lowering(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return getattr(builder, instruction)(*arguments, flags=("contract",))  # a * b + c may become one instruction
+
+
+_operator(operator.add, "fadd")
+_operator(operator.sub, "fsub")
+_operator(operator.mul, "fmul")
+
+
+@intrinsic
+def keep_apart(typing_context: Any) -> Any:
+    """Says that the function it stands in is worth a call: inlined into every caller, large passes are compiled many times."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic
+def address(typing_context: Any, array: Any) -> Any:
+    """Address of the first element."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(array)(context, builder, arguments[0]).data
+        return builder.ptrtoint(data, ir.IntType(64))
+
+    return types.int64(array), generate
+
+
+@inner
+def start_of_line(array: Any) -> int:
+    """First index of `array` at the start of a cache line (64 bytes): vectors that straddle lines load at half speed."""
+    misplaced = address(array) % 64
+    return 0 if misplaced == 0 else (64 - misplaced) // array.itemsize

@@ -1,0 +1,35 @@
+"""The run store: one folder a run, readable with pandas at every moment, one owner a run, nothing lost on kill.
+
+    runs/<run_id>/
+      config.yaml overrides.txt environment.json log.txt images/
+      status.json        state, step, heartbeat, pid, host, error
+      metrics/           part-00000.parquet ...: step int64, time_s float64, key string, value float64
+      eval.parquet       one row an evaluated image
+      summary.parquet    one row: final metrics, parameter counts, timings, the flat configuration
+      checkpoint.pt      and checkpoint.prev.pt, the one before
+      owner/             who may write, see `owner.py`
+    runs/.tmp/           folders on their way in or out
+
+What the file system must do: create hard links (or, failing that, files) exclusively and rename files and folders
+atomically. Local file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.
+"""
+
+from .files import StoreError
+from .owner import HEARTBEAT_LIMIT
+from .read import read_config, read_metrics, read_status, read_summary, runs, state
+from .store import Claim, RunStore
+from .writer import Run
+
+__all__ = [
+    "HEARTBEAT_LIMIT",
+    "Claim",
+    "Run",
+    "RunStore",
+    "StoreError",
+    "read_config",
+    "read_metrics",
+    "read_status",
+    "read_summary",
+    "runs",
+    "state",
+]

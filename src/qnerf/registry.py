@@ -1,0 +1,88 @@
+"""Name -> component. A component's keyword-only parameters are its options: the signature is the schema."""
+
+import inspect
+import types
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """The components of one config group.
+
+    Positional parameters of a component are wiring (dimensions, neighbours) and are given by the code that builds it;
+    keyword-only parameters are options and are given by the user's configuration.
+
+    >>> ENCODERS = Registry("encoder")
+    >>> @ENCODERS.register("identity")
+    ... class Identity:
+    ...     def __init__(self, in_dim: int, *, scale: float = 1.0): ...
+    >>> ENCODERS.build("identity", 3, scale=2.0)
+    """
+
+    def __init__(self, group: str) -> None:
+        self.group = group
+        self._components: dict[str, Callable[..., T]] = {}
+
+    def register(self, name: str) -> Callable[[Callable[..., T]], Callable[..., T]]:
+        def add(component: Callable[..., T]) -> Callable[..., T]:
+            assert name not in self._components, f"{self.group}={name} is registered twice"
+            self._components[name] = component
+            return component
+
+        return add
+
+    def names(self) -> list[str]:
+        return sorted(self._components)
+
+    def get(self, name: str) -> Callable[..., T]:
+        """The component registered under `name`; ValueError names the known ones."""
+        if name not in self._components:
+            raise ValueError(f"{self.group}: unknown name {name!r}; known: {', '.join(self.names())}")
+        return self._components[name]
+
+    def options(self, name: str) -> dict[str, inspect.Parameter]:
+        """The keyword-only parameters of the component: what a user may set."""
+        parameters = inspect.signature(self.get(name)).parameters.values()
+        return {p.name: p for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+
+    def build(self, name: str, *wiring: Any, **options: Any) -> T:
+        """Builds the component; ValueError names group, option, value and what was expected."""
+        self.check(name, options)
+        return self.get(name)(*wiring, **options)
+
+    def check(self, name: str, options: Mapping[str, Any]) -> None:
+        check_options(f"{self.group}={name}", self.get(name), options)
+
+
+def check_options(label: str, component: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """ValueError unless every option is a keyword-only parameter of `component` and its value fits the annotation."""
+    parameters = inspect.signature(component).parameters.values()
+    known = [p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    hints = get_type_hints(component.__init__ if inspect.isclass(component) else component)
+    for key, value in options.items():
+        if key not in known:
+            raise ValueError(f"{label}: unknown option {key}={value!r}; known: {', '.join(known) or 'none'}")
+        if key in hints and not _fits(value, hints[key]):
+            hint = hints[key]
+            expected = hint.__name__ if inspect.isclass(hint) and not get_args(hint) else str(hint)
+            raise ValueError(f"{label}: {key} expects {expected}, got {value!r} ({type(value).__name__})")
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    origin = get_origin(hint)
+    if hint is Any:
+        return True
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, part) for part in get_args(hint))
+    if hint is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if hint is None or hint is type(None):
+        return value is None
+    if origin in (list, tuple, set, dict) or (origin is not None and inspect.isclass(origin)):
+        expected = (list, tuple) if origin in (list, tuple) else origin
+        return isinstance(value, expected)
+    return not inspect.isclass(hint) or isinstance(value, hint)

@@ -1,0 +1,177 @@
+"""The training loop: batches of rays, the loss, the optimiser, checkpoints."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from qnerf.config import Settings, Train
+from qnerf.losses import distortion, interlevel, mse
+from qnerf.model import Model
+from qnerf.rays import RayTable
+from qnerf.timing import PARTS, Stopwatch
+
+
+class Diverged(RuntimeError):
+    """The loss or a parameter is no longer finite."""
+
+
+class Checkpoints(Protocol):
+    """Where a trainer's state is kept."""
+
+    def save_checkpoint(self, state: dict[str, Any]) -> None: ...
+
+
+def learning_rate(step: int, train: Train) -> float:
+    """lr (lr_final / lr)^(step / steps)."""
+    return train.lr * (train.lr_final / train.lr) ** (step / train.steps)
+
+
+class Trainer:
+    """Takes training steps; everything it depends on is in `state()`, so a resumed run repeats an uninterrupted one.
+
+    Args:
+        model: on its device, in its dtype.
+        table: the training pixels and their rays.
+        settings: budget, bounds, background.
+        watch: times the parts of a step.
+    """
+
+    def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
+        self.model = model
+        self.table = table
+        self.train = settings.train
+        self.background = settings.render.background
+        self.watch = watch
+        self.step = 0
+        self.step_seconds: list[float] = []
+        self.seconds = 0.0  # in training steps, over all resumptions
+        device = settings.torch_device
+        groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
+        self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
+        # Separate streams: configurations that draw differently along the rays still see the same batches of rays.
+        self.streams = {
+            "pixels": torch.Generator().manual_seed(settings.seed),
+            "samples": torch.Generator(device).manual_seed(settings.seed + 1),
+        }
+
+    def take_step(self, measure: bool) -> dict[str, float]:
+        """One optimisation step; its metrics if `measure`, else nothing.
+
+        Raises:
+            Diverged: at the first loss that is not finite, naming the step and the part.
+        """
+        start = self.watch.now()
+        self.watch.begin(watch=measure)
+        rate = learning_rate(self.step, self.train)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        with self.watch.part("sampling"):
+            rays, pixels = self.table.batch(self.train.rays, self.streams["pixels"], self.model.cameras)
+        rendering, sampled, behind = self.model(
+            rays, background=self.background, step=self.step, watch=self.watch, generator=self.streams["samples"]
+        )
+        with self.watch.part("render"):
+            target = composite(pixels, behind)
+            terms = {"mse": mse(rendering.color, target)}
+            if self.train.distortion:
+                terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
+            if self.train.interlevel and sampled.proposals:
+                terms["interlevel"] = self.train.interlevel * interlevel(
+                    sampled.samples, rendering.weights, sampled.proposals
+                )
+            penalty = self.model.cameras.penalty()
+            if penalty is not None:
+                terms["poses"] = penalty
+            loss = torch.stack(list(terms.values())).sum()
+            value = float(loss.detach())
+        if not math.isfinite(value):
+            raise Diverged(f"the loss is {value} at step {self.step}, {self._blame(terms)}")
+        with self.watch.part("backward"):
+            self.optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+        with self.watch.part("optimiser"):
+            self.optimiser.step()
+        self.step += 1
+        seconds = self.watch.now() - start
+        self.step_seconds.append(seconds)
+        self.seconds += seconds
+        if not measure:
+            return {}
+        error = float(terms["mse"].detach())
+        return {
+            "train/loss": value,
+            "train/psnr": -10 * math.log10(max(error, 1e-12)),
+            **{f"train/{name}": float(term.detach()) for name, term in terms.items()},
+            "train/lr": rate,
+            "time/step_ms": seconds * 1e3,
+            **{f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in PARTS},
+        }
+
+    def _blame(self, terms: dict[str, Tensor]) -> str:
+        """The part in which the first value that is not finite arose."""
+        for name, parameters in self.model.parts.items():
+            if not all(bool(torch.isfinite(p).all()) for p in parameters):
+                return f"in the parameters of {name!r}"
+        bad = [name for name, term in terms.items() if not math.isfinite(float(term.detach()))]
+        return f"in the loss term {bad[0]!r}" if bad else "in the sum of the loss terms"
+
+    def finite(self) -> bool:
+        """Whether every parameter is finite."""
+        return all(bool(torch.isfinite(p).all()) for p in self.model.parameters())
+
+    def state(self) -> dict[str, Any]:
+        """Everything the next step depends on."""
+        return {
+            "step": self.step,
+            "model": self.model.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "streams": {name: stream.get_state() for name, stream in self.streams.items()},
+            "torch_random": torch.get_rng_state(),
+            "step_seconds": torch.tensor(self.step_seconds, dtype=torch.float64),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.step = state["step"]
+        self.model.load_state_dict(state["model"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        for name, stream in self.streams.items():
+            stream.set_state(state["streams"][name].cpu())
+        torch.set_rng_state(state["torch_random"].cpu())
+        self.step_seconds = state["step_seconds"].tolist()
+        self.seconds = sum(self.step_seconds)
+
+    def steps(self, store: Checkpoints, stopping: Callable[[], bool]) -> Iterator[dict[str, float]]:
+        """Trains to the last step, yielding each step's metrics; checkpoints by the clock, at a stop and at the end.
+
+        A state that is not finite is never saved: the last good checkpoint stays.
+        """
+        saved = time.monotonic()
+        while self.step < self.train.steps and not stopping():
+            measure = (self.step + 1) % self.train.log_every == 0 or self.step + 1 == self.train.steps
+            yield self.take_step(measure)
+            if time.monotonic() - saved > self.train.checkpoint_every:
+                self.save(store)
+                saved = time.monotonic()
+        self.save(store)
+
+    def save(self, store: Checkpoints) -> None:
+        if not self.finite():
+            raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._blame({})}")
+        store.save_checkpoint(self.state())
+
+
+def composite(pixels: Tensor, behind: Tensor | None) -> Tensor:
+    """Straight-alpha pixels (R, 4) over the colour (R, 3) behind them; pixels (R, 3) are opaque as they are."""
+    if pixels.shape[-1] == 3:
+        return pixels
+    if behind is None:
+        raise ValueError(
+            "the images have alpha, which render.background=last_sample cannot be compared with; "
+            "use render.background=white, black or random"
+        )
+    alpha = pixels[:, 3:]
+    return pixels[:, :3] * alpha + behind * (1 - alpha)

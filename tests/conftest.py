@@ -1,0 +1,100 @@
+"""Shared by all tests: composing the real configuration, a tiny scene, the optional data folder."""
+
+import json
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before PyTorch: tests share the machine with other work
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import hypothesis
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from PIL import Image
+
+# Examples are the same in every run; how long one takes is nobody's promise.
+hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
+hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
+
+ROOT = Path(__file__).parents[1]
+CONF = ROOT / "conf"
+DATA = ROOT.parent / "shared" / "data"
+
+TINY = (
+    "sampler.samples=[8,6]",
+    "sampler.final=4",
+    "sampler.levels=2",
+    "sampler.log2_table_size=6",
+    "sampler.max_resolutions=[24,32]",
+)
+"""A proposal sampler small enough for a unit test."""
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    """The resolved configuration that these overrides give on the command line."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return OmegaConf.to_container(compose("config", list(overrides)), resolve=True)  # type: ignore[return-value]
+
+
+@pytest.fixture
+def config() -> Callable[..., dict[str, Any]]:
+    return composed
+
+
+def write_scene(folder: Path, views: int = 6, width: int = 8, height: int = 6, channels: int = 3) -> Path:
+    """A nerfstudio folder: cameras on a ring that look at the origin, images of a smooth pattern."""
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    random = np.random.default_rng(0)
+    for view in range(views):
+        angle = 2 * np.pi * view / views
+        centre = np.array([2 * np.cos(angle), 2 * np.sin(angle), 1.0])
+        backward = centre / np.linalg.norm(centre)
+        right = np.cross([0, 0, 1.0], backward)
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3] = np.stack([right, np.cross(backward, right), backward, centre], axis=1)
+        pixels = random.integers(0, 255, (height, width, channels), dtype=np.uint8)
+        Image.fromarray(pixels).save(folder / "images" / f"{view:03d}.png")
+        frames.append({"file_path": f"images/{view:03d}.png", "transform_matrix": pose.tolist()})
+    transforms = {"w": width, "h": height, "fl_x": 8.0, "fl_y": 8.0, "cx": width / 2, "cy": height / 2, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(transforms))
+    return folder
+
+
+@pytest.fixture
+def tiny_scene(tmp_path: Path) -> Path:
+    return write_scene(tmp_path / "scene")
+
+
+@pytest.fixture
+def tiny(tiny_scene: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
+    """A configuration that trains in a moment: `tiny("field=qboth")`."""
+
+    def make(*overrides: str, sampler: Sequence[str] = TINY) -> dict[str, Any]:
+        chosen = [item.split("=")[0] for item in overrides]
+        scene = [] if "scene" in chosen else ["scene=nerfstudio", f"scene.path={tiny_scene}"]
+        return composed(
+            *scene,
+            *(() if "sampler" in chosen else sampler),
+            "hash=C7",
+            "train.steps=2",
+            "train.rays=8",
+            "train.eval_every=0",
+            "train.log_every=1",
+            f"store={tmp_path / 'runs'}",
+            "device=cpu",
+            *overrides,
+        )
+
+    return make
+
+
+@pytest.fixture(autouse=True)
+def _threads() -> None:
+    torch.set_num_threads(min(2, torch.get_num_threads()))

@@ -1,0 +1,327 @@
+"""The hash grid's compiled path against its plain PyTorch reference, and both at the edges: kernels/hashgrid.py."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.autograd import gradcheck, gradgradcheck
+
+from qnerf.encoders import level_resolutions
+from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
+
+BOTH = pytest.mark.parametrize("encode", [hash_encode, hash_encode_reference])
+NAN = float("nan")
+
+
+def case(points, resolutions, log2_size, features, dtype=torch.float32, seed=0):
+    """Random points (some on borders, some outside), table and level resolutions."""
+    generator = torch.Generator().manual_seed(seed)
+    cells = torch.tensor(resolutions)
+    x = torch.rand(points, 3, generator=generator, dtype=torch.float64) * 1.2 - 0.1
+    if points:
+        x[::3] = (x[::3] * cells[0]).round() / cells[0]
+    table = torch.rand(len(resolutions), 2**log2_size, features, generator=generator, dtype=torch.float64) * 2 - 1
+    return x.to(dtype), table.to(dtype), cells
+
+
+def off_borders(count, cells):
+    """Points where the derivative is not one-sided."""
+    x = torch.rand(100, 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    across = (x[:, None] * cells[:, None]) % 1
+    inside = ((across > 0.02) & (across < 0.98)).all(-1).all(-1)
+    assert inside.sum() >= count
+    return x[inside][:count].requires_grad_()
+
+
+def gradients(encode, points, table, cells, dense=True):
+    points, table = points.clone().requires_grad_(), table.clone().requires_grad_()
+    out = encode(points, table, cells, dense)
+    weight = torch.linspace(-1, 1, out.numel(), dtype=out.dtype).view_as(out)
+    return torch.autograd.grad(out, (points, table), weight)
+
+
+CASES = {
+    "points": st.integers(0, 300),
+    "resolutions": st.lists(st.integers(1, 200), min_size=1, max_size=5),
+    "log2_size": st.integers(1, 9),
+    "features": st.sampled_from([1, 2, 3, 4, 8]),
+    "dense": st.booleans(),
+    "seed": st.integers(0, 2**31),
+}
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@settings(max_examples=30, deadline=None)
+@given(**CASES)
+def test_features_are_those_of_the_reference_to_the_last_bit(
+    dtype, points, resolutions, log2_size, features, dense, seed
+):
+    arguments = (*case(points, resolutions, log2_size, features, dtype, seed), dense)
+    fast = hash_encode(*arguments)
+    assert fast.dtype == dtype
+    assert fast.shape == (points, len(resolutions) * features)
+    assert torch.equal(fast, hash_encode_reference(*arguments))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@settings(max_examples=30, deadline=None)
+@given(**CASES)
+def test_gradients_are_those_of_the_reference(dtype, points, resolutions, log2_size, features, dense, seed):
+    """Both add the same terms in another order: they differ by at most 4 eps times the sum of the largest terms."""
+    x, table, cells = case(points, resolutions, log2_size, features, dtype, seed)
+    fast, plain = (gradients(encode, x, table, cells, dense) for encode in (hash_encode, hash_encode_reference))
+    terms = (8 * features * sum(resolutions), 8 * max(points, 1))
+    for a, b, largest in zip(fast, plain, terms, strict=True):
+        assert a.dtype == dtype
+        torch.testing.assert_close(a, b, rtol=0, atol=4 * torch.finfo(dtype).eps * largest)
+
+
+@BOTH
+def test_derivatives_against_finite_differences(encode):
+    _, table, cells = case(0, [2, 5, 40], 5, 2, torch.float64)
+    x = off_borders(6, cells)
+    assert gradcheck(lambda p, t: encode(p, t, cells), (x, table.requires_grad_()))
+
+
+@BOTH
+def test_second_derivatives_against_finite_differences(encode):
+    _, table, cells = case(0, [2, 5], 4, 2, torch.float64)
+    x = off_borders(3, cells)
+    assert gradgradcheck(lambda p, t: encode(p, t, cells), (x, table.requires_grad_()))
+
+
+@BOTH
+@pytest.mark.parametrize("features", [1, 2, 4])
+def test_a_full_grid_interpolates_its_vertices_exactly(encode, features):
+    """A trilinear function lies in the span of the grid: it is reproduced everywhere."""
+    n = 4
+    i = torch.arange(8**3)
+    side = n + 1
+    vertex = torch.stack((i % side, i // side % side, i // side**2), dim=-1).double() / n
+    function = lambda p: 1 + p[:, 0] - 2 * p[:, 1] * p[:, 2] + 3 * p.prod(-1)  # noqa: E731
+    table = torch.stack([function(vertex) * (f + 1) for f in range(features)], dim=-1)[None]
+    x, _, cells = case(200, [n], 9, 1, torch.float64)
+    expected = torch.stack([function(x.clamp(0, 1)) * (f + 1) for f in range(features)], dim=-1)
+    torch.testing.assert_close(encode(x, table, cells), expected, rtol=0, atol=1e-13)
+
+
+@BOTH
+def test_hashed_rows_are_those_of_the_published_function(encode):
+    n, size = 50, 64
+    table = torch.arange(size, dtype=torch.float64).view(1, size, 1)
+    vertices = torch.randint(0, n + 1, (300, 3), generator=torch.Generator().manual_seed(0))
+    rows = [(x ^ y * 2654435761 ^ z * 805459861) % 2**32 % size for x, y, z in vertices.tolist()]
+    encoded = encode(vertices.double() / n, table, torch.tensor([n]))[:, 0]
+    torch.testing.assert_close(encoded, torch.tensor(rows, dtype=torch.float64), rtol=0, atol=1e-9)
+
+
+@BOTH
+def test_levels_that_fit_are_indexed_without_collisions(encode):
+    fits, hashed = (torch.tensor([n]) for n in (3, 4))  # 4^3 = 64 vertices fit into 64 entries, 5^3 do not
+    x, table, _ = case(100, [3], 6, 1)
+    assert not torch.equal(encode(x, table, fits, True), encode(x, table, fits, False))
+    assert torch.equal(encode(x, table, hashed, True), encode(x, table, hashed, False))
+
+
+@BOTH
+@pytest.mark.parametrize("dense", [True, False])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@settings(max_examples=30, deadline=None)
+@given(
+    resolution=st.integers(1, 2048),
+    border=st.integers(0, 2048),
+    axis=st.integers(0, 2),
+    other=st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1)),
+)
+def test_continuous_across_cell_borders(encode, dense, dtype, resolution, border, axis, other):
+    """One ulp to either side of a border moves a feature by at most resolution x range x 2 ulp."""
+    x = torch.tensor([other] * 3, dtype=dtype)
+    at = torch.tensor(min(border, resolution) / resolution, dtype=dtype)
+    x[:, axis] = torch.stack((at.nextafter(-torch.ones_like(at)), at, at.nextafter(2 * torch.ones_like(at))))
+    _, table, cells = case(0, [resolution], 8, 2, dtype)
+    below, on, above = encode(x, table, cells, dense)
+    bound = (4 * resolution + 16) * torch.finfo(dtype).eps
+    assert (below - on).abs().max() <= bound
+    assert (above - on).abs().max() <= bound
+
+
+@BOTH
+@pytest.mark.parametrize("dense", [True, False])
+def test_zero_and_one_are_the_first_and_the_last_vertex(encode, dense):
+    cells = torch.tensor([2])
+    table = torch.arange(32.0).view(1, 32, 1)
+    corners = torch.tensor([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    index = (corners * 2).long()
+    i, j, k = index.unbind(-1)
+    rows = i + 3 * j + 9 * k if dense else (i ^ j * 2654435761 ^ k * 805459861) % 2**32 % 32
+    assert encode(corners, table, cells, dense)[:, 0].tolist() == rows.tolist()
+
+
+@BOTH
+def test_points_outside_are_moved_to_the_nearest_face(encode):
+    _, table, cells = case(0, [3, 70], 7, 2)
+    outside = torch.tensor(
+        [[-0.3, 0.5, 0.2], [1e30, 0.1, -1e30], [float("inf"), -float("inf"), 0.4], [-1e-45, 2.0, 1.0]]
+    )
+    assert torch.equal(encode(outside, table, cells), encode(outside.clamp(0, 1), table, cells))
+    to_points, _ = gradients(encode, outside, table, cells)
+    assert torch.equal(to_points == 0, (outside < 0) | (outside > 1))
+
+
+@BOTH
+@pytest.mark.parametrize("features", [1, 2, 3])
+def test_nan_gives_nan_and_touches_no_other_point(encode, features):
+    x, table, cells = case(260, [3, 70], 7, features)
+    bad = x.clone()
+    bad[5, 0] = bad[130, 1] = bad[259, 2] = NAN
+    bad[200] = NAN
+    encoded = encode(bad, table, cells)
+    rows = bad.isnan().any(-1)
+    assert encoded[rows].isnan().all()
+    assert torch.equal(encoded[~rows], encode(x, table, cells)[~rows])
+    to_points, _ = gradients(encode, bad, table, cells)
+    assert not to_points[~rows].isnan().any()
+    assert not to_points[bad.isnan()].any()
+
+
+def test_the_same_bits_for_any_number_of_threads():
+    x, table, cells = case(5000, [16, 30, 60, 120, 250], 12, 2)
+    before = torch.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 2, 3, 8):
+            torch.set_num_threads(threads)
+            results.append((hash_encode(x, table, cells), *gradients(hash_encode, x, table, cells)))
+    finally:
+        torch.set_num_threads(before)
+    for result in results[1:]:
+        for a, b in zip(results[0], result, strict=True):
+            assert torch.equal(a, b)
+
+
+def test_gradients_are_computed_where_they_are_needed_and_add_up():
+    x, table, cells = case(50, [4, 9], 8, 2)
+    both = gradients(hash_encode, x, table, cells)
+    points = x.clone().requires_grad_()
+    out = hash_encode(points, table, cells)
+    weight = torch.linspace(-1, 1, out.numel()).view_as(out)
+    out.backward(weight)
+    assert torch.equal(points.grad, both[0])
+    assert table.grad is None
+    parameter = torch.nn.Parameter(table.clone())
+    hash_encode(x, parameter, cells).backward(weight)
+    assert torch.equal(parameter.grad, both[1])
+    kept = parameter.grad
+    hash_encode(x, parameter, cells).backward(weight)
+    assert parameter.grad is kept
+    assert torch.equal(kept, 2 * both[1])
+
+
+def test_strided_and_expanded_tensors():
+    x, table, cells = case(40, [4, 9], 8, 2)
+    expected = hash_encode(x, table, cells)
+    assert torch.equal(hash_encode(x.t().contiguous().t(), table, cells), expected)
+    leaf = table.transpose(1, 2).contiguous().requires_grad_()
+    out = hash_encode(x, leaf.transpose(1, 2), cells)
+    assert torch.equal(out, expected)
+    out.sum().backward()  # its gradient is an expanded scalar
+    assert torch.equal(leaf.grad.transpose(1, 2), gradients_of_sum(x, table, cells))
+
+
+def gradients_of_sum(x, table, cells):
+    table = table.clone().requires_grad_()
+    return torch.autograd.grad(hash_encode(x, table, cells).sum(), table)[0]
+
+
+def test_the_gradient_of_a_table_is_its_points_weights():
+    """Of a sum of features: every point spreads a weight of 1 a level."""
+    x, table, cells = case(500, [4, 90], 8, 2, torch.float64)
+    gradient = gradients_of_sum(x, table, cells)
+    torch.testing.assert_close(gradient.sum(1), torch.full((2, 2), 500.0, dtype=torch.float64), rtol=1e-12, atol=0)
+    assert gradient.min() >= 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"points": torch.zeros(4, 2)}, r"points must be \(N, 3\)"),
+        ({"table": torch.zeros(2, 6, 1)}, "power of two"),
+        ({"table": torch.zeros(2, 1, 1)}, "power of two"),
+        ({"table": torch.zeros(2, 8, 0)}, "table must be"),
+        ({"table": torch.zeros(2, 8, 1, dtype=torch.float64)}, "share a dtype"),
+        ({"resolutions": torch.tensor([1, 2, 3])}, "resolutions must be int64"),
+        ({"resolutions": torch.tensor([1.0, 2.0])}, "resolutions must be int64"),
+        ({"resolutions": torch.tensor([0, 4])}, "must be 1 to"),
+        ({"resolutions": torch.tensor([4, 2**21])}, "must be 1 to"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(change, message):
+    arguments = {"points": torch.zeros(4, 3), "table": torch.zeros(2, 8, 1), "resolutions": torch.tensor([1, 2])}
+    with pytest.raises(ValueError, match=message) as error:
+        hash_encode(**{**arguments, **change})
+    assert "\n" not in str(error.value)
+
+
+HASH_TABLES = {  # levels, min resolution, max resolution
+    "C1": (16, 16, 2048, [16, 22, 30, 42, 58, 80, 111, 153, 212, 294, 406, 561, 776, 1072, 1482, 2048]),
+    "C3": (12, 16, 2048, [16, 24, 38, 60, 93, 145, 225, 350, 545, 847, 1317, 2048]),
+    "C5": (12, 16, 1024, [16, 23, 34, 49, 72, 105, 154, 225, 329, 480, 701, 1024]),
+    "C6": (8, 16, 1024, [16, 28, 52, 95, 172, 312, 565, 1024]),
+    "proposal 128": (5, 16, 128, [16, 26, 45, 76, 128]),
+    "proposal 256": (5, 16, 256, [16, 32, 64, 128, 256]),
+}
+
+
+@pytest.mark.parametrize("name", HASH_TABLES)
+def test_level_resolutions_of_the_paper(name):
+    levels, low, high, expected = HASH_TABLES[name]
+    assert level_resolutions(levels, low, high) == expected
+
+
+@given(levels=st.integers(1, 32), low=st.integers(1, 4096), ratio=st.floats(1, 256))
+def test_level_resolutions_have_exact_ends_and_do_not_fall(levels, low, ratio):
+    high = int(low * ratio)
+    resolutions = level_resolutions(levels, low, high)
+    assert len(resolutions) == levels
+    assert resolutions[0] == low
+    assert resolutions[-1] == (high if levels > 1 else low)
+    assert resolutions == sorted(resolutions)
+
+
+@given(low=st.integers(1, 64), factor=st.integers(1, 4), levels=st.integers(2, 8))
+def test_level_resolutions_that_are_integers_are_exact(low, factor, levels):
+    high = low * factor ** (levels - 1)
+    if high < 2**20:
+        assert level_resolutions(levels, low, high) == [low * factor**level for level in range(levels)]
+
+
+def test_level_resolutions_against_exact_arithmetic():
+    """floor(low (high/low)^(l/(L-1))) by integers alone: the largest r with r^(L-1) <= low^(L-1-l) high^l."""
+    for levels, low, high in [
+        (16, 16, 2048),
+        (12, 16, 2048),
+        (12, 16, 1024),
+        (8, 16, 1024),
+        (5, 16, 128),
+        (5, 16, 256),
+    ]:
+        exact = []
+        for level in range(levels):
+            power = low ** (levels - 1 - level) * high**level
+            r = max(math.floor(power ** (1 / (levels - 1))) - 2, 0)
+            while (r + 1) ** (levels - 1) <= power:
+                r += 1
+            exact.append(r)
+        assert level_resolutions(levels, low, high) == exact
+
+
+def test_reference_arrays_do_not_alias_the_input():
+    x, table, cells = case(10, [4], 6, 1)
+    before = x.clone(), table.clone()
+    gradients(hash_encode, x, table, cells)
+    assert torch.equal(x, before[0])
+    assert torch.equal(table, before[1])
+    assert np.array_equal(cells.numpy(), [4])

@@ -1,0 +1,68 @@
+import pytest
+import torch
+
+from qnerf.heads import HEADS
+
+
+@pytest.mark.parametrize("name", HEADS.names())
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_every_head_maps_features_to_values_and_learns(name, dtype):
+    torch.manual_seed(0)
+    head = HEADS.build(name, 5, 3).to(dtype)
+    features = torch.randn(16, 5, dtype=dtype)
+    values = head(features)
+    assert values.shape == (16, 3)
+    assert values.dtype == dtype
+    values.square().sum().backward()
+    assert all(p.grad is not None and p.grad.dtype == dtype for p in head.parameters())
+
+
+def test_sum_layers_adds_the_measured_values_of_all_circuits():
+    torch.manual_seed(0)
+    head = HEADS.build("qiren", 4, 2, layers=2, spectral=1, qubits=3, gain=2.5, sum_layers=True).double().eval()
+    x = torch.randn(7, 4, dtype=torch.float64)
+    first = head.hybrid[0](x)
+    second = head.hybrid[1](first)
+    third = head.hybrid[2](second)
+    torch.testing.assert_close(head(x), head.readout(2.5 * (first + second + third)))
+    head.sum_layers = False
+    torch.testing.assert_close(head(x), head.readout(2.5 * third))
+
+
+def test_input_scale_acts_after_the_normalisation():
+    torch.manual_seed(0)
+    plain = HEADS.build("qiren", 4, 2, qubits=3).double().eval()
+    torch.manual_seed(0)
+    scaled = HEADS.build("qiren", 4, 2, qubits=3, input_scale=3.0).double().eval()
+    angles = plain.hybrid[0].norm(plain.hybrid[0].linear(x := torch.randn(5, 4, dtype=torch.float64)))
+    torch.testing.assert_close(scaled.hybrid[0](x), plain.hybrid[0].circuit(3 * angles))
+
+
+def test_qfgn_feeds_gaussian_weighted_fourier_features_to_the_circuit():
+    torch.manual_seed(0)
+    layer = HEADS.build("qfgn", 4, 2, features=6, gamma=0.7, qubits=3).double().hybrid[0]
+    x = torch.randn(5, 4, dtype=torch.float64)
+    phases = x @ layer.frequencies.T
+    h = layer.linear(torch.cat([phases.cos(), phases.sin()], 1))
+    torch.testing.assert_close(layer(x), layer.circuit(torch.exp(-0.7 * h**2) * h))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("mlp", {"layers": 0}, "layers must be at least 1, got 0"),
+        ("mlp", {"width": 0}, "width must be at least 1, got 0"),
+        ("qiren", {"layers": 0}, "layers must be at least 1, got 0"),
+        ("qiren", {"spectral": 0}, "spectral"),
+        ("qiren", {"qubits": 0}, "got 0"),
+        ("qiren", {"qubits": 40}, "GiB|memory"),
+        ("qiren", {"ansatz": "nope"}, "nope"),
+        ("qiren", {"init": "nope"}, "nope"),
+        ("qfgn", {"features": 3}, "even"),
+        ("qfgn", {"scale": 0.0}, "scale > 0"),
+    ],
+)
+def test_a_bad_option_is_one_line(name, options, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        HEADS.build(name, 4, 2, **options)
+    assert "\n" not in str(caught.value)

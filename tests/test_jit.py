@@ -1,0 +1,200 @@
+"""Sharing a loop among threads, and compiling it: kernels/jit.py."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qnerf.kernels import jit as module
+from qnerf.kernels.jit import jit, run, split
+
+SOURCE = Path(module.__file__).parents[2]
+
+
+@jit
+def _square(start, stop, values, out):
+    for i in range(start, stop):
+        out[i] += values[i] ** 2
+
+
+@pytest.fixture
+def threads():
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@given(items=st.integers(0, 1000), parts=st.integers(1, 40))
+def test_split_covers_every_item_once_in_nearly_equal_parts(items, parts):
+    ranges = split(items, parts)
+    assert [i for a, b in ranges for i in range(a, b)] == list(range(items))
+    assert len(ranges) == min(items, parts)
+    sizes = [b - a for a, b in ranges]
+    assert not sizes or max(sizes) - min(sizes) <= 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(items=st.integers(0, 300), count=st.integers(1, 5), grain=st.none() | st.integers(1, 400))
+def test_every_item_is_worked_on_once_whatever_the_threads(items, count, grain):
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(count)
+        values, out = np.arange(items, dtype=float), np.zeros(items)
+        run(_square, items, values, out, grain=grain)
+    finally:
+        torch.set_num_threads(before)
+    np.testing.assert_array_equal(out, values**2)
+
+
+def test_thread_count_may_change_between_calls(threads):
+    for count in (1, 4, 2, 8, 3):
+        threads(count)
+        seen = []
+        run(lambda start, stop, ranges: ranges.append((start, stop)), 100, seen)
+        assert sorted(seen) == split(100, count)
+
+
+def test_grain_keeps_small_loops_on_the_calling_thread(threads):
+    threads(2)
+    seen = []
+    run(lambda start, stop: seen.append((start, stop, threading.current_thread())), 100, grain=64)
+    assert seen == [(0, 100, threading.current_thread())]
+
+
+def test_a_part_may_run_kernels_itself(threads):
+    threads(2)
+    out = np.zeros((4, 64))
+
+    def outer(start, stop):
+        for row in range(start, stop):
+            run(_square, 64, np.ones(64), out[row], grain=1)
+
+    worker = threading.Thread(target=run, args=(outer, 4), kwargs={"grain": 1})
+    worker.start()
+    worker.join(60)
+    assert not worker.is_alive()
+    np.testing.assert_array_equal(out, 1)
+
+
+def test_many_threads_run_kernels_at_once(threads):
+    threads(2)
+    outs = [np.zeros(500) for _ in range(6)]
+
+    def work(out):
+        torch.set_num_threads(2)
+        for _ in range(50):
+            run(_square, 500, np.ones(500), out, grain=10)
+
+    workers = [threading.Thread(target=work, args=(out,)) for out in outs]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(60)
+        assert not worker.is_alive()
+    for out in outs:
+        np.testing.assert_array_equal(out, 50)
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_a_failure_in_any_part_is_raised_after_all_parts_ended(threads, part):
+    threads(2)
+    ended = []
+
+    def kernel(start, stop):
+        if start == 5 * part:
+            raise ZeroDivisionError("here")
+        time.sleep(0.02)
+        ended.append(start)
+
+    with pytest.raises(ZeroDivisionError, match="here"):
+        run(kernel, 10)
+    assert ended == [5 * (1 - part)]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this platform")
+def test_a_forked_child_starts_threads_of_its_own():
+    code = """
+import os, sys, warnings
+import numpy as np, torch
+from qnerf.kernels.jit import run
+warnings.simplefilter("ignore")
+torch.set_num_threads(2)
+def kernel(start, stop, out):
+    out[start:stop] += 1
+run(kernel, 10, np.zeros(10))
+pid = os.fork()
+if pid == 0:
+    out = np.zeros(10)
+    run(kernel, 10, out)
+    os._exit(0 if (out == 1).all() else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+"""
+    assert _python(code).returncode == 0
+
+
+COMPILES = """
+import numpy as np
+from kernels_for_test import double
+out = np.zeros(8)
+double(0, 8, out)
+double(0, 8, out.astype(np.float32))
+assert (out == 1).all()
+"""
+KERNEL = """
+from qnerf.kernels.jit import jit
+
+@jit
+def double(start, stop, out):
+    for i in range(start, stop):
+        out[i] += 1
+"""
+
+
+def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path):
+    (tmp_path / "kernels_for_test.py").write_text(KERNEL)
+    first, second = (_python(COMPILES, tmp_path) for _ in range(2))
+    assert first.returncode == second.returncode == 0
+    assert first.stderr.count("\n") == 1
+    assert first.stderr.startswith("compiling CPU kernels for first use, about ")
+    assert first.stderr.endswith(" s; cached afterwards\n")
+    assert second.stderr == ""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders are made read-only by POSIX permissions")
+def test_kernels_work_where_no_cache_can_be_written(tmp_path):
+    (tmp_path / "kernels_for_test.py").write_text(KERNEL)
+    # A file where a folder would have to be made stands for read-only folders: root may write into those.
+    blocked = tmp_path / "blocked"
+    blocked.write_text("")
+    (tmp_path / "__pycache__").write_text("")
+    result = _python(COMPILES, tmp_path, HOME=str(blocked), XDG_CACHE_HOME=str(blocked), IPYTHONDIR=str(blocked))
+    assert result.returncode == 0, result.stderr
+    assert "not cached" in result.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the user's cache folder is found otherwise there")
+def test_the_cache_moves_to_the_user_where_the_package_is_read_only(tmp_path):
+    (tmp_path / "kernels_for_test.py").write_text(KERNEL)
+    (tmp_path / "__pycache__").write_text("")
+    user = tmp_path / "user"
+    user.mkdir()
+    first, second = (_python(COMPILES, tmp_path, HOME=str(user), XDG_CACHE_HOME=str(user)) for _ in range(2))
+    assert first.returncode == second.returncode == 0
+    assert "cached afterwards" in first.stderr
+    assert second.stderr == ""
+    assert list(user.rglob("*.nbc"))
+
+
+def _python(code: str, *folders: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    paths = os.pathsep.join(str(folder) for folder in (SOURCE, *folders))
+    variables = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
+    variables |= {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1", **environment}
+    return subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, timeout=120)
