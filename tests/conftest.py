@@ -1,18 +1,18 @@
 """Shared by all tests: composing the real configuration, a tiny scene, the optional data folder."""
 
-import json
 import os
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before PyTorch: tests share the machine with other work
+os.environ["OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does: before PyTorch
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 import torch
-import hypothesis
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from PIL import Image
@@ -62,7 +62,15 @@ def write_scene(folder: Path, views: int = 6, width: int = 8, height: int = 6, c
         pixels = random.integers(0, 255, (height, width, channels), dtype=np.uint8)
         Image.fromarray(pixels).save(folder / "images" / f"{view:03d}.png")
         frames.append({"file_path": f"images/{view:03d}.png", "transform_matrix": pose.tolist()})
-    transforms = {"w": width, "h": height, "fl_x": 8.0, "fl_y": 8.0, "cx": width / 2, "cy": height / 2, "frames": frames}
+    transforms = {
+        "w": width,
+        "h": height,
+        "fl_x": 8.0,
+        "fl_y": 8.0,
+        "cx": width / 2,
+        "cy": height / 2,
+        "frames": frames,
+    }
     (folder / "transforms.json").write_text(json.dumps(transforms))
     return folder
 

@@ -104,7 +104,9 @@ def test_a_blender_scene_trains(tiny, tmp_path):
     transforms = json.loads((folder / "transforms.json").read_text())
     transforms["camera_angle_x"] = 0.9
     for split, part in (("train", slice(0, 4)), ("test", slice(4, 6)), ("val", slice(4, 6))):
-        frames = [dict(frame, file_path=frame["file_path"].removesuffix(".png")) for frame in transforms["frames"][part]]
+        frames = [
+            dict(frame, file_path=frame["file_path"].removesuffix(".png")) for frame in transforms["frames"][part]
+        ]
         (folder / f"transforms_{split}.json").write_text(json.dumps(transforms | {"frames": frames}))
     summary = finished(tiny("scene=blender", f"scene.path={folder}"))
     assert summary["scene"] == "blender"

@@ -30,7 +30,9 @@ def circuit(head: str, label: str) -> list[str]:
     return [f"{head}.qiren.layers={layers}", f"{head}.qiren.spectral={spectral}"]
 
 
-@pytest.mark.parametrize("row", rows("rgb"), ids=lambda row: f"{row['predictor']}-{row['label_layers']}-{row['params']}")
+@pytest.mark.parametrize(
+    "row", rows("rgb"), ids=lambda row: f"{row['predictor']}-{row['label_layers']}-{row['params']}"
+)
 def test_colour_heads_of_the_rgb_table(row):
     if row["predictor"] == "qiren":
         overrides = ["field=qcolor", *circuit("color", row["true_layers"])]

@@ -197,18 +197,18 @@ def test_hash_encoder_learns_a_function():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("hash", {"levels": 0}, "levels must be 1 or more, got 0"),
-        ("hash", {"features": 0}, "features must be 1 or more"),
-        ("hash", {"min_resolution": 0}, "min_resolution must be 1 or more"),
+        ("hash", {"levels": 0}, "levels must be at least 1, got 0"),
+        ("hash", {"features": 0}, "features must be at least 1"),
+        ("hash", {"min_resolution": 0}, "min_resolution must be at least 1"),
         ("hash", {"min_resolution": 32, "max_resolution": 16}, "max_resolution must be between min_resolution=32 and"),
         ("hash", {"max_resolution": 2**21}, "max_resolution must be between"),
         ("hash", {"log2_table_size": 0}, "log2_table_size must be 1 to 30, got 0"),
         ("hash", {"log2_table_size": 60}, "log2_table_size must be 1 to 30, got 60"),
         ("hash", {"level": 3}, "unknown option level=3; known: levels, min_resolution, max_resolution"),
-        ("pe", {"bands": 0}, "bands must be 1 or more"),
-        ("pe", {"max_exponent": float("nan")}, "max_exponent must be 0 or more"),
-        ("rff", {"features": 0}, "features must be 1 or more"),
-        ("rff", {"scale": float("inf")}, "scale must be 0 or more"),
+        ("pe", {"bands": 0}, "bands must be at least 1"),
+        ("pe", {"max_exponent": float("nan")}, "max_exponent must be at least 0"),
+        ("rff", {"features": 0}, "features must be at least 1"),
+        ("rff", {"scale": float("inf")}, "scale must be at least 0"),
         ("none", {"bands": 3}, "unknown option bands=3; known: none"),
         ("grid", {}, "unknown name 'grid'; known: hash, none, pe, rff"),
     ],
@@ -222,7 +222,7 @@ def test_bad_options_are_one_line(name, options, message):
 def test_dimensions():
     for name in ("none", "pe", "rff"):
         assert ENCODERS.build(name, 2)(torch.zeros(4, 2)).shape[0] == 4
-        with pytest.raises(ValueError, match="in_dim must be 1 or more"):
+        with pytest.raises(ValueError, match="in_dim must be at least 1"):
             ENCODERS.build(name, 0)
     with pytest.raises(ValueError, match="points must have 3 coordinates, got 2"):
         ENCODERS.build("hash", 2)

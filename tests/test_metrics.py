@@ -69,9 +69,9 @@ def test_ssim_of_identical_constant_and_tiny_images() -> None:
 def test_depth_error_counts_known_pixels_only() -> None:
     truth = torch.tensor([[1.0, 2.0, math.inf], [math.nan, 0.0, 4.0]])
     depth = torch.tensor([[1.5, 2.0, 7.0], [7.0, 7.0, 3.0]])
-    absolute, relative = depth_error(depth, truth)
-    assert absolute == pytest.approx(0.5)
-    assert relative == pytest.approx((0.5 + 0 + 0.25) / 3)
+    relative, median = depth_error(depth, truth)
+    assert relative == pytest.approx((0.5 / 1.5 + 0 + 0.25) / 3)
+    assert median == pytest.approx(0.5)
     assert all(math.isnan(value) for value in depth_error(depth, torch.full((2, 3), math.inf)))
     with pytest.raises(ValueError, match="one size"):
         depth_error(depth, truth[:1])

@@ -9,7 +9,9 @@ def registry():
 
     @shapes.register("circle")
     class Circle:
-        def __init__(self, in_dim: int, *, radius: float = 1.0, corners: int = 0, tags: list[int] | None = None) -> None:
+        def __init__(
+            self, in_dim: int, *, radius: float = 1.0, corners: int = 0, tags: list[int] | None = None
+        ) -> None:
             self.given = (in_dim, radius, corners, tags)
 
     return shapes
@@ -20,12 +22,12 @@ def test_builds_with_wiring_and_options(registry):
 
 
 def test_unknown_name_lists_the_known(registry):
-    with pytest.raises(ValueError, match="^shape: unknown name 'square'; known: circle$"):
+    with pytest.raises(ValueError, match=r"^shape: unknown name 'square'; known: circle$"):
         registry.build("square", 3)
 
 
 def test_unknown_option_lists_the_known(registry):
-    with pytest.raises(ValueError, match="^shape=circle: unknown option side=1; known: radius, corners, tags$"):
+    with pytest.raises(ValueError, match=r"^shape=circle: unknown option side=1; known: radius, corners, tags$"):
         registry.build("circle", 3, side=1)
 
 

@@ -8,6 +8,7 @@ anew from them each time, so that it stays a rotation however many steps are tak
 import torch
 from torch import Tensor, nn
 
+from qnerf.checks import at_least
 from qnerf.registry import Registry
 
 CAMERAS: "Registry[Cameras]" = Registry("cameras")
@@ -114,8 +115,7 @@ class RefinedCameras(Cameras):
     ) -> None:
         super().__init__(views, trained)
         for name, value in (("translation_penalty", translation_penalty), ("rotation_penalty", rotation_penalty)):
-            if not value >= 0:
-                raise ValueError(f"cameras: {name} must be at least 0, got {value}")
+            at_least(name, value, 0)
         self.translation_penalty, self.rotation_penalty = translation_penalty, rotation_penalty
         chosen = list(range(views)) if trained is None else trained
         rows = torch.full((views + 1,), -1)  # the last one answers for view -1

@@ -6,25 +6,10 @@ from typing import Any, TypeVar
 
 import torch
 
+from qnerf.checks import at_least, between, one_of, positive
 from qnerf.registry import check_options
 
 BACKGROUNDS = ("last_sample", "white", "black", "random")
-
-
-def one_of(name: str, value: Any, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
-
-
-def in_range(name: str, value: float, low: float, high: float = float("inf")) -> None:
-    if not low <= value <= high:
-        bounds = f"at least {low:g}" if high == float("inf") else f"between {low:g} and {high:g}"
-        raise ValueError(f"{name} must be {bounds}, got {value}")
-
-
-def positive(name: str, value: float) -> None:
-    if not 0 < value < float("inf"):
-        raise ValueError(f"{name} must be finite and above 0, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +32,9 @@ class Train:
 
     def __post_init__(self) -> None:
         for name in ("steps", "rays", "log_every", "chunk"):
-            in_range(f"train.{name}", getattr(self, name), 1)
+            at_least(f"train.{name}", getattr(self, name), 1)
         for name in ("interlevel", "distortion", "eval_every", "eval_views", "checkpoint_every"):
-            in_range(f"train.{name}", getattr(self, name), 0)
+            at_least(f"train.{name}", getattr(self, name), 0)
         for name in ("lr", "lr_final", "eps"):
             positive(f"train.{name}", getattr(self, name))
 
@@ -64,7 +49,7 @@ class Render:
 
     def __post_init__(self) -> None:
         one_of("render.background", self.background, BACKGROUNDS)
-        in_range("render.near", self.near, 0)
+        at_least("render.near", self.near, 0)
         positive("render.far", self.far)
         if not self.near < self.far:
             raise ValueError(f"render.near must be below render.far, got {self.near} and {self.far}")
@@ -78,8 +63,8 @@ class Visibility:
     resolution: int  # cells an axis
 
     def __post_init__(self) -> None:
-        in_range("visibility.cameras", self.cameras, 0)
-        in_range("visibility.resolution", self.resolution, 2, 512)
+        at_least("visibility.cameras", self.cameras, 0)
+        between("visibility.resolution", self.resolution, 2, 512)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,19 +97,20 @@ class Settings:
     qiren: dict
     qfgn: dict
     hash: dict
+    proposal: dict
     encoder: dict
     scene: dict
     sampler: dict
     cameras: dict
 
     def __post_init__(self) -> None:
-        in_range("seed", self.seed, 0, 2**63 - 1)
+        between("seed", self.seed, 0, 2**63 - 2)
         one_of("device", self.device, ("auto", "cpu", "cuda"))
         one_of("numerics", self.numerics, ("float32", "float64"))
-        in_range("geo_features", self.geo_features, 0)
-        in_range("appearance", self.appearance, 0)
+        at_least("geo_features", self.geo_features, 0)
+        at_least("appearance", self.appearance, 0)
         if self.threads is not None:
-            in_range("threads", self.threads, 1)
+            at_least("threads", self.threads, 1)
         if self.device == "cuda" and not torch.cuda.is_available():
             raise ValueError("device=cuda: PyTorch sees no CUDA device here; use device=cpu or device=auto")
 

@@ -32,7 +32,7 @@ def _escape(value: Any) -> str:
 
 
 class LiveDisplay(Display):
-    """A progress bar with step, loss, PSNR, steps a second and the time left; plain lines where there is no terminal."""
+    """A progress bar with step, loss, PSNR, steps a second and time left; plain lines where there is no terminal."""
 
     def __init__(self, console: Console, live: bool = True) -> None:
         self.console = console
@@ -40,7 +40,9 @@ class LiveDisplay(Display):
             TextColumn("training"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("loss {task.fields[loss]:.4f}  PSNR {task.fields[psnr]:.2f} dB  {task.fields[rate]:.1f} steps/s  left"),
+            TextColumn(
+                "loss {task.fields[loss]:.4f}  PSNR {task.fields[psnr]:.2f} dB  {task.fields[rate]:.1f} steps/s  left"
+            ),
             TimeRemainingColumn(),
             console=console,
             disable=not live or not console.is_terminal,
@@ -82,7 +84,7 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
     if summary.get("lpips") is not None:
         table.add_row("LPIPS", f"{summary['lpips']:.4f}", "")
     if summary.get("depth_error") is not None:
-        table.add_row("depth error", f"{summary['depth_error']:.4f}", "mean absolute, world units")
+        table.add_row("depth error", f"{summary['depth_error']:.3f}", "mean of |depth - truth| / the larger")
     parts = {key.removeprefix("params."): int(value) for key, value in summary.items() if key.startswith("params.")}
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
     table.add_row("parameters", f"{parts['total']:,}", listed)

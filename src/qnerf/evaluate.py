@@ -75,11 +75,11 @@ class Evaluator:
             "lpips": perceptual,
             "lpips_reason": reason,
             "depth_error": None,
-            "depth_rel_error": None,
+            "depth_error_median": None,
         }
         if self.scene.depth is not None:
-            absolute, relative = depth_error(rendered.depth, self.scene.depth[view])
-            row |= {"depth_error": absolute, "depth_rel_error": relative}
+            relative, median = depth_error(rendered.depth, self.scene.depth[view])
+            row |= {"depth_error": relative, "depth_error_median": median}
         return row
 
     def views(self, views: list[int], step: int) -> Iterator[tuple[RenderedView, dict[str, float | str | None]]]:

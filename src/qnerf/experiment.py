@@ -92,9 +92,7 @@ def build_field(settings: Settings, views: int) -> Field:
     initial = settings.density["initial"]
     if not initial > 0:
         raise ValueError(f"density.initial must be above 0, got {initial}")
-    return Field(
-        contraction, encoder, directions, density, color, activation, initial, views, settings.appearance
-    )
+    return Field(contraction, encoder, directions, density, color, activation, initial, views, settings.appearance)
 
 
 def build_model(settings: Settings, scene: Scene) -> Model:
@@ -130,20 +128,20 @@ def parameter_counts(model: Model) -> dict[str, int]:
 def stop_requests() -> Iterator[list[int]]:
     """Collects SIGINT and SIGTERM instead of dying of them; a second one acts as usual."""
     received: list[int] = []
-    previous: dict[int, Any] = {}
+    previous: dict[signal.Signals, Any] = {}
 
     def note(number: int, _frame: object) -> None:
         received.append(number)
-        signal.signal(number, previous[number])
+        signal.signal(number, previous[signal.Signals(number)])
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for kind in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(ValueError):  # not the main thread: the caller's own signals stay
-            previous[number] = signal.signal(number, note)
+            previous[kind] = signal.signal(kind, note)
     try:
         yield received
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        for kind, handler in previous.items():
+            signal.signal(kind, handler)
 
 
 def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Display | None = None) -> Outcome:
@@ -172,9 +170,7 @@ def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Displ
         return _execute(settings, scene, model, store, display, stops)
 
 
-def _execute(
-    settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stops: list[int]
-) -> Outcome:
+def _execute(settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stops: list[int]) -> Outcome:
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     table = RayTable(
         scene,
@@ -240,7 +236,7 @@ def evaluate(
             store.save_image(clean(name), evaluator.picture(rendered))
     store.write_eval(rows)
     measured: dict[str, float | str | None] = {}
-    for key in ("psnr", "ssim", "lpips", "depth_error", "depth_rel_error"):
+    for key in ("psnr", "ssim", "lpips", "depth_error", "depth_error_median"):
         values = [value for row in rows if is_number(value := row[key])]
         measured[key] = sum(values) / len(values) if values else None
     measured["lpips_reason"] = next((row["lpips_reason"] for row in rows if row["lpips_reason"]), None)

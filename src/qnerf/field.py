@@ -5,6 +5,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from qnerf.contraction import Contraction
+from qnerf.encoders import Encoder
+
 
 class Field(nn.Module):
     """A radiance field. Which kind of heads it was given, it does not ask.
@@ -23,8 +26,8 @@ class Field(nn.Module):
 
     def __init__(
         self,
-        contraction: nn.Module,
-        encoder: nn.Module,
+        contraction: Contraction,
+        encoder: Encoder,
         directions: nn.Module,
         density: nn.Module,
         color: nn.Module,

@@ -53,13 +53,20 @@ def ssim(image: Tensor, truth: Tensor) -> float | None:
 
 
 def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
-    """Mean |depth - truth| in world units, and mean |depth - truth| / truth, over pixels (H, W) of known depth.
+    """How far a depth map (H, W) is from the true one, over pixels of known depth: two robust figures.
 
-    Known is a true depth that is finite and above 0; NaN, NaN where there is none.
+    Known is a true depth that is finite and above 0; NaN, NaN where there is none. A pixel whose ray passes through a
+    hole has a depth of hundreds, which would drown a plain mean.
+
+    Returns:
+        Mean of |depth - truth| / max(depth, truth), in [0, 1); median of |depth - truth| in world units.
     """
     if depth.shape != truth.shape:
         raise ValueError(f"two depth maps of one size expected, got {tuple(depth.shape)} and {tuple(truth.shape)}")
     depth, truth = depth.double(), truth.double().to(depth.device)
     known = torch.isfinite(truth) & (truth > 0)
-    error = (depth[known] - truth[known]).abs()
-    return float(error.mean()), float((error / truth[known]).mean())
+    if not bool(known.any()):
+        return math.nan, math.nan
+    depth, truth = depth[known], truth[known]
+    error = (depth - truth).abs()
+    return float((error / torch.maximum(depth, truth)).mean()), float(error.median())

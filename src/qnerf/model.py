@@ -3,9 +3,10 @@
 import torch
 from torch import Tensor, nn
 
+from qnerf.cameras import Cameras
 from qnerf.field import Field
 from qnerf.render import render
-from qnerf.samplers import SampledRays
+from qnerf.samplers import SampledRays, Sampler
 from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Rendering
 
@@ -13,7 +14,7 @@ from qnerf.types import Rays, Rendering
 class Model(nn.Module):
     """What is trained. `parts` groups its parameters as they are counted and optimised."""
 
-    def __init__(self, field: Field, sampler: nn.Module, cameras: nn.Module) -> None:
+    def __init__(self, field: Field, sampler: Sampler, cameras: Cameras) -> None:
         super().__init__()
         self.field = field
         self.sampler = sampler

@@ -122,9 +122,7 @@ class RayTable:
             poses = refinement.poses(views, poses)
         return rays_from(directions, poses, views, self.near, self.far)
 
-    def batch(
-        self, rays: int, generator: torch.Generator, refinement: Refinement | None = None
-    ) -> tuple[Rays, Tensor]:
+    def batch(self, rays: int, generator: torch.Generator, refinement: Refinement | None = None) -> tuple[Rays, Tensor]:
         """`rays` training pixels drawn uniformly, with replacement: their rays and colours (R, 3 or 4) in [0, 1].
 
         `generator` is one of the CPU, whatever the device: every device sees the same batches.

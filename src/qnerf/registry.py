@@ -50,7 +50,12 @@ class Registry(Generic[T]):
     def build(self, name: str, *wiring: Any, **options: Any) -> T:
         """Builds the component; ValueError names group, option, value and what was expected."""
         self.check(name, options)
-        return self.get(name)(*wiring, **options)
+        try:
+            return self.get(name)(*wiring, **options)
+        except ValueError as error:
+            if str(error).startswith(self.group):
+                raise
+            raise ValueError(f"{self.group}={name}: {error}") from error
 
     def check(self, name: str, options: Mapping[str, Any]) -> None:
         check_options(f"{self.group}={name}", self.get(name), options)

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.activations import trunc_exp
+from qnerf.checks import at_least
 from qnerf.encoders import ENCODERS
 from qnerf.pdf import sample_edges
 from qnerf.registry import Registry
@@ -57,11 +58,6 @@ class Sampler(nn.Module):
         raise NotImplementedError
 
 
-def _at_least(name: str, value: float, low: float) -> None:
-    if not value >= low:
-        raise ValueError(f"sampler: {name} must be at least {low:g}, got {value}")
-
-
 def _jitter(rays: Rays, draws: int, generator: torch.Generator | None) -> list[Tensor | None]:
     """`draws` tensors (R, 1) in [0, 1), or None each for deterministic sampling."""
     if generator is None:
@@ -91,7 +87,7 @@ class SpacedSampler(Sampler):
 
     def __init__(self, contraction: nn.Module, *, samples: int = 128) -> None:
         super().__init__(contraction)
-        _at_least("samples", samples, 1)
+        at_least("samples", samples, 1)
         self.samples = samples
 
     @torch.no_grad()
@@ -140,9 +136,9 @@ class VanillaSampler(Sampler):
         padding: float = 0.01,
     ) -> None:
         super().__init__(contraction)
-        _at_least("coarse", coarse, 1)
-        _at_least("fine", fine, 1)
-        _at_least("padding", padding, 0)
+        at_least("coarse", coarse, 1)
+        at_least("fine", fine, 1)
+        at_least("padding", padding, 0)
         SPACINGS.get(spacing)
         self.coarse, self.fine, self.spacing, self.padding = coarse, fine, spacing, padding
 
@@ -231,14 +227,14 @@ class ProposalSampler(Sampler):
                 f"{list(max_resolutions)}"
             )
         for count in samples:
-            _at_least("samples", count, 1)
-        _at_least("final", final, 1)
-        _at_least("update_every", update_every, 1)
-        _at_least("update_warmup", update_warmup, 0)
-        _at_least("anneal_steps", anneal_steps, 0)
-        _at_least("anneal_slope", anneal_slope, 1)
-        _at_least("padding", padding, 0)
-        _at_least("hidden", hidden, 1)
+            at_least("samples", count, 1)
+        at_least("final", final, 1)
+        at_least("update_every", update_every, 1)
+        at_least("update_warmup", update_warmup, 0)
+        at_least("anneal_steps", anneal_steps, 0)
+        at_least("anneal_slope", anneal_slope, 1)
+        at_least("padding", padding, 0)
+        at_least("hidden", hidden, 1)
         SPACINGS.get(spacing)
         self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
         self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope

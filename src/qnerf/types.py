@@ -6,7 +6,7 @@
     L levels of a hash grid        T entries of one level's table
     n wires      S spectral layers (data re-uploadings)      B batch of circuit inputs
 
-World units are those of the normalised scene: after orienting and centring, the largest absolute camera coordinate is 1.
+World units are those of the normalised scene: oriented, centred, the largest absolute camera coordinate 1.
 Depth is distance along the ray's unit direction, in world units. Colours are in [0, 1], sRGB-encoded as in the images.
 """
 

@@ -25,11 +25,13 @@ class VisibilityGrid(nn.Module):
         self.resolution = resolution
         axis = (torch.arange(resolution, dtype=torch.float64) + 0.5) / resolution
         cells = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
+        # Few views see little in common: half of them is enough.
+        least = min(least, max(1, len(views) // 2))
         counts = count_cameras(contraction.inverse(cells), cameras, views)
         seen = counts >= least
         if not bool(seen.any()):
             raise ValueError(
-                f"visibility.cameras={least}: no cell is seen by that many of {len(views)} training cameras "
+                f"visibility.cameras: no cell is seen by {least} of {len(views)} training cameras "
                 f"(at most {int(counts.max())} see one); lower it, or 0 turns it off"
             )
         self.register_buffer("grid", seen.to(torch.get_default_dtype()), persistent=False)

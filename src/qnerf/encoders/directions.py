@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from qnerf.registry import Registry
 
-DIRECTIONS: Registry[nn.Module] = Registry("directions")
+DIRECTIONS: Registry["Directions"] = Registry("directions")
 DEGREES = (1, 2, 3, 4)
 
 
@@ -43,8 +43,14 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(terms, dim=-1)
 
 
+class Directions(nn.Module):
+    """Unit directions (..., 3) -> features (..., out_dim)."""
+
+    out_dim: int
+
+
 @DIRECTIONS.register("sh")
-class SphericalHarmonics(nn.Module):
+class SphericalHarmonics(Directions):
     """`spherical_harmonics` of unit directions (..., 3): (..., degree^2).
 
     Args:
@@ -65,7 +71,7 @@ class SphericalHarmonics(nn.Module):
 
 
 @DIRECTIONS.register("raw")
-class RawDirections(nn.Module):
+class RawDirections(Directions):
     """The directions themselves (..., in_dim), times `scale`.
 
     Args:

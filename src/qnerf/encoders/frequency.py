@@ -9,7 +9,8 @@ import math
 import torch
 from torch import Tensor
 
-from qnerf.encoders.registry import ENCODERS, Encoder, at_least
+from qnerf.checks import at_least
+from qnerf.encoders.registry import ENCODERS, Encoder
 
 
 def sin_cos_turns(turns: Tensor, dtype: torch.dtype) -> Tensor:

@@ -5,7 +5,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from qnerf.encoders.registry import ENCODERS, Encoder, at_least
+from qnerf.checks import at_least
+from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
 LARGEST = 30  # log2 of the entries of a level

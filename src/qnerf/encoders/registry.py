@@ -2,6 +2,7 @@
 
 from torch import Tensor, nn
 
+from qnerf.checks import at_least
 from qnerf.registry import Registry
 
 
@@ -13,8 +14,7 @@ class Encoder(nn.Module):
 
     def __init__(self, in_dim: int) -> None:
         super().__init__()
-        if in_dim < 1:
-            raise ValueError(f"encoder: in_dim must be 1 or more, got {in_dim}")
+        at_least("in_dim", in_dim, 1)
         self.in_dim = in_dim
 
     def forward(self, points: Tensor) -> Tensor:
@@ -22,9 +22,3 @@ class Encoder(nn.Module):
 
 
 ENCODERS: Registry[Encoder] = Registry("encoder")
-
-
-def at_least(name: str, value: float, least: float) -> None:
-    """ValueError where an encoder's option is too small or not a number."""
-    if not least <= value < float("inf"):
-        raise ValueError(f"encoder: {name} must be {least} or more, got {value}")

@@ -1,8 +1,11 @@
 """The classical head."""
 
+from itertools import pairwise
+
 from torch import Tensor, nn
 
-from qnerf.heads.base import HEADS, at_least
+from qnerf.checks import at_least
+from qnerf.heads.base import HEADS
 
 
 @HEADS.register("mlp")
@@ -17,10 +20,11 @@ class MLPHead(nn.Module):
 
     def __init__(self, in_dim: int, out_dim: int, *, layers: int = 2, width: int = 64) -> None:
         super().__init__()
-        at_least(1, layers=layers, width=width)
+        at_least("layers", layers, 1)
+        at_least("width", width, 1)
         dims = [in_dim, *[width] * (layers - 1), out_dim]
         steps: list[nn.Module] = []
-        for before, after in zip(dims[:-1], dims[1:], strict=True):
+        for before, after in pairwise(dims):
             steps += [nn.Linear(before, after), nn.ReLU(inplace=True)]
         self.net = nn.Sequential(*steps[:-1])
 

@@ -5,7 +5,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from qnerf.heads.base import HEADS, at_least
+from qnerf.checks import at_least
+from qnerf.heads.base import HEADS
 from qnerf.heads.qiren import QirenHead
 from qnerf.quantum import QuantumLayer
 
@@ -16,7 +17,11 @@ class FourierGaussianLayer(nn.Module):
     h1 = Lambda B(x) + b with B(x) = (cos Wx, sin Wx), W fixed;  h2 = exp(-gamma h1^2) h1;  the angles are h2, radians.
     """
 
-    def __init__(self, in_dim: int, wires: int, circuit: QuantumLayer, features: int, scale: float, gamma: float) -> None:
+    frequencies: Tensor
+
+    def __init__(
+        self, in_dim: int, wires: int, circuit: QuantumLayer, features: int, scale: float, gamma: float
+    ) -> None:
         super().__init__()
         self.register_buffer("frequencies", torch.randn(features // 2, in_dim) * scale)
         self.linear = nn.Linear(features // 2 * 2, wires)
@@ -57,7 +62,7 @@ class QFGNHead(QirenHead):
         sum_layers: bool = False,
         input_scale: float = 1.0,
     ) -> None:
-        at_least(2, features=features)
+        at_least("features", features, 2)
         if features % 2:
             raise ValueError(f"qfgn features must be even (a cosine and a sine each), got {features}")
         if not scale > 0 or not gamma >= 0 or math.isinf(gamma):
@@ -77,9 +82,7 @@ class QFGNHead(QirenHead):
             input_scale=input_scale,
         )
 
-    def hybrid_layer(
-        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float
-    ) -> nn.Module:
+    def hybrid_layer(self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float) -> nn.Module:
         if index == 0:
             return FourierGaussianLayer(in_dim, wires, circuit, *self._fourier)
         return super().hybrid_layer(index, in_dim, wires, circuit, input_scale)

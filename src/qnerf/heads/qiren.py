@@ -2,7 +2,8 @@
 
 from torch import Tensor, nn
 
-from qnerf.heads.base import HEADS, at_least
+from qnerf.checks import at_least
+from qnerf.heads.base import HEADS
 from qnerf.quantum import QuantumLayer
 
 
@@ -61,7 +62,7 @@ class QirenHead(nn.Module):
         input_scale: float = 1.0,
     ) -> None:
         super().__init__()
-        at_least(1, layers=layers)
+        at_least("layers", layers, 1)
         self.gain = gain
         self.sum_layers = sum_layers
         self.hybrid = nn.ModuleList()
@@ -70,9 +71,7 @@ class QirenHead(nn.Module):
             self.hybrid.append(self.hybrid_layer(index, in_dim if index == 0 else qubits, qubits, circuit, input_scale))
         self.readout = nn.Linear(qubits, out_dim)
 
-    def hybrid_layer(
-        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float
-    ) -> nn.Module:
+    def hybrid_layer(self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float) -> nn.Module:
         """The `index`-th layer; a head with other preprocessing overrides this."""
         return HybridLayer(in_dim, wires, circuit, input_scale=input_scale)
 

@@ -1,4 +1,4 @@
-"""Re-uploading circuits as data, and the exact engines that run them."""
+"""Exact evaluation of batched data re-uploading circuits; `QuantumLayer` is the way in."""
 
 from qnerf.quantum.layer import QuantumLayer
 

@@ -3,10 +3,11 @@
 Per step: angles become tables (`binding.bind`) and the part of the circuit before the first encoding is applied to one
 state. Per block of samples: the rest of the circuit, and the closing RY layer only as a rotation of what is measured.
 The backward pass runs the block again, keeping the state before each RY layer (in cache, a few hundred KiB), then pulls
-the dual state sum_k g_k O_k |psi> back gate by gate: every gradient is one inner product of the two states. Nothing is stored
-between forward and backward except <Z> and <X>, so memory does not depend on S.
+the dual state sum_k g_k O_k |psi> back gate by gate: every gradient is one inner product of the two states. Nothing
+is stored between forward and backward except <Z> and <X>, so memory does not depend on S.
 
-Sums over samples are taken over a fixed number of parts in a fixed order: results do not depend on the number of threads.
+Sums over samples are taken over a fixed number of parts in a fixed order: results do not depend on the number of
+threads.
 """
 
 from typing import Any
@@ -69,8 +70,9 @@ def _apply(
 
 @inner
 def _pull(
-    x: Any, n: int, width: int, operations: Any, here: int, dual: int, trig: int, phases: int, mixed: int, q: int, d: int,
-    sums: int, total: int, inputs: int, gains: Any, tables: Any, tangents: Any, masks: Any, flips: Any, permutations: Any,
+    x: Any, n: int, width: int, operations: Any, here: int, dual: int, trig: int, phases: int, mixed: int, q: int, d:
+    int, sums: int, total: int, inputs: int, gains: Any, tables: Any, tangents: Any, masks: Any, flips: Any,
+    permutations: Any,
 ) -> None:  # fmt: skip
     """Pulls `dual` back through the operations; `here` is the last of the kept states.
 
@@ -163,7 +165,8 @@ def prepare_backward(
         x[dual + b * width] = dual_psi[0, b]
         x[dual + size + b * width] = dual_psi[1, b]
     _pull(
-        x, n, width, operations, end, dual, 0, 0, 0, q, d, sums, total, d, gains, tables, tangents, masks, flips, permutations
+        x, n, width, operations, end, dual, 0, 0, 0, q, d, sums, total, d, gains, tables, tangents, masks, flips,
+        permutations
     )  # fmt: skip
     for step in range(steps):
         for j in range(n):
@@ -176,7 +179,8 @@ def forward(
     tangents: Any, masks: Any, flips: Any, permutations: Any, local: bool, wires: Any, parity: Any, closing: Any,
     kept: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Blocks of the parts first..last. trig (blocks, tables, 2, n, W); kept (blocks, 2, n, W); out (blocks, words, W)."""
+    """Blocks of the parts first..last. trig (blocks, tables, 2, n, W); kept (blocks, 2, n, W); out (blocks, words,
+    W)."""
     blocks, count = trig.shape[0], trig.shape[1]
     size = width << n
     x = np.empty(_room(n, width, 2, count, 0), psi.dtype)
@@ -233,14 +237,15 @@ def backward(
     tangents: Any, masks: Any, flips: Any, permutations: Any, local: bool, wires: Any, parity: Any, closing: Any,
     kept: Any, slots: int, gains: Any, gradient: Any, inputs_out: Any, sums_out: Any, dual_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients of the inputs (blocks, n, W); of angles (parts, steps, n) and of psi (parts, 2, 2^n), summed over each part."""
+    """Gradients of the inputs (blocks, n, W); of angles (parts, steps, n) and of psi (parts, 2, 2^n), summed over
+    each part."""
     blocks, count, steps = trig.shape[0], trig.shape[1], len(masks)
     size = width << n
     x = np.zeros(_room(n, width, slots, count, steps), psi.dtype)
     state = start_of_line(x)
     dual = state + 2 * slots * size
     q = dual + 4 * size
-    total = q + size
+    total = q + size + width  # `pulls.observe` needs one vector more than the amplitudes
     phases = total + 2 * size
     at = phases + count * size
     mixed = at + 2 * count * n * width
@@ -257,7 +262,8 @@ def backward(
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, trig[block], n, width, phases)
             end = _apply(
-                x, n, width, operations, state, at, phases, mixed, True, psi, tables, tangents, masks, flips, permutations
+                x, n, width, operations, state, at, phases, mixed, True, psi, tables, tangents, masks, flips,
+                permutations
             )  # fmt: skip
             if local:
                 for i in range(weight, weight + 2 * n * width, width):
@@ -287,8 +293,8 @@ def backward(
             for i in range(inputs, inputs + n * width, width):
                 store(x, i, zero)
             _pull(
-                x, n, width, operations, end, dual, at, phases, mixed, q, d, sums, total, inputs, gains, tables, tangents,
-                masks, flips, permutations,
+                x, n, width, operations, end, dual, at, phases, mixed, q, d, sums, total, inputs, gains, tables,
+                tangents, masks, flips, permutations,
             )  # fmt: skip
             for j in range(n):
                 for i in range(width):
@@ -325,8 +331,8 @@ class Bound:
         self.closing, parity = np.zeros((4, n)), np.empty(tape.parities.shape)
         local = tape.program.local
         self.amplitude = bind(
-            tape.codes, tape.first, tape.entries, tape.constants, tape.signs, tape.controls, tape.parities, local, weights,
-            tangents, tables, self.masks, self.flips, self.closing, parity,
+            tape.codes, tape.first, tape.entries, tape.constants, tape.signs, tape.controls, tape.parities, local,
+            weights, tangents, tables, self.masks, self.flips, self.closing, parity,
         )  # fmt: skip
         self.tangents, self.tables = tangents.astype(self.dtype), tables.astype(self.dtype)
         self.parity, self.factors = parity.astype(self.dtype), self.flips.astype(self.dtype)
@@ -405,9 +411,7 @@ def trigonometry(x: Tensor, scales: np.ndarray) -> np.ndarray:
 class _Simulate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, engine: Engine, x: Tensor, weights: Tensor) -> Tensor:
-        bound = engine.bound(
-            weights.detach().double().reshape(-1, weights.shape[-1]).contiguous().numpy(), _numpy(x.dtype)
-        )
+        bound = engine.bound(flat_weights(weights), numpy_dtype(x.dtype))
         trig = trigonometry(blocked(x.detach(), bound.width), engine.tape.scales)
         out, kept = bound.forward(trig)
         ctx.saved = bound, trig, kept
@@ -423,8 +427,13 @@ class _Simulate(torch.autograd.Function):
         return None, unblocked(torch.from_numpy(inputs), batch), torch.from_numpy(weights).to(dtype).reshape(shape)
 
 
-def _numpy(dtype: torch.dtype) -> Any:
+def numpy_dtype(dtype: torch.dtype) -> Any:
     return np.float32 if dtype == torch.float32 else np.float64
+
+
+def flat_weights(weights: Tensor) -> np.ndarray:
+    """Stacked weights (rows, 3, n) -> (rows * 3, n) float64."""
+    return weights.detach().double().reshape(-1, weights.shape[-1]).contiguous().numpy()
 
 
 def evaluate(engine: Engine, x: Tensor, weights: Tensor) -> Tensor:

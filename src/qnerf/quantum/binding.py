@@ -1,8 +1,9 @@
 """From angles to what the compiled engine reads: tangents, diagonals, signs. Done once a step, in float64.
 
-RY(angle) = Y^k RY(angle - k pi) up to a phase, with |angle - k pi| <= pi/2, so that |tan| <= 1 in `passes.turn`. The Y's are
-never applied: the Pauli string X^x Z^z in front of the state is carried through the circuit instead. It flips bits in the
-diagonals behind it, signs of angles (an RY angle where x + z is odd), and at the end the signs of <Z> and <X>.
+RY(angle) = Y^k RY(angle - k pi) up to a phase, with |angle - k pi| <= pi/2, so that |tan| <= 1 in `passes.turn`. The
+Y's are never applied: the Pauli string X^x Z^z in front of the state is carried through the circuit instead. It flips
+bits in the diagonals behind it, signs of angles (an RY angle where x + z is odd), and at the end the signs of <Z> and
+<X>.
 """
 
 from dataclasses import dataclass
@@ -128,8 +129,8 @@ def angles_of(step: int, first: Any, entries: Any, constants: Any, weights: Any)
 
 @jit
 def bind(
-    codes: Any, first: Any, entries: Any, constants: Any, sign: Any, controls: Any, parity: Any, local: bool, weights: Any,
-    tangents: Any, tables: Any, masks: Any, flips: Any, closing: Any, parity_out: Any,
+    codes: Any, first: Any, entries: Any, constants: Any, sign: Any, controls: Any, parity: Any, local: bool, weights:
+    Any, tangents: Any, tables: Any, masks: Any, flips: Any, closing: Any, parity_out: Any,
 ) -> float:  # fmt: skip
     """Fills the arrays after `weights`; returns the amplitude of |0...0> to start from.
 

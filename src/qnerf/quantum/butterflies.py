@@ -1,16 +1,16 @@
-"""Straight-line vector code over the 2^k amplitudes that k neighbouring wires mix: written by loops, compiled without them.
+"""Straight-line vector code over the 2^k amplitudes that k neighbouring wires mix: written by loops, compiled without
+them.
 
-Each function acts on the vectors at `base + m * distance`, m < 2^k, of a flat array; the wires' factors are a tuple of k
-vectors, the most significant wire first. Everything in between stays in registers.
+Each function acts on the vectors at `base + m * distance`, m < 2^k, of a flat array; the wires' factors are a tuple
+of k vectors, the most significant wire first. Everything in between stays in registers.
 """
 
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
-from numba.extending import intrinsic
 
-from qnerf.quantum.simd import pointer
+from qnerf.quantum.simd import intrinsic, pointer
 
 FUSED = ("contract",)
 

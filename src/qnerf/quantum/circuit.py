@@ -1,8 +1,8 @@
 """What the circuit is: plain data, from which every engine and the PennyLane reference are derived.
 
-A data re-uploading circuit starts in |0...0>, alternates trainable rotations, entanglers and encodings of the input, and
-ends with the expectation values of Pauli words. `ANSATZE` names the known descriptions; a new one is a function that
-returns a `Circuit`:
+A data re-uploading circuit starts in |0...0>, alternates trainable rotations, entanglers and encodings of the input,
+and ends with the expectation values of Pauli words. `ANSATZE` names the known descriptions; a new one is a function
+that returns a `Circuit`:
 
 >>> @ANSATZE.register("mine")
 ... def mine(wires: int, spectral: int) -> Circuit:
@@ -24,7 +24,8 @@ Word = tuple[tuple[int, str], ...]
 
 @dataclass(frozen=True)
 class Rotations:
-    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire, angles from row `row` of the stacked weights."""
+    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire, angles from row `row` of the stacked
+    weights."""
 
     row: int
 
@@ -195,7 +196,8 @@ def qiren(
     scale: float = 1.0,
     observable: str = "Z",
 ) -> Circuit:
-    """QIREN (Zhao et al., arXiv:2403.06220): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every wire."""
+    """QIREN (Zhao et al., arXiv:2403.06220): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every
+    wire."""
     return reuploading(
         "qiren",
         wires,

@@ -66,7 +66,8 @@ def turn_each(x: Any, source: int, target: int, n: int, width: int, cosines: int
 
 @inner
 def products(x: Any, out: int, n: int, width: int, cosines: int, sines: int) -> None:
-    """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0, real parts then imaginary parts at `out`.
+    """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0, real parts then imaginary parts at
+    `out`.
 
     The phase of a basis state with first bit 1 is the conjugate of the one with all bits flipped.
     """

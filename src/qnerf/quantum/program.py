@@ -1,7 +1,8 @@
 """The circuit in normal form: what is left to compute once everything that commutes or cancels has been merged.
 
-Every gate of a description is a product of rotations about Z (diagonal: a phase on each amplitude), rotations about Y (real) and
-permutations of the basis. In the normal form neighbouring diagonals are one `Phase`, neighbouring Y rotations one `Turn`:
+Every gate of a description is a product of rotations about Z (diagonal: a phase on each amplitude), rotations about Y
+(real) and permutations of the basis. In the normal form neighbouring diagonals are one `Phase`, neighbouring Y
+rotations one `Turn`:
 RZ angles before and after an encoding simply add to its angle, CZ rings are signs of the same diagonal, phases on
 |0...0> and phases just before a Z measurement are gone. X and Y are measured as Z after a fixed rotation.
 """
@@ -129,7 +130,7 @@ def compile_program(circuit: Circuit) -> Program:
 
 def _append(steps: list[Step], step: Step) -> None:
     if isinstance(step, Phase):
-        odd = tuple(sorted(p for p, c in Counter(tuple(sorted(p)) for p in step.pairs).items() if c % 2))
+        odd = tuple(sorted(p for p, c in Counter((min(p), max(p)) for p in step.pairs).items() if c % 2))
         step = replace(step, pairs=odd)  # CZ is symmetric and its own inverse
         if step.empty:
             return

@@ -1,7 +1,8 @@
 """Compiled passes of the backward sweep; layout as in `passes`.
 
-The dual state is lambda = sum_k g_k O_k |psi> at the end, and is pulled back gate by gate. The gradient of an angle whose
-generator is G / 2 is Im <lambda| G |psi>. Passes that only read are arranged so that each chunk of states is met once.
+The dual state is lambda = sum_k g_k O_k |psi> at the end, and is pulled back gate by gate. The gradient of an angle
+whose generator is G / 2 is Im <lambda| G |psi>. Passes that only read are arranged so that each chunk of states is
+met once.
 """
 
 from typing import Any
@@ -65,7 +66,8 @@ def turn_gradient(x: Any, state: int, dual: int, n: int, width: int, out: int) -
 def phase_pull(
     x: Any, state: int, dual: int, n: int, width: int, table: Any, phases: int, mask: int, q: int, out: int
 ) -> None:
-    """Gradients sum_b z_j Im(conj(dual) state) for each wire at `out`; then the dual is pulled back through the diagonal."""
+    """Gradients sum_b z_j Im(conj(dual) state) for each wire at `out`; then the dual is pulled back through the
+    diagonal."""
     keep_apart()
     size = width << n
     half = size >> 1
@@ -145,16 +147,16 @@ def _mix(x: Any, state: int, dual: int, outer: int, distance: int, width: int, w
 
 
 @inner
-def _mixes(x: Any, state: int, dual: int, n: int, width: int, weight: int) -> None:
+def _mixes(x: Any, state: int, dual: int, wires: int, below: int, width: int, weight: int) -> None:
     keep_apart()
     j = 0
-    while n - j >= 4:
+    while wires - j >= 4:
         k = weight + j * width
         four = (load(x, k), load(x, k + width), load(x, k + 2 * width), load(x, k + 3 * width))
-        _mix(x, state, dual, 1 << j, width << (n - j - 4), width, four)
+        _mix(x, state, dual, 1 << j, width << (below + wires - j - 4), width, four)
         j += 4
-    while j < n:
-        _mix(x, state, dual, 1 << j, width << (n - j - 1), width, (load(x, weight + j * width),))
+    while j < wires:
+        _mix(x, state, dual, 1 << j, width << (below + wires - j - 1), width, (load(x, weight + j * width),))
         j += 1
 
 
@@ -176,5 +178,7 @@ def observe(x: Any, state: int, dual: int, n: int, width: int, weight: int, q: i
             i = first + k * width
             store(x, dual + i, a * load(x, state + i))
             store(x, dual + size + i, a * load(x, state + size + i))
+        for part in range(first, first + 2 * size, size):
+            _mixes(x, state + part, dual + part, low, 0, width, flip + high * width)
     for part in range(0, 2 * size, size):
-        _mixes(x, state + part, dual + part, n, width, flip)
+        _mixes(x, state + part, dual + part, high, low, width, flip)

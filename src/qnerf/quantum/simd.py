@@ -5,18 +5,21 @@ LLVM's loop vectoriser gives up on butterflies with more than a handful of point
 >>> a, b = load(x, i), load(x, j)          # `lanes` consecutive elements each
 >>> store(x, i, a - t * b)                 # element-wise, multiply-adds are fused
 
-The vector type follows from the array's dtype: VECTOR_BYTES wide, float32 or float64. LLVM splits what the machine at hand lacks.
+The vector type follows from the array's dtype: VECTOR_BYTES wide, float32 or float64. LLVM splits what the machine at
+hand lacks.
 """
 
 import operator
 from collections.abc import Callable
 from typing import Any
 
-import llvmlite.binding as llvm
+import llvmlite.binding as llvm  # type: ignore[import-untyped]
 import numba
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+from numba import extending, types
+from numba.extending import lower_builtin, models, register_model, type_callable
+
+intrinsic: Any = extending.intrinsic
 
 VECTOR_BYTES = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 """Bytes of one vector: samples that travel through the circuit side by side."""
@@ -29,7 +32,7 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def inner(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `jit`, for functions that only compiled code calls: nothing is compiled to call them from Python."""
-    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return numba.njit(function, cache=True, nogil=True, error_model="numpy", boundscheck=False, **options)
 
 
@@ -41,7 +44,7 @@ def lanes(itemsize: int) -> int:
 class Vector(types.Type):
     """Numba's type of one vector of `dtype`."""
 
-    def __init__(self, dtype: types.Type) -> None:
+    def __init__(self, dtype: Any) -> None:
         self.dtype = dtype
         self.lanes = VECTOR_BYTES * 8 // dtype.bitwidth
         super().__init__(name=f"Vector({dtype}, {self.lanes})")
@@ -118,7 +121,7 @@ _operator(operator.mul, "fmul")
 
 @intrinsic
 def keep_apart(typing_context: Any) -> Any:
-    """Says that the function it stands in is worth a call: inlined into every caller, large passes are compiled many times."""
+    """Makes the function it stands in a call: large passes would be compiled anew in every caller."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.function.attributes.add("noinline")
@@ -140,6 +143,6 @@ def address(typing_context: Any, array: Any) -> Any:
 
 @inner
 def start_of_line(array: Any) -> int:
-    """First index of `array` at the start of a cache line (64 bytes): vectors that straddle lines load at half speed."""
+    """First index of `array` at the start of a cache line (64 bytes): vectors across two lines are slow."""
     misplaced = address(array) % 64
     return 0 if misplaced == 0 else (64 - misplaced) // array.itemsize

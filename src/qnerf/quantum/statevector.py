@@ -1,8 +1,8 @@
 """State-vector simulation in plain PyTorch: any description, any device, the reference of the compiled engine.
 
-The state is complex (2^n, B), amplitudes first. Until the first encoding B is 1: that part is done once a step. Diagonals are
-one complex product, a layer of RY a few real matrix products on groups of wires. Large batches go through in chunks
-that are recomputed in the backward pass, so that peak memory does not grow with the batch.
+The state is complex (2^n, B), amplitudes first. Until the first encoding B is 1: that part is done once a step.
+Diagonals are one complex product, a layer of RY a few real matrix products on groups of wires. Large batches go
+through in chunks that are recomputed in the backward pass, so that peak memory does not grow with the batch.
 """
 
 from functools import lru_cache

@@ -69,7 +69,7 @@ SCENES: Registry[Scene] = Registry("scene")
 
 
 def split_views(views: int) -> tuple[list[int], list[int]]:
-    """Nine views in ten, evenly spread, train: int(linspace(0, V - 1, ceil(0.9 V))); the rest, at least one, evaluate."""
+    """Nine in ten, evenly spread, train: int(linspace(0, V - 1, ceil(0.9 V))). The others, at least one, evaluate."""
     count = min(math.ceil(0.9 * views), views - 1)
     train = [int(index) for index in np.linspace(0, views - 1, count)]
     return train, sorted(set(range(views)) - set(train))

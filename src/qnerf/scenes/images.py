@@ -20,6 +20,7 @@ FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")  # others may run progra
 MOST_PIXELS = 64 * 2**20  # of one image
 MOST_FILE_BYTES = 2**30
 MOST_SCENE_BYTES = 16 * 2**30
+DECODERS = 4  # images decoded at a time
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tup
             raise ValueError(f"{folder}: image {file.name!r} does not decode: {_reason(error)}") from error
         return area_downscale(pixels, downscale), digest(data)
 
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, DECODERS)) as pool:
         images, hashes = zip(*pool.map(read, files), strict=True)
     if all(image.shape[-1] == 3 or bool((image[..., 3] == 255).all()) for image in images):
         return np.stack([image[..., :3] for image in images]), digest(*hashes)
@@ -145,13 +146,14 @@ def area_downscale(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     if factor == 1:
         return image
     height, width = image.shape[0] // factor, image.shape[1] // factor
-    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1).astype(np.int64)
+    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
     area = factor * factor
+    sums = blocks.sum(axis=(1, 3), dtype=np.int64)
     if blocks.shape[-1] == 3:
-        return ((2 * blocks.sum(axis=(1, 3)) + area) // (2 * area)).astype(np.uint8)
-    alpha = blocks[..., 3:]
-    weight = alpha.sum(axis=(1, 3))
-    colors = (blocks[..., :3] * alpha).sum(axis=(1, 3))
+        return ((2 * sums + area) // (2 * area)).astype(np.uint8)
+    weight = sums[..., 3:]
+    weighted = blocks[..., :3].astype(np.uint16) * blocks[..., 3:]  # 255^2 fits
+    colors = weighted.sum(axis=(1, 3), dtype=np.int64)
     safe = np.maximum(weight, 1)
     mean = np.concatenate([(2 * colors + safe) // (2 * safe), (2 * weight + area) // (2 * area)], axis=-1)
     return mean.astype(np.uint8)

@@ -8,7 +8,7 @@ TOLERANCE = 1e-9  # of the distorted point, in focal lengths
 
 
 def distort(points: Tensor, distortion: Tensor) -> Tensor:
-    """Ideal image-plane points (..., 2), in focal lengths from the principal point -> where the lens puts them (..., 2).
+    """Ideal image-plane points (..., 2) -> where the lens puts them (..., 2), in focal lengths from the centre.
 
     x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y

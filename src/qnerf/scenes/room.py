@@ -1,4 +1,4 @@
-"""The built-in room: a corner with a framed poster, brick, wallpaper, wooden floor, things to walk around, a mirror ball.
+"""The built-in room: a corner with a framed poster, brick, wallpaper, a wooden floor, furniture, a mirror ball.
 
 Metres; x runs along the poster's wall, which is y = 0, y into the room, z up.
 """
@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qnerf.scenes import textures as paint
-from qnerf.scenes.tracer import Atlas, Ball, Box, Panel, World
+from qnerf.scenes.atlas import Atlas
+from qnerf.scenes.light import Panel, bake
+from qnerf.scenes.tracer import Ball, Box, World
 
 ROOM = (3.9, 4.0, 2.6)
 POSTER = (1.05, 1.4)  # width, height
@@ -50,9 +52,7 @@ def room() -> World:
     ]
     rings = one(paint.stripes(512, 64, 14, ("e94f37", "f6f7eb", "3f88c5", "f6f7eb", "44bba4", "393e41"), 0.7))
     magazine = one(paint.resized(cup, 512, 512))
-    spines = [
-        one(paint.stripes(32, 256, 1, (color, color), 0)) for color in ("a63d40", "e9b872", "90a959", "6494aa")
-    ]
+    spines = [one(paint.stripes(32, 256, 1, (color, color), 0)) for color in ("a63d40", "e9b872", "90a959", "6494aa")]
     swirl = one(paint.stripes(128, 256, 5, ("c1121f", "c1121f", "fdf0d5"), 4))
     silver = one(paint.plain("c8ccd0"))
     panes = one(paint.panes(256, 256, 2, 3))
@@ -76,7 +76,9 @@ def room() -> World:
         book((0.98, 0.23), 0.605, -8, spines[1]),
         book((0.96, 0.24), 0.65, 21, spines[3]),
         block((2.6, 0.75), 0, (0.4, 0.4, 0.4), 28, [checks[0], checks[1], checks[1], checks[0], checks[2], checks[2]]),
-        block((2.62, 0.76), 0.4, (0.2, 0.2, 0.2), 55, [checks[2], checks[0], checks[0], checks[2], checks[1], checks[1]]),
+        block(
+            (2.62, 0.76), 0.4, (0.2, 0.2, 0.2), 55, [checks[2], checks[0], checks[0], checks[2], checks[1], checks[1]]
+        ),
         block((0.32, 0.42), 0, (0.13, 0.13, 1.55), 40, [rings] * 4 + [white, white]),
         block((1.3, 1.35), 0, (0.6, 0.42, 0.3), -14, [side, side, side, side, walnut, magazine]),
         Box((1.3, 1.6, 2.55), (2.5, 2.8, 2.59), [white] * 6, light=LAMP),
@@ -88,11 +90,12 @@ def room() -> World:
         Ball((2.05, 1.05, 0.13), 0.13, one(paint.plain("2c6e49")), 0.05),
     ]
     world = World(boxes, balls, atlas)
-    world.bake(
+    bake(
+        world,
         [
             Panel((1.3, 1.6, 2.545), ((1.2, 0, 0), (0, 1.2, 0)), (0, 0, -1), LAMP * np.array([1.0, 0.93, 0.82])),
             Panel((3.865, 1.4, 0.9), ((0, 1.6, 0), (0, 0, 1.3)), (-1, 0, 0), WINDOW * np.array([0.62, 0.7, 0.8])),
-        ]
+        ],
     )
     return world
 
@@ -110,9 +113,7 @@ def walk(views: int, seed: int) -> NDArray:
             curve = curve + shake / 3 * np.sin(2 * np.pi * harmonic * time + phase)
         return curve
 
-    centre = np.stack(
-        [1.75 + 1.2 * sway(2.0, 0.1), 2.15 + 0.65 * sway(3.3, 0.1), 1.25 + 0.42 * sway(5.2, 0.1)], axis=1
-    )
+    centre = np.stack([1.75 + 1.2 * sway(2.0, 0.1), 2.15 + 0.65 * sway(3.3, 0.1), 1.25 + 0.42 * sway(5.2, 0.1)], axis=1)
     target = np.stack([1.25 + 0.55 * sway(4.1, 0.2), np.full(views, 0.2), 0.98 + 0.28 * sway(2.7, 0.2)], axis=1)
     roll = radians(3.0) * sway(6.0, 0.5)
     backward = centre - target

@@ -1,4 +1,4 @@
-"""Pictures for the surfaces of the built-in room: procedural materials and photographs. Linear albedo (h, w, 3) float32."""
+"""Pictures for the built-in room, procedural materials and photographs: linear albedo (h, w, 3) float32."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -221,4 +221,3 @@ def panes(height: int, width: int, across: int, down: int) -> Picture:
 
 def plain(color: str) -> Picture:
     return np.broadcast_to(rgb(color), (4, 4, 3)).astype(np.float32)
-

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from qnerf.scenes.base import LEAST_VIEWS, Cameras, Scene, digest
-from qnerf.scenes.images import ImageFile, check_downscale, inside, open_header, read_images, same_size
+from qnerf.scenes.images import check_downscale, inside, open_header, read_images, same_size
 from qnerf.scenes.lens import invertible
 from qnerf.scenes.normalise import rigid
 

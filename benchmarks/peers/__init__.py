@@ -1,0 +1,1 @@
+"""How a user would run the same circuit with other packages today."""

@@ -1,0 +1,219 @@
+"""The QIREN circuit in each package's own words: `PEERS[name](wires, spectral)` gives step(x, w, g) -> (y, dx, dw).
+
+x (B, n) inputs, w (rows, n, 3) angles, g (B, n) gradient of the outputs y (B, n); NumPy arrays in, NumPy arrays out.
+Nothing here imports qnerf: the file runs in any environment that has the package in question.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+Step = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+def gates(wires: int, spectral: int) -> Iterator[tuple[Any, ...]]:
+    """("rot", row, wire), ("cz", wire, wire) and ("encode", wire), in order."""
+    for block in range(spectral + 1):
+        for layer in range(2):
+            for wire in range(wires):
+                yield "rot", 2 * block + layer, wire
+            if wires > 1:
+                distance = 1 + layer % (wires - 1)
+                for wire in range(wires):
+                    yield "cz", wire, (wire + distance) % wires
+        if block < spectral:
+            for wire in range(wires):
+                yield "encode", wire
+
+
+def _torch_step(forward: Callable[[Any, Any], Any]) -> Step:
+    import torch
+
+    def step(x: np.ndarray, w: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        tx, tw = torch.tensor(x, requires_grad=True), torch.tensor(w, requires_grad=True)
+        y = forward(tx, tw)
+        y.backward(torch.tensor(g).to(y.dtype))
+        assert tx.grad is not None
+        assert tw.grad is not None
+        return y.detach().numpy(), tx.grad.numpy(), tw.grad.numpy()
+
+    return step
+
+
+def _jax_step(forward: Callable[[Any, Any], Any]) -> Step:
+    import jax
+
+    def loss(x: Any, w: Any, g: Any) -> Any:
+        y = forward(x, w)
+        return (y * g).sum(), y
+
+    compiled = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
+
+    def step(x: np.ndarray, w: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (_, y), (dx, dw) = jax.block_until_ready(compiled(x, w, g))
+        return np.asarray(y), np.asarray(dx), np.asarray(dw)
+
+    return step
+
+
+def _pennylane(wires: int, spectral: int, device: str, interface: str, method: str) -> Callable[[Any, Any], Any]:
+    import pennylane as qml
+
+    @qml.qnode(qml.device(device, wires=wires), interface=interface, diff_method=method)
+    def node(x: Any, w: Any) -> Any:
+        for kind, *at in gates(wires, spectral):
+            if kind == "rot":
+                qml.Rot(w[at[0], at[1], 0], w[at[0], at[1], 1], w[at[0], at[1], 2], wires=at[1])
+            elif kind == "cz":
+                qml.CZ(wires=at)
+            else:
+                qml.RZ(x[..., at[0]], wires=at[0])
+        return [qml.expval(qml.PauliZ(wire)) for wire in range(wires)]
+
+    return node
+
+
+def pennylane_torch(wires: int, spectral: int) -> Step:
+    import torch
+
+    node = _pennylane(wires, spectral, "default.qubit", "torch", "backprop")
+    return _torch_step(lambda x, w: torch.stack(tuple(node(x, w)), -1))
+
+
+def pennylane_jax(wires: int, spectral: int) -> Step:
+    import jax.numpy as jnp
+
+    node = _pennylane(wires, spectral, "default.qubit", "jax", "backprop")
+    return _jax_step(lambda x, w: jnp.stack(node(x, w), -1))
+
+
+def pennylane_jax_vmap(wires: int, spectral: int) -> Step:
+    import jax
+    import jax.numpy as jnp
+
+    node = _pennylane(wires, spectral, "default.qubit", "jax", "backprop")
+    return _jax_step(lambda x, w: jax.vmap(lambda sample: jnp.stack(node(sample, w), -1))(x))
+
+
+def lightning_adjoint(wires: int, spectral: int) -> Step:
+    import torch
+
+    node = _pennylane(wires, spectral, "lightning.qubit", "torch", "adjoint")
+    return _torch_step(lambda x, w: torch.stack([torch.stack(tuple(node(sample, w))) for sample in x]))
+
+
+def tensorcircuit_jax(wires: int, spectral: int, chunk: int = 512) -> Step:
+    import jax
+    import jax.numpy as jnp
+    import tensorcircuit as tc
+
+    tc.set_backend("jax")
+    tc.set_dtype("complex64")
+
+    def sample(x: Any, w: Any) -> Any:
+        circuit = tc.Circuit(wires)
+        for kind, *at in gates(wires, spectral):
+            if kind == "rot":
+                circuit.rz(at[1], theta=w[at[0], at[1], 0])
+                circuit.ry(at[1], theta=w[at[0], at[1], 1])
+                circuit.rz(at[1], theta=w[at[0], at[1], 2])
+            elif kind == "cz":
+                circuit.cz(*at)
+            else:
+                circuit.rz(at[0], theta=x[at[0]])
+        return jnp.stack([jnp.real(circuit.expectation_ps(z=[wire])) for wire in range(wires)])
+
+    def forward(x: Any, w: Any) -> Any:
+        batched = jax.checkpoint(jax.vmap(sample, in_axes=(0, None)))
+        size = min(chunk, x.shape[0])
+        return jax.lax.map(lambda part: batched(part, w), x.reshape(-1, size, wires)).reshape(-1, wires)
+
+    return _jax_step(forward)
+
+
+def torchquantum(wires: int, spectral: int) -> Step:
+    import torchquantum as tq
+    import torchquantum.functional as tqf
+
+    def forward(x: Any, w: Any) -> Any:
+        device = tq.QuantumDevice(n_wires=wires, bsz=x.shape[0])
+        for kind, *at in gates(wires, spectral):
+            if kind == "rot":
+                for name, k in (("rz", 0), ("ry", 1), ("rz", 2)):
+                    getattr(tqf, name)(device, wires=at[1], params=w[at[0], at[1], k].reshape(1, 1))
+            elif kind == "cz":
+                tqf.cz(device, wires=at)
+            else:
+                tqf.rz(device, wires=at[0], params=x[:, at[0]])
+        return tq.MeasureAll(tq.PauliZ)(device)
+
+    return _torch_step(forward)
+
+
+def deepquantum(wires: int, spectral: int) -> Step:
+    import deepquantum as dq
+    import torch
+
+    circuit = dq.QubitCircuit(wires)
+    sources: list[tuple[str, tuple[int, ...]]] = []
+    for kind, *at in gates(wires, spectral):
+        if kind == "rot":
+            for name, k in (("rz", 0), ("ry", 1), ("rz", 2)):
+                getattr(circuit, name)(at[1], encode=True)
+                sources.append(("w", (at[0], at[1], k)))
+        elif kind == "cz":
+            circuit.cz(*at)
+        else:
+            circuit.rz(at[0], encode=True)
+            sources.append(("x", (at[0],)))
+    for wire in range(wires):
+        circuit.observable(wires=wire, basis="z")
+
+    def forward(x: Any, w: Any) -> Any:
+        columns = [w[at].expand(x.shape[0]) if kind == "w" else x[:, at[0]] for kind, at in sources]
+        circuit(data=torch.stack(columns, -1))
+        return circuit.expectation()
+
+    return _torch_step(forward)
+
+
+def pyqtorch(wires: int, spectral: int) -> Step:
+    import pyqtorch as pyq
+    import torch
+
+    operations, names = [], {}
+    for index, (kind, *at) in enumerate(gates(wires, spectral)):
+        if kind == "rot":
+            for k, gate in enumerate((pyq.RZ, pyq.RY, pyq.RZ)):
+                operations.append(gate(at[1], f"w{index}_{k}"))
+                names[f"w{index}_{k}"] = (at[0], at[1], k)
+        elif kind == "cz":
+            operations.append(pyq.CZ(*at))
+        else:
+            operations.append(pyq.RZ(at[0], f"x{at[0]}"))
+    circuit = pyq.QuantumCircuit(wires, operations)
+    bits = (np.arange(2**wires)[:, None] >> np.arange(wires - 1, -1, -1)) & 1
+    signs = torch.tensor(1.0 - 2.0 * bits)
+
+    def forward(x: Any, w: Any) -> Any:
+        # pyqtorch computes in complex128 by default; the state is measured here, once for all wires.
+        values = {name: w[at].double() for name, at in names.items()}
+        values |= {f"x{wire}": x[:, wire].double() for wire in range(wires)}
+        state = circuit.run(state=pyq.zero_state(wires, batch_size=x.shape[0]), values=values)
+        return state.abs().square().reshape(2**wires, -1).T @ signs
+
+    return _torch_step(forward)
+
+
+PEERS: dict[str, tuple[Callable[[int, int], Step], str, int | None]] = {
+    # name: builder, package, samples that are really run (then scaled up) where the whole batch takes minutes
+    "pennylane default.qubit torch": (pennylane_torch, "pennylane", None),
+    "pennylane default.qubit jax jit": (pennylane_jax, "jax", None),
+    "pennylane default.qubit jax jit vmap": (pennylane_jax_vmap, "jax", None),
+    "pennylane lightning.qubit adjoint": (lightning_adjoint, "pennylane_lightning", 48),
+    "tensorcircuit-ng jax jit vmap": (tensorcircuit_jax, "tensorcircuit", None),
+    "torchquantum": (torchquantum, "torchquantum", None),
+    "deepquantum": (deepquantum, "deepquantum", None),
+    "pyqtorch": (pyqtorch, "pyqtorch", None),
+}

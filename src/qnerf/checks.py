@@ -1,0 +1,28 @@
+"""One-line errors for values that users give."""
+
+from collections.abc import Sequence
+from typing import Any
+
+
+def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
+    """ValueError unless `value` is one of `choices`, which it lists."""
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}")
+
+
+def at_least(name: str, value: float, least: float) -> None:
+    """ValueError unless `value` is a finite number of at least `least`."""
+    if not least <= value < float("inf"):
+        raise ValueError(f"{name} must be at least {least:g}, got {value}")
+
+
+def between(name: str, value: float, low: float, high: float) -> None:
+    """ValueError unless low <= value <= high."""
+    if not low <= value <= high:
+        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value}")
+
+
+def positive(name: str, value: float) -> None:
+    """ValueError unless `value` is finite and above 0."""
+    if not 0 < value < float("inf"):
+        raise ValueError(f"{name} must be finite and above 0, got {value}")

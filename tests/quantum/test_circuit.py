@@ -1,0 +1,96 @@
+"""The description and its normal form."""
+
+import numpy as np
+import pytest
+
+from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, ring
+from qnerf.quantum.cones import TooLarge, find_cones
+from qnerf.quantum.program import Permute, Phase, Turn, compile_program, signs, sources
+
+
+def test_qiren_is_strongly_entangling_layers_with_cz() -> None:
+    circuit = ANSATZE.build("qiren", 8, 2)
+    kinds = [type(operation).__name__ for operation in circuit.operations]
+    assert kinds == [*["Rotations", "Entangler"] * 2, "Encoding"] * 2 + ["Rotations", "Entangler"] * 2
+    entanglers = [operation for operation in circuit.operations if isinstance(operation, Entangler)]
+    assert entanglers[0].pairs == ring(8, 1)
+    assert entanglers[1].pairs == ring(8, 2)
+    assert circuit.shapes == ((2, 2, 8, 3), (2, 8, 3))
+
+
+def test_normal_form_drops_what_does_not_matter() -> None:
+    program = compile_program(ANSATZE.build("qiren", 8, 3))
+    kinds = [type(step) for step in program.steps]
+    assert kinds == [Turn, *[Phase, Turn] * 7]  # one diagonal between any two layers of RY, nothing at the ends
+    entries = [entry for step in program.steps if not isinstance(step, Permute) for entry in step.angles.entries]
+    assert len(entries) == len(set(entries)) == 8 * 3 - 2
+    assert (0, 0) not in entries  # phi of the first sublayer: a global phase
+    assert (7, 2) not in entries  # omega of the last: commutes with Z
+    assert program.fixed_steps == 3
+    assert program.local
+
+
+def test_rings_that_cancel_vanish() -> None:
+    """At n = 2 both rings visit the pair twice; at n = 4 the second one does."""
+    two = compile_program(ANSATZE.build("qiren", 2, 1))
+    assert all(not step.pairs for step in two.steps if isinstance(step, Phase))
+    four = [step.pairs for step in compile_program(ANSATZE.build("qiren", 4, 1)).steps if isinstance(step, Phase)]
+    assert [len(pairs) for pairs in four] == [4, 0, 4]
+
+
+def test_diagonals_and_permutations() -> None:
+    assert signs(((0, 1),), 2).tolist() == [1, 1, 1, -1]
+    once = sources(Permute(((0, 1), (1, 2))), 3)
+    state = np.arange(8)[sources(Permute(((0, 1),)), 3)][sources(Permute(((1, 2),)), 3)]
+    assert np.array_equal(np.arange(8)[once], state)
+
+
+def test_cones_of_qiren() -> None:
+    cones = find_cones(ANSATZE.build("qiren", 8, 1)).cones
+    assert [cone.wires for cone in cones[:2]] == [(0, 1, 7), (0, 1, 2)]
+    assert {cone.coefficients for cone in cones} == {27}
+    assert find_cones(ANSATZE.build("ternary", 2, 2)).cones[0].degrees == (4, 4)
+    with pytest.raises(TooLarge, match=r"8 wires and 2 spectral layers.*choose method=statevector"):
+        find_cones(ANSATZE.build("qiren", 8, 2))
+
+
+def test_scales_without_a_common_unit_have_no_cone() -> None:
+    operations = (Rotations(0), Encoding("Z", (1.0,)), Rotations(1), Encoding("Z", (2**0.5,)), Rotations(2))
+    circuit = Circuit("odd", 1, 2, 1, operations, (((0, "Z"),),))
+    with pytest.raises(TooLarge, match="no common unit"):
+        find_cones(circuit)
+
+
+@pytest.mark.parametrize(
+    ("operation", "message"),
+    [
+        (Rotations(9), "rotations use row 9, weights have rows 0..3"),
+        (Entangler("CY", ((0, 1),)), "unknown gate 'CY'; known: CZ, CNOT"),
+        (Entangler("CZ", ((0, 2),)), r"pair \(0, 2\) needs two different wires below 2"),
+        (Encoding("W", (1.0, 1.0)), "unknown axis 'W'; known: X, Y, Z"),
+        (Encoding("Z", (1.0,)), "encoding needs 2 finite scales"),
+    ],
+)
+def test_wrong_descriptions_say_what_is_wrong(operation: Rotations, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Circuit("wrong", 2, 1, 2, (operation,), (((0, "Z"),),))
+
+
+def test_a_wire_is_measured_in_one_letter() -> None:
+    with pytest.raises(ValueError, match="wire 0 is measured in Z and X"):
+        Circuit("wrong", 2, 1, 2, (), (((0, "Z"),), ((0, "X"),)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scaling": "cubic"}, "unknown scaling 'cubic'; known: ternary, unit"),
+        ({"observable": "I"}, "unknown observable 'I'"),
+        ({"ranges": (3, 1)}, "none a multiple of 3"),
+        ({"ranges": (1,)}, "needs 2 distances"),
+        ({"depth": 2}, "unknown option depth=2; known: sublayers"),
+    ],
+)
+def test_wrong_options(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ANSATZE.build("qiren", 3, 1, **options)

@@ -1,0 +1,154 @@
+"""QuantumLayer as users meet it."""
+
+from typing import Any
+
+import pytest
+import torch
+
+import qnerf
+from qnerf.quantum.initial import INITS
+from qnerf.quantum.layer import QuantumLayer
+
+
+def test_is_what_the_package_exports() -> None:
+    assert qnerf.QuantumLayer is QuantumLayer
+
+
+@pytest.mark.parametrize("shape", [(), (7,), (2, 3), (0,), (4, 0)])
+@pytest.mark.parametrize("spectral", [1, 2])
+def test_any_batch_shape(shape: tuple[int, ...], spectral: int) -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(3, spectral)
+    x = torch.randn(*shape, 3)
+    y = layer(x)
+    assert y.shape == x.shape
+    assert y.dtype == torch.float32
+    assert (y.abs() <= 1 + 1e-5).all()
+    assert torch.allclose(y.reshape(-1, 3), layer(x.reshape(-1, 3)), atol=1e-6)
+
+
+def test_parameters_have_the_published_names_and_shapes() -> None:
+    layer = QuantumLayer(8, 3)
+    assert {name: tuple(value.shape) for name, value in layer.state_dict().items()} == {
+        "weights1": (3, 2, 8, 3),
+        "weights2": (2, 8, 3),
+    }
+
+
+@pytest.mark.parametrize(
+    ("method", "backend"), [("lightcone", "auto"), ("statevector", "torch"), ("pennylane", "auto")]
+)
+def test_methods_agree_through_one_checkpoint(method: str, backend: str) -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(5, 1).double()
+    other = QuantumLayer(5, 1, method=method, backend=backend).double()
+    other.load_state_dict(layer.state_dict())
+    x = torch.randn(6, 5, dtype=torch.float64)
+    assert torch.allclose(layer(x), other(x), atol=1e-12)
+
+
+def test_auto_picks_by_cost() -> None:
+    assert QuantumLayer(8, 1).plan(6144).method == "lightcone"
+    assert QuantumLayer(8, 1).plan(4).method == "statevector"  # a few samples do not pay for the grid
+    assert QuantumLayer(1, 3).plan(6144).method == "lightcone"
+    plan = QuantumLayer(8, 2).plan(6144)
+    assert plan.method == "statevector"
+    assert "depends on 8 inputs" in plan.others["lightcone"]
+    assert "statevector (compiled) for 6144 samples" in str(plan)
+    assert plan.operations > QuantumLayer(8, 1).plan(6144).operations
+    assert QuantumLayer(8, 2, backend="torch").plan().backend == "torch"
+
+
+@pytest.mark.parametrize("name", INITS.names())
+def test_initial_angles_follow_the_seed(name: str) -> None:
+    torch.manual_seed(5)
+    first = QuantumLayer(4, 2, init=name)
+    torch.manual_seed(5)
+    second = QuantumLayer(4, 2, init=name)
+    third = QuantumLayer(4, 2, init=name)
+    assert torch.equal(first.weights1, second.weights1)
+    assert torch.equal(first.weights2, second.weights2)
+    assert not torch.equal(second.weights1, third.weights1)
+
+
+def test_eighth_moves_more_than_uniform() -> None:
+    torch.manual_seed(0)
+    x = torch.randn(256, 8)
+    spread = {
+        name: sum(QuantumLayer(8, 2, init=name)(x).std(0).mean().item() for _ in range(8)) / 8 for name in INITS.names()
+    }
+    assert spread["eighth"] > 1.5 * spread["uniform"]
+
+
+def test_half_precision_inputs_and_autocast() -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(3, 1)
+    x = torch.randn(4, 3)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.allclose(layer(x), layer(x.to(torch.bfloat16)), atol=0.05)
+        assert layer(x).dtype == torch.float32
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("spectral", [1, 2])
+def test_cuda_equals_cpu(spectral: int) -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(8, spectral).double()
+    x = torch.randn(500, 8, dtype=torch.float64)
+    expected = layer(x)
+    assert torch.allclose(layer.cuda()(x.cuda()).cpu(), expected, atol=1e-12)
+
+
+def test_trains() -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(2, 2)
+    x = torch.linspace(-1, 1, 64)[:, None].expand(-1, 2)
+    target = 0.5 * torch.sin(2 * x)
+    optimizer = torch.optim.Adam(layer.parameters(), lr=0.05)
+    losses = []
+    for _ in range(60):
+        loss = (layer(x) - target).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.3 * losses[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((0, 1), {}, r"wires must be an integer in 1..14, got 0"),
+        ((15, 1), {}, r"got 15 \(one state of 15 wires takes 512 KiB"),
+        ((40, 1), {}, r"got 40 \(one state of 40 wires takes 16 TiB of memory"),
+        ((2.0, 1), {}, r"wires must be an integer in 1..14, got 2.0"),
+        ((3, 0), {}, "spectral must be an integer of at least 1, got 0"),
+        ((3, 1), {"method": "exact"}, "method: unknown name 'exact'; known: auto, lightcone, statevector, pennylane"),
+        ((3, 1), {"backend": "cuda"}, "backend: unknown name 'cuda'; known: auto, compiled, torch"),
+        ((3, 1), {"ansatz": "q"}, "ansatz: unknown name 'q'; known: cnot"),
+        ((3, 1), {"init": "zero"}, "init: unknown name 'zero'; known: eighth, uniform"),
+        ((8, 2), {"method": "lightcone"}, "depends on 8 inputs.*choose method=statevector or auto"),
+        ((3, 1), {"method": "pennylane", "device": "no.such"}, "cannot make 'no.such'.*installed: .*default.qubit"),
+        ((3, 1), {"method": "pennylane", "diff_method": "magic"}, "diff_method: unknown name 'magic'; known: backprop"),
+        ((3, 1), {"method": "pennylane", "shots": 10}, "shots=10 expects diff_method=parameter-shift"),
+        ((3, 1), {"shots": 10}, "shots expects method=pennylane, got method=auto"),
+    ],
+)
+def test_wrong_arguments_say_what_is_wrong(arguments: tuple[Any, ...], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        QuantumLayer(*arguments, **options)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("x", "message"),
+    [
+        (torch.zeros(4, 2), r"expects shape \(..., 3\), got \(4, 2\)"),
+        (torch.zeros(()), r"expects shape \(..., 3\), got \(\)"),
+        (torch.zeros(4, 3, dtype=torch.int64), "floating-point tensor of angles in radians, got torch.int64"),
+        (torch.zeros(4, 3, dtype=torch.complex64), "got torch.complex64"),
+    ],
+)
+def test_wrong_inputs_say_what_is_wrong(x: torch.Tensor, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        QuantumLayer(3, 1)(x)

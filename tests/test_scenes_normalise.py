@@ -1,0 +1,133 @@
+"""The world frame: up, centre, scale, and which views train."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qnerf.scenes import split_views
+from qnerf.scenes.normalise import normalise, rigid, rotation_between
+
+
+def random_rotation(random: np.random.Generator) -> np.ndarray:
+    q, r = np.linalg.qr(random.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.linalg.det(q)
+
+
+def random_poses(seed: int, views: int = 7) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return np.stack([np.column_stack([random_rotation(random), random.normal(size=3) * 5 + 9]) for _ in range(views)])
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_cameras_stand_upright_around_the_origin_within_one(seed):
+    source = random_poses(seed)
+    poses, transform = normalise(source)
+    centres = poses[:, :, 3]
+    np.testing.assert_allclose(centres.mean(0), 0, atol=1e-9)
+    assert np.abs(centres).max() == pytest.approx(1, abs=1e-12)
+    up = poses[:, :, 1].mean(0)
+    np.testing.assert_allclose(up[:2], 0, atol=1e-9)
+    assert up[2] > 0
+    rotations = poses[:, :, :3]
+    np.testing.assert_allclose(
+        rotations.transpose(0, 2, 1) @ rotations, np.broadcast_to(np.eye(3), (7, 3, 3)), atol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.det(rotations), 1)
+    # the reported similarity takes the source's world to this one
+    np.testing.assert_allclose(source[:, :, 3] @ transform[:3, :3].T + transform[:3, 3], centres, atol=1e-9)
+    scale = np.cbrt(np.linalg.det(transform[:3, :3]))
+    np.testing.assert_allclose(transform[:3, :3] @ source[:, :, :3] / scale, rotations, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100))
+def test_the_source_s_unit_and_origin_do_not_matter(seed, scale):
+    source = random_poses(seed)
+    moved = source.copy()
+    moved[:, :, 3] = source[:, :, 3] * scale + [5, -7, 2]
+    np.testing.assert_allclose(normalise(moved)[0], normalise(source)[0], atol=1e-7)
+
+
+def test_scaling_alone_keeps_directions_and_origin():
+    source = random_poses(0)
+    poses, transform = normalise(source, orient=False, centre=False)
+    size = np.abs(source[:, :, 3]).max()
+    np.testing.assert_allclose(poses[:, :, 3], source[:, :, 3] / size)
+    np.testing.assert_array_equal(poses[:, :, :3], source[:, :, :3])
+    np.testing.assert_allclose(transform, np.diag([1 / size] * 3 + [1]))
+
+
+@pytest.mark.parametrize("centre", [True, False])
+@pytest.mark.parametrize("at", [0.0, 1e-9, 4.0, 1e9])
+def test_cameras_at_one_point_have_no_scale(at, centre):
+    poses = random_poses(0)
+    poses[:, :, 3] = at
+    with pytest.raises(ValueError, match="all cameras stand at the same point"):
+        normalise(poses, centre=centre)
+
+
+vectors = st.lists(st.floats(-10, 10), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1).map(np.array)
+
+
+@given(vectors, vectors)
+def test_rotation_between_takes_one_direction_to_the_other(a, b):
+    turn = rotation_between(a, b)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+    assert np.linalg.det(turn) == pytest.approx(1)
+    np.testing.assert_allclose(turn @ a / np.linalg.norm(a), b / np.linalg.norm(b), atol=1e-4)
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0, -0.8]])
+def test_rotation_between_opposite_directions(axis):
+    axis = np.array(axis, float)
+    turn = rotation_between(axis, -axis)
+    np.testing.assert_allclose(turn @ axis, -axis, atol=1e-12)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1)
+
+
+def test_rigid_makes_a_nearly_exact_rotation_exact():
+    pose = np.eye(4)
+    pose[:3] = random_poses(1)[0]
+    noisy = pose.copy()
+    noisy[:3, :3] *= 1 + 3e-4
+    found = rigid(noisy, "frame")
+    np.testing.assert_allclose(found, pose[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: p * [[1.01], [1.01], [1.01], [1]], "not rigid"),
+        (lambda p: p * [[-1], [1], [1], [1]], "mirrors space"),
+        (lambda p: p + np.where(np.eye(4)[0] > 0, np.nan, 0), "NaN"),
+        (lambda p: p * 0, "last row"),
+        (lambda p: np.where(p == 0, np.inf, p), "infinity"),
+        (lambda p: p[:2], "4 x 4"),
+        (lambda p: p[0], "4 x 4"),
+        (lambda p: np.array(1.0), "4 x 4"),
+    ],
+)
+def test_poses_that_are_not_rigid_are_refused_by_name(change, message):
+    with pytest.raises(ValueError, match=message) as error:
+        rigid(change(np.eye(4)), "frame 'a b.png'")
+    assert str(error.value).startswith("frame 'a b.png'")
+
+
+@given(st.integers(3, 500))
+def test_nine_views_in_ten_train_and_the_rest_evaluate(views):
+    train, held_out = split_views(views)
+    assert sorted(train + held_out) == list(range(views))
+    assert len(train) == min(math.ceil(0.9 * views), views - 1)
+    assert train[0] == 0
+    assert train[-1] == views - 1
+
+
+def test_the_split_of_226_views():
+    train, held_out = split_views(226)
+    assert (len(train), len(held_out)) == (204, 22)
+    assert train == [int(i) for i in torch.linspace(0, 225, 204, dtype=torch.float64)]
