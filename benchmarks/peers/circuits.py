@@ -211,7 +211,7 @@ PEERS: dict[str, tuple[Callable[[int, int], Step], str, int | None]] = {
     "pennylane default.qubit torch": (pennylane_torch, "pennylane", None),
     "pennylane default.qubit jax jit": (pennylane_jax, "jax", None),
     "pennylane default.qubit jax jit vmap": (pennylane_jax_vmap, "jax", None),
-    "pennylane lightning.qubit adjoint": (lightning_adjoint, "pennylane_lightning", 48),
+    "pennylane lightning.qubit adjoint": (lightning_adjoint, "pennylane_lightning", 16),
     "tensorcircuit-ng jax jit vmap": (tensorcircuit_jax, "tensorcircuit", None),
     "torchquantum": (torchquantum, "torchquantum", None),
     "deepquantum": (deepquantum, "deepquantum", None),

@@ -14,7 +14,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
@@ -30,20 +30,23 @@ def job(composed: DictConfig) -> None:
 
     console = Console()
     overrides = list(HydraConfig.get().overrides.task)
+    debug = bool(composed.run.debug)
     sweeping = HydraConfig.get().mode == RunMode.MULTIRUN
     try:
         config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
-        debug = config["run"]["debug"]
         if sweeping:
             console.rule(" ".join(overrides), align="left")
         else:
             print_config(console, config)
         outcome = run(config, overrides, LiveDisplay(console, live=config["run"]["progress"]))
         print_outcome(console, outcome)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
+        sys.exit(130)
     except (ValueError, OSError, Diverged, OmegaConfBaseException) as error:
-        if not isinstance(error, OmegaConfBaseException) and debug:
+        if debug:
             raise
-        reason = " ".join(str(error).split("\n    full_key")[0].split())
+        reason = one_line(error)
         print(f"error: {reason}", file=sys.stderr)
         if not sweeping:
             sys.exit(2)
@@ -51,6 +54,12 @@ def job(composed: DictConfig) -> None:
         return
     if outcome.state == "interrupted":
         sys.exit(130)
+
+
+def one_line(error: Exception) -> str:
+    if isinstance(error, MissingMandatoryValue):
+        return f"{error.full_key} must be given"
+    return " ".join(str(error).split("\n    full_key")[0].split())
 
 
 def report_failures() -> None:

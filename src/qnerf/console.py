@@ -50,7 +50,8 @@ class LiveDisplay(Display):
         self.every = 0
 
     def begin(self, path: Path, step: int, steps: int) -> None:
-        self.console.print(f"run {_escape(path)}" + (f", going on at step {step}" if step else ""))
+        line = f"run {path}" + (f", going on at step {step}" if step else "")
+        self.console.print(line, highlight=False, markup=False, soft_wrap=True)
         self.every = max(1, steps // 10)
         self.steps = steps
         self.task = self.progress.add_task("training", total=steps, completed=step, loss=0.0, psnr=0.0, rate=0.0)
@@ -89,6 +90,7 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
     table.add_row("parameters", f"{parts['total']:,}", listed)
     table.add_row("training", f"{summary['train_s']:.1f} s", f"{summary['step_ms']:.1f} ms a step, median")
-    table.add_row("run", str(outcome.path), "")
-    table.add_row("pictures", str(outcome.path / "images"), "truth | render | error | depth")
     console.print(table)
+    for name, path, what in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):
+        line = f"  {name:<13} {outcome.path / path}  {what}".rstrip()
+        console.print(line, highlight=False, markup=False, soft_wrap=True)

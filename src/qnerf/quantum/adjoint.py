@@ -385,46 +385,56 @@ class Bound:
         return inputs, weights
 
 
-def blocked(x: Tensor, width: int) -> Tensor:
+# NumPy rather than torch from here on: these arrays are small, and torch would wake its OpenMP threads for them, which
+# on a busy machine takes far longer than the work.
+def blocked(x: np.ndarray, width: int) -> np.ndarray:
     """(B, n) -> (blocks, n, W), padded with zeros."""
     batch, n = x.shape
     blocks = -(-batch // width)
     if blocks * width != batch:
-        x = torch.cat([x, x.new_zeros(blocks * width - batch, n)])
-    return x.view(blocks, width, n).transpose(1, 2).contiguous()
+        x = np.concatenate([x, np.zeros((blocks * width - batch, n), x.dtype)])
+    return np.ascontiguousarray(x.reshape(blocks, width, n).transpose(0, 2, 1))
 
 
-def unblocked(x: Tensor, batch: int) -> Tensor:
+def unblocked(x: np.ndarray, batch: int) -> Tensor:
     """(blocks, n, W) -> (B, n)."""
-    return x.transpose(1, 2).reshape(-1, x.shape[1])[:batch]
+    flat = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(-1, x.shape[1])
+    return torch.from_numpy(flat[:batch])
 
 
-def trigonometry(x: Tensor, scales: np.ndarray) -> np.ndarray:
+def waves(angles: np.ndarray, out: np.ndarray) -> None:
+    """out[0], out[1] = cos, sin of the angles; infinite angles give NaN."""
+    with np.errstate(invalid="ignore"):
+        np.cos(angles, out=out[0])
+        np.sin(angles, out=out[1])
+
+
+def trigonometry(x: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """cos and sin of half the scaled inputs: (blocks, n, W) -> (blocks, tables, 2, n, W)."""
-    half = 0.5 * x[:, None]
-    if not (scales == 1).all():
-        half = half * torch.from_numpy(scales).to(x.dtype)[None, :, :, None]
-    half = half.expand(-1, len(scales), -1, -1)
-    return torch.stack([half.cos(), half.sin()], dim=2).numpy()
+    out = np.empty((x.shape[0], len(scales), 2, *x.shape[1:]), x.dtype)
+    for table, scale in enumerate(scales):
+        half = (0.5 * scale).astype(x.dtype)[:, None] * x
+        waves(half, out[:, table].swapaxes(0, 1))
+    return out
 
 
 class _Simulate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, engine: Engine, x: Tensor, weights: Tensor) -> Tensor:
         bound = engine.bound(flat_weights(weights), numpy_dtype(x.dtype))
-        trig = trigonometry(blocked(x.detach(), bound.width), engine.tape.scales)
+        trig = trigonometry(blocked(x.detach().numpy(), bound.width), engine.tape.scales)
         out, kept = bound.forward(trig)
         ctx.saved = bound, trig, kept
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return unblocked(torch.from_numpy(out), x.shape[0])
+        return unblocked(out, x.shape[0])
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor]:
         bound, trig, kept = ctx.saved
         batch, shape, dtype = ctx.shapes
-        inputs, weights = bound.backward(trig, kept, blocked(gradient.detach(), bound.width).numpy())
-        return None, unblocked(torch.from_numpy(inputs), batch), torch.from_numpy(weights).to(dtype).reshape(shape)
+        inputs, weights = bound.backward(trig, kept, blocked(gradient.detach().numpy(), bound.width))
+        return None, unblocked(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
 
 
 def numpy_dtype(dtype: torch.dtype) -> Any:

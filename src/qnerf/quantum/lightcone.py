@@ -18,7 +18,7 @@ from torch import Tensor
 
 from qnerf.kernels.jit import run
 from qnerf.quantum import polynomial, statevector
-from qnerf.quantum.adjoint import PARTS, Engine, blocked, flat_weights, numpy_dtype, trigonometry, unblocked
+from qnerf.quantum.adjoint import PARTS, Engine, blocked, flat_weights, numpy_dtype, trigonometry, unblocked, waves
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.cones import Cones, find_cones
 from qnerf.quantum.program import compile_program
@@ -107,7 +107,7 @@ class LightCone:
         self.grid = interpolation(circuit)
         self.engine = Engine(compile_program(circuit))
         width = lanes(8)
-        self.points = trigonometry(blocked(torch.from_numpy(self.grid.points), width), self.engine.tape.scales)
+        self.points = trigonometry(blocked(self.grid.points, width), self.engine.tape.scales)
 
 
 def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
@@ -148,15 +148,16 @@ class _Polynomials(torch.autograd.Function):
         values = values.transpose(1, 0, 2).reshape(values.shape[1], -1, 1)[:, : len(grid.points)]
         dtype = numpy_dtype(x.dtype)
         table = np.matmul(grid.matrix, values)[..., 0].astype(dtype)
-        angles = blocked(x.detach(), lanes(table.itemsize)) * torch.from_numpy(grid.bases[:, None]).to(x.dtype)
-        trig = torch.stack([angles.cos(), angles.sin()], 1).numpy()
+        angles = blocked(x.detach().numpy(), lanes(table.itemsize)) * grid.bases[:, None].astype(dtype)
+        trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), dtype)
+        waves(angles, trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(grid.counts), trig.shape[3]), dtype)
         parts = min(PARTS, max(trig.shape[0], 1))
         arguments = trig, trig.shape[3], grid.most, table, grid.wires, grid.sizes, grid.counts
         run(polynomial.evaluate, parts, parts, *arguments, out)
         ctx.saved = cone, bound, kept, parts, arguments
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return unblocked(torch.from_numpy(out), x.shape[0])
+        return unblocked(out, x.shape[0])
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -167,12 +168,13 @@ class _Polynomials(torch.autograd.Function):
         width = trig.shape[3]
         inputs = np.empty((trig.shape[0], trig.shape[2], width), table.dtype)
         sums = np.empty((parts, *table.shape))
-        run(polynomial.gradients, parts, parts, *arguments, blocked(gradient.detach(), width).numpy(), inputs, sums)
+        run(polynomial.gradients, parts, parts, *arguments, blocked(gradient.detach().numpy(), width), inputs, sums)
         change = np.zeros((len(grid.counts), cone.points.shape[0] * cone.points.shape[-1]))
         change[:, : len(grid.points)] = np.matmul(sums.sum(0)[:, None], grid.matrix)[:, 0]
         change = change.reshape(len(change), -1, cone.points.shape[-1]).transpose(1, 0, 2)
         _, weights = bound.backward(cone.points, kept, np.ascontiguousarray(change))
-        dx = unblocked(torch.from_numpy(inputs), batch) * torch.from_numpy(grid.bases).to(gradient.dtype)
+        inputs *= grid.bases[:, None].astype(table.dtype)
+        dx = unblocked(inputs, batch)
         return None, dx, torch.from_numpy(weights).to(dtype).reshape(shape)
 
 

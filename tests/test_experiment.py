@@ -1,0 +1,180 @@
+"""A run from start to end: what it leaves, how it resumes, how it stops."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+
+from qnerf import experiment
+from qnerf.experiment import run
+from qnerf.records import read_metrics, read_status, state
+from qnerf.train import Diverged, Trainer
+
+REQUIRED = [
+    "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s", "step_ms",
+    "steps", "field", "encoder", "qiren", "hash", "scene", "sampler", "cameras", "train", "qiren.layers",
+    "qiren.spectral", "qiren.qubits", "scene.path", "scene.downscale", "train.steps", "train.rays", "seed", "device",
+    "store", "run.force", "color.layers", "color.width", "density.layers", "density.width", "density.qiren.layers",
+    "color.qiren.spectral", "geo_features",
+]  # fmt: skip
+
+
+def parameters(path: Path) -> dict[str, torch.Tensor]:
+    return torch.load(path / "checkpoint.pt", weights_only=True)["model"]
+
+
+def logged(path: Path) -> pd.DataFrame:
+    rows = read_metrics(path)
+    timeless = rows[~rows["key"].str.startswith("time/") & (rows["key"] != "eval/eval_s")]
+    return timeless[["step", "key", "value"]].reset_index(drop=True)
+
+
+@pytest.mark.parametrize("field", ["classical", "qboth"])
+def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
+    outcome = run(tiny(f"field={field}", "train.steps=4"))
+    summary = pd.read_parquet(outcome.path / "summary.parquet")
+    assert len(summary) == 1
+    assert set(REQUIRED) <= set(summary.columns)
+    row = summary.iloc[0]
+    assert (row["state"], row["field"], row["steps"], row["run_id"]) == ("finished", field, 4, outcome.run_id)
+    assert row["step_ms"] > 0
+    assert state(outcome.path) == "finished"
+
+    metrics = pd.read_parquet(outcome.path / "metrics")
+    assert list(metrics.columns) == ["step", "time_s", "key", "value"]
+    assert metrics.query("key == 'train/loss'")["step"].tolist() == [1, 2, 3, 4]
+    assert (metrics.query("key == 'time/quantum_ms'")["value"] > 0).all() == (field == "qboth")
+
+    evaluated = pd.read_parquet(outcome.path / "eval.parquet")
+    assert {"image", "psnr", "ssim", "lpips"} <= set(evaluated.columns)
+    assert row["psnr"] == pytest.approx(evaluated["psnr"].mean())
+    pictures = sorted((outcome.path / "images").glob("*.png"))
+    assert len(pictures) == len(evaluated)
+    assert np.asarray(Image.open(pictures[0])).shape == (240, 4 * 320, 3)
+
+
+def test_a_finished_run_is_skipped_and_force_does_it_over(tiny):
+    first = run(tiny())
+    again = run(tiny())
+    assert (again.state, again.summary["train_s"]) == ("finished", first.summary["train_s"])
+    assert "finished already" in again.message
+    forced = run(tiny("run.force=true"))
+    assert forced.run_id == first.run_id
+    assert forced.message == ""
+
+
+def test_two_commands_that_mean_the_same_are_one_run(tiny):
+    assert run(tiny("qiren=3L2S")).run_id == run(tiny("qiren=1L2S", "qiren.layers=3", "threads=1")).run_id
+
+
+@pytest.mark.parametrize("stop_at", [1, 3, 5])
+def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, monkeypatch, stop_at):
+    options = ["field=qboth", "cameras=so3xr3", "appearance=2", "train.steps=6", "train.eval_every=2"]
+    whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
+
+    take_step = Trainer.take_step
+
+    def interrupted(self: Trainer, measure: bool) -> dict[str, float]:
+        if self.step == stop_at:
+            raise KeyboardInterrupt
+        return take_step(self, measure)
+
+    parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
+    monkeypatch.setattr(Trainer, "take_step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(parts)
+    monkeypatch.setattr(Trainer, "take_step", take_step)
+    torch.rand(3)  # whatever the process did in between
+    resumed = run(parts)
+
+    assert resumed.state == "finished"
+    mine, others = parameters(resumed.path), parameters(whole.path)
+    assert mine.keys() == others.keys()
+    assert all(torch.equal(mine[name], others[name]) for name in mine)
+    pd.testing.assert_frame_equal(logged(resumed.path), logged(whole.path))
+    columns = ["image", "psnr", "ssim"]
+    pd.testing.assert_frame_equal(
+        pd.read_parquet(resumed.path / "eval.parquet")[columns], pd.read_parquet(whole.path / "eval.parquet")[columns]
+    )
+
+
+def test_a_stop_request_ends_at_the_next_step_with_a_checkpoint(tiny, monkeypatch):
+    requests: list[int] = []
+
+    class Stops:
+        def __enter__(self) -> list[int]:
+            return requests
+
+        def __exit__(self, *_: object) -> None: ...
+
+    class AfterThree(experiment.Display):
+        def step(self, step, metrics):
+            if step == 3:
+                requests.append(2)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(experiment, "stop_requests", Stops)
+        outcome = run(tiny("train.steps=6"), display=AfterThree())
+    assert (outcome.state, state(outcome.path)) == ("interrupted", "interrupted")
+    assert "stopped at step 3 of 6" in outcome.message
+    assert torch.load(outcome.path / "checkpoint.pt", weights_only=True)["step"] == 3
+    assert run(tiny("train.steps=6")).state == "finished"
+
+
+def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_checkpoint(tiny, monkeypatch):
+    take_step = Trainer.take_step
+
+    def poisoned(self: Trainer, measure: bool) -> dict[str, float]:
+        if self.step == 3:
+            with torch.no_grad():
+                next(self.model.field.color_head.parameters()).fill_(math.nan)
+        return take_step(self, measure)
+
+    monkeypatch.setattr(Trainer, "take_step", poisoned)
+    config = tiny("train.steps=6", "train.checkpoint_every=0")
+    with pytest.raises(Diverged, match="nan at step 3, in the parameters of 'color'"):
+        run(config)
+    (folder,) = (path for path in Path(config["store"]).iterdir() if not path.name.startswith("."))
+    assert read_status(folder)["state"] == "failed"
+    assert "step 3" in read_status(folder)["error"]
+    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    assert checkpoint["step"] == 3
+    assert all(torch.isfinite(value).all() for value in checkpoint["model"].values())
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["qiren.layers=0"], "layers must be at least 1, got 0"),
+        (["qiren.qubits=0"], "got 0"),
+        (["qiren.qubits=40"], "got 40 .*memory"),
+        (["qiren.spectral=0"], "spectral"),
+        (["density.initial=0"], "density.initial must be above 0"),
+        (["density.activation=relu"], "known: softplus, trunc_exp|known: trunc_exp, softplus"),
+        (["contraction.name=cube"], "known: box, l2, linf"),
+        (["color.directions=quaternions"], "known: raw, sh"),
+        (["color.name=transformer"], "known: mlp, qfgn, qiren"),
+        (["scene.path=/nowhere"], "/nowhere"),
+        (["scene.downscale=0"], "downscale"),
+        (["sampler.final=0"], "final must be at least 1, got 0"),
+    ],
+)
+def test_a_mistake_is_one_line_and_writes_nothing(tiny, tmp_path, overrides, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        run(tiny(*overrides))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
+    from conftest import write_scene
+
+    folder = write_scene(tmp_path / "rgba", channels=4)
+    with pytest.raises(ValueError, match="use render.background=white, black or random"):
+        run(tiny("scene=nerfstudio", f"scene.path={folder}"))
+    for background in ("white", "random"):
+        assert run(tiny("scene=nerfstudio", f"scene.path={folder}", f"render.background={background}")).state == "finished"
