@@ -4,6 +4,7 @@ import json
 
 import pytest
 from conftest import CONF, TINY, composed, write_scene
+from omegaconf import OmegaConf
 
 from qnerf.cameras import CAMERAS
 from qnerf.contraction import CONTRACTIONS
@@ -77,6 +78,19 @@ def test_every_camera_refinement_trains(tiny, cameras):
 @pytest.mark.parametrize("train", choices("train"))
 def test_every_recipe_trains(tiny, train):
     assert finished(tiny(f"train={train}"))["train"] == train
+
+
+@pytest.mark.parametrize("name", choices("experiment"))
+def test_every_experiment_trains(tiny, name):
+    assert finished(tiny(f"experiment={name}"))["experiment"] == name
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (CONF.parent / "sweeps").glob("*.yaml")))
+def test_every_sweep_names_choices_that_exist(name):
+    parameters = OmegaConf.load(CONF.parent / "sweeps" / f"{name}.yaml").hydra.sweeper.params
+    for group, values in parameters.items():
+        if (CONF / group).is_dir():
+            assert set(values.split(",")) <= set(choices(group))
 
 
 @pytest.mark.parametrize("contraction", CONTRACTIONS.names())

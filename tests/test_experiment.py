@@ -177,4 +177,6 @@ def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
     with pytest.raises(ValueError, match="use render.background=white, black or random"):
         run(tiny("scene=nerfstudio", f"scene.path={folder}"))
     for background in ("white", "random"):
-        assert run(tiny("scene=nerfstudio", f"scene.path={folder}", f"render.background={background}")).state == "finished"
+        assert (
+            run(tiny("scene=nerfstudio", f"scene.path={folder}", f"render.background={background}")).state == "finished"
+        )

@@ -80,6 +80,7 @@ class Run:
 class Settings:
     """The whole configuration: checked scalars, and one plain node for each component."""
 
+    experiment: str | None
     seed: int
     device: str
     threads: int | None

@@ -53,9 +53,10 @@ def labels(config: Mapping[str, Any]) -> dict[str, str]:
 
 
 def slug(config: Mapping[str, Any]) -> str:
-    """The readable part of a run's id: scene, field, encoder, heads, seed."""
+    """The readable part of a run's id: scene, experiment, field, encoder, heads, seed."""
     names = labels(config)
     path = config["scene"].get("path")
     scene = Path(path).name if path else names["scene"]
     encoder = f"hash{names['hash']}" if names["encoder"] == "hash" else names["encoder"]
-    return "-".join([scene, names["field"], encoder, names["density"], names["color"], f"s{config['seed']}"])
+    parts = [scene, config["experiment"], names["field"], encoder, names["density"], names["color"]]
+    return "-".join([*filter(None, parts), f"s{config['seed']}"])

@@ -25,15 +25,22 @@ VECTOR_BYTES = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 """Bytes of one vector: samples that travel through the circuit side by side."""
 
 
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    options |= {"nogil": True, "error_model": "numpy", "boundscheck": False}
+    try:
+        return numba.njit(function, cache=True, **options)
+    except RuntimeError:  # there is no folder for the cache that can be written
+        return numba.njit(function, cache=False, **options)
+
+
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles on first use; the machine code is cached on disk. The GIL is released."""
-    return numba.njit(function, cache=True, nogil=True, error_model="numpy", boundscheck=False)
+    return _compiled(function)
 
 
 def inner(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `jit`, for functions that only compiled code calls: nothing is compiled to call them from Python."""
-    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return numba.njit(function, cache=True, nogil=True, error_model="numpy", boundscheck=False, **options)
+    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def lanes(itemsize: int) -> int:
