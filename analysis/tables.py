@@ -23,8 +23,8 @@ VALUES = {
 def over_seeds(frame: pd.DataFrame, rows: Sequence[str]) -> pd.DataFrame:
     """Mean and standard deviation (n - 1) of `VALUES` over the seeds of each group of finished runs.
 
-    Columns (value, "mean" | "std"), and ("seeds", "n"): a group of one seed has no standard deviation. ValueError where a
-    row key does not exist, nothing is finished, or a group has a seed twice and so mixes configurations.
+    Columns (value, "mean" | "std"), and ("seeds", "n"): a group of one seed has no standard deviation. ValueError where
+    a row key does not exist, nothing is finished, or a group has a seed twice and so mixes configurations.
     """
     unknown = [key for key in rows if key not in frame.columns]
     if unknown:

@@ -90,7 +90,7 @@ def read_table(path: Path) -> pa.Table:
     with reporting(path, "read"):
         data = path.read_bytes()
     try:
-        # Not pq.read_table: its threads may still hold Python's buffer when the interpreter ends, which aborts the process.
+        # Not pq.read_table: its threads may still hold Python's buffer when the interpreter ends, which aborts.
         return pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
         raise StoreError(f"{path}: damaged: {' '.join(str(error).split())}") from error
