@@ -174,7 +174,7 @@ def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
     from conftest import write_scene
 
     folder = write_scene(tmp_path / "rgba", channels=4)
-    with pytest.raises(ValueError, match="use render.background=white"):
+    with pytest.raises(ValueError, match=r"use render\.background=white"):
         run(tiny("scene=nerfstudio", f"scene.path={folder}"))
     for background in ("white", "random"):
         assert (
