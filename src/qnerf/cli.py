@@ -85,10 +85,40 @@ def run_command() -> None:
     report_failures()
 
 
+def evaluate_command(arguments: list[str]) -> None:
+    """`qnerf evaluate RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`."""
+    from qnerf.evaluate_hardware import FILE, evaluate_hardware, grid
+
+    options = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
+    folders = [argument for argument in arguments if "=" not in argument]
+    if len(folders) != 1:
+        raise ValueError(f"qnerf evaluate expects one run's folder, got {' '.join(folders) or 'none'}")
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if argument in folders:
+            continue
+        if key not in options:
+            raise ValueError(f"qnerf evaluate: unknown option {key!r}; known: {', '.join(options)}")
+        options[key] = value
+    shots, p = _numbers(int, "shots", options["shots"]), _numbers(float, "p", options["p"])
+    (views,), (seed,) = _numbers(int, "views", options["views"]), _numbers(int, "seed", options["seed"])
+    evaluate_hardware(folders[0], grid(shots, options["noise"], p, seed), views=views, tell=print)
+    print(f"rows in {Path(folders[0]) / FILE}")
+
+
+def _numbers(kind: type, name: str, text: str) -> list[Any]:
+    try:
+        return [kind(part) for part in text.split(",") if part]
+    except ValueError:
+        raise ValueError(f"{name} expects numbers with commas between them, got {text!r}") from None
+
+
 USAGE = """usage: qnerf COMMAND ...
 
 commands:
-  run [OVERRIDE ...]   train and evaluate; `qnerf run --help` lists the groups and their choices"""
+  run [OVERRIDE ...]      train and evaluate; `qnerf run --help` lists the groups and their choices
+  evaluate RUN [shots=100,1000] [noise=depolarizing p=0.001,0.01] [views=0] [seed=0]
+                          render a finished run's held-out views as hardware would: finite shots, noisy gates"""
 
 
 def main() -> None:
@@ -97,8 +127,13 @@ def main() -> None:
     if command == "run":
         sys.argv = ["qnerf run", *sys.argv[2:]]
         run_command()
+    elif command == "evaluate":
+        try:
+            evaluate_command(sys.argv[2:])
+        except (ValueError, OSError) as error:
+            sys.exit(f"error: {one_line(error)}")
     elif command in ("-h", "--help"):
         print(USAGE)
     else:
-        print(f"error: unknown command {command!r}; known: run", file=sys.stderr)
+        print(f"error: unknown command {command!r}; known: run, evaluate", file=sys.stderr)
         sys.exit(2)

@@ -118,6 +118,11 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         torch.set_default_dtype(previous)
 
 
+def ray_table(settings: Settings, scene: Scene) -> RayTable:
+    near, far = settings.render.near, settings.render.far
+    return RayTable(scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype)
+
+
 def parameter_counts(model: Model) -> dict[str, int]:
     counts = {f"params.{name}": sum(p.numel() for p in parameters) for name, parameters in model.parts.items()}
     counts.setdefault("params.appearance", 0)
@@ -172,13 +177,7 @@ def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Displ
 
 def _execute(settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stops: list[int]) -> Outcome:
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    table = RayTable(
-        scene,
-        near=settings.render.near,
-        far=settings.render.far,
-        device=settings.torch_device,
-        dtype=settings.dtype,
-    )
+    table = ray_table(settings, scene)
     trainer = Trainer(model, table, settings, watch)
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch

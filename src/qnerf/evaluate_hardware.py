@@ -1,0 +1,112 @@
+"""A trained run as hardware would render it: its circuits with finitely many shots, or with noisy gates."""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import pandas as pd
+import torch
+
+from qnerf.checks import at_least
+from qnerf.config import settings_from
+from qnerf.evaluate import Evaluator
+from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.quantum import QuantumLayer
+from qnerf.quantum.hardware import conditions
+from qnerf.quantum.pennylane import Noise
+from qnerf.records import read_config, state
+from qnerf.records.files import replace, reporting
+from qnerf.timing import Stopwatch
+
+FILE = "eval_hardware.parquet"
+CHANNELS = tuple(field.name for field in fields(Noise))
+KEYS = ["shots", "noise", "p", "seed"]
+"""What tells the rows of one image apart: shots (0: exact), channel ("none": no noise), its probability, seed."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One way to measure: `shots` 0 is exact, `noise` "none" is noiseless."""
+
+    shots: int = 0
+    noise: str = "none"
+    p: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        at_least("shots", self.shots, 0)
+        if self.noise not in ("none", *CHANNELS):
+            raise ValueError(f"noise: unknown channel {self.noise!r}; known: {', '.join(CHANNELS)}")
+        if not 0 <= self.p <= 1:
+            raise ValueError(f"p must be a probability in [0, 1], got {self.p}")
+        if (self.noise == "none") != (self.p == 0):
+            raise ValueError(f"noise and p belong together, got noise={self.noise} p={self.p}")
+
+
+def grid(shots: Sequence[int], noise: str, p: Sequence[float], seed: int) -> list[Condition]:
+    """The exact rendering, then every number of shots with every probability of the channel."""
+    chosen = itertools.product(shots or [0], p or [0.0])
+    asked = [Condition(count, noise if chance else "none", chance, seed) for count, chance in chosen]
+    return list(dict.fromkeys([Condition(seed=seed), *asked]))
+
+
+def evaluate_hardware(
+    run: str | Path,
+    asked: Iterable[Condition],
+    *,
+    views: int = 0,
+    tell: Callable[[str], None] = lambda line: None,
+) -> pd.DataFrame:
+    """Renders a finished run's held-out views under each condition and adds the rows to its eval_hardware.parquet.
+
+    Args:
+        run: the run's folder.
+        asked: conditions; rows of the same condition and image that are there already are replaced.
+        views: how many held-out views, the first ones; 0 for all.
+        tell: takes a line of progress.
+
+    Returns:
+        The whole table: image, psnr, ssim, lpips, lpips_reason, depth_error, depth_error_median, and `KEYS`.
+
+    Raises:
+        ValueError: not a finished run, or one without a circuit.
+    """
+    folder = Path(run)
+    if not (folder / "config.yaml").is_file():
+        raise ValueError(f"{folder} is not a run: it has no config.yaml")
+    if state(folder) != "finished":
+        raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
+    settings = settings_from(read_config(folder))
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+    if not any(isinstance(module, QuantumLayer) for module in model.modules()):
+        raise ValueError(f"{folder}: has no circuit to measure, both of its heads are MLPs")
+    with reporting(folder / "checkpoint.pt", "read"):
+        checkpoint = torch.load(folder / "checkpoint.pt", map_location=settings.torch_device, weights_only=True)
+    model.load_state_dict(checkpoint["model"])
+    evaluator = Evaluator(
+        scene,
+        ray_table(settings, scene),
+        model,
+        background=settings.render.background,
+        chunk=settings.train.chunk,
+        watch=Stopwatch(settings.torch_device, model, QuantumLayer),
+    )
+    path = folder / FILE
+    table = pd.read_parquet(path) if path.exists() else pd.DataFrame()
+    for condition in asked:
+        noise = Noise(**{condition.noise: condition.p}) if condition.noise != "none" else None
+        rows = []
+        with conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
+            for _, row in evaluator.views(scene.eval[: views or None], checkpoint["step"]):
+                rows.append(row | vars(condition))
+        new = pd.DataFrame(rows).astype({"lpips": "float64", "depth_error": "float64", "depth_error_median": "float64"})
+        # Written after each condition: what was computed stays, whatever comes.
+        table = pd.concat([table, new]) if len(table) else new
+        table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
+        replace(path, table.to_parquet())
+        shots = f"{condition.shots} shots" if condition.shots else "exact"
+        quality = f"PSNR {new['psnr'].mean():.2f} dB, SSIM {new['ssim'].mean():.3f}"
+        tell(f"{shots}, noise {condition.noise} {condition.p:g}: {quality}")
+    return table
