@@ -11,6 +11,8 @@ import pandas as pd
 import pytest
 from conftest import ROOT, TINY
 
+from qnerf.cli import main
+
 SMALL = [*TINY, "hash=C7", "train.rays=8", "train.eval_every=0", "train.log_every=1", "device=cpu"]
 
 
@@ -115,3 +117,18 @@ def test_ctrl_c_stops_with_a_checkpoint_and_the_same_command_goes_on(small):
     assert again.returncode == 0, again.stderr
     steps = pd.read_parquet(folder / "metrics").query("key == 'train/loss'")["step"]
     assert steps.tolist() == list(range(1, 601))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "expects one run's folder, got none"),
+        (["/nowhere"], "/nowhere is not a run"),
+        (["/nowhere", "shot=3"], "unknown option 'shot'; known: shots, noise, p, views, seed"),
+        (["/nowhere", "shots=many"], "shots expects numbers with commas between them, got 'many'"),
+    ],
+)
+def test_evaluate_tells_a_mistake_in_one_line(monkeypatch, arguments, message):
+    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    with pytest.raises(SystemExit, match=message):
+        main()

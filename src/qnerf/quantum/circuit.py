@@ -196,7 +196,7 @@ def qiren(
     scale: float = 1.0,
     observable: str = "Z",
 ) -> Circuit:
-    """QIREN (Zhao et al., arXiv:2403.06220): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every
+    """QIREN (Zhao et al., arXiv:2406.03873): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every
     wire."""
     return reuploading(
         "qiren",
