@@ -14,11 +14,11 @@ What the file system must do: create hard links (or, failing that, files) exclus
 atomically. Local file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.
 """
 
-from .files import StoreError
-from .owner import HEARTBEAT_LIMIT
-from .read import read_config, read_metrics, read_status, read_summary, runs, state
-from .store import Claim, RunStore
-from .writer import Run
+from qnerf.records.files import StoreError
+from qnerf.records.owner import HEARTBEAT_LIMIT
+from qnerf.records.read import read_config, read_metrics, read_status, read_summary, runs, state
+from qnerf.records.store import Claim, RunStore
+from qnerf.records.writer import Run
 
 __all__ = [
     "HEARTBEAT_LIMIT",

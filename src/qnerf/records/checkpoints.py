@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from .files import StoreError, keep_copy, replace, reporting
+from qnerf.records.files import StoreError, keep_copy, replace, reporting
 
 
 class Checkpoints:

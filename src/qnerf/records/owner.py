@@ -26,7 +26,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from .files import StoreError, reporting
+from qnerf.records.files import StoreError, reporting
 
 HEARTBEAT = 3.0  # seconds between heartbeats
 HEARTBEAT_LIMIT = 180.0  # seconds; network file systems may show files a minute late

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml  # type: ignore[import-untyped]
 
-from . import owner
-from .files import StoreError, reporting
+from qnerf.records import owner
+from qnerf.records.files import StoreError, reporting
 
 STATES = ("running", "finished", "interrupted", "failed")
 

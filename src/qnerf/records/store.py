@@ -15,12 +15,12 @@ from typing import Any, Literal
 
 import yaml  # type: ignore[import-untyped]
 
-from ..identity import plain
-from . import owner, tables
-from .files import StoreError, remove_leftovers, replace, reporting
-from .owner import Held, Ownership, Process
-from .read import read_config, read_status, read_table, runs
-from .writer import Run
+from qnerf.identity import plain
+from qnerf.records import owner, tables
+from qnerf.records.files import StoreError, remove_leftovers, replace, reporting
+from qnerf.records.owner import Held, Ownership, Process
+from qnerf.records.read import read_config, read_status, read_table, runs
+from qnerf.records.writer import Run
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 

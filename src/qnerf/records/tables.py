@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ..identity import flatten, plain
+from qnerf.identity import flatten, plain
 
 METRICS = pa.schema(
     [("step", pa.int64()), ("time_s", pa.float64()), ("key", pa.string()), ("value", pa.float64())],

@@ -23,12 +23,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..identity import flatten, plain
-from . import tables
-from .checkpoints import Checkpoints
-from .files import StoreError, keep_copy, replace, reporting
-from .owner import HEARTBEAT, Ownership, Process
-from .read import read_config, read_status, read_summary, read_table
+from qnerf.identity import flatten, plain
+from qnerf.records import tables
+from qnerf.records.checkpoints import Checkpoints
+from qnerf.records.files import StoreError, keep_copy, replace, reporting
+from qnerf.records.owner import HEARTBEAT, Ownership, Process
+from qnerf.records.read import read_config, read_status, read_summary, read_table
 
 PART_ROWS = 65_536
 
