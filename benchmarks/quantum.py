@@ -122,14 +122,12 @@ def errors(result: tuple[Any, ...], exact: tuple[np.ndarray, ...]) -> dict[str, 
 
 
 def peak_memory(name: str, spectral: int, batch: int, threads: int) -> int:
-    """Growth of the resident set of a fresh process while it takes one step, after a step on 32 samples."""
+    """Growth of the resident set of a fresh process during one step, after a step on 32 samples."""
     code = (
-        "import resource, torch; from benchmarks.quantum import engine_step, inputs;"
+        "import torch; from benchmarks.peers.memory import growth; from benchmarks.quantum import engine_step, inputs;"
         f"torch.set_num_threads({threads});"
         f"engine_step({name!r}, inputs(8, {spectral}, 32), {spectral})();"
-        f"step = engine_step({name!r}, inputs(8, {spectral}, {batch}), {spectral});"
-        "a = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss; step();"
-        "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - a) * 1024)"
+        f"print(growth(engine_step({name!r}, inputs(8, {spectral}, {batch}), {spectral})))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
     return int(done.stdout.split()[-1]) if done.returncode == 0 else -1
@@ -159,6 +157,7 @@ def peer(name: str, data: Arrays, options: argparse.Namespace) -> tuple[dict[str
             note += f"; {samples} samples, scaled up"
         row = {
             "ms": 1e3 * median(about["times"]),
+            "ms_min": 1e3 * min(about["times"]),
             "repeats": len(about["times"]),
             "memory": about["peak"],
             "note": note,
@@ -197,6 +196,7 @@ def comparison(options: argparse.Namespace) -> pd.DataFrame:
                 "engine": f"qnerf {name}",
                 **common,
                 "ms": 1e3 * median(times),
+                "ms_min": 1e3 * min(times),
                 "repeats": len(times),
                 "memory": memory,
             }

@@ -3,7 +3,6 @@
 import importlib.metadata
 import json
 import os
-import resource
 import sys
 import time
 
@@ -15,6 +14,7 @@ def main() -> None:
     import numpy as np
 
     from benchmarks.peers.circuits import PEERS
+    from benchmarks.peers.memory import growth
 
     build, package, samples = PEERS[name]
     try:
@@ -32,18 +32,17 @@ def main() -> None:
     begin = time.perf_counter()
     y, dx, dw = step(x, w, g)
     first = time.perf_counter() - begin
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     times = []
     for _ in range(int(repeats)):
         begin = time.perf_counter()
         step(x, w, g)
         times.append((time.perf_counter() - begin) * batch / len(x))
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    memory = growth(lambda: step(x, w, g))
     try:
         version = importlib.metadata.version(package.replace("tensorcircuit", "tensorcircuit-ng"))
     except importlib.metadata.PackageNotFoundError:
         version = ""
-    about = {"times": times, "first": first, "peak": memory * 1024, "before": before * 1024, "version": version}
+    about = {"times": times, "first": first, "peak": memory, "version": version}
     np.savez(target, y=y, dx=dx, dw=dw, samples=len(x), about=json.dumps(about))
 
 

@@ -18,21 +18,22 @@ import torch
 from numba.core import event
 
 Kernel: TypeAlias = Callable[..., Any]
-SECONDS_PER_KERNEL = 1.0  # to compile one, measured on one core
+SECONDS_PER_KERNEL = 0.7  # to compile one, measured on one core
 
 _kernels: set[Any] = set()
 _uncached: set[Any] = set()
 
 
-def jit(function: Kernel) -> Kernel:
-    """Compiles on first use for the given types; the machine code is cached on disk.
+def jit(function: Kernel, **options: Any) -> Kernel:
+    """Compiles on first use for the given types, with numba's further `options`; the machine code is cached on disk.
 
     The cache lies beside the source file, else in the user's cache folder, else (neither can be written) there is none.
     """
+    options |= {"nogil": True, "error_model": "numpy"}
     try:
-        kernel: Any = numba.njit(function, cache=True, nogil=True, error_model="numpy")
+        kernel: Any = numba.njit(function, cache=True, **options)
     except RuntimeError:  # "no locator available": no folder for the cache can be written
-        kernel = numba.njit(function, cache=False, nogil=True, error_model="numpy")
+        kernel = numba.njit(function, cache=False, **options)
         _uncached.add(kernel)
     _kernels.add(kernel)
     return kernel

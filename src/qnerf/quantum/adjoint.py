@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.jit import run
+from qnerf.kernels.jit import jit, run
 from qnerf.quantum import passes, pulls
 from qnerf.quantum.binding import PERMUTE, PHASE, START, TURN, TURN_EACH, Tape, bind, record, unbind
 from qnerf.quantum.program import Program
-from qnerf.quantum.simd import inner, jit, keep_apart, lanes, load, splat, start_of_line, store
+from qnerf.quantum.simd import inner, keep_apart, lanes, load, splat, start_of_line, store
 
 PARTS = 32
 

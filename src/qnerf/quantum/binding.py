@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from qnerf.kernels.jit import jit
 from qnerf.quantum.program import Permute, Phase, Program, Step, Turn, parities, signs, sources
-from qnerf.quantum.simd import inner, jit
+from qnerf.quantum.simd import inner
 
 PHASE, TURN, TURN_EACH, PERMUTE, START = range(5)
 

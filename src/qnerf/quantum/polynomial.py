@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from qnerf.quantum.simd import inner, jit, keep_apart, load, splat, start_of_line, store
+from qnerf.kernels.jit import jit
+from qnerf.quantum.simd import inner, keep_apart, load, splat, start_of_line, store
 
 
 @inner

@@ -14,10 +14,11 @@ from collections.abc import Callable
 from typing import Any
 
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
-import numba
 from llvmlite import ir
 from numba import extending, types
 from numba.extending import lower_builtin, models, register_model, type_callable
+
+from qnerf.kernels.jit import jit
 
 intrinsic: Any = extending.intrinsic
 
@@ -25,22 +26,9 @@ VECTOR_BYTES = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 """Bytes of one vector: samples that travel through the circuit side by side."""
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    options |= {"nogil": True, "error_model": "numpy", "boundscheck": False}
-    try:
-        return numba.njit(function, cache=True, **options)
-    except RuntimeError:  # there is no folder for the cache that can be written
-        return numba.njit(function, cache=False, **options)
-
-
-def jit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiles on first use; the machine code is cached on disk. The GIL is released."""
-    return _compiled(function)
-
-
 def inner(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `jit`, for functions that only compiled code calls: nothing is compiled to call them from Python."""
-    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return jit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def lanes(itemsize: int) -> int:
