@@ -44,3 +44,9 @@ def test_only_finished_runs_with_circuits_are_evaluated(tiny, tmp_path):
         evaluate_hardware(tmp_path, [Condition()])
     with pytest.raises(ValueError, match="has no circuit"):
         evaluate_hardware(run(tiny("field=classical")).path, [Condition()])
+
+
+def test_noise_that_would_take_hours_is_refused(tiny):
+    path = run(tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=12")).path
+    with pytest.raises(ValueError, match=r"about .* hours for 1 views; noise is quick for runs with qiren\.spectral=1"):
+        evaluate_hardware(path, grid([], "depolarizing", [0.01], 0))

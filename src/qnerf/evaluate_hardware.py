@@ -21,6 +21,7 @@ from qnerf.timing import Stopwatch
 
 FILE = "eval_hardware.parquet"
 CHANNELS = tuple(field.name for field in fields(Noise))
+DENSITY_SECONDS = 8e-6  # per entry of a sample's density matrix, S = 2, one core
 KEYS = ["shots", "noise", "p", "seed"]
 """What tells the rows of one image apart: shots (0: exact), channel ("none": no noise), its probability, seed."""
 
@@ -49,6 +50,22 @@ def grid(shots: Sequence[int], noise: str, p: Sequence[float], seed: int) -> lis
     chosen = itertools.product(shots or [0], p or [0.0])
     asked = [Condition(count, noise if chance else "none", chance, seed) for count, chance in chosen]
     return list(dict.fromkeys([Condition(seed=seed), *asked]))
+
+
+def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
+    """ValueError where exact noise would take hours: with S > 1 every sample has a density matrix of 4^n entries."""
+    view = evaluator.scene.eval[0]
+    ray = evaluator.table.view(view)[:1]
+    with torch.no_grad():
+        rendering, _, _ = evaluator.model.eval()(ray, background=evaluator.background, step=0, watch=evaluator.watch)
+    samples = views * evaluator.table.pixels * rendering.weights.shape[1]
+    layers = [module for module in evaluator.model.modules() if isinstance(module, QuantumLayer)]
+    hours = samples * sum(4**layer.wires * DENSITY_SECONDS for layer in layers if layer.spectral > 1) / 3600
+    if hours > 1:
+        raise ValueError(
+            f"noise: circuits with spectral > 1 need a density matrix a sample: about {hours:,.0f} hours "
+            f"for {views} views; noise is quick for runs with qiren.spectral=1 or few qubits, shots for any"
+        )
 
 
 def evaluate_hardware(
@@ -93,6 +110,9 @@ def evaluate_hardware(
         chunk=settings.train.chunk,
         watch=Stopwatch(settings.torch_device, model, QuantumLayer),
     )
+    asked = list(asked)
+    if any(condition.noise != "none" for condition in asked):
+        check_noise_feasible(evaluator, views or len(scene.eval))
     path = folder / FILE
     table = pd.read_parquet(path) if path.exists() else pd.DataFrame()
     for condition in asked:
