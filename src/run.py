@@ -1,6 +1,6 @@
 """`python -m src.run`: composes conf/ and runs it."""
 
-from qnerf.cli import run_command
+from qnerf.cli import run
 
 if __name__ == "__main__":
-    run_command()
+    run()

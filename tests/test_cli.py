@@ -122,13 +122,19 @@ def test_ctrl_c_stops_with_a_checkpoint_and_the_same_command_goes_on(small):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "expects one run's folder, got none"),
-        (["/nowhere"], "/nowhere is not a run"),
+        ([], "arguments are required: RUN"),
+        (["/nowhere"], "/nowhere: no such run"),
         (["/nowhere", "shot=3"], "unknown option 'shot'; known: shots, noise, p, views, seed"),
         (["/nowhere", "shots=many"], "shots expects numbers with commas between them, got 'many'"),
     ],
 )
-def test_evaluate_tells_a_mistake_in_one_line(monkeypatch, arguments, message):
+def test_evaluate_tells_a_mistake_in_one_line(monkeypatch, capsys, tmp_path, arguments, message):
+    if "shot" in message:
+        (tmp_path / "a-run").mkdir()
+        arguments = [str(tmp_path / "a-run"), *arguments[1:]]
+        (tmp_path / "a-run" / "status.json").write_text("{}")
     monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
-    with pytest.raises(SystemExit, match=message):
+    with pytest.raises(SystemExit) as stop:
         main()
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err

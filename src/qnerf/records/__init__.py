@@ -15,6 +15,7 @@ atomically. Local file systems, NFS, Lustre, GPFS and SMB do; object stores moun
 """
 
 from qnerf.records.files import StoreError
+from qnerf.records.find import find
 from qnerf.records.owner import HEARTBEAT_LIMIT
 from qnerf.records.read import read_config, read_metrics, read_status, read_summary, runs, state
 from qnerf.records.store import Claim, RunStore
@@ -26,6 +27,7 @@ __all__ = [
     "Run",
     "RunStore",
     "StoreError",
+    "find",
     "read_config",
     "read_metrics",
     "read_status",
