@@ -4,6 +4,7 @@ from conftest import composed
 
 from qnerf.config import settings_from
 from qnerf.experiment import build_field
+from qnerf.visibility import SpaceMask
 
 
 @pytest.fixture
@@ -56,7 +57,9 @@ def test_a_view_without_an_embedding_gets_the_mean_of_all(field, points):
 
 
 def test_the_mask_empties_space_and_stops_its_gradient(field, points):
-    field.mask = lambda p: (p[..., 0] > 0).to(p.dtype)
+    grid = torch.zeros(2, 2, 2, dtype=torch.bool)
+    grid[1] = True
+    field.mask = SpaceMask(grid)
     density = field.density(points)
     assert torch.equal(density > 0, points[..., 0] > 0)
 

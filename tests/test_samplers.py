@@ -14,6 +14,7 @@ from qnerf.pdf import sample_edges, sample_edges_reference
 from qnerf.render import volume_weights
 from qnerf.samplers import SAMPLERS, even_edges
 from qnerf.types import Rays
+from qnerf.visibility import SpaceMask
 
 NAMES = SAMPLERS.names()
 SMALL = {"samples": [16, 12], "final": 8, "levels": 2, "max_resolutions": [24, 32], "log2_table_size": 8}
@@ -180,12 +181,37 @@ def test_a_fully_annealed_first_step_samples_evenly() -> None:
 
 def test_the_mask_empties_proposals() -> None:
     sampler = make("proposal")
-    sampler.mask = lambda points: (points.norm(dim=-1) > 3).to(points.dtype)
+    sampler.mask = half_space()
     rays = make_rays()
-    samples, weights = sampler(rays, shell, step=0).proposals[0]
-    outside = rays.along(samples.mids).norm(dim=-1) > 3
-    assert bool((weights[~outside] == 0).all())
-    assert bool((weights[outside] > 0).any())
+    for step in (0, 12):  # a step in which the networks learn, and one in which they do not
+        samples, weights = sampler(rays, shell, step=step).proposals[0]
+        allowed = rays.along(samples.mids)[..., 0] > 0
+        assert bool((weights[~allowed] == 0).all())
+        assert bool((weights[allowed] > 0).any())
+
+
+def half_space() -> SpaceMask:
+    grid = torch.zeros(4, 4, 4, dtype=torch.bool)
+    grid[2:] = True
+    return SpaceMask(grid)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize(("features", "count"), [(1, 7), (2, 300), (3, 128)])
+def test_the_loop_of_a_proposal_network_agrees_with_its_modules(dtype, masked, features, count) -> None:
+    sampler = make("proposal", dtype, features=features)
+    if masked:
+        sampler.mask = half_space().to(dtype)
+    network = sampler.networks[0]
+    with torch.no_grad():
+        network.encoder.table.uniform_(-1, 1)
+    points = 3 * torch.randn(1, count, 3, dtype=dtype, generator=torch.Generator().manual_seed(2))
+    plain = sampler.proposed(network, points)
+    with torch.no_grad():
+        fast = sampler.proposed(network, points)
+    torch.testing.assert_close(fast, plain.detach(), rtol=20 * torch.finfo(dtype).eps, atol=0)
+    assert not masked or bool((fast == 0).any())
 
 
 @pytest.mark.parametrize(

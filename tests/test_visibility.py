@@ -5,7 +5,7 @@ from conftest import write_scene
 from qnerf.contraction import CONTRACTIONS
 from qnerf.rays import project
 from qnerf.scenes import SCENES
-from qnerf.visibility import VisibilityGrid, count_cameras
+from qnerf.visibility import SpaceMask, count_cameras, visible
 
 
 @pytest.fixture
@@ -26,26 +26,28 @@ def test_counting_agrees_with_projecting_each_point_into_each_view(scene):
 
 @pytest.mark.parametrize("name", CONTRACTIONS.names())
 def test_density_stays_where_enough_cameras_see(scene, name):
-    grid = VisibilityGrid(CONTRACTIONS.build(name), scene.cameras, scene.train, 3, 48)
+    contraction = CONTRACTIONS.build(name)
+    mask = SpaceMask(visible(contraction, scene.cameras, scene.train, 3, 48))
     centre = torch.zeros(1, 1, 3)
     behind = scene.cameras.poses[0, :, 2].float() * 3  # behind the first camera, which looks at the centre
-    assert grid(centre).item() == 1
+    assert mask(contraction(centre)).item() == 1
     if name != "box":
-        assert grid(behind[None]).item() == 0
-    assert 0 < grid.fraction < 1
-    assert grid(torch.tensor([[float("inf"), 0, 0]])).shape == (1,)
+        assert mask(contraction(behind[None])).item() == 0
+    assert 0 < mask.fraction < 1
+    assert mask(torch.tensor([[float("inf"), 0, 0]])).shape == (1,)
 
 
 def test_more_cameras_asked_leave_less_space(scene):
     contraction = CONTRACTIONS.build("linf")
-    fractions = [VisibilityGrid(contraction, scene.cameras, scene.train, least, 24).fraction for least in (1, 2, 3)]
+    grids = [visible(contraction, scene.cameras, scene.train, least, 24) for least in (1, 2, 3)]
+    fractions = [SpaceMask(grid).fraction for grid in grids]
     assert fractions == sorted(fractions, reverse=True)
     assert fractions[0] > fractions[-1]
 
 
 def test_few_views_are_asked_for_half_of_them(scene):
     contraction = CONTRACTIONS.build("linf")
-    asked = [VisibilityGrid(contraction, scene.cameras, scene.train[:4], least, 24).grid for least in (2, 50)]
+    asked = [visible(contraction, scene.cameras, scene.train[:4], least, 24) for least in (2, 50)]
     assert torch.equal(*asked)
 
 
@@ -55,5 +57,5 @@ def test_nothing_seen_is_one_line(scene):
     away[:, :, 3] *= 1e6
     cameras = type(scene.cameras)(**{**vars(scene.cameras), "poses": away})
     with pytest.raises(ValueError, match="no cell is seen by") as caught:
-        VisibilityGrid(CONTRACTIONS.build("box"), cameras, scene.train, 8, 8)
+        visible(CONTRACTIONS.build("box"), cameras, scene.train, 8, 8)
     assert "\n" not in str(caught.value)

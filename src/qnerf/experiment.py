@@ -29,7 +29,7 @@ from qnerf.samplers import SAMPLERS
 from qnerf.scenes import SCENES, Scene
 from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
 from qnerf.train import Trainer
-from qnerf.visibility import VisibilityGrid
+from qnerf.visibility import SpaceMask, visible
 
 
 @dataclass(frozen=True)
@@ -105,14 +105,9 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         sampler = component(SAMPLERS, settings.sampler, field.contraction)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
         if settings.visibility.cameras:
-            grid = VisibilityGrid(
-                field.contraction,
-                scene.cameras,
-                scene.train,
-                settings.visibility.cameras,
-                settings.visibility.resolution,
-            )
-            field.mask = sampler.mask = grid
+            least, resolution = settings.visibility.cameras, settings.visibility.resolution
+            seen = visible(field.contraction, scene.cameras, scene.train, least, resolution)
+            field.mask = sampler.mask = SpaceMask(seen)
         return Model(field, sampler, cameras).to(settings.torch_device)
     finally:
         torch.set_default_dtype(previous)

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from qnerf.contraction import Contraction
 from qnerf.encoders import Encoder
+from qnerf.visibility import SpaceMask
 
 
 class Field(nn.Module):
@@ -45,19 +46,20 @@ class Field(nn.Module):
         self.activation = activation
         self.initial = initial
         self.appearance = nn.Embedding(views, appearance) if appearance else None
-        self.mask: Callable[[Tensor], Tensor] | None = None
-        """World points (..., 3) -> 0 or 1 (...): where density may be; None for everywhere."""
+        self.mask: SpaceMask | None = None
+        """Where density may be; None for everywhere."""
 
     def geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """World points (R, K, 3) -> density (R, K) per world unit and geometry features (R, K, G)."""
         shape = points.shape[:-1]
-        encoded = self.encoder(self.contraction(points).reshape(-1, 3))
+        unit = self.contraction(points)
+        encoded = self.encoder(unit.reshape(-1, 3))
         raw = self.density_head(encoded).view(*shape, -1)
         density = self.activation(raw[..., 0])
         if self.initial != 1.0:
             density = density * self.initial
         if self.mask is not None:
-            density = density * self.mask(points)
+            density = density * self.mask(unit)
         return density, raw[..., 1:]
 
     def density(self, points: Tensor) -> Tensor:

@@ -2,18 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from qnerf.activations import trunc_exp
 from qnerf.checks import at_least
-from qnerf.encoders import ENCODERS
+from qnerf.encoders.hash import HashEncoder
+from qnerf.kernels import proposal
 from qnerf.pdf import sample_edges
 from qnerf.registry import Registry
 from qnerf.render import volume_weights
 from qnerf.spacing import SPACINGS
 from qnerf.types import Rays, Samples
+from qnerf.visibility import SpaceMask
 
 Density = Callable[[Tensor], Tensor]
 """World points (R, K, 3) -> density (R, K) per world unit."""
@@ -41,8 +44,8 @@ class Sampler(nn.Module):
     def __init__(self, contraction: nn.Module) -> None:
         super().__init__()
         self.contraction = contraction
-        self.mask: Callable[[Tensor], Tensor] | None = None
-        """World points (..., 3) -> 0 or 1 (...): where density may be; None for everywhere."""
+        self.mask: SpaceMask | None = None
+        """Where density may be; None for everywhere."""
 
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0
@@ -163,8 +166,7 @@ class ProposalNetwork(nn.Module):
         self, *, levels: int, min_resolution: int, max_resolution: int, log2_table_size: int, features: int, hidden: int
     ) -> None:
         super().__init__()
-        self.encoder = ENCODERS.build(
-            "hash",
+        self.encoder = HashEncoder(
             3,
             levels=levels,
             min_resolution=min_resolution,
@@ -177,6 +179,12 @@ class ProposalNetwork(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         return trunc_exp(self.out(self.hidden(self.encoder(points)).relu_())[:, 0])
+
+    def tensors(self) -> tuple[Any, ...]:
+        """What `kernels.proposal.propose` needs of it."""
+        grid, hidden, out = self.encoder, self.hidden, self.out
+        layers = (hidden.weight, hidden.bias), (out.weight, out.bias)
+        return grid.table, grid.resolutions, grid.dense, *layers
 
 
 @SAMPLERS.register("proposal")
@@ -264,10 +272,16 @@ class ProposalSampler(Sampler):
         x = step / self.anneal_steps
         return self.anneal_slope * x / ((self.anneal_slope - 1) * x + 1)
 
-    def proposed(self, network: nn.Module, points: Tensor) -> Tensor:
+    def proposed(self, network: "ProposalNetwork", points: Tensor) -> Tensor:
         """Density (R, K) that a network proposes at world points (R, K, 3)."""
-        density = network(self.contraction(points).reshape(-1, 3)).view(points.shape[:-1])
-        return density if self.mask is None else density * self.mask(points)
+        unit = self.contraction(points).reshape(-1, 3)
+        if proposal.compiled(unit):
+            raw = proposal.propose(unit, None if self.mask is None else self.mask.grid, *network.tensors())
+            return raw.exp_().view(points.shape[:-1])
+        density = network(unit)
+        if self.mask is not None:
+            density = density * self.mask(unit)
+        return density.view(points.shape[:-1])
 
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0

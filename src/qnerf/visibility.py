@@ -1,4 +1,4 @@
-"""Where the training cameras see: space that too few of them see cannot be reconstructed and is kept empty."""
+"""Where density may be: space that too few training cameras see cannot be reconstructed and is kept empty."""
 
 import torch
 from torch import Tensor, nn
@@ -7,45 +7,50 @@ from qnerf.contraction import Contraction
 from qnerf.scenes import Cameras
 
 
-class VisibilityGrid(nn.Module):
-    """World points (..., 3) -> 1 where enough training cameras see the cell, else 0 (...).
+class SpaceMask(nn.Module):
+    """Unit-cube points (..., 3) -> 1 where density may be, else 0 (...); points outside count to the nearest cell.
 
-    The grid lies in contracted space and is counted once from the poses: a camera sees a cell when the cell's centre
-    projects inside its image at a distance of at least `near` (lens distortion moves the border by a fraction of a
-    cell and is left out).
+    Args:
+        grid: (n, n, n) bool over the unit cube.
     """
 
     grid: Tensor
 
-    def __init__(
-        self, contraction: Contraction, cameras: Cameras, views: list[int], least: int, resolution: int
-    ) -> None:
+    def __init__(self, grid: Tensor) -> None:
         super().__init__()
-        self.contraction = contraction
-        self.resolution = resolution
-        axis = (torch.arange(resolution, dtype=torch.float64) + 0.5) / resolution
-        cells = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
-        # Few views see little in common: half of them is enough.
-        least = min(least, max(1, len(views) // 2))
-        counts = count_cameras(contraction.inverse(cells), cameras, views)
-        seen = counts >= least
-        if not bool(seen.any()):
-            raise ValueError(
-                f"visibility.cameras: no cell is seen by {least} of {len(views)} training cameras "
-                f"(at most {int(counts.max())} see one); lower it, or 0 turns it off"
-            )
-        self.register_buffer("grid", seen.to(torch.get_default_dtype()), persistent=False)
+        self.register_buffer("grid", grid, persistent=False)
+        self.register_buffer("flat", grid.flatten().to(torch.get_default_dtype()), persistent=False)
 
     @property
     def fraction(self) -> float:
         """Share of contracted space in which density may be."""
-        return float(self.grid.mean())
+        return float(self.grid.double().mean())
 
     @torch.no_grad()
     def forward(self, points: Tensor) -> Tensor:
-        n = self.resolution
-        cell = (self.contraction(points) * n).long().clamp_(0, n - 1)
-        return self.grid[(cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]]
+        n = self.grid.shape[0]
+        cell = (points * n).long().clamp_(0, n - 1)
+        return self.flat[(cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]]
+
+
+def visible(contraction: Contraction, cameras: Cameras, views: list[int], least: int, resolution: int) -> Tensor:
+    """The grid (n, n, n) bool of contracted space that is true where at least `least` of the views see a cell.
+
+    It is counted once from the poses: a camera sees a cell when the cell's centre projects inside its image, in front
+    of it (lens distortion moves the border by a fraction of a cell and is left out). Few views see little in common, so
+    at most half of them are asked for. ValueError where nothing is seen.
+    """
+    axis = (torch.arange(resolution, dtype=torch.float64) + 0.5) / resolution
+    cells = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
+    least = min(least, max(1, len(views) // 2))
+    counts = count_cameras(contraction.inverse(cells), cameras, views)
+    seen = counts >= least
+    if not bool(seen.any()):
+        raise ValueError(
+            f"visibility.cameras: no cell is seen by {least} of {len(views)} training cameras "
+            f"(at most {int(counts.max())} see one); lower it, or 0 turns it off"
+        )
+    return seen.view(resolution, resolution, resolution)
 
 
 def count_cameras(points: Tensor, cameras: Cameras, views: list[int]) -> Tensor:
