@@ -66,3 +66,12 @@ def test_a_bad_option_is_one_line(name, options, message):
     with pytest.raises(ValueError, match=message) as caught:
         HEADS.build(name, 4, 2, **options)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("sum_layers", [False, True])
+def test_a_centred_head_starts_at_0_for_the_mean_of_its_inputs(sum_layers):
+    options = {"qubits": 4, "gain": 10.0, "sum_layers": sum_layers, "init": "eighth", "input_scale": 0.3}
+    plain, centred = (HEADS.build("qiren", 5, 3, center=center, **options).double() for center in (False, True))
+    features = torch.randn(1, 5, dtype=torch.float64).expand(64, -1)  # a constant is its own mean
+    assert plain(features).abs().max() > 0.1
+    torch.testing.assert_close(centred(features), torch.zeros(64, 3, dtype=torch.float64), atol=1e-5, rtol=0)

@@ -36,6 +36,7 @@ def test_the_paper_recipe_is_the_papers(config):
     assert settings.visibility.cameras == 0
     head = settings.color["qiren"]
     assert (head["init"], head["gain"], head["sum_layers"], head["input_scale"]) == ("uniform", 1.0, False, 1.0)
+    assert head["center"] is False
     assert (settings.density["activation"], settings.contraction["name"]) == ("trunc_exp", "linf")
 
 

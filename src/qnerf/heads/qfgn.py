@@ -61,6 +61,7 @@ class QFGNHead(QirenHead):
         gain: float = 1.0,
         sum_layers: bool = False,
         input_scale: float = 1.0,
+        center: bool = False,
     ) -> None:
         at_least("features", features, 2)
         if features % 2:
@@ -80,6 +81,7 @@ class QFGNHead(QirenHead):
             gain=gain,
             sum_layers=sum_layers,
             input_scale=input_scale,
+            center=center,
         )
 
     def hybrid_layer(self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float) -> nn.Module:

@@ -1,5 +1,6 @@
 """The quantum head: hybrid layers of a linear map, a normalisation and a re-uploading circuit (QIREN)."""
 
+import torch
 from torch import Tensor, nn
 
 from qnerf.checks import at_least
@@ -44,6 +45,8 @@ class QirenHead(nn.Module):
             0.05 over their inputs, which starts a head almost constant.
         sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
         input_scale: factor on the normalised inputs, radians.
+        center: the last linear map's bias starts where angles of 0 give 0. Measured values lie around a constant that a
+            gain multiplies too: without this a density head starts as fog or as emptiness, a colour head saturated.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class QirenHead(nn.Module):
         gain: float = 1.0,
         sum_layers: bool = False,
         input_scale: float = 1.0,
+        center: bool = False,
     ) -> None:
         super().__init__()
         at_least("layers", layers, 1)
@@ -70,6 +74,15 @@ class QirenHead(nn.Module):
             circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init)
             self.hybrid.append(self.hybrid_layer(index, in_dim if index == 0 else qubits, qubits, circuit, input_scale))
         self.readout = nn.Linear(qubits, out_dim)
+        if center:
+            self.center()
+
+    @torch.no_grad()
+    def center(self) -> None:
+        """Sets the last bias so that angles of 0, the mean of normalised inputs, give 0."""
+        resting = [layer.circuit(torch.zeros(1, layer.circuit.wires)) for layer in self.hybrid]
+        values = torch.stack(resting).sum(0) if self.sum_layers else resting[-1]
+        self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
 
     def hybrid_layer(self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float) -> nn.Module:
         """The `index`-th layer; a head with other preprocessing overrides this."""
