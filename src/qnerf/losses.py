@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from qnerf.kernels import histogram
+from qnerf.kernels import compiled, histogram
 from qnerf.types import Samples
 
 _EPS = 1e-7
@@ -23,7 +23,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     total = weights.new_zeros(())
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
-        if histogram.compiled(proposed, *arguments):
+        if compiled(proposed, *arguments):
             total = total + histogram.Interlevel.apply(proposed, *arguments, _EPS) / weights.numel()
         else:
             total = total + interlevel_reference(proposed, *arguments) / weights.numel()
@@ -59,7 +59,7 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     digits cancel.
     """
     s = samples.spacing.detach()
-    if histogram.compiled(weights, s):
+    if compiled(weights, s):
         return histogram.Distortion.apply(weights, s) / weights.shape[0]
     return distortion_reference(weights, s) / weights.shape[0]
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from qnerf.kernels import histogram
+from qnerf.kernels import compiled, histogram
 
 _LEAST = 1e-5  # a total below this is filled up evenly: an empty ray is sampled evenly
 
@@ -25,7 +25,7 @@ def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jit
         (R, count) non-decreasing, within [s_0, s_J], detached.
     """
     s, w = s.detach(), w.detach()
-    if histogram.compiled(s, w):
+    if compiled(s, w):
         return histogram.draw(s, w, count, padding, jitter, _LEAST)
     return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from qnerf.activations import trunc_exp
 from qnerf.checks import at_least
 from qnerf.encoders.hash import HashEncoder
-from qnerf.kernels import proposal
+from qnerf.kernels import compiled, proposal
 from qnerf.pdf import sample_edges
 from qnerf.registry import Registry
 from qnerf.render import volume_weights
@@ -275,7 +275,7 @@ class ProposalSampler(Sampler):
     def proposed(self, network: "ProposalNetwork", points: Tensor) -> Tensor:
         """Density (R, K) that a network proposes at world points (R, K, 3)."""
         unit = self.contraction(points).reshape(-1, 3)
-        if proposal.compiled(unit):
+        if compiled(unit) and not torch.is_grad_enabled():
             raw = proposal.propose(unit, None if self.mask is None else self.mask.grid, *network.tensors())
             return raw.exp_().view(points.shape[:-1])
         density = network(unit)

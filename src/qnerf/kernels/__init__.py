@@ -1,0 +1,27 @@
+"""Compiled CPU loops, each beside its plain PyTorch reference."""
+
+import contextlib
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+_plain = False
+
+
+def compiled(*tensors: Tensor) -> bool:
+    """Whether the compiled loops take these tensors: all on the CPU, all float32 or all float64, not inside `plain`."""
+    dtype = tensors[0].dtype
+    known = dtype in (torch.float32, torch.float64)
+    return known and not _plain and all(t.device.type == "cpu" and t.dtype == dtype for t in tensors)
+
+
+@contextlib.contextmanager
+def plain() -> Iterator[None]:
+    """Inside, every compiled loop gives way to its plain PyTorch reference: what tests and benchmarks compare with."""
+    global _plain
+    before, _plain = _plain, True
+    try:
+        yield
+    finally:
+        _plain = before

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels import compiled
 from qnerf.kernels.jit import jit, run
 
 PRIMES = (1, 2654435761, 805459861)
@@ -35,7 +36,7 @@ def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool 
     everything does. ValueError where shapes, dtypes or resolutions do not fit.
     """
     _check(points, table, resolutions)
-    if points.device.type == "cpu" and points.dtype in (torch.float32, torch.float64):
+    if compiled(points):
         cells = resolutions.numpy()
         if cells.min() < 1 or cells.max() > FINEST:
             raise ValueError(f"hash grid: resolutions must be 1 to {FINEST}, got {cells.tolist()}")

@@ -14,12 +14,6 @@ from qnerf.kernels.jit import jit, run
 _GRAIN = 50_000  # weights that are worth waking a thread for
 
 
-def compiled(*tensors: Tensor) -> bool:
-    """Whether the compiled loops take these tensors: all on the CPU, all float32 or all float64."""
-    dtype = tensors[0].dtype
-    return dtype in (torch.float32, torch.float64) and all(t.device.type == "cpu" and t.dtype == dtype for t in tensors)
-
-
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
@@ -54,7 +48,7 @@ def _draw(start, stop, s, w, jitter, padding, least, out):  # type: ignore[no-un
 
 
 def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None, least: float) -> Tensor:
-    """`qnerf.pdf.sample_edges` of tensors that are `compiled`."""
+    """`qnerf.pdf.sample_edges` of tensors that are `qnerf.kernels.compiled`."""
     out = torch.empty(s.shape[0], count, dtype=s.dtype)
     offset = torch.full((s.shape[0],), 0.5, dtype=s.dtype) if jitter is None else jitter[:, 0]
     arrays = (_array(s), _array(w), _array(offset))

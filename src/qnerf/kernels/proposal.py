@@ -6,17 +6,10 @@ five, in which the networks do not learn, and evaluation.
 """
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from qnerf.kernels.hashgrid import BLOCK, GRAIN, U, _corners, _flat
 from qnerf.kernels.jit import jit, run
-
-
-def compiled(points: Tensor) -> bool:
-    """Whether the loop takes these points: on the CPU, float32 or float64, where no gradient is asked for."""
-    known = points.dtype in (torch.float32, torch.float64)
-    return points.device.type == "cpu" and known and not torch.is_grad_enabled()
 
 
 def propose(
