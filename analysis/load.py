@@ -1,46 +1,62 @@
 """Runs as DataFrames, from the run store's files alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from qnerf.records import runs as folders
-from qnerf.records import state
+from analysis import query
+from qnerf.records import index
 
 
-def runs(store: str | Path) -> pd.DataFrame:
-    """One row a run: final metrics, parameter counts, timings, the flat configuration, and `path`.
+def runs(
+    store: str | Path, filter: str | Mapping[str, Any] | None = None, *, progress: index.Progress | None = None
+) -> pd.DataFrame:
+    """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`; see
+    `qnerf.records.index.load`. `scene_name` is the last part of scene.path, or the scene's name.
 
-    `state` is the true one: a run whose process died reads interrupted, whatever it last wrote. A run whose summary
-    cannot be read is a row with its `path` and the state "damaged". ValueError where there is no run.
+    store: a folder, or a URL that fsspec reads, such as s3://bucket/runs; of those that run behind a URL it is known
+    only how old their heartbeat is. What was read is kept in an index: the next call reads only what has changed.
+    filter: comparisons as a text, "field == 'qcolor' and qiren.layers > 1", or values by column,
+    {"field": "qcolor", "seed": [0, 1]}; see `analysis.query`.
+
+    Raises:
+        ValueError: no runs, none that the filter lets through (the line tells what there is), or no such column.
     """
-    tables = list(_summaries(Path(store)))
-    if not tables:
+    frame = index.load(store, progress=progress)
+    if frame.empty:
         raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
-    # An absent value has Arrow's null type, which gives way to the type that it has in other runs.
-    frame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
-    path = frame.get("scene.path", pd.Series(None, index=frame.index, dtype=object))
-    names = [Path(str(p)).name if p is not None and p == p else None for p in path]
-    frame["scene_name"] = [name or scene for name, scene in zip(names, frame["scene"], strict=True)]
-    return frame
+    frame["scene_name"] = _scene_names(frame)
+    return frame if filter is None else query.select(frame, filter)
 
 
-def _summaries(store: Path) -> Iterator[pa.Table]:
-    for folder in folders(store):
-        try:
-            table = pq.ParquetFile(folder / "summary.parquet").read()
-            table = table.set_column(table.schema.get_field_index("state"), "state", pa.array([state(folder)]))
-        except FileNotFoundError:
-            continue
-        except (pa.ArrowException, OSError):
-            table = pa.table({"state": ["damaged"], "scene": [None]})
-        yield table.append_column("path", pa.array([str(folder)]))
+def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:
+    """Columns step, time_s (seconds of training), key, value, in the order of logging; only rows of `key` if given.
+
+    run: a run's folder or URL. Several, or the table that `runs` gives: the column run_id comes first then.
+
+    Raises:
+        ValueError: a run has no metrics or damaged ones.
+    """
+    if isinstance(run, (str, Path)):
+        return _metrics(run, key)
+    paths = list(run["path"] if isinstance(run, pd.DataFrame) else run)
+    if not paths:
+        raise ValueError("expected at least one run, got none")
+    parts = [_metrics(path, key) for path in paths]
+    for path, part in zip(paths, parts, strict=True):
+        part.insert(0, "run_id", str(path).rstrip("/").rpartition("/")[2])
+    return pd.concat(parts, ignore_index=True)
 
 
-def metrics(run: str | Path, key: str | None = None) -> pd.DataFrame:
-    """Columns step, time_s, key, value of a run; of one key alone if `key` is given."""
-    filters = [("key", "==", key)] if key is not None else None
-    return pd.read_parquet(Path(run) / "metrics", filters=filters)
+def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
+    frame = index.place_of(run).metrics()
+    return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
+
+
+def _scene_names(frame: pd.DataFrame) -> pd.Series:
+    missing = pd.Series(None, index=frame.index, dtype=object)
+    pairs = zip(frame.get("scene.path", missing), frame.get("scene", missing), strict=True)
+    names = [Path(path).name if isinstance(path, str) and path else scene for path, scene in pairs]
+    return pd.Series(names, index=frame.index)

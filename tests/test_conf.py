@@ -10,6 +10,7 @@ from qnerf.cameras import CAMERAS
 from qnerf.contraction import CONTRACTIONS
 from qnerf.encoders import ENCODERS
 from qnerf.experiment import run
+from qnerf.gate import GATES
 from qnerf.samplers import SAMPLERS
 from qnerf.scenes import SCENES
 
@@ -18,7 +19,7 @@ def choices(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem != "base")
 
 
-REGISTRIES = {"encoder": ENCODERS, "sampler": SAMPLERS, "scene": SCENES, "cameras": CAMERAS}
+REGISTRIES = {"encoder": ENCODERS, "sampler": SAMPLERS, "scene": SCENES, "cameras": CAMERAS, "gate": GATES}
 
 
 @pytest.mark.parametrize("group", REGISTRIES)
@@ -61,6 +62,11 @@ def test_every_hash_table_trains(tiny, table):
         finished(tiny("field=classical", *overrides))
     else:
         assert finished(tiny("field=classical", f"hash={table}"))["hash"] == table
+
+
+@pytest.mark.parametrize("gate", choices("gate"))
+def test_every_gate_trains(tiny, gate):
+    assert finished(tiny("field=qcolor", "qiren.qubits=2", f"gate={gate}"))["gate"] == gate
 
 
 @pytest.mark.parametrize("sampler", choices("sampler"))

@@ -86,3 +86,9 @@ def test_large_changes_are_named_not_saved(repository: Path, monkeypatch: pytest
     diff = environment.dirty_diff(repository)
     assert diff.startswith("# changes of tracked files left out: ")
     assert len(diff.splitlines()) == 1
+
+
+def test_what_pytorch_was_built_with_is_known() -> None:
+    seen = environment.capture()["torch"]
+    assert seen["commit"] == torch.version.git_version
+    assert any("C++" in line or "GCC" in line or "MSVC" in line for line in seen["build"])

@@ -96,7 +96,8 @@ def test_opaque_first_sample_and_empty_ray(background: str) -> None:
     density = torch.tensor([[math.inf, 1.0, 1.0], [0.0, 0.0, 0.0]])
     color = torch.tensor([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [0.9, 0.8, 0.7]]).expand(2, 3, 3)
     edges = torch.tensor([[1.0, 2.0, 3.0, 5.0]]).expand(2, 4)
-    rendering, behind = render(density, color, Samples(edges, edges), background=background)
+    along = Samples(edges, edges)
+    rendering, behind = render(volume_weights(density, along.deltas), color, along, background=background)
     empty = {"last_sample": color[0, 2], "white": torch.ones(3), "black": torch.zeros(3)}[background]
     torch.testing.assert_close(rendering.color, torch.stack([color[0, 0], empty]))
     torch.testing.assert_close(rendering.accumulation, torch.tensor([1.0, 0.0]))
@@ -108,8 +109,10 @@ def test_opaque_first_sample_and_empty_ray(background: str) -> None:
 def test_random_background_is_the_one_returned() -> None:
     density, along = rays(6, 4)
     color = torch.zeros(6, 4, 3, dtype=torch.float64)
-    first, behind = render(density, color, along, background="random", generator=torch.Generator().manual_seed(3))
-    again, _ = render(density, color, along, background="random", generator=torch.Generator().manual_seed(3))
+    weights = volume_weights(density, along.deltas)
+    (first, behind), (again, _) = (
+        render(weights, color, along, background="random", generator=torch.Generator().manual_seed(3)) for _ in range(2)
+    )
     assert behind is not None
     assert behind.dtype == torch.float64
     torch.testing.assert_close(first.color, (1 - first.accumulation)[:, None] * behind)
@@ -121,16 +124,16 @@ def test_bad_backgrounds_are_refused() -> None:
     density, along = rays(2, 3)
     color = torch.rand(2, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     with pytest.raises(ValueError, match="last_sample, white, black, random, got 'grey'"):
-        render(density, color, along, background="grey")
+        render(volume_weights(density, along.deltas), color, along, background="grey")
     with pytest.raises(ValueError, match="needs a generator"):
-        render(density, color, along, background="random")
+        render(volume_weights(density, along.deltas), color, along, background="random")
 
 
 @pytest.mark.parametrize("background", ["last_sample", "white"])
 def test_rendering_against_a_loop(background: str) -> None:
     density, along = rays(4, 9, seed=5)
     color = torch.rand(4, 9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    rendering, _ = render(density, color, along, background=background)
+    rendering, _ = render(volume_weights(density, along.deltas), color, along, background=background)
     for ray in range(4):
         left, mixed, distance, median = 1.0, torch.zeros(3, dtype=torch.float64), 0.0, None
         for k in range(9):
@@ -154,7 +157,8 @@ def test_rendering_gradients(background: str) -> None:
 
     def colors(sigma: torch.Tensor, c: torch.Tensor) -> tuple[torch.Tensor, ...]:
         generator = torch.Generator().manual_seed(0)
-        rendering, _ = render(sigma, c, along, background=background, generator=generator)
+        weights = volume_weights(sigma, along.deltas)
+        rendering, _ = render(weights, c, along, background=background, generator=generator)
         return rendering.color, rendering.depth, rendering.accumulation
 
     assert torch.autograd.gradcheck(colors, (density.requires_grad_(), color))
@@ -163,11 +167,8 @@ def test_rendering_gradients(background: str) -> None:
 def test_float32_pixels_against_float64() -> None:
     density, along = rays(64, 48, torch.float32)
     color = torch.rand(64, 48, 3, generator=torch.Generator().manual_seed(4))
-    exact = render(
-        density.double(),
-        color.double(),
-        Samples(along.edges.double(), along.spacing.double()),
-        background="last_sample",
-    )[0]
-    found = render(density, color, along, background="last_sample")[0]
+    wide = Samples(along.edges.double(), along.spacing.double())
+    weights = volume_weights(density.double(), wide.deltas)
+    exact = render(weights, color.double(), wide, background="last_sample")[0]
+    found = render(volume_weights(density, along.deltas), color, along, background="last_sample")[0]
     torch.testing.assert_close(found.color.double(), exact.color, rtol=0, atol=1e-6)

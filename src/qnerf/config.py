@@ -102,6 +102,7 @@ class Settings:
     encoder: dict
     scene: dict
     sampler: dict
+    gate: dict
     cameras: dict
 
     def __post_init__(self) -> None:

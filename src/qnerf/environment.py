@@ -4,13 +4,16 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from qnerf.identity import flatten
+
 PACKAGES = (
-    "qnerf", "torch", "numpy", "pennylane", "numba", "llvmlite", "pandas", "pyarrow", "hydra-core", "omegaconf",
-    "scikit-image", "pillow",
+    "qnerf", "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
+    "hydra-core", "omegaconf", "pyyaml", "scikit-image", "pillow",
 )  # fmt: skip
 VARIABLES = (
     "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT",
@@ -29,7 +32,8 @@ def checkout() -> Path | None:
 
 
 def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]:
-    """The environment as plain values: git, packages, python, platform, cpu, gpu, threads, seed, variables, command.
+    """The environment as plain values: git, packages, how PyTorch was built, python, platform, cpu, gpu, threads, seed,
+    variables, command.
 
     `root` is a git checkout, by default that of this package. What cannot be found out is None.
     """
@@ -39,6 +43,11 @@ def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]
     return {
         "git": _git_state(root or checkout()),
         "packages": {name: _version(name) for name in PACKAGES},
+        "torch": {
+            "commit": torch.version.git_version,
+            "build": [line.strip() for line in torch.__config__.show().splitlines()],
+            "matmul_precision": torch.get_float32_matmul_precision(),
+        },
         "python": platform.python_version(),
         "platform": platform.platform(),
         "host": platform.node(),
@@ -59,6 +68,13 @@ def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]
         "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
         "command": list(sys.argv),
     }
+
+
+def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Dotted name -> its two values, for what differs between two results of `capture`; the command is left out."""
+    one, other = flatten(before), flatten(after)
+    names = [name for name in dict.fromkeys([*one, *other]) if name != "command"]
+    return {name: (one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)}
 
 
 def dirty_diff(root: Path | None = None) -> str:

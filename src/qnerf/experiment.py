@@ -3,7 +3,7 @@
 import contextlib
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -18,6 +18,7 @@ from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.environment import capture, dirty_diff
 from qnerf.evaluate import Evaluator
 from qnerf.field import Field
+from qnerf.gate import GATES
 from qnerf.heads import HEADS
 from qnerf.identity import clean, run_id
 from qnerf.labels import labels, slug
@@ -108,7 +109,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
             least, resolution = settings.visibility.cameras, settings.visibility.resolution
             seen = visible(field.contraction, scene.cameras, scene.train, least, resolution)
             field.mask = sampler.mask = SpaceMask(seen)
-        return Model(field, sampler, cameras).to(settings.torch_device)
+        return Model(field, sampler, cameras, component(GATES, settings.gate)).to(settings.torch_device)
     finally:
         torch.set_default_dtype(previous)
 
@@ -126,7 +127,11 @@ def parameter_counts(model: Model) -> dict[str, int]:
 
 @contextlib.contextmanager
 def stop_requests() -> Iterator[list[int]]:
-    """Collects SIGINT and SIGTERM instead of dying of them; a second one acts as usual."""
+    """Collects SIGINT and SIGTERM instead of dying of them; a second one acts as usual.
+
+    SIGUSR1 and SIGUSR2 too, where somebody handles them, as a scheduler's launcher does that puts the job back into the
+    queue: its handler is called at the end, when the run has stopped.
+    """
     received: list[int] = []
     previous: dict[signal.Signals, Any] = {}
 
@@ -134,7 +139,9 @@ def stop_requests() -> Iterator[list[int]]:
         received.append(number)
         signal.signal(number, previous[signal.Signals(number)])
 
-    for kind in (signal.SIGINT, signal.SIGTERM):
+    warnings = [kind for kind in signal.Signals if kind.name in ("SIGUSR1", "SIGUSR2")]
+    warnings = [kind for kind in warnings if callable(signal.getsignal(kind))]
+    for kind in (signal.SIGINT, signal.SIGTERM, *warnings):
         with contextlib.suppress(ValueError):  # not the main thread: the caller's own signals stay
             previous[kind] = signal.signal(kind, note)
     try:
@@ -142,10 +149,22 @@ def stop_requests() -> Iterator[list[int]]:
     finally:
         for kind, handler in previous.items():
             signal.signal(kind, handler)
+        for kind in warnings:
+            if kind in received:
+                signal.raise_signal(kind)
 
 
-def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Display | None = None) -> Outcome:
+def run(
+    config: Mapping[str, Any],
+    overrides: Sequence[str] = (),
+    display: Display | None = None,
+    stopping: Callable[[], bool] = lambda: False,
+    name: str | None = None,
+) -> Outcome:
     """Trains and evaluates the configuration, or skips it if it is finished, or goes on where it was interrupted.
+
+    `stopping` is asked before every step; once it is true, or on SIGINT or SIGTERM, the run stops with a checkpoint.
+    `name` is the run's id where it has one already: that of a run from before an option existed lacks the option.
 
     Raises:
         ValueError: a mistake in the configuration or the scene; nothing has been written.
@@ -158,7 +177,7 @@ def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Displ
     scene = build_scene(settings)
     model = build_model(settings, scene)
 
-    name = run_id(slug(config), config, scene.fingerprint)
+    name = name or run_id(slug(config), config, scene.fingerprint)
     columns = labels(config) | parameter_counts(model) | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
@@ -167,10 +186,12 @@ def run(config: Mapping[str, Any], overrides: Sequence[str] = (), display: Displ
         display.note(claim.message)
     with claim.run as store, stop_requests() as stops:
         store.write_environment(capture(settings.seed), dirty_diff())
-        return _execute(settings, scene, model, store, display, stops)
+        return _execute(settings, scene, model, store, display, lambda: bool(stops) or stopping())
 
 
-def _execute(settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stops: list[int]) -> Outcome:
+def _execute(
+    settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stopping: Callable[[], bool]
+) -> Outcome:
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     table = ray_table(settings, scene)
     trainer = Trainer(model, table, settings, watch)
@@ -188,7 +209,7 @@ def _execute(settings: Settings, scene: Scene, model: Model, store: Run, display
     measured = None
     try:
         # Rows are logged before the checkpoint that includes their step: a resumed run neither doubles nor misses one.
-        for metrics in trainer.steps(store, lambda: bool(stops)):
+        for metrics in trainer.steps(store, stopping):
             done = trainer.step == train.steps
             if metrics:
                 store.log(trainer.step, trainer.seconds, metrics)

@@ -66,18 +66,29 @@ class Field(nn.Module):
         """World points (R, K, 3) -> density (R, K) per world unit."""
         return self.geometry(points)[0]
 
-    def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
-        """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3) in [0, 1].
+    def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, kept: Tensor | None = None) -> Tensor:
+        """Geometry features (R, K, G), unit directions (R, 3), views (R,) -> colours (R, K, 3) in [0, 1].
 
-        A view of -1 is one without an embedding of its own: it gets the mean of all.
+        A view of -1 is one without an embedding of its own: it gets the mean of all. `kept` (R, K): the samples to
+        evaluate; the others are black.
         """
-        density, geometry = self.geometry(points)
         per_ray = [self.directions(directions)]
         if self.appearance is not None:
             own = self.appearance(cameras.clamp(min=0))
             per_ray.append(torch.where((cameras >= 0)[:, None], own, self.appearance.weight.mean(0)))
-        samples = points.shape[1]
-        expanded = torch.cat(per_ray, dim=-1)[:, None, :].expand(-1, samples, -1)
-        features = torch.cat([expanded, geometry], dim=-1)
-        color = torch.sigmoid(self.color_head(features.reshape(-1, features.shape[-1])))
-        return density, color.view(*points.shape)
+        rays, samples, size = geometry.shape
+        ray_features = torch.cat(per_ray, dim=-1)
+        if kept is None:
+            expanded = ray_features[:, None, :].expand(-1, samples, -1)
+            features = torch.cat([expanded, geometry], dim=-1)
+            return torch.sigmoid(self.color_head(features.reshape(rays * samples, -1))).view(rays, samples, 3)
+        chosen = kept.flatten().nonzero()[:, 0]
+        ray = torch.div(chosen, samples, rounding_mode="floor")
+        features = torch.cat([ray_features[ray], geometry.reshape(-1, size)[chosen]], dim=-1)
+        color = torch.sigmoid(self.color_head(features))
+        return color.new_zeros(rays * samples, 3).index_copy(0, chosen, color).view(rays, samples, 3)
+
+    def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
+        """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3) in [0, 1]."""
+        density, geometry = self.geometry(points)
+        return density, self.color(geometry, directions, cameras)

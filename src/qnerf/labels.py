@@ -45,6 +45,7 @@ def labels(config: Mapping[str, Any]) -> dict[str, str]:
         "hash": hash_label(config["hash"]),
         "scene": config["scene"]["name"],
         "sampler": config["sampler"]["name"],
+        "gate": config["gate"]["name"],
         "cameras": config["cameras"]["name"],
         "train": config["train"]["name"],
         "density": head_label(density),

@@ -5,7 +5,8 @@ from torch import Tensor, nn
 
 from qnerf.cameras import Cameras
 from qnerf.field import Field
-from qnerf.render import render
+from qnerf.gate import Gate
+from qnerf.render import render, shares, volume_weights
 from qnerf.samplers import SampledRays, Sampler
 from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Rendering
@@ -14,11 +15,12 @@ from qnerf.types import Rays, Rendering
 class Model(nn.Module):
     """What is trained. `parts` groups its parameters as they are counted and optimised."""
 
-    def __init__(self, field: Field, sampler: Sampler, cameras: Cameras) -> None:
+    def __init__(self, field: Field, sampler: Sampler, cameras: Cameras, gate: Gate) -> None:
         super().__init__()
         self.field = field
         self.sampler = sampler
         self.cameras = cameras
+        self.gate = gate
 
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
@@ -51,9 +53,12 @@ class Model(nn.Module):
         """
         with watch.part("sampling"):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
+        samples = sampled.samples
         with watch.part("field"):
-            points = rays.along(sampled.samples.mids)
-            density, color = self.field(points, rays.directions, rays.cameras)
+            density, geometry = self.field.geometry(rays.along(samples.mids))
+            weights = volume_weights(density, samples.deltas)
+            kept = self.gate(shares(weights, background))
+            color = self.field.color(geometry, rays.directions, rays.cameras, kept)
         with watch.part("render"):
-            rendering, behind = render(density, color, sampled.samples, background=background, generator=generator)
+            rendering, behind = render(weights, color, samples, background=background, kept=kept, generator=generator)
         return rendering, sampled, behind

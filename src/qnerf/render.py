@@ -77,12 +77,21 @@ def background_color(name: str, like: Tensor, generator: torch.Generator | None)
     return torch.rand(like.shape[0], 3, dtype=like.dtype, device=generator.device, generator=generator).to(like.device)
 
 
+def shares(weights: Tensor, background: str) -> Tensor:
+    """What each sample's colour counts in its ray's (R, K): its weight; with `last_sample` the last takes the rest."""
+    if background != "last_sample":
+        return weights
+    rest = 1 - weights.sum(-1, keepdim=True).clamp(max=1)
+    return torch.cat([weights[:, :-1], weights[:, -1:] + rest], dim=-1)
+
+
 def render(
-    density: Tensor,
+    weights: Tensor,
     color: Tensor,
     samples: Samples,
     *,
     background: str,
+    kept: Tensor | None = None,
     generator: torch.Generator | None = None,
 ) -> tuple[Rendering, Tensor | None]:
     """Composites the samples of each ray over a background.
@@ -92,10 +101,12 @@ def render(
     the last midpoint, also on empty rays.
 
     Args:
-        density: (R, K) per world unit, >= 0.
+        weights: (R, K) of `volume_weights`.
         color: (R, K, 3).
         samples: K intervals on each of R rays.
         background: last_sample (the last sample's colour), white, black, or random (a new colour for each ray).
+        kept: (R, K) samples that have a colour, at least one a ray; they share what the others would have counted, in
+            proportion. None: all.
         generator: of the random background.
 
     Returns:
@@ -105,14 +116,16 @@ def render(
     Raises:
         ValueError: an unknown background, or a random one without a generator.
     """
-    weights = volume_weights(density, samples.deltas)
     accumulation = weights.sum(-1).clamp(max=1)
     behind = background_color(background, weights, generator)
-    if behind is None:
-        shares = torch.cat([weights[:, :-1], weights[:, -1:] + (1 - accumulation)[:, None]], dim=-1)
-        composite = torch.bmm(shares[:, None], color)[:, 0]
-    else:
-        composite = torch.bmm(weights[:, None], color)[:, 0] + (1 - accumulation)[:, None] * behind
+    share = shares(weights, background)
+    if kept is not None:
+        total = share.sum(-1, keepdim=True)
+        share = share * kept
+        share = share * (total / share.sum(-1, keepdim=True).clamp(min=torch.finfo(share.dtype).tiny))
+    composite = torch.bmm(share[:, None], color)[:, 0]
+    if behind is not None:
+        composite = composite + (1 - accumulation)[:, None] * behind
     with torch.no_grad():
         mids = samples.mids
         half = (weights.cumsum(-1) < 0.5).sum(-1, keepdim=True).clamp_(max=mids.shape[1] - 1)

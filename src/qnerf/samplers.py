@@ -272,10 +272,11 @@ class ProposalSampler(Sampler):
         x = step / self.anneal_steps
         return self.anneal_slope * x / ((self.anneal_slope - 1) * x + 1)
 
-    def proposed(self, network: "ProposalNetwork", points: Tensor) -> Tensor:
+    def proposed(self, network: nn.Module, points: Tensor) -> Tensor:
         """Density (R, K) that a network proposes at world points (R, K, 3)."""
         unit = self.contraction(points).reshape(-1, 3)
         if compiled(unit) and not torch.is_grad_enabled():
+            assert isinstance(network, ProposalNetwork)
             raw = proposal.propose(unit, None if self.mask is None else self.mask.grid, *network.tensors())
             return raw.exp_().view(points.shape[:-1])
         density = network(unit)

@@ -15,6 +15,7 @@ class SpaceMask(nn.Module):
     """
 
     grid: Tensor
+    flat: Tensor
 
     def __init__(self, grid: Tensor) -> None:
         super().__init__()

@@ -47,6 +47,7 @@ def train(run: Run, pace: float = 0.0005) -> None:
 
 
 def fork(job: Callable[[], None]) -> int:
+    """A child that does `job`; its pid. Its exit code is 0, that of SystemExit, or 1 with a traceback."""
     sys.stdout.flush()
     pid = os.fork()
     if pid == 0:
@@ -54,6 +55,8 @@ def fork(job: Callable[[], None]) -> int:
         try:
             job()
             code = 0
+        except SystemExit as stop:
+            code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
         except BaseException:
             traceback.print_exc()
         finally:

@@ -1,39 +1,74 @@
-"""`qnerf evaluate RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`."""
+"""`qnerf evaluate RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf evaluate RUN rays`."""
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qnerf.commands import add_run
-from qnerf.records import find
+from qnerf.commands.stored import stored
+from qnerf.records import find, state
 
+if TYPE_CHECKING:
+    from qnerf.probes import Trained
+
+PROBES = ("spectrum", "encoding", "rays")
 DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Renders a finished run's held-out views as hardware would: finite shots, noisy gates."
+    parser.description = (
+        "Measures a finished run further. As hardware would render its held-out views (finite shots, noisy gates): "
+        "eval_hardware.parquet. By a probe of its model: spectrum.parquet (Fourier power of the circuits), "
+        "encoding.parquet (a slice of the encoders), rays.parquet (samples along a few rays)."
+    )
     add_run(parser)
     parser.add_argument(
         "options",
         nargs="*",
-        metavar="KEY=VALUE",
-        help="shots=100,1000 | noise=depolarizing p=0.001,0.01 | views=0 (0: all) | seed=0",
+        metavar="PROBE | KEY=VALUE",
+        help=f"{' | '.join(PROBES)} | shots=100,1000 | noise=depolarizing p=0.001,0.01 | views=0 (0: all) | seed=0",
     )
 
 
 def main(options: argparse.Namespace) -> None:
     run = find(options.run, options.store)
-    from qnerf.evaluate_hardware import FILE, evaluate_hardware, grid
+    names = [option for option in options.options if "=" not in option]
+    settings = [option for option in options.options if "=" in option]
+    _check(names, settings)
+    conditions = _conditions(settings) if settings or not names else None
 
-    values = dict(DEFAULTS)
-    for option in options.options:
-        key, _, value = option.partition("=")
-        if key not in values:
-            raise ValueError(f"qnerf evaluate: unknown option {key!r}; known: {', '.join(values)}")
-        values[key] = value
+    from qnerf.probes import load, probe
+
+    trained = load(run, stored(run)[0] if state(run) == "finished" else None)
+    for name in names:
+        print(probe(trained, name))
+    if conditions is not None:
+        _measure(trained, *conditions)
+
+
+def _check(names: list[str], settings: list[str]) -> None:
+    for name in names:
+        if name not in PROBES:
+            raise ValueError(f"qnerf evaluate: unknown probe {name!r}; known: {', '.join(PROBES)}")
+    for key in (setting.partition("=")[0] for setting in settings):
+        if key not in DEFAULTS:
+            raise ValueError(f"qnerf evaluate: unknown option {key!r}; known: {', '.join(DEFAULTS)}")
+
+
+def _conditions(settings: list[str]) -> tuple[list[Any], int]:
+    """What the options ask for, and how many views."""
+    from qnerf.probes.hardware import grid
+
+    values = DEFAULTS | dict(option.split("=", 1) for option in settings)
     shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
     (views,), (seed,) = _numbers(int, "views", values["views"]), _numbers(int, "seed", values["seed"])
-    evaluate_hardware(run, grid(shots, values["noise"], p, seed), views=views, tell=print)
-    print(f"rows in {run / FILE}")
+    return grid(shots, values["noise"], p, seed), views
+
+
+def _measure(trained: "Trained", conditions: list[Any], views: int) -> None:
+    from qnerf.probes.hardware import FILE, evaluate_hardware
+
+    evaluate_hardware(trained, conditions, views=views, tell=print)
+    print(f"rows in {trained.folder / FILE}")
 
 
 def _numbers(kind: type, name: str, text: str) -> list[Any]:

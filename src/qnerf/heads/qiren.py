@@ -80,7 +80,8 @@ class QirenHead(nn.Module):
     @torch.no_grad()
     def center(self) -> None:
         """Sets the last bias so that angles of 0, the mean of normalised inputs, give 0."""
-        resting = [layer.circuit(torch.zeros(1, layer.circuit.wires)) for layer in self.hybrid]
+        circuits = [module for module in self.modules() if isinstance(module, QuantumLayer)]
+        resting = [circuit(torch.zeros(1, circuit.wires)) for circuit in circuits]
         values = torch.stack(resting).sum(0) if self.sum_layers else resting[-1]
         self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, keep_copy, replace, reporting
+from qnerf.records.files import StoreError, keep_copy, open_plain, replace, reporting
 
 
 class Checkpoints:
@@ -39,12 +39,11 @@ class Checkpoints:
     def load(self) -> dict[str, Any] | None:
         for path in (self.current, self.previous):
             try:
-                with reporting(path, "read"):
-                    return _load(path)
-            except StoreError as error:
-                if isinstance(error.__cause__, FileNotFoundError):
-                    continue
-                raise
+                return _load(path)
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
             except MemoryError:
                 raise
             except Exception as error:  # whatever a damaged archive makes its readers raise
@@ -61,9 +60,13 @@ class Checkpoints:
 def _load(path: Path) -> dict[str, Any]:
     import torch
 
-    with open(path, "rb") as file:
-        with zipfile.ZipFile(file) as archive:  # torch.load itself does not look at the checksums
-            if (bad := archive.testzip()) is not None:
+    with open_plain(path) as file:
+        with zipfile.ZipFile(file) as archive:
+            size = os.fstat(file.fileno()).st_size
+            # torch.save neither compresses nor shares bytes: what would unpack to more than the file is not its work.
+            if sum(item.file_size for item in archive.infolist()) > size:
+                raise zipfile.BadZipFile("it would unpack to more than it holds")
+            if (bad := archive.testzip()) is not None:  # torch.load itself does not look at the checksums
                 raise zipfile.BadZipFile(f"wrong checksum of {bad}")
         file.seek(0)
         content = torch.load(file, map_location="cpu", weights_only=True)

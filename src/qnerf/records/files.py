@@ -1,9 +1,11 @@
-"""Files that are either the old or the new version, never half of one."""
+"""Files that are either the old or the new version, never half of one; and that are files, not links or pipes."""
 
 import contextlib
+import json
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -20,6 +22,45 @@ def reporting(path: Path, doing: str = "write") -> Iterator[None]:
         yield
     except OSError as error:
         raise StoreError(f"{path}: cannot {doing}: {error.strerror or error}") from error
+
+
+def open_plain(path: Path, mode: str = "rb") -> IO[bytes]:
+    """Opens a file of a run's folder. OSError as usual; StoreError where it is a link, a folder, a pipe or a device.
+
+    A run writes no links, and a folder that came from somebody else must not lead a reader or a writer elsewhere.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        kind = path.lstat().st_mode
+        if stat.S_ISLNK(kind):
+            raise StoreError(f"{path}: is a link; the files of a run are not read or written through links")
+        if not stat.S_ISREG(kind):
+            raise StoreError(f"{path}: expected a file, got a folder, a pipe or a device")
+    return open(path, mode, opener=_open_at_once)
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Should it be replaced in this moment: neither follows a link nor waits for the other end of a pipe."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The whole file, as `open_plain`; StoreError where it has more than `most` bytes."""
+    with open_plain(path) as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise StoreError(f"{path}: larger than the {most:,} bytes that such a file may have")
+    return data
+
+
+def read_record(path: Path, most: int = 2**20) -> dict[str, Any]:
+    """A small JSON object; ValueError where the file holds anything else."""
+    try:
+        record = json.loads(read_bytes(path, most))
+    except RecursionError:
+        raise ValueError(f"{path}: nested too deeply") from None
+    if not isinstance(record, dict):
+        raise ValueError(f"{path}: expected an object, got {type(record).__name__}")
+    return record
 
 
 class _Sink:

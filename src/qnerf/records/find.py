@@ -33,4 +33,5 @@ def find(name: str | Path, store: str | Path = "runs") -> Path:
 
 
 def _some(names: list[str], most: int = 4) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    shown = [name if name.isprintable() else ascii(name) for name in names[:most]]  # folders may be called anything
+    return ", ".join(shown) + (f" and {len(names) - most} more" if len(names) > most else "")

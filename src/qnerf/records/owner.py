@@ -21,12 +21,12 @@ import secrets
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, reporting
+from qnerf.records.files import StoreError, read_record, reporting
 
 HEARTBEAT = 3.0  # seconds between heartbeats
 HEARTBEAT_LIMIT = 180.0  # seconds; network file systems may show files a minute late
@@ -34,6 +34,7 @@ WATCH = 4 * HEARTBEAT  # seconds that a stale heartbeat is watched before a run 
 
 _HOLDS, _LETS_GO = b'"released": false', b'"released": true '
 _NAME = re.compile(r"(\d{6,})\.json")
+_let_go: set[str] = set()  # nonces of this process, which lives on: the mark in the file may have met a broken disk
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,9 @@ class Process:
     @classmethod
     def read(cls, record: dict[str, Any]) -> "Process | None":
         try:
-            return cls(int(record["pid"]), str(record["host"]), str(record["boot"]), str(record["started"]))
-        except (KeyError, TypeError, ValueError):
+            pid = int(record["pid"])
+            return cls(pid, str(record["host"]), str(record["boot"]), str(record["started"])) if pid > 0 else None
+        except (KeyError, TypeError, ValueError, OverflowError):
             return None
 
     def is_here(self) -> bool:
@@ -100,6 +102,7 @@ class Ownership:
             raise StoreError(f"{self.directory}: the run was taken over by another process; this one stops writing")
 
     def release(self) -> None:
+        _let_go.add(self.nonce)
         path = _path(self.directory, self.number)
         if (_read(path) or {}).get("nonce") != self.nonce:
             return
@@ -123,7 +126,7 @@ def acquire(directory: Path, watch: float = WATCH) -> Ownership | Held | None:
         try:
             (directory / "owner").mkdir(exist_ok=True)
             number, record = newest(directory)
-            if record is not None and not record.get("released") and _is_held(directory, number, record, watch):
+            if record is not None and not _is_released(record) and _is_held(directory, number, record, watch):
                 return _held(record)
             won = write(directory, number + 1)
             if won is None:
@@ -182,7 +185,25 @@ def heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
     """Last sign of life of the owner in `record`, Unix time."""
     status = _read(directory / "status.json") or {}
     value = status.get("heartbeat") if status.get("claim") == record.get("nonce") else record.get("since")
-    return float(value) if isinstance(value, (int, float)) else None
+    return moment(value)
+
+
+def moment(value: Any) -> float | None:
+    """A Unix time out of a file that anybody may have written; None where it is none."""
+    try:
+        return float(value) if isinstance(value, (int, float)) else None
+    except OverflowError:
+        return None
+
+
+def holder(directory: Path) -> Held:
+    """Who owns the run, or did last."""
+    _, record = newest(directory)
+    return _held(record or {})
+
+
+def _is_released(record: dict[str, Any]) -> bool:
+    return bool(record.get("released")) or str(record.get("nonce")) in _let_go
 
 
 def _is_held(directory: Path, number: int, record: dict[str, Any], watch: float) -> bool:
@@ -205,8 +226,9 @@ def _is_held(directory: Path, number: int, record: dict[str, Any], watch: float)
 
 
 def _held(record: dict[str, Any]) -> Held:
-    known = {field.name: record.get(field.name) for field in fields(Held)}
-    return Held(**known)
+    process = Process.read(record)
+    host = None if process is None else "".join(c if c.isprintable() else "?" for c in process.host[:64])
+    return Held(process.pid if process else None, host, moment(record.get("since")))
 
 
 def _follows(directory: Path, won: Ownership, before: dict[str, Any] | None) -> bool:
@@ -231,10 +253,9 @@ def _path(directory: Path, number: int) -> Path:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        record = json.loads(path.read_text())
+        return read_record(path)
     except (OSError, ValueError):
         return None
-    return record if isinstance(record, dict) else None
 
 
 @lru_cache(maxsize=8)

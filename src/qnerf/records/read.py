@@ -1,6 +1,10 @@
-"""Reading runs, live or finished, without any right to write."""
+"""Reading runs, live or finished, without any right to write.
 
-import json
+A folder may come from anybody: nothing in it is executed, links in it are not followed, and no file is read or unpacked
+beyond what a run writes.
+"""
+
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +14,13 @@ import pyarrow.parquet as pq
 import yaml  # type: ignore[import-untyped]
 
 from qnerf.records import owner
-from qnerf.records.files import StoreError, reporting
+from qnerf.records.files import StoreError, read_bytes, read_record, reporting
+from qnerf.records.tables import METRICS
 
 STATES = ("running", "finished", "interrupted", "failed")
+MOST_CONFIG_BYTES = 2**18
+MOST_TABLE_BYTES = 2**28
+MOST_ROWS = 2**22  # of one file; run-length encoding packs more than fits into memory into a few bytes
 
 
 def runs(root: str | Path) -> list[Path]:
@@ -29,12 +37,11 @@ def runs(root: str | Path) -> list[Path]:
 def read_status(run_dir: str | Path) -> dict[str, Any]:
     """status.json; empty when it is absent or damaged."""
     try:
-        status = json.loads((Path(run_dir) / "status.json").read_text())
+        return read_record(Path(run_dir) / "status.json")
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return {}
     except OSError as error:
         raise StoreError(f"{run_dir}: cannot read status.json: {error.strerror or error}") from error
-    return status if isinstance(status, dict) else {}
 
 
 def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
@@ -47,8 +54,7 @@ def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
     stored = status.get("state")
     if stored != "running":
         return stored if stored in STATES else "interrupted"
-    beat = status.get("heartbeat")
-    if not owner.alive(status, float(beat) if isinstance(beat, (int, float)) else None):
+    if not owner.alive(status, owner.moment(status.get("heartbeat"))):
         return "interrupted"
     try:
         _, record = owner.newest(directory)
@@ -58,39 +64,68 @@ def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The resolved configuration; nothing in the file is executed."""
+    """The resolved configuration; nothing in the file is executed or repeated by reference."""
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
-        text = path.read_text(encoding="utf-8")
+        data = read_bytes(path, MOST_CONFIG_BYTES)
     try:
-        config = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        config = yaml.load(data, Loader=_Loader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise StoreError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
     if not isinstance(config, dict):
         raise StoreError(f"{path}: expected keys and values, got {type(config).__name__}")
     return config
 
 
+class _Loader(yaml.SafeLoader):
+    """Plain values only, and no aliases: a few nested ones stand for more items than fit into memory."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            raise yaml.composer.ComposerError(None, None, f"alias *{event.anchor} is not allowed", event.start_mark)
+        return super().compose_node(parent, index)
+
+
 def read_summary(run_dir: str | Path) -> dict[str, Any]:
     """summary.parquet as plain values. `state` is the one last written; `state(run_dir)` tells the true one."""
     path = Path(run_dir) / "summary.parquet"
-    row: dict[str, Any] = read_table(path).to_pylist()[0]
-    return row
+    rows: list[dict[str, Any]] = read_table(path).to_pylist()
+    if len(rows) != 1:
+        raise StoreError(f"{path}: expected one row, got {len(rows)}")
+    return rows[0]
 
 
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:
-    """Columns step, time_s, key, value, in the order of logging."""
+    """Columns step, time_s, key, value, in the order of logging; StoreError names a damaged part."""
     folder = Path(run_dir) / "metrics"
+    if folder.is_symlink():
+        raise StoreError(f"{folder}: is a link; the files of a run are not read or written through links")
     with reporting(folder, "read"):
-        return pd.read_parquet(folder)
+        names = sorted(entry.name for entry in os.scandir(folder) if entry.name.startswith("part-"))
+    return pa.concat_tables([METRICS.empty_table(), *(read_part(folder / name) for name in names)]).to_pandas()
+
+
+def read_part(path: Path) -> pa.Table:
+    """One file of metrics/, with the columns and types of `tables.METRICS`."""
+    table = read_table(path)
+    if table.schema.names != METRICS.names:
+        raise StoreError(f"{path}: expected columns {METRICS.names}, got {table.schema.names}")
+    try:
+        return table.cast(METRICS)
+    except pa.ArrowException as error:
+        raise StoreError(f"{path}: damaged: {' '.join(str(error).split())}") from error
 
 
 def read_table(path: Path) -> pa.Table:
     """A Parquet file in memory; StoreError when it is absent or damaged."""
     with reporting(path, "read"):
-        data = path.read_bytes()
+        data = read_bytes(path, MOST_TABLE_BYTES)
     try:
         # Not pq.read_table: its threads may still hold Python's buffer when the interpreter ends, which aborts.
-        return pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+        file = pq.ParquetFile(pa.BufferReader(data))
+        if file.metadata.num_rows > MOST_ROWS:
+            raise StoreError(f"{path}: has {file.metadata.num_rows:,} rows; expected at most {MOST_ROWS:,}")
+        return file.read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
         raise StoreError(f"{path}: damaged: {' '.join(str(error).split())}") from error

@@ -15,12 +15,12 @@ from typing import Any, Literal
 
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.identity import plain
+from qnerf.identity import identity, plain
 from qnerf.records import owner, tables
 from qnerf.records.files import StoreError, remove_leftovers, replace, reporting
 from qnerf.records.owner import Held, Ownership, Process
 from qnerf.records.read import read_config, read_status, read_table, runs
-from qnerf.records.writer import Run
+from qnerf.records.writer import EMPTY_PART, FORMAT, Run
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
@@ -80,6 +80,7 @@ class RunStore:
             (self.root / ".tmp").mkdir(parents=True, exist_ok=True)
         self._tidy(run_id)
         for _ in range(1000):
+            _refuse_links(directory)
             if _is_vacant(directory):
                 made = self._make(content, 0)
                 if (ownership := self._enter(made, directory)) is None:
@@ -99,6 +100,7 @@ class RunStore:
                 held.release()
                 return _finished(directory)
             try:
+                _refuse_newer(directory)
                 remove_leftovers(directory)
                 content.complete(directory)
             except StoreError:
@@ -181,6 +183,22 @@ def _is_vacant(directory: Path) -> bool:
         return True
 
 
+def _refuse_links(directory: Path) -> None:
+    """Nothing is written into a run through a link, wherever it leads."""
+    for path in (directory, *(directory / name for name in ("owner", "metrics", "images"))):
+        if path.is_symlink():
+            raise StoreError(f"{path}: is a link; the files of a run are not read or written through links")
+
+
+def _refuse_newer(directory: Path) -> None:
+    written = read_status(directory).get("format", FORMAT)
+    if isinstance(written, int) and written > FORMAT:
+        raise StoreError(
+            f"{directory}: written by a newer qnerf (store format {written}, this one knows {FORMAT}); "
+            "a newer qnerf goes on with it"
+        )
+
+
 def _finished(directory: Path) -> Claim:
     return Claim("finished", directory, f"{directory}: finished already; run.force=true does it over")
 
@@ -214,13 +232,14 @@ class _Content:
             if not (folder / "metrics").is_dir():
                 temporary = folder / f".metrics.{secrets.token_hex(4)}.tmp"
                 temporary.mkdir()
-                (temporary / "part-00000.parquet").write_bytes(tables.metrics([], [], [], [], []))
+                (temporary / "part-00000.parquet").write_bytes(EMPTY_PART)
                 os.rename(temporary, folder / "metrics")
 
     def write_status(self, folder: Path, ownership: Ownership) -> None:
         now = time.time()
         status = {"run_id": self.run_id, "state": "running", "step": 0, "heartbeat": now, "created": now}
-        status |= asdict(Process.current()) | {"claim": ownership.nonce, "error": None}
+        status |= asdict(Process.current()) | {"claim": ownership.nonce, "error": None, "format": FORMAT}
+        status["config"] = identity(self.config)  # tells a configuration edited by hand from a scene that has changed
         replace(folder / "status.json", json.dumps(status, indent=1).encode(), durable=False)
 
 

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qnerf.identity import flatten, plain
+from qnerf.records.row import encode as encode_row
 
 METRICS = pa.schema(
     [("step", pa.int64()), ("time_s", pa.float64()), ("key", pa.string()), ("value", pa.float64())],
@@ -49,6 +50,9 @@ def metrics(steps: Any, times: Any, indices: Any, keys: Sequence[str], values: A
 
 
 def encode(table: pa.Table, dictionary: Sequence[str] = ()) -> bytes:
+    """Parquet bytes; a single row is written so that it is had from the footer alone."""
+    if table.num_rows == 1:
+        return encode_row(table)
     sink = pa.BufferOutputStream()
     pq.write_table(
         table, sink, compression="zstd", compression_level=1, use_dictionary=list(dictionary), store_schema=False

@@ -1,7 +1,7 @@
 """The writer of one run. Everything it writes is readable at any moment and survives kill -9.
 
 Rows of metrics collect in memory; a thread writes them every few seconds, together with the heartbeat. The open part is
-written whole each time, so there is nothing to append to, to compact or to repair. What goes wrong in the thread is
+replaced by a longer one each time, so there is nothing to compact or to repair. What goes wrong in the thread is
 raised by the next call of `log`.
 """
 
@@ -13,8 +13,9 @@ import logging
 import threading
 import time
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,11 +27,15 @@ import pyarrow.compute as pc
 from qnerf.identity import flatten, plain
 from qnerf.records import tables
 from qnerf.records.checkpoints import Checkpoints
-from qnerf.records.files import StoreError, keep_copy, replace, reporting
+from qnerf.records.files import StoreError, keep_copy, open_plain, read_bytes, replace, reporting
 from qnerf.records.owner import HEARTBEAT, Ownership, Process
-from qnerf.records.read import read_config, read_status, read_summary, read_table
+from qnerf.records.read import MOST_TABLE_BYTES, read_config, read_part, read_status, read_summary
+from qnerf.records.stable import appended, encode, rewritten
 
+FORMAT = 1  # of the store; a run of a newer one is read as far as it goes, and not written
 PART_ROWS = 65_536
+EMPTY_PART = tables.encode(tables.METRICS.empty_table())
+MOST_DIFF_BYTES = 2**26
 
 _log = logging.getLogger("qnerf")
 
@@ -42,7 +47,9 @@ class Run:
     `resumed` says whether there was something before; then `resume` must be called before `log`.
     """
 
-    _flushed: int  # rows of the open part that are on disk
+    _part: int  # number of the open part; _part_rows, _part_data: what it holds
+    _part_rows: int
+    _part_data: bytes
 
     def __init__(self, ownership: Ownership, *, resumed: bool, every: float = HEARTBEAT) -> None:
         self.dir = ownership.directory
@@ -53,6 +60,7 @@ class Run:
         self._checkpoints = Checkpoints(self.dir, self._check, self.warn)
         self._status: dict[str, Any] = {"step": 0, "created": time.time()} | read_status(self.dir)
         self._status |= asdict(Process.current()) | {"state": "running", "claim": ownership.nonce, "error": None}
+        self._status["format"] = FORMAT
         options = flatten(self.config)
         self._results = {k: v for k, v in read_summary(self.dir).items() if k in tables.SUMMARY or k not in options}
         step = self._status["step"]
@@ -62,8 +70,12 @@ class Run:
 
         self._lock = threading.Lock()  # the buffers; held for microseconds
         self._io = threading.RLock()  # the files
-        self._empty()
-        self._part = 0
+        self._steps, self._times, self._values = array("q"), array("d"), array("d")  # of rows that are not on disk yet
+        self._indices = array("i")  # of their names in `_keys`
+        self._columns = (self._steps, self._times, self._indices, self._values)
+        self._keys: dict[str, int] = {}
+        self._open_part(0, 0)
+        self._eval_data = _bytes(self.dir / "eval.parquet")
 
         self._error: StoreError | None = None
         self._wake = threading.Event()
@@ -103,20 +115,19 @@ class Run:
         with self._io:
             while True:
                 with self._lock:
-                    rows = min(len(self._values), PART_ROWS)
-                    if rows == self._flushed:
+                    rows = min(len(self._values), PART_ROWS - self._part_rows)
+                    if rows == 0:
                         return
-                    columns = [column[:rows] for column in (self._steps, self._times, self._indices, self._values)]
+                    columns = [column[:rows] for column in self._columns]
                     keys = list(self._keys)
-                steps, times, indices, values = columns
                 self._check()
-                self._write_part(self._part, tables.metrics(steps, times, indices, keys, values))
+                self._part_data = self._write_part(self._part, appended(self._part_data, _table(keys, *columns)))
+                self._part_rows += rows
                 with self._lock:
-                    self._flushed = rows
-                    if rows == PART_ROWS:
-                        for column in (self._steps, self._times, self._indices, self._values):
-                            del column[:rows]
-                        self._part, self._flushed = self._part + 1, 0
+                    for column in self._columns:
+                        del column[:rows]
+                if self._part_rows == PART_ROWS:
+                    self._open_part(self._part + 1, 0)
 
     def resume(self, step: int) -> None:
         """Drops all rows beyond `step`, the step of the checkpoint that training goes on from; -1: all rows.
@@ -125,59 +136,50 @@ class Run:
         """
         with self._io:
             self._check()
-            last, tail = 0, tables.METRICS.empty_table()
-            for path in sorted((self.dir / "metrics").glob("part-*.parquet"), reverse=True):
+            last = rows = 0
+            for path in sorted((self.dir / "metrics").glob("part-*.parquet")):
                 number = int(path.stem[5:])
                 table = self._part_table(path)
                 kept = table.filter(pc.less_equal(table["step"], step))
                 # Emptied, not removed: a reader that has just listed the folder must find every file.
                 if kept.num_rows < table.num_rows:
-                    self._write_part(number, tables.encode(kept, ["key"]))
-                if kept.num_rows and not tail.num_rows:
-                    last, tail = number, kept
-            self._empty()
-            self._part = last
-            if tail.num_rows < PART_ROWS:
-                self._refill(tail)
-            else:
-                self._part += 1
+                    self._write_part(number, rewritten(self._part_bytes(number), partial(encode, kept)))
+                if kept.num_rows:
+                    last, rows = (number, kept.num_rows) if kept.num_rows < PART_ROWS else (number + 1, 0)
+            self._open_part(last, rows)
             self._step = max(step, 0)
             self._ready = True
             self._write_status()
 
-    def _refill(self, table: pa.Table) -> None:
-        self._steps.frombytes(np.asarray(table["step"]).tobytes())
-        self._times.frombytes(np.asarray(table["time_s"]).tobytes())
-        self._values.frombytes(np.asarray(table["value"]).tobytes())
-        self._indices.extend(self._index(key) for key in table["key"].to_pylist())
-        self._flushed = table.num_rows
-
     def _part_table(self, path: Path) -> pa.Table:
         try:
-            table = read_table(path)
-            if table.schema.names != tables.METRICS.names:
-                raise StoreError(f"{path}: expected columns {tables.METRICS.names}, got {table.schema.names}")
-            return table.cast(tables.METRICS)
-        except (StoreError, pa.ArrowException) as error:
+            return read_part(path)
+        except StoreError as error:
             aside = self.dir / f"damaged-{time.time_ns()}-{path.name}"
             with reporting(path):
                 keep_copy(path, aside)
-            self._write_part(int(path.stem[5:]), tables.encode(tables.METRICS.empty_table()))
+            self._write_part(int(path.stem[5:]), EMPTY_PART)
             self.warn(f"{error}; set aside as {aside.name}, its rows are missing from now on")
             return tables.METRICS.empty_table()
 
-    def _write_part(self, number: int, data: bytes) -> None:
+    def _open_part(self, number: int, rows: int) -> None:
+        """Further rows join part `number`, which has `rows` of them."""
+        self._part, self._part_rows, self._part_data = number, rows, self._part_bytes(number)
+
+    def _part_bytes(self, number: int) -> bytes:
+        path = self._part_path(number)
+        return _bytes(path) if path.exists() else EMPTY_PART
+
+    def _part_path(self, number: int) -> Path:
+        return self.dir / "metrics" / f"part-{number:05d}.parquet"
+
+    def _write_part(self, number: int, data: bytes) -> bytes:
         # The temporary file stays out of metrics/: a reader must never list a file that is gone when it is opened.
-        replace(self.dir / "metrics" / f"part-{number:05d}.parquet", data, scratch=self.dir)
+        replace(self._part_path(number), data, scratch=self.dir)
+        return data
 
     def _index(self, key: str) -> int:
         return self._keys.setdefault(key, len(self._keys))
-
-    def _empty(self) -> None:
-        self._steps, self._times = array("q"), array("d")
-        self._indices, self._values = array("i"), array("d")
-        self._keys: dict[str, int] = {}
-        self._flushed = 0
 
     # Tables, pictures and texts
 
@@ -186,7 +188,10 @@ class Run:
 
         Columns psnr, ssim, lpips, lpips_reason, depth_error are always there; further ones are float64 or text.
         """
-        self._write("eval.parquet", tables.encode(tables.evaluation(rows, self._step)))
+        with self._io:
+            data = rewritten(self._eval_data, partial(encode, tables.evaluation(rows, self._step)))
+            self._write("eval.parquet", data)
+            self._eval_data = data
 
     def write_summary(self, results: Mapping[str, Any]) -> None:
         """Adds to the one row of summary.parquet; what was there under other names stays."""
@@ -205,7 +210,8 @@ class Run:
             suffix = "" if number == 1 else f"-{number}"
             path, patch = self.dir / f"environment{suffix}.json", self.dir / f"dirty{suffix}.diff"
             if path.exists():
-                same = path.read_bytes() == data and (patch.read_text() if patch.exists() else "") == diff
+                known = read_bytes(patch, MOST_DIFF_BYTES) if patch.exists() else b""
+                same = read_bytes(path, MOST_DIFF_BYTES) == data and known == diff.encode()
                 if same:
                     return
                 continue
@@ -235,7 +241,7 @@ class Run:
         """Appends to log.txt, with the local time before it."""
         path = self.dir / "log.txt"
         text = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {' '.join(line.splitlines())}\n"
-        with self._io, reporting(path), open(path, "ab") as file:
+        with self._io, reporting(path), open_plain(path, "ab") as file:
             file.write(text.encode())
 
     def warn(self, line: str) -> None:
@@ -365,6 +371,20 @@ class Run:
             status = {"run_id": self.run_id, **self._status, "step": self._step, "heartbeat": time.time()}
             self._status = status
             replace(self.dir / "status.json", (json.dumps(status, indent=1) + "\n").encode(), durable=durable)
+
+
+def _bytes(path: Path) -> bytes:
+    with reporting(path, "read"):
+        return read_bytes(path, MOST_TABLE_BYTES)
+
+
+def _table(keys: Sequence[str], steps: array, times: array, indices: array, values: array) -> pa.Table:
+    """Rows of metrics from columns of equal length; `keys[indices]` are the names."""
+    names = pa.DictionaryArray.from_arrays(pa.array(np.asarray(indices)), pa.array(keys, pa.string()))
+    return pa.table(
+        [pa.array(np.asarray(steps)), pa.array(np.asarray(times)), names, pa.array(np.asarray(values))],
+        tables.METRICS.names,
+    )
 
 
 def _number(key: str, value: Any) -> float:

@@ -20,7 +20,7 @@ FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")  # others may run progra
 MOST_PIXELS = 64 * 2**20  # of one image
 MOST_FILE_BYTES = 2**30
 MOST_SCENE_BYTES = 16 * 2**30
-DECODERS = 4  # images decoded at a time
+DECODERS = 4  # images decoded at a time, fewer where they have more than `MOST_PIXELS` together
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,8 @@ def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tup
             raise ValueError(f"{folder}: image {file.name!r} does not decode: {_reason(error)}") from error
         return area_downscale(pixels, downscale), digest(data)
 
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, DECODERS)) as pool:
+    workers = min(os.cpu_count() or 1, DECODERS, MOST_PIXELS // (files[0].width * files[0].height))
+    with ThreadPoolExecutor(workers) as pool:
         images, hashes = zip(*pool.map(read, files), strict=True)
     if all(image.shape[-1] == 3 or bool((image[..., 3] == 255).all()) for image in images):
         return np.stack([image[..., :3] for image in images]), digest(*hashes)
@@ -162,7 +163,7 @@ def area_downscale(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
     """(H, W, 3 or 4) uint8 of an image of any of Pillow's modes."""
     if image.mode.startswith("I"):  # 16 bits a pixel, grey
-        grey = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
+        grey = np.clip(np.asarray(image), 0, 65535).astype(np.uint32)
         return np.repeat(((grey + 128) // 257).astype(np.uint8)[..., None], 3, axis=2)
     if image.mode == "F":
         raise ValueError("floating-point pixels; expected 8 or 16 bits a channel")

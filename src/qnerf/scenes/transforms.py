@@ -19,6 +19,7 @@ from qnerf.scenes.normalise import rigid
 
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 UNSUPPORTED = ("k3", "k4", "k5", "k6")
+MOST_JSON_BYTES = 2**28
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ def open_folder(path: str | Path) -> Path:
 def read_json(file: Path) -> dict[str, Any]:
     """The file's object; ValueError where it is not JSON with a non-empty list of frames."""
     try:
+        if file.stat().st_size > MOST_JSON_BYTES:
+            raise ValueError("more than 256 MiB")
         content = json.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error

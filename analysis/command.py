@@ -1,0 +1,55 @@
+"""What the commands of `analysis` share: choosing runs, printing a table, one line for a mistake."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+import pandas as pd
+
+from analysis.load import runs
+from analysis.selection import conditions, where
+from analysis.tables.table import Table
+
+FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
+
+
+def parser(name: str, description: str, examples: str) -> argparse.ArgumentParser:
+    """A parser of `python -m NAME STORE` with the options that choose runs and the format."""
+    made = argparse.ArgumentParser(
+        prog=f"python -m {name}",
+        description=description,
+        epilog=f"examples:\n{examples}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument("store", help="folder of runs")
+    made.add_argument(
+        "--filter",
+        type=str,
+        metavar="KEY=VALUE,...",
+        help="only runs with these values, such as scene_name=fox_64,seed=0",
+    )
+    made.add_argument(
+        "--format", choices=FORMATS, default="markdown", help="markdown (default), csv or latex (booktabs)"
+    )
+    return made
+
+
+def chosen(options: argparse.Namespace) -> pd.DataFrame:
+    """The runs of the store that the filter lets through."""
+    frame = runs(options.store)
+    return where(frame, conditions(options.filter)) if options.filter else frame
+
+
+def show(table: Table, form: str) -> None:
+    """Prints the table; the notes of a CSV, which has no place for them, go to standard error."""
+    print(FORMATS[form](table))
+    if form == "csv":
+        print("\n".join(table.notes), file=sys.stderr)
+
+
+def run(main: Callable[[Sequence[str] | None], None]) -> None:
+    """Calls `main`; a ValueError ends the process with its one line."""
+    try:
+        main(None)
+    except ValueError as error:
+        sys.exit(f"error: {' '.join(str(error).split())}")

@@ -1,0 +1,51 @@
+"""`python -m analysis.figures STORE --out DIR [NAME ...] [--filter field=qcolor]`."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.command import chosen, run
+from analysis.figures import FIGURES, save, scenes_of
+from analysis.style import FORMATS
+
+
+def main(arguments: Sequence[str] | None) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.figures",
+        description="Draws the figures of a store of runs.",
+        epilog="; ".join(f"{name}: {title}" for name, (title, _) in FIGURES.items()),
+    )
+    parser.add_argument("store", help="folder of runs")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"figures; without any, all: {', '.join(FIGURES)}")
+    parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: figures)")
+    parser.add_argument("--filter", metavar="KEY=VALUE,...", help="only runs with these values, such as scene=poster")
+    parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
+    parser.add_argument("--theme", default="light", choices=["light", "dark"])
+    draw(parser.parse_intermixed_args(arguments))
+
+
+def draw(options: argparse.Namespace) -> None:
+    """Writes what can be drawn. A figure that was asked for by name and cannot be is an error, others are told of."""
+    unknown = [name for name in options.names if name not in FIGURES]
+    if unknown:
+        raise ValueError(f"unknown figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
+    frame = chosen(options)
+    Path(options.out).mkdir(parents=True, exist_ok=True)
+    for name in options.names or FIGURES:
+        mistakes = {}
+        shown = scenes_of(name, frame)
+        for file, own in shown.items():
+            try:
+                figure = FIGURES[name][1](own, theme=options.theme)
+            except ValueError as error:
+                mistakes[file] = error
+            else:
+                print(*save(figure, Path(options.out) / file, options.formats.split(",")))
+        if name in options.names and len(mistakes) == len(shown):
+            raise next(iter(mistakes.values()))
+        for file, mistake in mistakes.items():
+            print(f"{file}: not drawn: {mistake}")
+
+
+if __name__ == "__main__":
+    run(main)

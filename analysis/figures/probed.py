@@ -1,0 +1,35 @@
+"""Tables that `qnerf evaluate` left in a run's folder."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from qnerf.records.read import read_table
+
+
+def probed(run: str | Path, name: str) -> pd.DataFrame:
+    """A run's `<name>.parquet`. ValueError that says how to make one where there is none."""
+    path = Path(run) / f"{name}.parquet"
+    if not path.is_file():
+        raise ValueError(f"{run}: has no {name}.parquet; `qnerf evaluate {Path(run).name} {_argument(name)}` writes it")
+    return read_table(path).to_pandas()
+
+
+def having(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The runs with a `<name>.parquet`. ValueError where there is none."""
+    kept = frame[[(Path(path) / f"{name}.parquet").is_file() for path in frame["path"]]]
+    if kept.empty:
+        raise ValueError(
+            f"none of {len(frame)} runs has {name}.parquet; `qnerf evaluate RUN {_argument(name)}` writes it"
+        )
+    return kept
+
+
+def best_of(frame: pd.DataFrame, name: str) -> str:
+    """The folder of the run of highest PSNR that has a `<name>.parquet`."""
+    kept = having(frame, name)
+    return str(kept.sort_values("psnr", ascending=False)["path"].iloc[0])
+
+
+def _argument(name: str) -> str:
+    return "shots=100,1000" if name == "eval_hardware" else name

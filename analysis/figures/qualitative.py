@@ -1,0 +1,109 @@
+"""Held-out views of chosen runs side by side: truth, render, error, depth."""
+
+import textwrap
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from analysis import style
+from analysis.figures import points
+from analysis.images import panels, pictures
+from analysis.selection import select
+from analysis.statistics import evaluations
+from qnerf.identity import clean
+
+TITLES = ("truth", "render", "error x 4", "depth")
+
+
+def typical(frame: pd.DataFrame, most: int = 5) -> pd.DataFrame:
+    """One run for each of the `most` best configurations of a scene: the one of median PSNR among its seeds.
+
+    Columns of `points.points` for one run, `seed` and `path`.
+    """
+    runs = select(frame).runs
+    table, _ = points.best(runs, ["psnr"], most)
+    chosen = [runs.loc[list(rows)].sort_values("psnr").iloc[(len(rows) - 1) // 2] for rows in table["runs"]]
+    return table.assign(**{key: [run[key] for run in chosen] for key in ("seed", "path", "psnr")})
+
+
+def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
+    """The pictures to draw: scene_name, name, seed, image, psnr (dB, of that image alone), picture (a path).
+
+    The `views` first held-out views that all runs of a scene have pictures of; ValueError where they have none.
+    """
+    rows = []
+    measured = evaluations(chosen).set_index(["path", "image"])["value"]
+    measured.index = measured.index.map(lambda key: (key[0], clean(Path(key[1]).with_suffix("").as_posix())))
+    for scene, runs in chosen.groupby("scene_name"):
+        stored = {path: pictures(path) for path in runs["path"]}
+        common = sorted(set.intersection(*(set(names) for names in stored.values())))[:views]
+        if not common:
+            raise ValueError(f"{scene}: no picture that all {len(runs)} chosen runs have")
+        for _, run in runs.iterrows():
+            for image in common:
+                quality = measured.get((run["path"], image), float("nan"))
+                rows.append((scene, run["name"], run["seed"], image, quality, stored[run["path"]][image]))
+    return pd.DataFrame(rows, columns=["scene_name", "name", "seed", "image", "psnr", "picture"])
+
+
+@style.styled
+def qualitative_grid(frame: pd.DataFrame, views: int = 2, most: int = 4) -> Figure:
+    """truth | render | error | depth of a typical run of each configuration: a row a run, a block a scene."""
+    shown = qualitative_panels(typical(frame, most), views)
+    blocks = [_Block(str(scene), rows) for scene, rows in shown.groupby("scene_name")]
+    height = sum(block.height for block in blocks) + _FOOT
+    figure = Figure(figsize=(style.PAGE, height))
+    top = height
+    for block in blocks:
+        block.draw(figure, top)
+        top -= block.height
+    note = "each run is the one of median PSNR among its configuration's seeds; depth: near is bright"
+    style.footnote(figure, note, select(frame).note)
+    return figure
+
+
+_LEFT, _GAP, _HEAD, _LINE, _FOOT = 0.95, 0.03, 0.42, 0.16, 0.22  # inches
+
+
+class _Block:
+    """The pictures of one scene, laid out by hand: panels of one size, rows without air between them."""
+
+    def __init__(self, scene: str, rows: pd.DataFrame) -> None:
+        self.scene, self.rows = scene, rows
+        self.grid = rows.pivot(index="name", columns="image", values="picture").loc[rows["name"].unique()]
+        columns = 4 * self.grid.shape[1]
+        tall, wide = panels(rows["picture"].iloc[0]).truth.shape[:2]
+        self.width = (style.PAGE - _LEFT - _GAP * columns) / columns
+        self.tall = self.width * tall / wide
+        self.height = _HEAD + len(self.grid) * (self.tall + _LINE)
+
+    def draw(self, figure: Figure, top: float) -> None:
+        """top: inches from the lower edge of the figure."""
+        width, height = figure.get_size_inches()
+        figure.text(_LEFT / width, (top - 0.14) / height, self.scene, fontsize=7.5)
+        for row, (name, line) in enumerate(self.grid.iterrows()):
+            y = top - _HEAD - row * (self.tall + _LINE) - self.tall
+            own = self.rows[self.rows["name"] == name].set_index("image")
+            text = textwrap.fill(str(name), 18) + f"\nseed {own['seed'].iloc[0]}"
+            figure.text(
+                (_LEFT - 0.06) / width, (y + self.tall / 2) / height, text, fontsize=5.5, ha="right", va="center"
+            )
+            for view, (image, picture) in enumerate(line.items()):
+                for column, (title, panel) in enumerate(zip(TITLES, panels(picture), strict=True)):
+                    x = _LEFT + (4 * view + column) * (self.width + _GAP)
+                    ax = figure.add_axes((x / width, y / height, self.width / width, self.tall / height))
+                    ax.imshow(panel, aspect="auto")
+                    ax.set_axis_off()
+                    if row == 0:
+                        ax.set_title(title, fontsize=6, pad=2)
+                    if column == 1:
+                        ax.text(
+                            0.5,
+                            -0.02,
+                            f"{own.loc[image, 'psnr']:.2f} dB",
+                            transform=ax.transAxes,
+                            fontsize=5.5,
+                            ha="center",
+                            va="top",
+                        )

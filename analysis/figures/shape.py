@@ -1,0 +1,96 @@
+"""Quality against the depth and the width of a head."""
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from analysis import style
+from analysis.figures import points
+from analysis.selection import check_keys, select
+
+_MEASURES = {"depth": {"mlp": "layers", "qiren": "qiren.layers"}, "width": {"mlp": "width", "qiren": "qiren.qubits"}}
+_AXES = {
+    ("depth", "mlp"): "linear layers",
+    ("depth", "qiren"): "hidden hybrid layers",
+    ("width", "mlp"): "hidden units a layer",
+    ("width", "qiren"): "qubits",
+}
+_HEADS = {"color": "colour head", "density": "density head"}
+
+
+def shape_points(frame: pd.DataFrame, measure: str, head: str = "color") -> pd.DataFrame:
+    """`points.points` of PSNR (dB) with `kind` (mlp | qiren), `x` (the depth or width of the head) and `line`.
+
+    A line holds configurations that differ in x alone; those without such a partner are left out. ValueError for an
+    unknown measure or head, or where no two configurations differ in x alone.
+    """
+    if measure not in _MEASURES or head not in _HEADS:
+        raise ValueError(f"expected depth or width of color or density, got {measure!r} of {head!r}")
+    runs = select(frame).runs
+    check_keys(runs, [f"{head}.name"])
+    kinds = _MEASURES[measure]
+    runs = runs[runs[f"{head}.name"].isin(list(kinds))]
+    columns = {kind: f"{head}.{key}" for kind, key in kinds.items()}
+    shape = [f"{head}.{key}" for key in ("name", "layers", "width", "qiren.layers", "qiren.spectral", "qiren.qubits")]
+    table = points.points(runs, ["psnr"], shape)
+    table = table.rename(columns={f"{head}.name": "kind"})
+    table["x"] = [float(row[columns[row["kind"]]]) for _, row in table.iterrows()]
+    apart = list(columns.values())
+    table["number"] = points.families(table, runs, apart)
+    table = table[table.groupby("number")["x"].transform("nunique") > 1].reset_index(drop=True)
+    if table.empty:
+        raise ValueError(
+            f"no two configurations differ in the {measure} of the {_HEADS[head]} alone ({', '.join(apart)})"
+        )
+    for _, rows in table.groupby("kind"):
+        firsts = rows.drop_duplicates("number")
+        labelled = firsts.assign(**{head: [_rest(row, measure, head) for _, row in firsts.iterrows()]})
+        lines = points.names(labelled, runs, apart=apart, always=[head])
+        table.loc[rows.index, "line"] = rows["number"].map(dict(zip(firsts["number"], lines, strict=True)))
+    return table.sort_values(["scene_name", "kind", "line", "x"], ignore_index=True)
+
+
+def _rest(row: pd.Series, measure: str, head: str) -> str:
+    """The head's label without what its line runs over."""
+    if row["kind"] == "qiren":
+        spectral, layers = row[f"{head}.qiren.spectral"], row[f"{head}.qiren.layers"]
+        return f"S = {spectral:.0f}" if measure == "depth" else f"{layers:.0f}L{spectral:.0f}S"
+    return f"width {row[f'{head}.width']:.0f}" if measure == "depth" else f"{row[f'{head}.layers']:.0f} layers"
+
+
+@style.styled
+def psnr_vs_depth(frame: pd.DataFrame, head: str = "color") -> Figure:
+    """PSNR against the depth of a head: one row a scene, MLPs beside circuits, one line a width or S."""
+    return _draw(frame, "depth", head)
+
+
+@style.styled
+def psnr_vs_width(frame: pd.DataFrame, head: str = "color") -> Figure:
+    """PSNR against the width of a head, one line a depth: one row a scene, MLPs beside circuits."""
+    return _draw(frame, "width", head)
+
+
+def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
+    table = shape_points(frame, measure, head)
+    kinds, scenes = sorted(table["kind"].unique()), points.scenes(table)
+    figure = style.new(style.PAGE if len(kinds) > 1 else style.COLUMN, 0.5 + 2.2 * len(scenes))
+    axes = figure.subplots(len(scenes), len(kinds), sharex="col", sharey="row", squeeze=False)
+    for row, scene in zip(axes, scenes, strict=True):
+        for ax, kind in zip(row, kinds, strict=True):
+            shown = table[(table["scene_name"] == scene) & (table["kind"] == kind)]
+            for number, (line, group) in enumerate(shown.groupby("line")):
+                ax.errorbar(group["x"], group["psnr"], group["psnr_std"], label=line, **style.series(number))
+            ax.set_title(f"{scene}: {_HEADS[head]}, {'circuits' if kind == 'qiren' else 'MLPs'}")
+            if len(shown):
+                ax.legend()
+        row[0].set_ylabel("PSNR, dB")
+    for ax, kind in zip(axes[-1], kinds, strict=True):
+        ax.set_xlabel(_AXES[measure, kind])
+        if measure == "width" and kind == "mlp":
+            ax.set_xscale("log", base=2)
+        ticks = sorted(table.loc[table["kind"] == kind, "x"].unique())
+        ax.set_xticks(ticks, [f"{x:.0f}" for x in ticks])
+    finished = select(frame)
+    alone = len(points.points(finished.runs, ["psnr"])) - len(table)
+    rest = f"{alone} configurations that differ in more than the {measure} are not drawn" if alone else ""
+    style.footnote(figure, points.seeds(table), rest, finished.note)
+    return figure

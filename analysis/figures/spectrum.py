@@ -1,0 +1,87 @@
+"""Which frequencies a trained circuit uses."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from analysis import style
+from analysis.figures.probed import probed
+
+LEAST = 1e-4  # smallest share with a colour of its own
+
+
+def spectrum_points(run: str | Path) -> pd.DataFrame:
+    """A run's spectrum.parquet with `share`: of the output's variance over uniform angles, in [0, 1].
+
+    The shares of one angle sum to 1; that at frequency 0 is the part of the variance without this angle.
+    """
+    table = probed(run, "spectrum")
+    varying = table["power"] - table["mean"] ** 2 * (table["frequency"] == 0)
+    return table.assign(share=varying / table["variance"])
+
+
+@style.styled
+def fourier_spectrum(run: str | Path) -> Figure:
+    """Share of each output's variance at each frequency of each angle: a row a circuit, a column a frequency."""
+    table = spectrum_points(run)
+    used = table[table["frequency"] > 0]
+    circuits = list(used.groupby(["head", "circuit"]))
+    frequencies = sorted(used["frequency"].unique())
+    figure = style.new(min(style.PAGE, 1.4 + 1.6 * (len(frequencies) + 1)), 0.6 + 1.6 * len(circuits))
+    axes = figure.subplots(len(circuits), len(frequencies) + 1, squeeze=False)
+    norm = LogNorm(LEAST, 1)
+    for row, ((head, circuit), rows) in zip(axes, circuits, strict=True):
+        for ax, frequency in zip(row, frequencies, strict=False):
+            grid = rows[rows["frequency"] == frequency].pivot(index="output", columns="wire", values="share")
+            wires = range(rows["wire"].max() + 1)
+            grid = grid.reindex(index=sorted(rows["output"].unique()), columns=wires)
+            image = ax.imshow(grid.where(grid >= LEAST), norm=norm, cmap="viridis_r", aspect="equal")
+            ax.set(xticks=list(wires)[::2], yticks=list(grid.index)[::2])
+            ax.grid(False)
+        row[0].set_ylabel(f"{_HEADS[head]} head, circuit {circuit}\noutput")
+        _totals(row[-1], rows)
+    for ax, frequency in zip(axes[0], frequencies, strict=False):
+        ax.set_title(f"frequency {frequency:g} rad⁻¹")
+    for ax in axes[-1, :-1]:
+        ax.set_xlabel("angle (wire)")
+    axes[-1, -1].set_xlabel("frequency, rad⁻¹")
+    axes[0, -1].set_title("mean share")
+    figure.colorbar(image, ax=axes[:, :-1], label="share of the output's variance", aspect=30, pad=0.02, extend="min")
+    style.footnote(
+        figure,
+        _accuracy(table),
+        "variance over uniform angles; blank: less than 1e-4 or outside the light cone",
+        _spread(table),
+        Path(run).name,
+    )
+    return figure
+
+
+_HEADS = {"color": "colour", "density": "density"}
+
+
+def _totals(ax, rows: pd.DataFrame) -> None:
+    """Bars of the mean share at each frequency; an angle outside an output's light cone counts as 0."""
+    pairs = rows["output"].nunique() * (rows["wire"].max() + 1)
+    mean = rows.groupby("frequency")["share"].sum() / pairs
+    ax.bar(mean.index, mean, width=0.6 * np.diff(mean.index).min() if len(mean) > 1 else 0.6, color=style.PALETTE[0])
+    ax.set(xticks=list(mean.index))
+    ax.grid(False, axis="x")
+
+
+def _accuracy(table: pd.DataFrame) -> str:
+    if (table["method"] == "exact").all():
+        return "exact"
+    relative = (table["standard_error"] / table["variance"]).max()
+    return f"scrambled Sobol points, standard error of a share at most {relative:.1g}"
+
+
+def _spread(table: pd.DataFrame) -> str:
+    """How far the data move along the angles: what share of a period they see."""
+    std = table["angle_std"].dropna()
+    if std.empty:
+        return ""
+    return f"the training samples' angles have standard deviations of {std.min():.2f} to {std.max():.2f} rad"

@@ -1,0 +1,43 @@
+"""A run's stored pictures, `images/*.png`: truth | render | error x 4 | depth side by side, small views enlarged."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+
+class Panels(NamedTuple):
+    """The four panels of a picture, each (H, W, 3) uint8 in the view's own pixels."""
+
+    truth: np.ndarray
+    render: np.ndarray
+    error: np.ndarray
+    depth: np.ndarray
+
+
+def pictures(run: str | Path) -> dict[str, Path]:
+    """Name of a held-out view -> its picture, sorted by name; empty where a run has none."""
+    return {path.stem: path for path in sorted((Path(run) / "images").glob("*.png"))}
+
+
+def panels(picture: str | Path) -> Panels:
+    """The panels, with the enlargement taken back. ValueError where the file is not such a picture."""
+    try:
+        with Image.open(picture) as image:
+            pixels = np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError) as error:  # what Pillow raises for a damaged PNG
+        raise ValueError(f"{picture}: not readable as a picture: {' '.join(str(error).split())}") from error
+    width = pixels.shape[1]
+    if width % len(Panels._fields):
+        raise ValueError(f"{picture}: expected {' | '.join(Panels._fields)} of equal width, got {width} pixels")
+    factor = enlargement(pixels)
+    return Panels(*np.split(pixels[::factor, ::factor], len(Panels._fields), axis=1))
+
+
+def enlargement(pixels: np.ndarray) -> int:
+    """Side of the equal squares that a picture (H, 4 W, 3) consists of: pixels are repeated, never blended."""
+    height, width = pixels.shape[0], pixels.shape[1] // len(Panels._fields)
+    rows = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=(1, 2))) + 1
+    columns = np.flatnonzero((pixels[:, 1:] != pixels[:, :-1]).any(axis=(0, 2))) + 1
+    return int(np.gcd.reduce(np.concatenate([[height, width], rows, columns])))

@@ -1,0 +1,21 @@
+"""The numbers that the Q-NeRF paper (arXiv:2512.12683) prints, beside those of our runs of the same architectures."""
+
+from analysis.paper.joined import SETTING
+from analysis.paper.tables import (
+    PAPER_TABLES,
+    hash_encoding_configurations,
+    hsv_tests,
+    quantum_density_and_rgb,
+    quoted_numbers,
+    rgb_predictors,
+)
+
+__all__ = [
+    "PAPER_TABLES",
+    "SETTING",
+    "hash_encoding_configurations",
+    "hsv_tests",
+    "quantum_density_and_rgb",
+    "quoted_numbers",
+    "rgb_predictors",
+]

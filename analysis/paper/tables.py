@@ -1,0 +1,150 @@
+"""The paper's tables, one function each: its rows, with the architecture that its own counts prove, beside our runs.
+
+A printed parameter count belongs to one architecture alone; where the printed label is of another one, the row is an
+erratum, shown with both. Ours join through the architecture and the count, never through the label.
+"""
+
+from collections.abc import Callable, Sequence
+
+import pandas as pd
+
+from analysis import hsv
+from analysis.paper.joined import SETTING, joined, printed, side_by_side
+from analysis.selection import label, select
+from analysis.tables.table import Table
+
+
+def rgb_predictors(frame: pd.DataFrame) -> Table:
+    """Colour heads, QIREN and MLP, on a classical density head with a hash encoding."""
+    paper = printed("rgb")
+    paper["field"] = paper["predictor"].map({"qiren": "qcolor", "mlp": "classical"})
+    paper["encoder"] = "hash"
+    for which, column in (("true", "color"), ("label", "printed")):
+        paper[column] = [
+            _head(*row) for row in paper[["predictor", f"{which}_layers", f"{which}_width"]].itertuples(index=False)
+        ]
+    paper["params.color"] = paper["params"]
+    table, notes = joined(paper, frame, ["field", "encoder", "color", "params.color"])
+    table["printed"] = table["printed"].where(table["printed"] != table["color"])
+    columns = {"predictor": "type", "color": "colour head", "printed": "printed as", "params": "colour parameters"}
+    return side_by_side(PAPER_TABLES["rgb"][0], table, columns, (*_errata(table, ["color"]), *notes))
+
+
+def quantum_density_and_rgb(frame: pd.DataFrame) -> Table:
+    """QIREN for density and colour, without an encoding."""
+    paper = printed("both").assign(field="qboth", encoder="none")
+    paper["density"], paper["color"] = _plain(paper["true_density"]), _plain(paper["true_rgb"])
+    paper["params.density"], paper["params.color"] = paper["density_params"], paper["rgb_params"]
+    table, notes = joined(paper, frame, ["field", "encoder", "density", "color", "params.density", "params.color"])
+    labels = _plain(table["label_density"]) + " " + _plain(table["label_rgb"])
+    table["printed"] = labels.where(labels != table["density"] + " " + table["color"])
+    columns = {
+        "density": "density head",
+        "color": "colour head",
+        "printed": "printed as",
+        "density_params": "density parameters",
+        "rgb_params": "colour parameters",
+    }
+    return side_by_side(PAPER_TABLES["both"][0], table, columns, (*_errata(table, ["density", "color"]), *notes))
+
+
+def hash_encoding_configurations(frame: pd.DataFrame) -> Table:
+    """Hash tables C1 to C7 under a classical field; the paper prints counts alone, so PSNR is ours."""
+    paper = printed("hash").assign(field="classical", encoder="hash")
+    paper["hash"] = paper["config"]
+    paper["params.density"], paper["params.encoder"] = paper["mlp_params"], paper["encoding_params"]
+    table, notes = joined(paper, frame, ["field", "encoder", "hash", "params.density", "params.encoder"])
+    columns = {
+        "config": "hash table",
+        "levels": "levels",
+        "min_res": "coarsest",
+        "max_res": "finest",
+        "log2_table_size": "log2 entries",
+        "features_per_level": "features",
+        "mlp_params": "density parameters",
+        "encoding_params": "encoder parameters",
+    }
+    erratum = (
+        "erratum: the caption names the columns otherwise; the encoder's counts are levels x 2^log2 entries x features"
+    )
+    return side_by_side(PAPER_TABLES["hash"][0], table, columns, (erratum, *notes))
+
+
+def quoted_numbers(frame: pd.DataFrame) -> Table:
+    """Numbers that the paper gives in its text and figures alone; ours where its counts pin an architecture down."""
+    keys = {
+        "true_field": "field",
+        "true_encoder": "encoder",
+        "true_density": "density",
+        "density_params": "params.density",
+        "encoder_params": "params.encoder",
+    }
+    table, notes = joined(printed("quoted").rename(columns=keys), frame, list(keys.values()))
+    remark = "rows without an architecture: the paper prints no count that proves one"
+    columns = {"what": "what", "where": "where", "density": "density head", "params.density": "density parameters"}
+    return side_by_side(PAPER_TABLES["quoted"][0], table, columns, (remark, *notes))
+
+
+def hsv_tests(frame: pd.DataFrame) -> Table:
+    """Kolmogorov-Smirnov statistics of hue, saturation and value, the paper's and ours, for the paper's two fields."""
+    selection = select(frame)
+    runs = [selection.runs.merge(pd.DataFrame([counts])) for counts in HSV_FIELDS.values()]
+    tests = hsv.tests(hsv.samples(pd.concat(runs), **HSV_FIELDS)) if all(map(len, runs)) else None
+    data = printed("hsv")
+    if tests is None:
+        data = data.assign(mean=float("nan"), std=float("nan"), seeds=0)
+    else:
+        ours = tests.groupby(["channel", "pair"], as_index=False)["ks"].agg(["mean", "std", "size"])
+        data = data.merge(ours.rename(columns={"size": "seeds"}), on=["channel", "pair"], how="left")
+    text = data[["channel", "pair"]].assign(
+        **{
+            "KS: paper": data["ks"].map("{:.4f}".format),
+            "p: paper": data["p_below"].map("< {:.0e}".format),
+            "KS: ours": [hsv.spread(*row) for row in data[["mean", "std"]].itertuples(index=False)],
+            "seeds": data["seeds"].map(str),
+        }
+    )
+    notes = (SETTING, "hue as if it were a line, as the paper does; analysis.hsv has the circular statistics")
+    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
+    return Table(PAPER_TABLES["hsv"][0], text, data, bold, (*notes, *filter(None, [selection.note])))
+
+
+HSV_FIELDS = {
+    "classical": {"field": "classical", "encoder": "pe", "params.density": 1200, "params.color": 531},
+    "quantum": {"field": "qdensity", "encoder": "pe", "params.density": 1166, "params.color": 1859},
+}
+"""The two fields of the paper's HSV study: MLPs 4 x 12 and 3 x 12, and a 2L+2S density head with 3 x 32."""
+
+PAPER_TABLES: dict[str, tuple[str, Callable[[pd.DataFrame], Table]]] = {
+    "rgb": (
+        "Performance comparison between Quantum (QIREN) and Classical (MLP) RGB predictors in the Q-NeRF and Nerfacto "
+        "architectures",
+        rgb_predictors,
+    ),
+    "both": (
+        "Performance of the quantum density and quantum RGB Q-NeRF variant using different QIREN configurations",
+        quantum_density_and_rgb,
+    ),
+    "hash": ("Hash encoding configurations used in the ablation study", hash_encoding_configurations),
+    "hsv": ("HSV Output Analysis: Kolmogorov-Smirnov tests", hsv_tests),
+    "quoted": ("Numbers quoted in the paper's figures and text", quoted_numbers),
+}
+"""Key -> the paper's title and the function that draws the table from `load.runs`' frame."""
+
+
+def _head(predictor: str, layers: str, width: int) -> str:
+    return f"{layers}x{width}" if predictor == "mlp" else layers.replace("+", "")
+
+
+def _plain(names: pd.Series) -> pd.Series:
+    return names.str.replace("+", "")
+
+
+def _errata(table: pd.DataFrame, network: Sequence[str]) -> list[str]:
+    """What the column `printed` and rows of the same `network` say against the paper's labels."""
+    wrong = int(table["printed"].notna().sum())
+    notes = [f"errata: {wrong} rows are printed as another network than the one that their printed counts prove"]
+    for key, rows in table[table.duplicated(network, keep=False)].groupby(list(network), sort=False):
+        values = " and ".join(f"{psnr:.2f} dB" for psnr in rows["psnr_db"])
+        notes.append(f"errata: {label(key)} is printed {len(rows)} times, with {values}")
+    return notes

@@ -1,0 +1,135 @@
+"""`python -m analysis.report STORE --out report`: see `--help`."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import Progress
+
+import qnerf
+from analysis.load import runs
+from analysis.report import content, curves, page, parts, pictures
+
+DESCRIPTION = """\
+Writes one self-contained HTML page about a store of runs: the table of runs, interactive plots, curves, pictures and
+configurations compared, tables with their LaTeX, the paper's numbers beside ours. It opens from disk in any browser and
+loads nothing from the network.
+"""
+EXAMPLES = """\
+examples:
+  python -m analysis.report runs --out report
+  python -m analysis.report runs --out sweep.html --filter "scene_name == 'poster'" --title "Poster, 3 seeds"
+  python -m analysis.report runs --no-images
+"""
+
+
+Told = Callable[[str, int], Callable[[], None]]
+"""Begins a part of the work of so many steps; what it returns is called after each."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = parser().parse_args(arguments)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("reading runs", total=None)
+
+        def read(file: str, done: int, total: int) -> None:
+            progress.update(task, description=f"reading {file}", completed=done, total=total)
+
+        def told(what: str, total: int) -> Callable[[], None]:
+            progress.reset(task, description=what, total=total)
+            return lambda: progress.advance(task)
+
+        frame = runs(options.store, options.filter, progress=read)
+        path = write(page.render(gathered(frame, options, told)), options.out)
+    console.print(
+        f"{path}: {len(frame):,} runs, {path.stat().st_size / 1e6:.1f} MB",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def parser() -> argparse.ArgumentParser:
+    made = argparse.ArgumentParser(
+        prog="python -m analysis.report",
+        description=DESCRIPTION,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument("store", help="folder of runs")
+    made.add_argument(
+        "--out",
+        default="report",
+        metavar="DIR",
+        help="a folder, which gets index.html, or a .html file (default: report)",
+    )
+    made.add_argument(
+        "--filter", metavar="TEXT", help="only runs of which this is true: \"field == 'qcolor' and psnr > 24\""
+    )
+    made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
+    images = made.add_mutually_exclusive_group()
+    images.add_argument("--no-images", action="store_true", help="leave out the held-out views")
+    images.add_argument(
+        "--max-images",
+        type=int,
+        default=pictures.MOST_VIEWS,
+        metavar="N",
+        help="held-out views on the page, at most (default: %(default)s; each is a render and a depth)",
+    )
+    return made
+
+
+def gathered(frame: pd.DataFrame, options: argparse.Namespace, told: Told) -> dict[str, Any]:
+    """What the page's template takes."""
+    frame = content.prepared(frame)
+    order = content.order(frame)
+    most = 0 if options.no_images else options.max_images
+    drawn = pictures.gather(frame, order if most else [], most, told=told("pictures", len(order)))
+    logged = curves.gather(frame, order, told=told("curves", min(len(order), curves.MOST_RUNS)))
+    sections = parts.parts(frame, told("tables and figures", parts.STEPS))
+    return {
+        "title": options.title,
+        "store": options.store,
+        "filter": options.filter,
+        "total": f"{len(frame):,}",
+        "dates": content.dates(frame),
+        "states": list(frame["state"].fillna("unknown").value_counts().items()),
+        "older": content.older(frame),
+        "version": qnerf.__version__,
+        "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
+        "pictures": {"note": drawn.note, "absent": content.no_pictures(drawn, options.no_images)},
+        "plots": {"absent": content.no_plots(frame)},
+        "curves": {"absent": content.no_curves(logged)},
+        "parts": sections,
+        "data": content.data(frame, drawn, logged),
+    }
+
+
+def write(html: str, out: str) -> Path:
+    """Writes the page to the file `out`, or to index.html in the folder `out`; returns its path."""
+    path = Path(out)
+    path = path if path.suffix == ".html" else path / "index.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+SECTIONS = (
+    ("runs-section", "Runs"),
+    ("plots-section", "Capacity and speed"),
+    ("curves-section", "Curves"),
+    ("pictures-section", "Two runs"),
+)
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {' '.join(str(error).split())}")

@@ -1,0 +1,150 @@
+"""The runs as the page's script reads them, and what its first lines say."""
+
+import re
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import qnerf
+from analysis import style
+from analysis.figures import points
+from analysis.report import curves, pictures
+from analysis.report.columns import packed
+from analysis.report.repeats import first_of_each
+from analysis.report.versions import versions
+from analysis.selection import LABELS, select
+from analysis.tables.values import VALUES, value
+
+SHOWN = (
+    "run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed", "psnr", "ssim", "lpips",
+    "depth_error", "params.heads", "params.total", "step_ms", "train_s", "tags",
+)  # fmt: skip
+"""Columns of the table of runs to begin with."""
+
+UNLESS_CONSTANT = ("scene_name", "encoder", "density", "color", "tags")
+
+HEADINGS = {
+    "run_id": "run", "scene_name": "scene", "color": "colour", "params.heads": "head parameters",
+    "params.total": "all parameters", "train_s": "training, s", "eval_s": "evaluation, s",
+    "time.quantum_ms": "circuits, ms a step", "peak_memory_mb": "peak memory, MB",
+}  # fmt: skip
+SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
+"""Matplotlib's markers -> Plotly's."""
+
+_HEADS = ("name", "layers", "width", "qiren.layers", "qiren.spectral", "qiren.qubits")
+NEEDED = (
+    "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
+    "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
+)  # fmt: skip
+"""What tables and figures read of every run; one of another version may lack some, and says so by having no value."""
+
+_SETTINGS = ("experiment", "seed", "numerics", "geo_features", "appearance", "device", "threads")
+_RESULTS = ("params.", "time.", "run.")
+
+
+def prepared(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame` with what only the page needs: the version that wrote a run, the parameters of both heads, configuration.
+
+    A configuration is what `points.points` names; runs that are not finished, or repeat another, have none.
+    """
+    frame = frame.reset_index(drop=True)
+    for name in (*LABELS, *NEEDED):
+        if name not in frame:
+            frame[name] = None if name in LABELS else np.nan
+    frame["run_id"] = frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])
+    frame["version"] = versions(frame["path"])
+    for name in ("tags", "note"):
+        frame[name] = [value or None for value in frame.get(name, [None] * len(frame))]
+    frame["params.heads"] = frame["params.density"] + frame["params.color"]
+    frame["repeats"] = first_of_each(frame)
+    frame["configuration"] = None
+    try:
+        table = points.points(select(frame[frame["repeats"].isna()]).runs, ["psnr"])
+    except ValueError:  # nothing has finished
+        return frame
+    for name, rows in zip(table["name"], table["runs"], strict=True):
+        frame.loc[list(rows), "configuration"] = name
+    return frame
+
+
+def order(frame: pd.DataFrame) -> list[int]:
+    """Row numbers in the order in which runs get a place on the page: a seed of every configuration before the next."""
+    ranked = frame.sort_values(["psnr", "run_id"], ascending=[False, True])
+    group = ranked["configuration"].fillna(ranked["run_id"])
+    number = ranked.groupby([ranked["scene_name"].fillna(""), group]).cumcount()
+    later = ~ranked["state"].eq("finished")
+    return ranked.assign(later=later, number=number).sort_values(["later", "number"], kind="stable").index.tolist()
+
+
+def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) -> dict[str, Any]:
+    """What the page's script reads."""
+    columns = packed(frame.drop(columns=["store", "scene"], errors="ignore"))
+    settings = [name for name in columns if name in _SETTINGS or ("." in name and not name.startswith(_RESULTS))]
+    finished = frame.loc[frame["state"] == "finished", "scene_name"]
+    return {
+        "total": len(frame),
+        "columns": columns,
+        "settings": settings,
+        "shown": [
+            name for name in SHOWN if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
+        ],
+        "headings": {name: _heading(name) for name in {*VALUES, *HEADINGS, *columns}},
+        "scenes": finished.value_counts().index.tolist(),
+        "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
+        "curves": logged,
+        "curve_names": curves.KEYS,
+        "pictures": {"files": drawn.files, "runs": drawn.runs, "none": not drawn.files},
+    }
+
+
+def dates(frame: pd.DataFrame) -> str:
+    """`started 2026-01-03 to 2026-01-05`, in UTC; empty where no run says when."""
+    if "created" not in frame or frame["created"].isna().all():
+        return ""
+    first, last = (
+        datetime.fromtimestamp(float(t), UTC).date().isoformat() for t in frame["created"].agg(["min", "max"])
+    )
+    return f"started {first}" if first == last else f"started {first} to {last}"
+
+
+def older(frame: pd.DataFrame) -> list[tuple[str, int]]:
+    """Versions of qnerf other than this one that wrote runs, and how many each."""
+    others = frame.loc[frame["version"] != qnerf.__version__, "version"]
+    return list(others.value_counts().items())
+
+
+def no_pictures(drawn: pictures.Pictures, asked: bool) -> str:
+    """Why there are no pictures; empty where there are some."""
+    if drawn.files:
+        return ""
+    if asked:
+        return "Left out by --no-images."
+    damaged = f"; {len(drawn.problems)} are damaged, the first {drawn.problems[0]}" if drawn.problems else ""
+    return (
+        f"No run has pictures in images/{damaged}: training writes them at its end, `qnerf run run.force=true` again."
+    )
+
+
+def no_plots(frame: pd.DataFrame) -> str:
+    """Why there is nothing to plot; empty where there is something."""
+    try:
+        select(frame)
+    except ValueError as error:
+        return f"{error}. A run is plotted when it has finished: `qnerf run` with its options goes on with it."
+    return ""
+
+
+def no_curves(logged: dict[int, Any]) -> str:
+    """Why there are no curves; empty where there are some."""
+    return (
+        "" if logged else f"No run has logged any of {', '.join(curves.KEYS)}: they come every train.log_every steps."
+    )
+
+
+def _heading(name: str) -> dict[str, Any]:
+    known = name in VALUES or name in HEADINGS
+    found = {"text": HEADINGS.get(name, value(name).heading)} if known else {"text": name}
+    digits = re.search(r"\.(\d)f", value(name).form)
+    return found | ({"digits": int(digits[1])} if digits else {"digits": 0} if name == "params.heads" else {})

@@ -1,0 +1,55 @@
+"""What runs logged while they trained, thinned for the page."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from analysis.load import metrics
+from analysis.report.columns import rounded_all
+
+KEYS = {
+    "eval/psnr": "held-out PSNR, dB",
+    "train/psnr": "training PSNR, dB",
+    "train/loss": "training loss",
+    "train/mse": "mean squared colour error",
+    "time/step_ms": "time of a step, ms",
+}
+"""Metric -> what it is called on the page."""
+MOST_RUNS = 300
+POINTS = 80
+
+
+def gather(
+    frame: pd.DataFrame, order: Iterable[int], *, most: int = MOST_RUNS, told: Callable[[], None]
+) -> dict[int, dict[str, Any]]:
+    """Row number -> key -> {step, time, value} of at most `most` runs that have readable metrics."""
+    found: dict[int, dict[str, Any]] = {}
+    for row in order:
+        if len(found) == most:
+            break
+        try:
+            logged = metrics(frame["path"].iloc[row])
+        except ValueError:  # no metrics yet, or damaged ones
+            logged = pd.DataFrame({"key": []})
+        curves = {key: thinned(part) for key, part in logged.groupby("key") if key in KEYS}
+        if curves:
+            found[row] = {key: curves[key] for key in KEYS if key in curves}
+        told()
+    return found
+
+
+def thinned(logged: pd.DataFrame, points: int = POINTS) -> dict[str, list[float | int | None]]:
+    """Columns step, time_s (seconds) and value as means over up to `points` spans of equally many logged rows.
+
+    A span stands at its last step and time; every row stays where there are no more than `points`.
+    """
+    span = -(-len(logged) // points)
+    parts = logged.groupby(np.arange(len(logged)) // span)
+    table = parts.agg({"step": "last", "time_s": "last", "value": "mean"})
+    return {
+        "step": rounded_all(table["step"], 9),
+        "time": rounded_all(table["time_s"], 4),
+        "value": rounded_all(table["value"], 5),
+    }

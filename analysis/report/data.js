@@ -1,0 +1,56 @@
+"use strict";
+
+const $ = (id) => document.getElementById(id);
+const DATA = JSON.parse($("data").textContent);
+
+/** The columns of the runs' table by name; each is an array with a value a run, null where there is none. */
+const columns = new Map(Object.entries(DATA.columns).map(([name, packed]) => [name, unpack(packed)]));
+
+function unpack({ all, values, levels, codes }) {
+  if (values) return values;
+  if (levels) return codes.map((code) => levels[code]);
+  return new Array(DATA.total).fill(all ?? null);
+}
+
+const column = (name) => columns.get(name) ?? new Array(DATA.total).fill(null);
+const value = (name, run) => columns.get(name)?.[run] ?? null;
+const isNumeric = (name) => column(name).some((v) => typeof v === "number");
+
+/** What `name` is called on the page, with its unit. */
+const heading = (name) => DATA.headings[name]?.text ?? name;
+
+/** A value as it is shown: rounded as the tables round it, with an en dash where there is none. */
+function shown(name, v) {
+  if (v === null || v === undefined) return "–";
+  if (typeof v !== "number") return String(v);
+  const digits = DATA.headings[name]?.digits;
+  if (digits === undefined) return String(v);
+  return v.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}
+
+/** An element with attributes and children; text is only ever set as text. */
+function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, v] of Object.entries(attributes)) {
+    if (name.startsWith("on")) made.addEventListener(name.slice(2), v);
+    else if (v === true) made.setAttribute(name, "");
+    else if (v !== false && v !== null) made.setAttribute(name, v);
+  }
+  made.append(...children);
+  return made;
+}
+
+/** Fills a select: [value, text] each, keeping the chosen value where it is still there. */
+function options(select, items) {
+  const before = select.value;
+  select.replaceChildren(...items.map(([v, text]) => element("option", { value: v }, text)));
+  if (items.some(([v]) => String(v) === before)) select.value = before;
+}
+
+/** The colour that a CSS variable has under the present theme. */
+function colour(variable) {
+  const probe = document.body.appendChild(element("span", { style: `color: var(${variable})`, hidden: true }));
+  const found = getComputedStyle(probe).color;
+  probe.remove();
+  return found;
+}

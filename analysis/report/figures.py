@@ -1,0 +1,80 @@
+"""Matplotlib's figures as data URIs, for light and for dark paper; what cannot be drawn is a line that says why."""
+
+import base64
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from analysis.figures import FIGURES, save, scenes_of
+from analysis.style import settings
+
+PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
+MOST_SVG = 400_000  # bytes; a figure of ten thousand points is smaller as PNG
+HINTS = {
+    "depth": "`qnerf run -m field=qcolor qiren.layers=1,2,3` trains some",
+    "width": "`qnerf run -m color.width=16,32,64` trains some",
+    "density_width": "`qnerf run -m density.width=16,32,64` trains some",
+    "hash": "`qnerf run -m hash=C1,C3,C5,C7` trains some",
+    "hsv": "`qnerf run -m field=classical,qcolor` trains both kinds",
+}
+"""Figure -> the command that makes what it needs, where its own error does not name one."""
+KINDS = {"svg": "image/svg+xml", "png": "image/png"}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure for light and for dark paper, with its size on the page in pixels."""
+
+    title: str
+    light: str
+    dark: str
+    width: int
+    height: int
+
+
+def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
+    """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
+    title, function = FIGURES[name]
+    drawn, absent = [], {}
+    scenes = scenes_of(name, frame)
+    for runs in scenes.values():
+        own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
+        try:
+            drawn.append(themed(own, function(runs)))
+        except ValueError as error:
+            absent[own] = "; ".join([str(error), *filter(None, [HINTS.get(name)])])
+    if absent and not drawn:
+        absent = {title: next(iter(absent.values()))}
+    return drawn, [f"{own}: {reason}" for own, reason in absent.items()]
+
+
+def themed(title: str, figure: Figure) -> Drawn:
+    """A figure of the light theme, and as the dark one would have it: the themes differ in ink and paper alone."""
+    width, height = (round(inches * PIXELS_AN_INCH) for inches in figure.get_size_inches())
+    kind, light = encoded(figure)
+    dark = recoloured(light) if kind == "svg" else light
+    return Drawn(title, data_uri(kind, light), data_uri(kind, dark), width, height)
+
+
+def encoded(figure: Figure) -> tuple[str, bytes]:
+    """As SVG, or as PNG where that would be too large."""
+    with tempfile.TemporaryDirectory() as folder:
+        (svg,) = save(figure, Path(folder) / "figure", ["svg"])
+        if svg.stat().st_size <= MOST_SVG:
+            return "svg", svg.read_bytes()
+        (png,) = save(figure, Path(folder) / "figure", ["png"])
+        return "png", png.read_bytes()
+
+
+def recoloured(svg: bytes) -> bytes:
+    light, dark = (settings(theme) for theme in ("light", "dark"))
+    for key in ("text.color", "figure.facecolor"):
+        svg = svg.replace(light[key].encode(), dark[key].encode())
+    return svg
+
+
+def data_uri(kind: str, data: bytes) -> str:
+    return f"data:{KINDS[kind]};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,90 @@
+"""The sections of tables and figures below the interactive part of the page."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from analysis import hsv
+from analysis.figures import FIGURES, colors
+from analysis.paper import PAPER_TABLES
+from analysis.report.figures import Drawn, draw
+from analysis.report.repeats import acting
+from analysis.report.tables import ShownTable, attempt, over_seeds, what_the_scene_needs
+from analysis.tables import Table
+from analysis.tables.needs import TOLERANCE
+
+PAPER_FIGURES = (
+    "capacity", "capacity_color", "capacity_density", "depth", "width", "density_width", "hash", "loss", "qualitative",
+    "sampling", "encodings",
+)  # fmt: skip
+COLOURS = ("hsv",)
+REPEATS = (
+    "repeat another: the same scene and seed, and settings that differ only where they do not act. They are among the "
+    "runs above, and count nowhere below."
+)
+STEPS = len(FIGURES) + 1
+"""How often `parts` tells of progress."""
+
+
+@dataclass
+class Part:
+    """A section of tables and figures; `name`: the short title. `absent` has a line for all that cannot be shown."""
+
+    id: str
+    name: str
+    title: str
+    text: str = ""
+    tables: list[ShownTable] = field(default_factory=list)
+    figures: list[Drawn] = field(default_factory=list)
+    absent: list[str] = field(default_factory=list)
+
+    def draw(self, names: Iterable[str], frame: pd.DataFrame, told: Callable[[], None]) -> None:
+        for name in names:
+            drawn, absent = draw(name, frame)
+            self.figures += drawn
+            self.absent += absent
+            told()
+
+
+def parts(frame: pd.DataFrame, told: Callable[[], None]) -> list[Part]:
+    """Tables and figures of the store, in the order of the page."""
+    repeats = frame["repeats"].notna().sum()
+    frame = acting(frame)
+    configurations = Part("tables", "Tables", "Configurations over seeds")
+    if repeats:
+        configurations.text = f"{repeats:,} runs {REPEATS}"
+    configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame)]
+    needs = Part("needs", "Needs", "What this scene needs")
+    needs.tables = [attempt(f"The least parameters within {TOLERANCE:g} dB of the best", what_the_scene_needs, frame)]
+    colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
+    colours.tables = [
+        attempt(f"Hue, saturation and value: {scene}", _hsv_table, own, str(scene))
+        for scene, own in frame.groupby("scene_name")
+    ]
+    told()
+    colours.draw(COLOURS, frame, told)
+    paper = Part("paper", "Paper", "The paper's tables and figures, with ours")
+    paper.tables = [table for title, make in PAPER_TABLES.values() for table in beside_ours(title, make, frame)]
+    paper.draw(PAPER_FIGURES, frame, told)
+    more = Part("more", "Figures", "More figures")
+    more.draw([name for name in FIGURES if name not in (*PAPER_FIGURES, *COLOURS)], frame, told)
+    return [configurations, needs, colours, paper, more]
+
+
+def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.DataFrame) -> list[ShownTable]:
+    """A table of the paper for each scene that has runs in it; the paper's rows alone where none has."""
+    scenes = dict(list(frame.groupby("scene_name")))
+    if len(scenes) == 1:
+        return [attempt(title, make, frame)]
+    made = [attempt(f"{title}: {scene}", make, own) for scene, own in scenes.items()]
+    return [table for table in made if _has_ours(table)] or made[:1]
+
+
+def _has_ours(table: ShownTable) -> bool:
+    """Whether any row has a seed of ours; their number is the last column of every table of the paper."""
+    return any(row[-1].text != "0" for row in table.rows)
+
+
+def _hsv_table(frame: pd.DataFrame, scene: str) -> Table:
+    return hsv.table(hsv.tests(colors.hsv_samples(colors.chosen(frame))), f"Hue, saturation and value: {scene}")

@@ -1,0 +1,49 @@
+/** Which runs are selected, in the order of the table; everything that shows runs listens. */
+
+const selection = { runs: [], key: null, descending: true, listeners: [] };
+
+function select() {
+  const state = $("state").value;
+  const scene = $("scene").value;
+  let meets;
+  try {
+    meets = parseFilter($("filter").value);
+    $("filter-error").textContent = "";
+  } catch (error) {
+    $("filter-error").textContent = error.message;
+    return;
+  }
+  selection.runs = [...Array(DATA.total).keys()].filter(
+    (run) =>
+      (!state || value("state", run) === state) && (!scene || value("scene_name", run) === scene) && meets(run),
+  );
+  sort();
+}
+
+function sort() {
+  const { key, descending } = selection;
+  if (key) {
+    const values = column(key);
+    const sign = descending ? -1 : 1;
+    selection.runs.sort((a, b) => {
+      const [one, two] = [values[a], values[b]];
+      if (one === null || two === null) return (one === null) - (two === null) || a - b;
+      const order = typeof one === "number" ? one - two : String(one).localeCompare(String(two), "en", { numeric: true });
+      return sign * order || a - b;
+    });
+  }
+  for (const listener of selection.listeners) listener();
+}
+
+function startSelection() {
+  const counted = (name) => [...new Set(column(name).filter((v) => v !== null))].sort().map((v) => [v, v]);
+  options($("state"), [["", "all"], ...counted("state")]);
+  options($("scene"), [["", "all"], ...counted("scene_name")]);
+  let waiting;
+  $("filter").addEventListener("input", () => {
+    clearTimeout(waiting);
+    waiting = setTimeout(select, 120);
+  });
+  for (const id of ["state", "scene"]) $(id).addEventListener("change", select);
+  select();
+}

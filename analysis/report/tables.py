@@ -1,0 +1,83 @@
+"""Tables as the page shows them, with what there is to copy; what cannot be made is a line that says why."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from analysis.figures import points
+from analysis.selection import LABELS, configuration, select
+from analysis.tables import Table, ablation, needs
+
+MOST_ERROR = 600  # characters of an error that may list every column
+MOST_ROWS = 30  # configurations of a scene in the ablation table
+FIRST_KEYS = ("scene_name", "field", "density", "color")
+
+
+@dataclass(frozen=True)
+class Cell:
+    text: str
+    number: bool
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class ShownTable:
+    """A table of text, its notes and its copies (name, text); or the line that says why it is `absent`."""
+
+    title: str
+    heads: tuple[Cell, ...] = ()
+    rows: tuple[tuple[Cell, ...], ...] = ()
+    notes: tuple[str, ...] = ()
+    copies: tuple[tuple[str, str], ...] = ()
+    absent: str = ""
+
+
+def shown(title: str, table: Table) -> ShownTable:
+    numbers = [bool(column.str.fullmatch(r"[-+\d.,\s±()n=\[\]*]*").all()) for _, column in table.text.items()]
+    heads = tuple(Cell(str(name), number) for name, number in zip(table.text.columns, numbers, strict=True))
+    rows = tuple(
+        tuple(Cell(*cell) for cell in zip(texts, numbers, bolds, strict=True))
+        for texts, bolds in zip(table.text.to_numpy(), table.bold.to_numpy(), strict=True)
+    )
+    copies = (("LaTeX", table.latex()), ("Markdown", table.markdown()), ("CSV", table.csv()))
+    return ShownTable(title, heads, rows, table.notes, copies)
+
+
+def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTable:
+    """The table under this title, or why there is none."""
+    try:
+        return shown(title, make(*arguments))
+    except ValueError as error:
+        return ShownTable(title, absent=f"{str(error)[:MOST_ERROR]}.")
+
+
+def row_keys(runs: pd.DataFrame) -> list[str]:
+    """Scene, field and heads, and the further settings without which a row would mix configurations."""
+    keys = list(FIRST_KEYS)
+    settings = ("encoder", "hash", *LABELS, *configuration(runs))
+    for name in (name for name in settings if runs[name].nunique(dropna=False) > 1):
+        if name not in keys and runs.groupby(keys, dropna=False)[name].nunique(dropna=False).max() > 1:
+            keys.append(name)
+    return keys
+
+
+def over_seeds(frame: pd.DataFrame) -> Table:
+    """`ablation` of the best `MOST_ROWS` configurations of each scene, against the classical one if it is one."""
+    runs = select(frame).runs
+    kept, left = points.best(runs, ["psnr"], MOST_ROWS)
+    runs = runs.loc[[row for rows in kept["runs"] for row in rows]]
+    classical = kept[kept["field"] == "classical"].groupby("scene_name").size()
+    single = len(classical) == kept["scene_name"].nunique() and (classical == 1).all()
+    table = ablation(
+        pd.concat([runs, frame[frame["state"] != "finished"]]),
+        row_keys(runs),
+        baseline={"field": "classical"} if single else None,
+        title="Configurations over seeds",
+    )
+    return Table(table.title, table.text, table.data, table.bold, (*table.notes, *filter(None, [left])))
+
+
+def what_the_scene_needs(frame: pd.DataFrame) -> Table:
+    return needs(frame, row_keys(select(frame).runs))

@@ -1,0 +1,180 @@
+"""Which runs a table or figure is made of, which are left out and why, and which may not be averaged together."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+SCENES = ("scene_name", "scene.path", "scene", "scene.name")
+"""Row keys that tell scenes apart."""
+
+LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
+_SCALARS = ("experiment", "numerics", "geo_features", "appearance")
+_RESULTS = ("params", "time", "run")  # first parts of dotted names that are no configuration
+# What is logged and how often decides no number; where a scene lies says nothing about what it is.
+_IRRELEVANT = (
+    "scene.path",
+    "train.log_every",
+    "train.eval_every",
+    "train.eval_views",
+    "train.checkpoint_every",
+    "train.chunk",
+)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The finished runs that have the metric, and how many were left out for which reason."""
+
+    runs: pd.DataFrame
+    left_out: Mapping[str, int]
+
+    @property
+    def note(self) -> str:
+        """`left out: 2 interrupted, 1 NaN psnr`; empty where every run is in."""
+        if not self.left_out:
+            return ""
+        return "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
+
+
+def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
+    """The runs of `frame`, one a row as `load.runs` gives them, that finished with a finite `metric`.
+
+    ValueError where there is none: it says how many runs there are, in which states, and which metrics they have.
+    """
+    states = frame["state"].fillna("unknown").value_counts()
+    finished = frame[frame["state"] == "finished"]
+    if finished.empty:
+        raise ValueError(f"no finished runs among {len(frame)}: {states.to_dict()}")
+    if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
+        raise ValueError(f"no metric {metric!r}; the runs have {', '.join(measured(finished))}")
+    values = finished[metric].astype(float)
+    kept = finished[np.isfinite(values)]
+    if kept.empty:
+        reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
+        why = f" ({reasons.iloc[0]})" if len(reasons) else ""
+        raise ValueError(f"none of {len(finished)} finished runs has {metric}{why}; have: {_listed(finished)}")
+    left = states.drop("finished").to_dict()
+    left |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
+    return Selection(kept, {reason: count for reason, count in left.items() if count})
+
+
+def measured(runs: pd.DataFrame) -> list[str]:
+    """Columns that hold a number in at least one run and are no configuration."""
+    settings = set(configuration(runs))
+    return [
+        name
+        for name in runs.select_dtypes("number").columns
+        if name not in settings and name != "seed" and runs[name].notna().any()
+    ]
+
+
+def where(frame: pd.DataFrame, conditions: Mapping[str, object]) -> pd.DataFrame:
+    """The rows whose columns have these values. ValueError names an unknown column, or the values that there are."""
+    for key, value in conditions.items():
+        check_keys(frame, [key])
+        number = pd.api.types.is_numeric_dtype(frame[key]) and not pd.api.types.is_bool_dtype(frame[key])
+        same = frame[key].map(float if number else _plain) == (_number(key, value) if number else _plain(value))
+        if not same.any():
+            known = ", ".join(sorted(map(str, frame[key].dropna().unique()))[:8])
+            raise ValueError(f"nothing has {key}={value}; {key} is {known or 'never given'}")
+        frame = frame[same]
+    return frame
+
+
+def conditions(text: str) -> dict[str, str]:
+    """`field=classical,color=3x64` as a dict. ValueError where a part has no `=`."""
+    parts = [part.partition("=") for part in text.split(",")]
+    wrong = [key for key, equals, _ in parts if not equals]
+    if wrong:
+        raise ValueError(f"expected KEY=VALUE with commas between, such as field=classical, got {wrong[0]!r}")
+    return {key.strip(): value.strip() for key, _, value in parts}
+
+
+def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
+    """ValueError where a key is no column; it names the nearest."""
+    for key in rows:
+        if key not in frame.columns:
+            near = difflib.get_close_matches(key, frame.columns, n=5) or ["scene_name", *LABELS]
+            known = ", ".join(name for name in near if name in frame.columns)
+            raise ValueError(f"unknown key {key!r}; known: {known} and others of {len(frame.columns)} columns")
+
+
+def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
+    """ValueError where the groups of `rows` compare scenes, or a group mixes configurations or holds a seed twice."""
+    refuse_scenes(runs, rows)
+    groups = runs.groupby(list(rows), dropna=False, sort=False)
+    settings = [key for key in (*LABELS, *configuration(runs)) if key in runs.columns and key not in rows]
+    varying = [key for key in settings if runs[key].nunique(dropna=False) > 1]
+    if varying:
+        several = groups[varying].nunique(dropna=False) > 1
+        mixed = several[several.any(axis=1)]
+        if len(mixed):
+            keys = mixed.columns[mixed.iloc[0]]
+            group = groups.get_group(_as_tuple(mixed.index[0]))
+            told = ", ".join(f"{key} ({_values(group[key])})" for key in keys[:3])
+            raise ValueError(
+                f"row {label(mixed.index[0])} mixes runs of different {told}: add a key to the rows or filter"
+            )
+    again = runs.duplicated([*rows, "seed"])
+    if again.any():
+        row = runs[again].iloc[0]
+        name = label(tuple(row[key] for key in rows))
+        raise ValueError(f"row {name} holds seed {row['seed']:g} twice, the second time in {row['path']}: filter")
+
+
+def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
+    """ValueError where runs of several scenes would stand in one group, or side by side without saying so."""
+    names = sorted(map(str, runs["scene_name"].unique()))
+    keys = [key for key in rows if key in SCENES]
+    together = not keys or (runs.groupby(keys, dropna=False)["scene_name"].nunique() > 1).any()
+    if len(names) > 1 and together:
+        raise ValueError(
+            f"{len(names)} scenes in one table ({', '.join(names)}): add scene_name to the rows, or filter on one"
+        )
+
+
+def configuration(frame: pd.DataFrame) -> list[str]:
+    """Columns of the flat configuration that decide a run's numbers, its seed aside."""
+    dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
+    return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _IRRELEVANT]
+
+
+def label(key: object) -> str:
+    """A group's key as text: `fox_64, qcolor`. Whole numbers are so however the column holds them."""
+    return ", ".join(map(_part, _as_tuple(key)))
+
+
+def _part(value: object) -> str:
+    if pd.isna(value):
+        return "none"
+    return f"{value:.0f}" if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def _as_tuple(key: object) -> tuple[object, ...]:
+    return key if isinstance(key, tuple) else (key,)
+
+
+def _values(column: pd.Series, most: int = 4) -> str:
+    values = [label(value) for value in column.unique()]
+    return ", ".join(values[:most]) + (", ..." if len(values) > most else "")
+
+
+def _listed(runs: pd.DataFrame) -> str:
+    return ", ".join(measured(runs))
+
+
+def _plain(value: object) -> str:
+    return label(value).lower()  # true and True, null and none
+
+
+def _number(key: str, value: object) -> float:
+    try:
+        return float(str(value))
+    except ValueError:
+        raise ValueError(f"{key} is a number, got {value!r}") from None
+
+
+_configuration = configuration

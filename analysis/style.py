@@ -1,0 +1,149 @@
+"""How every figure looks: sizes of a two-column paper, colours for colour-blind readers, files that never change by
+themselves."""
+
+import functools
+import math
+import textwrap
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+COLUMN, PAGE = 3.35, 6.9  # inches
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#888888")
+"""Okabe and Ito's colours, with brown and grey for yellow and black, which paper or screen would swallow."""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+LINES = ("-", "--", "-.", ":")
+SSIM = "cividis"
+FIELDS = {
+    "classical": ("#E69F00", "s"),
+    "qcolor": ("#0072B2", "o"),
+    "qdensity": ("#CC79A7", "^"),
+    "qboth": ("#009E73", "D"),
+}
+"""Colour and marker of each field, the same in every figure."""
+
+FORMATS = ("png", "svg", "pdf")
+
+_BASE: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
+    "font.size": 7,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 6.5,
+    "legend.framealpha": 0.8,
+    "legend.edgecolor": "none",
+    "legend.borderpad": 0.2,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.5,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.linewidth": 0.4,
+    "grid.alpha": 0.35,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "errorbar.capsize": 2,
+    "image.interpolation": "nearest",
+    "savefig.dpi": 300,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "qnerf",
+    "pdf.fonttype": 42,
+}
+_INK = {"light": ("#1a1a1a", "#ffffff"), "dark": ("#e6e6e6", "#16181d")}
+_INKED = ("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor", "xtick.color", "ytick.color")
+_PAPER = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "legend.facecolor")
+
+
+def settings(theme: str = "light") -> dict[str, Any]:
+    """Matplotlib's parameters of a theme. ValueError for an unknown one."""
+    if theme not in _INK:
+        raise ValueError(f"unknown theme {theme!r}; known: {', '.join(_INK)}")
+    ink, paper = _INK[theme]
+    return _BASE | dict.fromkeys(_INKED, ink) | dict.fromkeys(_PAPER, paper) | {"grid.color": ink}
+
+
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """A figure function that also takes `theme`, light or dark, and ignores the caller's own settings."""
+
+    @functools.wraps(draw)
+    def drawn(*arguments: Any, theme: str = "light", **options: Any) -> Figure:
+        with mpl.rc_context({**mpl.rcParamsDefault, **settings(theme)}):
+            return draw(*arguments, **options)
+
+    return drawn
+
+
+def ink() -> str:
+    """The colour of text in the theme at hand."""
+    return str(mpl.rcParams["text.color"])
+
+
+def new(width: float, height: float) -> Figure:
+    """An empty figure, inches, that lays itself out."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def series(number: int) -> dict[str, str]:
+    """Colour and marker of the n-th line."""
+    return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
+
+
+def plain_ticks(ax: Axes) -> None:
+    """Ticks of a logarithmic x axis as plain numbers (2k, 50k, 1M), at 1, 2 and 5 where it spans few decades."""
+    low, high = ax.get_xlim()
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if math.log10(high / low) < 2 else (1,)))
+    ax.xaxis.set_major_formatter(FuncFormatter(_plain))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _plain(value: float, _: int | None = None) -> str:
+    for unit, name in ((1e6, "M"), (1e3, "k")):
+        if value >= unit:
+            return f"{value / unit:g}{name}"
+    return f"{value:g}"
+
+
+def legend(figure: Figure, columns: int = 3) -> None:
+    """One legend above all panels: each label once."""
+    found = {}
+    for ax in figure.axes:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=columns)
+
+
+def footnote(figure: Figure, *parts: str) -> None:
+    """What the reader must know and the axes do not tell, below everything: runs left out, numbers of seeds."""
+    text = "; ".join(part for part in parts if part)
+    if text:
+        wrapped = textwrap.fill(text, int(figure.get_figwidth() * 23))
+        figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=5.5, alpha=0.8)
+
+
+def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> list[Path]:
+    """Writes path.png, path.svg and path.pdf, text as text, without a date; returns their paths.
+
+    The same figure gives the same bytes. ValueError for a format that matplotlib does not know.
+    """
+    written = []
+    for kind in formats:
+        target = Path(f"{path}.{kind}")
+        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}
+        with mpl.rc_context(
+            {key: _BASE[key] for key in ("svg.fonttype", "svg.hashsalt", "pdf.fonttype", "savefig.dpi")}
+        ):
+            figure.savefig(target, format=kind, metadata=dates.get(kind), facecolor=figure.get_facecolor())
+        written.append(target)
+    return written

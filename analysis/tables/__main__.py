@@ -1,0 +1,73 @@
+"""`python -m analysis.tables STORE`: see `--help`."""
+
+from collections.abc import Sequence
+
+from analysis import command
+from analysis.paper import PAPER_TABLES
+from analysis.selection import conditions
+from analysis.tables.ablation import ablation
+from analysis.tables.needs import TOLERANCE, needs
+from analysis.tables.values import VALUES
+
+DESCRIPTION = """\
+Tables over seeds from a folder of runs. A row is a group of finished runs that differ in their seed alone: mean ±
+standard deviation, best of each scene in bold. Runs that are unfinished, failed, damaged or without the metric are
+counted under the table; a row that would mix scenes or configurations is refused with the keys that differ.
+"""
+EXAMPLES = """\
+  python -m analysis.tables runs
+  python -m analysis.tables runs --rows field,qiren --filter scene_name=poster
+  python -m analysis.tables runs --rows scene_name,field --baseline field=classical --format latex
+  python -m analysis.tables runs --rows field,hash --needs --tolerance 0.5 --size step_ms
+  python -m analysis.tables runs --paper rgb --filter scene_name=poster
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = command.parser("analysis.tables", DESCRIPTION, EXAMPLES)
+    parser.add_argument(
+        "--rows",
+        default="scene_name,field,color",
+        metavar="KEY,...",
+        help="columns that tell the rows apart: any key of the configuration (color.qiren.spectral) or a short name "
+        "(field, density, color, hash, qiren, train); default: %(default)s",
+    )
+    parser.add_argument(
+        "--values", metavar="NAME,...", help=f"columns to show; default: those given of {', '.join(VALUES)}"
+    )
+    parser.add_argument("--metric", default="psnr", help="what runs are judged by; default: %(default)s")
+    parser.add_argument(
+        "--baseline",
+        metavar="KEY=VALUE,...",
+        help="the row that the others are compared with, seed by seed and view by view: bootstrap interval of the "
+        "difference",
+    )
+    parser.add_argument(
+        "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
+    )
+    parser.add_argument(
+        "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
+    )
+    parser.add_argument(
+        "--size", default="params.total", help="for --needs: what is small, such as step_ms; default: %(default)s"
+    )
+    titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
+    parser.add_argument(
+        "--paper", choices=PAPER_TABLES, help=f"instead: a table of the paper with ours beside it. {titles}"
+    )
+    options = parser.parse_args(arguments)
+    frame = command.chosen(options)
+    rows = options.rows.split(",")
+    if options.paper:
+        table = PAPER_TABLES[options.paper][1](frame)
+    elif options.needs:
+        table = needs(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
+    else:
+        baseline = conditions(options.baseline) if options.baseline else None
+        values = options.values.split(",") if options.values else None
+        table = ablation(frame, rows, metric=options.metric, values=values, baseline=baseline)
+    command.show(table, options.format)
+
+
+if __name__ == "__main__":
+    command.run(main)

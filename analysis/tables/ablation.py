@@ -1,0 +1,81 @@
+"""The ablation table: a row a configuration, best in bold, with the difference from a baseline row."""
+
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from analysis.selection import SCENES, check_keys, label, refuse_mixtures, select
+from analysis.tables.differences import against, interval, pairs
+from analysis.tables.seeds import aggregate, values_of
+from analysis.tables.table import Table
+from analysis.tables.values import shown, value
+
+
+def ablation(
+    frame: pd.DataFrame,
+    rows: Sequence[str],
+    *,
+    metric: str = "psnr",
+    values: Sequence[str] | None = None,
+    baseline: Mapping[str, object] | None = None,
+    title: str | None = None,
+) -> Table:
+    """Mean ± standard deviation over seeds, a row each group of `rows`; the best of each scene in bold.
+
+    baseline: row keys and their values that single out one row (one a scene, if scenes are among the rows); the others
+    then have the bootstrap interval of their `metric` minus the baseline's, in the metric's unit. Raises ValueError as
+    `over_seeds` does, and for a baseline that is no row or several.
+    """
+    check_keys(frame, rows)
+    selection = select(frame, metric)
+    runs = selection.runs
+    refuse_mixtures(runs, rows)
+    table = aggregate(runs, rows, values_of(runs, metric, values))
+    notes = [selection.note] if selection.note else []
+    differences = None
+    if baseline is not None:
+        differences, remarks = against(runs, rows, table.index.to_frame(index=False), baseline, metric)
+        notes += remarks
+    return compose(table, differences, title or f"{value(metric).heading} over seeds", notes, metric)
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """What `over_seeds` gives as Markdown: mean ± standard deviation, best in bold."""
+    return compose(table, None, "", [], "").markdown()
+
+
+def compose(
+    table: pd.DataFrame, differences: pd.DataFrame | None, title: str, notes: Sequence[str], metric: str
+) -> Table:
+    """The shown table of `over_seeds`' numbers and, where there is a baseline, the `differences` from it."""
+    names = [name for name in table.columns.get_level_values(0).unique() if name != "seeds"]
+    seeds = table[("seeds", "n")]
+    text = pd.DataFrame({name: table.index.get_level_values(name).map(label) for name in table.index.names})
+    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
+    for name in names:
+        column = table[name]
+        numbers = zip(column["mean"], column["std"], column["n"], seeds, strict=True)
+        text[value(name).heading] = [shown(name, *row) for row in numbers]
+        bold[value(name).heading] = best(table, name).to_numpy()
+    if differences is not None:
+        heading = f"difference, {value(metric).heading}"
+        text[heading] = [interval(row, value(metric).form) for row in differences.itertuples()]
+        text["pairs"] = [pairs(row) for row in differences.itertuples()]
+        table = table.join(pd.concat({"difference": differences.set_index(table.index)}, axis=1))
+    text["seeds"] = seeds.map("{:d}".format).to_numpy()
+    bold = bold.reindex(columns=text.columns, fill_value=False)
+    single = int((seeds == 1).sum())
+    remarks = [f"n = 1 in {single} of {len(seeds)} rows: no spread"] if single else []
+    return Table(title, text, table, bold, (*notes, *remarks))
+
+
+def best(table: pd.DataFrame, name: str) -> pd.Series:
+    """True where the mean of `name` prints like the best of its scene; nowhere if all print the same."""
+    means, better = table[(name, "mean")], value(name).better
+    if better is None:
+        return pd.Series(False, index=table.index)
+    printed = means.map(value(name).form.format, na_action="ignore")
+    scenes = [key for key in table.index.names if key in SCENES]
+    scene = table.index.to_frame()[scenes].apply(tuple, axis=1) if scenes else pd.Series(0, index=table.index)
+    winners = means.groupby(scene).transform(better).map(value(name).form.format, na_action="ignore")
+    return (printed == winners) & (printed.groupby(scene).transform("nunique") > 1)

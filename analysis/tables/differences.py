@@ -1,0 +1,76 @@
+"""The difference of every row of a table from a baseline row, with its interval."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from analysis import statistics
+from analysis.selection import SCENES, label, where
+from analysis.statistics import Difference
+
+_COLUMNS = ["mean", "low", "high", "seeds", "views"]
+
+
+def against(
+    runs: pd.DataFrame, rows: Sequence[str], keys: pd.DataFrame, baseline: Mapping[str, object], metric: str
+) -> tuple[pd.DataFrame, list[str]]:
+    """`Difference` of each group of `rows`, in `groupby`'s order, from the baseline of its scene; notes for under it.
+
+    keys: one row a group, its key. The baseline's own row is NaN; where nothing pairs, seeds and views are 0.
+    """
+    reference = references(keys, rows, baseline)
+    group = dict(zip(runs["path"], runs.groupby(list(rows), dropna=False).ngroup(), strict=True))
+    views = statistics.evaluations(runs, metric)
+    parts = dict(list(views.groupby(views["path"].map(group))))
+    empty = views.iloc[:0]
+    lines = [
+        [float("nan")] * len(_COLUMNS) if number == base else _line(parts.get(base, empty), parts.get(number, empty))
+        for number, base in enumerate(reference)
+    ]
+    table = pd.DataFrame(lines, columns=_COLUMNS)
+    notes = [f"difference from {label(tuple(baseline.values()))}: {statistics.method()}; * excludes 0"]
+    if (table["seeds"] == 1).any():
+        notes.append("pairs of one seed: the interval speaks about views alone")
+    without = len(runs) - views["path"].nunique()
+    if without:
+        notes.append(f"{without} runs have no readable {metric} in eval.parquet and take no part in the differences")
+    return table, notes
+
+
+def references(keys: pd.DataFrame, rows: Sequence[str], baseline: Mapping[str, object]) -> list[int]:
+    """For each row of `keys` the number of its scene's baseline row. ValueError where that is none or several."""
+    outside = [key for key in baseline if key not in rows]
+    if outside:
+        raise ValueError(f"baseline: {outside[0]!r} is not a row key; the rows are {', '.join(rows)}")
+    matches = set(where(keys, baseline).index)
+    scenes = [key for key in rows if key in SCENES]
+    found = {}
+    for scene, members in keys.groupby(scenes, dropna=False) if scenes else [("the table", keys)]:
+        ours = [number for number in members.index if number in matches]
+        if len(ours) != 1:
+            those = "; ".join(label(tuple(keys.loc[number])) for number in ours) or "none"
+            raise ValueError(f"baseline: expected one row of {label(scene)} that matches, got {len(ours)}: {those}")
+        found |= dict.fromkeys(members.index, ours[0])
+    return [found[number] for number in keys.index]
+
+
+def interval(row: Any, form: str) -> str:
+    """`+0.52 [+0.10, +0.93] *`, the star where the interval excludes 0."""
+    if pd.isna(row.seeds):
+        return "baseline"
+    if row.seeds == 0:
+        return "no pairs"
+    difference = Difference(row.mean, row.low, row.high, int(row.seeds), int(row.views))
+    mean, low, high = (form.replace("{:", "{:+").format(x) for x in (row.mean, row.low, row.high))
+    return f"{mean} [{low}, {high}]" + (" *" if difference.significant else "")
+
+
+def pairs(row: Any) -> str:
+    """Seeds x views that were paired."""
+    return "" if pd.isna(row.seeds) else f"{row.seeds:.0f} x {row.views:.0f}"
+
+
+def _line(first: pd.DataFrame, second: pd.DataFrame) -> list[float]:
+    found = statistics.bootstrap(statistics.paired(first, second))
+    return [float("nan")] * 3 + [0, 0] if found is None else [getattr(found, name) for name in _COLUMNS]

@@ -1,0 +1,110 @@
+"""What a scene needs: the smallest configuration whose metric is within a tolerance of the best one's."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from analysis import statistics
+from analysis.selection import SCENES, check_keys, label, refuse_mixtures, select
+from analysis.tables.seeds import aggregate
+from analysis.tables.table import Table
+from analysis.tables.values import shown, value
+
+TOLERANCE = 0.5  # dB
+
+
+def needs(
+    frame: pd.DataFrame,
+    rows: Sequence[str],
+    *,
+    metric: str = "psnr",
+    tolerance: float = TOLERANCE,
+    size: str = "params.total",
+) -> Table:
+    """For each scene the group of `rows` of the least mean `size` whose mean `metric` is near the best group's.
+
+    tolerance: how near, in the metric's unit. size: any number of a run, such as `params.total`, `params.color` or
+    `step_ms`. What the smallest loses against the best has the interval of `statistics.bootstrap`; `significant` where
+    that excludes 0, `shown` where the whole interval lies within the tolerance. Raises ValueError as `over_seeds` does,
+    or for a tolerance below 0.
+    """
+    if not tolerance >= 0:
+        raise ValueError(f"tolerance must be at least 0, got {tolerance}")
+    if metric not in statistics.PER_VIEW:
+        raise ValueError(f"{metric} does not tell how good a run is; expected {', '.join(statistics.PER_VIEW)}")
+    check_keys(frame, rows)
+    scenes = [key for key in rows if key in SCENES] or ["scene_name"]
+    rows = [*scenes, *(key for key in rows if key not in scenes)]
+    if len(rows) == len(scenes):
+        raise ValueError(f"rows: expected a key that tells configurations apart, got only {', '.join(scenes)}")
+    selection = select(frame, metric)
+    sized = select(selection.runs, size)
+    refuse_mixtures(sized.runs, rows)
+    data = _scenes(sized.runs, rows, scenes, metric, size, tolerance)
+    left = [part.note for part in (selection, sized) if part.note]
+    method = f"loss of the smallest against the best: {statistics.method()}; * excludes 0"
+    return Table(
+        f"What each scene needs: the least {value(size).heading} within {tolerance:g} of the best",
+        text := _text(data, metric, size, tolerance),
+        data,
+        pd.DataFrame(False, index=text.index, columns=text.columns),
+        (method, *left),
+    )
+
+
+def _scenes(
+    runs: pd.DataFrame, rows: Sequence[str], scenes: Sequence[str], metric: str, size: str, tolerance: float
+) -> pd.DataFrame:
+    table = aggregate(runs, rows, list(dict.fromkeys([metric, size])))
+    keys = table.index.to_frame(index=False)
+    names = keys[list(rows[len(scenes) :])].apply(lambda row: label(tuple(row)), axis=1)
+    sign = -1 if value(metric).better == "min" else 1
+    quality, sizes = sign * table[(metric, "mean")].to_numpy(), table[(size, "mean")].to_numpy()
+    group = dict(zip(runs["path"], runs.groupby(list(rows), dropna=False).ngroup(), strict=True))
+    lines = []
+    for scene, members in keys.groupby(list(scenes), dropna=False).indices.items():
+        best = members[np.argmax(quality[members])]
+        enough = members[quality[members] >= quality[best] - tolerance]
+        smallest = enough[np.lexsort((-quality[enough], sizes[enough]))[0]]
+        line: dict[str, object] = {"scene": label(scene)}
+        for part, number in (("best", best), ("smallest", smallest)):
+            row = table.iloc[number]
+            numbers = {f"{part}_{metric}_{column}": row[(metric, column)] for column in ("mean", "std", "n")}
+            line |= {part: names[number], **numbers, f"{part}_size": sizes[number]}
+        chosen = runs[runs["path"].map(group).isin([best, smallest])]
+        lines.append(line | _loss(chosen, group, best, smallest, metric, sign, tolerance))
+    return pd.DataFrame(lines)
+
+
+def _loss(
+    runs: pd.DataFrame, group: dict[str, int], best: int, smallest: int, metric: str, sign: int, tolerance: float
+) -> dict[str, object]:
+    if best == smallest:
+        return {"loss": 0.0, "significant": False, "shown": True}
+    views = statistics.evaluations(runs, metric)
+    number = views["path"].map(group)
+    found = statistics.bootstrap(sign * statistics.paired(views[number == smallest], views[number == best]))
+    if found is None:
+        return {"loss": float("nan"), "significant": False, "shown": False}
+    interval = {"loss": found.mean, "loss_low": found.low, "loss_high": found.high}
+    return {**interval, "significant": found.significant, "shown": found.high <= tolerance}
+
+
+def _text(data: pd.DataFrame, metric: str, size: str, tolerance: float) -> pd.DataFrame:
+    text = pd.DataFrame({"scene": data["scene"]})
+    for part, heading in (("best", "best"), ("smallest", f"smallest within {tolerance:g}")):
+        numbers = data[[f"{part}_{metric}_{column}" for column in ("mean", "std", "n")]]
+        text[heading] = data[part]
+        text[f"{part}: {value(metric).heading}"] = [shown(metric, *row, row[2]) for row in numbers.to_numpy()]
+        text[f"{part}: {value(size).heading}"] = data[f"{part}_size"].map(value(size).form.format)
+    text["loss"] = [_interval(row, value(metric).form) for row in data.to_dict("records")]
+    text[f"within {tolerance:g}"] = data["shown"].map({True: "whole interval", False: "mean only"})
+    return text
+
+
+def _interval(row: dict[str, float], form: str) -> str:
+    if pd.isna(row.get("loss_low")):
+        return "" if row["loss"] == 0 else "no pairs"
+    low, high = form.format(row["loss_low"]), form.format(row["loss_high"])
+    return f"{form.format(row['loss'])} [{low}, {high}]" + (" *" if row["significant"] else "")

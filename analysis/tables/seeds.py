@@ -1,0 +1,46 @@
+"""Mean and spread over the seeds of each group of runs."""
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from analysis.selection import check_keys, refuse_mixtures, select
+from analysis.tables.values import VALUES
+
+
+def over_seeds(
+    frame: pd.DataFrame, rows: Sequence[str], *, metric: str = "psnr", values: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """Mean and standard deviation (n - 1) over the seeds of each group of finished runs with a finite `metric`.
+
+    Columns (value, "mean" | "std" | "n") and ("seeds", "n"), in the values' own units: dB, seconds, ms. A group of one
+    seed has no standard deviation. `values`: those of `VALUES` that the runs have, unless given. Raises ValueError for
+    an unknown key or value, where nothing is left, and where a group would mix scenes or configurations.
+    """
+    check_keys(frame, rows)
+    runs = select(frame, metric).runs
+    refuse_mixtures(runs, rows)
+    return aggregate(runs, rows, values_of(runs, metric, values))
+
+
+def values_of(runs: pd.DataFrame, metric: str, asked: Sequence[str] | None) -> list[str]:
+    """`asked` if every one is a number of the runs; else those of `VALUES` that are given, the metric among them."""
+    if asked is None:
+        return [name for name in dict.fromkeys([*VALUES, metric]) if name in runs.columns and _is_given(name, runs)]
+    for name in asked:
+        select(runs, name)  # refuses what is not there
+    return list(dict.fromkeys(asked))
+
+
+def aggregate(runs: pd.DataFrame, rows: Sequence[str], values: Sequence[str]) -> pd.DataFrame:
+    """The groups in the order of their keys, as `groupby` numbers them."""
+    groups = runs.groupby(list(rows), dropna=False)
+    table = groups[list(values)].agg(["mean", "std", "count"]).rename(columns={"count": "n"}, level=1)
+    table[("seeds", "n")] = groups.size()
+    return table
+
+
+def _is_given(name: str, runs: pd.DataFrame) -> bool:
+    given = runs[name].notna().any()
+    optional = name in ("params.sampler", "params.cameras", "params.appearance")
+    return bool(given and (not optional or runs[name].any()))

@@ -1,0 +1,99 @@
+"""A table held once and written as Markdown, LaTeX (booktabs) or CSV."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pandas as pd
+
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "{": r"\{",
+        "}": r"\}",
+        "$": r"\$",
+        "&": r"\&",
+        "#": r"\#",
+        "_": r"\_",
+        "%": r"\%",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+        "[": "{[}",  # after the end of a row, [ and * would be taken for an argument
+        "]": "{]}",
+        "*": "{*}",
+        "±": r"$\pm$",
+        "\n": " ",
+    }
+)
+_MARKDOWN = str.maketrans({"\\": r"\\", "|": r"\|", "`": r"\`", "\n": " ", "\r": " "})
+# A star between spaces is a star, and < before anything but the start of a tag is less-than.
+_MARKUP = re.compile(r"\*(?=\S)|(?<=\S)\*|<(?=[A-Za-z/!?])")
+
+
+@dataclass(frozen=True)
+class Table:
+    """`text` is what is shown, a cell a string; `bold` has its shape; `data` are the numbers behind it, a row a row."""
+
+    title: str
+    text: pd.DataFrame
+    data: pd.DataFrame
+    bold: pd.DataFrame
+    notes: tuple[str, ...] = ()
+
+    def markdown(self) -> str:
+        """A table of GitHub's Markdown; the notes are paragraphs under it."""
+        head = [markdown_escape(name) for name in self.text.columns]
+        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+        lines += ["| " + " | ".join(row) + " |" for row in self._rows(markdown_escape, "**{}**")]
+        lines += [f"\n{markdown_escape(note)}" for note in self.notes]
+        return "\n".join(lines)
+
+    def latex(self) -> str:
+        """A `table` environment; needs the package booktabs."""
+        numbers = [_is_numeric(self.text[name]) for name in self.text.columns]
+        lines = [
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{latex_escape(self.title)}}}",
+            rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numbers)}}}",
+            r"\toprule",
+            " & ".join(latex_escape(name) for name in self.text.columns) + r" \\",
+            r"\midrule",
+            *(" & ".join(row) + r" \\" for row in self._rows(latex_escape, r"\textbf{{{}}}")),
+            r"\bottomrule",
+            r"\end{tabular}",
+            *(rf"\par\footnotesize {latex_escape(note)}" for note in self.notes),
+            r"\end{table}",
+        ]
+        return "\n".join(lines)
+
+    def csv(self) -> str:
+        """The numbers in full, one column each (`psnr_mean`, `psnr_std`, `psnr_n`), without title and notes."""
+        flat = self.data.reset_index() if self.data.index.names != [None] else self.data
+        flat.columns = ["_".join(filter(None, map(str, _parts(name)))) for name in flat.columns]
+        return flat.to_csv(index=False, lineterminator="\n").rstrip("\n")
+
+    def _rows(self, escape: Callable[[str], str], emphasis: str) -> list[list[str]]:
+        return [
+            [emphasis.format(escape(cell)) if bold else escape(cell) for cell, bold in zip(cells, marks, strict=True)]
+            for cells, marks in zip(self.text.to_numpy(), self.bold.to_numpy(), strict=True)
+        ]
+
+
+def latex_escape(text: str) -> str:
+    return text.translate(_LATEX)
+
+
+def markdown_escape(text: str) -> str:
+    return _MARKUP.sub(r"\\\g<0>", text.translate(_MARKDOWN))
+
+
+def _is_numeric(column: pd.Series) -> bool:
+    return bool(column.str.fullmatch(r"[-+\d,.]*( .*)?").all())
+
+
+def _parts(name: object) -> tuple[object, ...]:
+    return name if isinstance(name, tuple) else (name,)

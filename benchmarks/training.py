@@ -1,0 +1,236 @@
+"""A whole training step, part by part: `python -m benchmarks.training`.
+
+Prints, and saves as benchmarks/results/training.parquet:
+
+- every field x encoder x circuit: milliseconds a step and of each part, medians, with the operations and bytes that the
+  part cannot do without beside what this machine does in that time (a matrix product, a copy);
+- the ratios that the project promises, both sides measured in turn in one run: the compiled loops against their plain
+  PyTorch references, circuits against the classical head and against PennyLane, evaluation against training;
+- the hash tables C1 to C7, whose optimiser and gradient cost what their size costs.
+"""
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from statistics import median
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import pandas as pd
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from qnerf import experiment, kernels
+from qnerf.config import settings_from
+from qnerf.encoders import HashEncoder
+from qnerf.evaluate import Evaluator
+from qnerf.launch import conf_folder
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import PARTS, Stopwatch
+from qnerf.train import Trainer
+
+RESULTS = Path(__file__).parent / "results" / "training.parquet"
+FIELDS = ("classical", "qcolor", "qdensity", "qboth")
+ENCODERS = ("hash", "pe")
+CIRCUITS = ("1L1S", "1L2S", "2L2S", "3L4S")
+RATIOS = {  # name -> overrides above, overrides below, what is promised
+    "plain references / compiled, classical C5": ("field=classical", "field=classical", "at least 4"),
+    "qcolor 1L1S / classical": ("field=qcolor qiren=1L1S", "field=classical", "at most 1.25"),
+    "qcolor 1L2S / classical": ("field=qcolor qiren=1L2S", "field=classical", "at most 1.8"),
+    "qcolor 3L4S / classical": ("field=qcolor qiren=3L4S", "field=classical", ""),
+    "PennyLane / qnerf, qcolor 1L1S": (
+        "field=qcolor qiren=1L1S qiren.method=pennylane",
+        "field=qcolor qiren=1L1S",
+        "at least 40",
+    ),
+    "PennyLane / qnerf, qcolor 1L2S": (
+        "field=qcolor qiren=1L2S qiren.method=pennylane",
+        "field=qcolor qiren=1L2S",
+        "at least 40",
+    ),
+}
+
+
+def build(overrides: str) -> tuple[Trainer, Evaluator]:
+    """A trainer on the built-in scene with the quick recipe, and what renders its views."""
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
+    assert isinstance(config, dict)
+    settings = settings_from({key: value for key, value in config.items() if key != "hydra"})  # type: ignore[misc]
+    scene = experiment.build_scene(settings)
+    model = experiment.build_model(settings, scene)
+    table = experiment.ray_table(settings, scene)
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+    evaluator = Evaluator(
+        scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
+    )
+    return Trainer(model, table, settings, watch), evaluator
+
+
+def trainer(overrides: str) -> Trainer:
+    return build(overrides)[0]
+
+
+def in_turn(
+    steps: Sequence[Callable[[], object]],
+    contexts: Sequence[AbstractContextManager[None]],
+    rounds: int,
+    warm: int,
+) -> list[list[float]]:
+    """Seconds of each of `steps`, one after the other, `rounds` times, after `warm` that do not count."""
+    times: list[list[float]] = [[] for _ in steps]
+    for count in range(warm + rounds):
+        for step, context, found in zip(steps, contexts, times, strict=True):
+            with context:
+                start = time.perf_counter()
+                step()
+                if count >= warm:
+                    found.append(time.perf_counter() - start)
+    return times
+
+
+class Plain(AbstractContextManager[None]):
+    """`kernels.plain` that can be entered again and again."""
+
+    def __enter__(self) -> None:
+        self.inside = kernels.plain()
+        self.inside.__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        self.inside.__exit__(None, None, None)
+
+
+def work(of: Trainer) -> dict[str, float]:
+    """Operations and bytes that a step cannot do without, forward and backward: matrix products of the heads, table
+    entries read and gradients added, optimiser traffic."""
+    samples = of.train.rays * getattr(of.model.sampler, "final", 0)
+    field = of.model.field
+    products = [m.weight for head in (field.density_head, field.color_head) for m in head.modules() if _is_linear(m)]
+    table = field.encoder.table.numel() if isinstance(field.encoder, HashEncoder) else 0
+    entries = 8 * field.encoder.out_dim if isinstance(field.encoder, HashEncoder) else 0
+    parameters = sum(p.numel() for p in of.model.parameters())
+    return {
+        "head_gflop": 6e-9 * samples * sum(weight.numel() for weight in products),
+        "lookup_mb": 4e-6 * samples * entries * 3,  # read; read and written in the gradient
+        "optimiser_mb": 4e-6 * parameters * 7,  # gradient, parameter, two moments: read; the last three written
+        "table_entries": table,
+        "samples": samples,
+    }
+
+
+def _is_linear(module: torch.nn.Module) -> bool:
+    return isinstance(module, torch.nn.Linear)
+
+
+def machine() -> dict[str, float]:
+    """What this machine does: float32 GFLOP/s of a large product, GB/s of a copy (read and write counted)."""
+    square, long = torch.randn(1536, 1536), torch.randn(2**25)
+    target = torch.empty_like(long)
+    products, copies = in_turn(
+        [lambda: square @ square, lambda: target.copy_(long)], [nullcontext()] * 2, rounds=7, warm=2
+    )
+    return {"gflops": 2e-9 * 1536**3 / median(products), "gbs": 2e-9 * long.nbytes / median(copies)}
+
+
+def profile(overrides: str, rounds: int, limits: dict[str, float]) -> dict[str, object]:
+    of = trainer(overrides)
+    for _ in range(30):
+        of.take_step(measure=False)
+    logged = pd.DataFrame([of.take_step(measure=True) for _ in range(rounds)])
+    needed = work(of)
+    floor = needed["head_gflop"] / limits["gflops"] + 1e-3 * needed["optimiser_mb"] / limits["gbs"]
+    return {
+        "kind": "step",
+        "name": overrides,
+        "ms": logged["time/step_ms"].median(),
+        **{f"{part}_ms": logged[f"time/{part}_ms"].median() for part in PARTS},
+        "parameters": sum(p.numel() for p in of.model.parameters()),
+        **needed,
+        "floor_ms": 1e3 * floor,
+    }
+
+
+def ratio(name: str, rounds: int) -> dict[str, object]:
+    above, below, promised = RATIOS[name]
+    slow = "PennyLane" in name
+    contexts: list[AbstractContextManager[None]] = [nullcontext(), nullcontext()]
+    if name.startswith("plain"):
+        contexts[0] = Plain()
+    first, second = trainer(above), trainer(below)
+    for _ in range(30):
+        second.take_step(measure=False)
+    times = in_turn(
+        [lambda: first.take_step(measure=False), lambda: second.take_step(measure=False)],
+        contexts,
+        rounds=3 if slow else rounds,
+        warm=1 if slow else 5,
+    )
+    numerator, denominator = (1e3 * median(found) for found in times)
+    row = {"kind": "ratio", "name": name, "above_ms": numerator, "below_ms": denominator}
+    return row | {"ratio": numerator / denominator, "promised": promised}
+
+
+def evaluation(overrides: str, rounds: int) -> dict[str, object]:
+    """Microseconds a sample of rendering a held-out view, over those of a training step."""
+    of, evaluator = build(overrides)
+    for _ in range(30):
+        of.take_step(measure=False)
+    view = evaluator.scene.eval[0]
+    rendered, stepped = in_turn(
+        [lambda: evaluator.render(view, of.step), lambda: of.take_step(measure=False)],
+        [nullcontext()] * 2,
+        rounds=max(rounds // 4, 3),
+        warm=1,
+    )
+    above, below = 1e6 * median(rendered) / of.table.pixels, 1e6 * median(stepped) / of.train.rays
+    name = f"evaluation / training, microseconds a ray, {overrides}"
+    row = {"kind": "ratio", "name": name, "above_ms": above / 1e3, "below_ms": below / 1e3}
+    return row | {"ratio": above / below, "promised": "at most 1"}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=40, help="measured steps a row (default 40)")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument(
+        "--only", choices=["steps", "ratios", "tables"], nargs="+", default=["steps", "ratios", "tables"]
+    )
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    limits = machine()
+    print(f"{platform.machine()}, {options.threads} threads: {limits['gflops']:.0f} GFLOP/s, {limits['gbs']:.1f} GB/s")
+    rows: list[dict[str, object]] = []
+    if "steps" in options.only:
+        for encoder in ENCODERS:
+            for field in FIELDS:
+                for circuit in CIRCUITS[:1] if field == "classical" else CIRCUITS:
+                    overrides = f"field={field} encoder={encoder} qiren={circuit}"
+                    rows.append(profile(overrides, options.rounds, limits))
+                    print(f"{overrides:<48} {rows[-1]['ms']:8.2f} ms", flush=True)
+    if "tables" in options.only:
+        for name in ("C1", "C2", "C3", "C4", "C5", "C6", "C7"):
+            rows.append(profile(f"field=classical hash={name}", options.rounds, limits))
+            print(f"{rows[-1]['name']:<48} {rows[-1]['ms']:8.2f} ms", flush=True)
+    if "ratios" in options.only:
+        for name in RATIOS:
+            rows.append(ratio(name, options.rounds))
+            print(f"{name:<64} {rows[-1]['ratio']:8.2f}  {rows[-1]['promised']}", flush=True)
+        for overrides in ("field=classical", "field=qcolor"):
+            rows.append(evaluation(overrides, options.rounds))
+            print(f"{rows[-1]['name']:<64} {rows[-1]['ratio']:8.2f}  {rows[-1]['promised']}", flush=True)
+    frame = pd.DataFrame(rows).assign(threads=options.threads, **limits)
+    columns = ["name", "ms", *(f"{part}_ms" for part in PARTS), "parameters", "floor_ms"]
+    if "ms" in frame:
+        print(frame[frame["kind"] == "step"][columns].round(2).to_string(index=False))
+    RESULTS.parent.mkdir(exist_ok=True)
+    frame.to_parquet(RESULTS, index=False)
+    print(f"medians of {options.rounds}; saved to {RESULTS}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""What there is to export of a run."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from qnerf.records import StoreError, details, read_metrics
+from qnerf.records.annotations import Annotations
+
+_RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+_FILES = ("config.yaml", "overrides.txt", "environment*.json", "dirty*.diff", "eval.parquet", "summary.parquet")
+
+
+@dataclass(frozen=True)
+class Content:
+    """A run as plain values.
+
+    created, ended: Unix time, the latter that of the last heartbeat. config: flat. results: those of summary.parquet.
+    metrics: step, time_s, key, value, in the order of logging. files, images: paths; links are left out.
+    """
+
+    run_id: str
+    state: str
+    created: float
+    ended: float
+    step: int
+    config: dict[str, Any]
+    results: dict[str, Any]
+    commit: str | None
+    evaluation: pd.DataFrame
+    annotations: Annotations
+    metrics: pd.DataFrame
+    files: list[Path]
+    images: list[Path]
+
+
+def read(folder: Path) -> Content:
+    """A run's folder as it is now, live or ended.
+
+    Raises:
+        ValueError: the folder's name is no run's id.
+        StoreError: a part of the run is damaged.
+    """
+    run = details.read(folder)
+    if not _RUN_ID.fullmatch(run.run_id):
+        raise ValueError(f"expected a run's id of letters, digits, '.', '_' and '-', got {run.run_id!r}")
+    if run.problems:
+        raise StoreError(run.problems[0])
+    created = run.created or (run.path / "config.yaml").stat().st_mtime
+    git = run.environment.get("git")
+    commit = git.get("commit") if isinstance(git, dict) else None
+    metrics = read_metrics(run.path)
+    return Content(
+        run_id=run.run_id,
+        state=run.state,
+        created=created,
+        ended=run.heartbeat or created,
+        step=int(metrics["step"].max()) if len(metrics) else 0,
+        config=run.flat,
+        results={name: value for name, value in run.results.items() if name not in ("run_id", "state")},
+        commit=str(commit) if commit else None,
+        evaluation=run.evaluation,
+        annotations=run.annotations,
+        metrics=metrics,
+        files=_regular(path for pattern in _FILES for path in sorted(run.path.glob(pattern))),
+        images=_regular(sorted((run.path / "images").glob("*.png"))),
+    )
+
+
+def _regular(paths: Iterable[Path]) -> list[Path]:
+    # A link could lead to any file of this machine, and what is exported may go to a server.
+    return [path for path in paths if path.is_file() and not path.is_symlink() and not path.parent.is_symlink()]

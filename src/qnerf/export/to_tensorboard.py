@@ -1,0 +1,106 @@
+"""TensorBoard: one event file a run under `<out>/<run_id>/`, by TensorBoard's own writer, without TensorFlow."""
+
+import json
+import shutil
+import struct
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tensorboard.compat.proto import event_pb2, summary_pb2, tensor_pb2, types_pb2
+from tensorboard.plugins.hparams import api_pb2, metadata, plugin_data_pb2, summary_v2
+from tensorboard.plugins.text import metadata as text_metadata
+from tensorboard.summary.writer.event_file_writer import EventFileWriter
+
+from qnerf.export.content import Content
+from qnerf.records.files import reporting
+
+SUFFIX = ".qnerf"
+_STATUS = {"finished": api_pb2.STATUS_SUCCESS, "failed": api_pb2.STATUS_FAILURE, "running": api_pb2.STATUS_RUNNING}
+
+
+def export(content: Content, out: Path) -> Path:
+    """The run's folder under `out`: scalars with step and wall time, images, hyperparameters, tags and note as text.
+
+    An event file that an earlier export left there goes when the new one is in place; other files stay.
+    """
+    folder = out / content.run_id
+    with reporting(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        before = list(folder.glob(f"events.out.tfevents.*{SUFFIX}"))
+        scratch = Path(tempfile.mkdtemp(prefix=".", dir=folder))
+        try:
+            writer = EventFileWriter(str(scratch), filename_suffix=SUFFIX)
+            for event in events(content):
+                writer.add_event(event)
+            writer.close()
+            (written,) = scratch.iterdir()
+            written.replace(folder / written.name)
+        finally:
+            shutil.rmtree(scratch)
+        for path in before:
+            path.unlink()
+    return folder
+
+
+def events(content: Content) -> Iterator[event_pb2.Event]:
+    """Everything of the run, in the order of time."""
+    yield _event(content.created, 0, _hyperparameters(content))
+    for name, text in _texts(content).items():
+        yield _event(content.created, 0, _text(name, text))
+    for step, time_s, key, value in content.metrics.itertuples(index=False, name=None):
+        scalar = summary_pb2.Summary.Value(tag=key, simple_value=value)
+        yield _event(content.created + time_s, step, summary_pb2.Summary(value=[scalar]))
+    for path in content.images:
+        image = _image(f"images/{path.stem}", path.read_bytes())
+        if image is not None:
+            yield _event(content.ended, content.step, image)
+    yield _event(content.ended, content.step, _ended(content))
+
+
+def _event(wall_time: float, step: int, summary: Any) -> event_pb2.Event:
+    return event_pb2.Event(wall_time=wall_time, step=step, summary=summary)
+
+
+def _hyperparameters(content: Content) -> Any:
+    values = {
+        name: value if isinstance(value, (bool, int, float, str)) else "none" for name, value in content.config.items()
+    }
+    return summary_v2.hparams_pb(values, trial_id=content.run_id, start_time_secs=content.created)
+
+
+def _ended(content: Content) -> Any:
+    status = _STATUS.get(content.state, api_pb2.STATUS_UNKNOWN)
+    end = plugin_data_pb2.SessionEndInfo(status=status, end_time_secs=content.ended)
+    data = plugin_data_pb2.HParamsPluginData(session_end_info=end)
+    mark = metadata.create_summary_metadata(data)
+    value = summary_pb2.Summary.Value(tag=metadata.SESSION_END_INFO_TAG, metadata=mark, tensor=metadata.NULL_TENSOR)
+    return summary_pb2.Summary(value=[value])
+
+
+def _texts(content: Content) -> dict[str, str]:
+    texts = {
+        "state": content.state,
+        "tags": ", ".join(content.annotations.tags),
+        "note": content.annotations.note,
+        "results": json.dumps(content.results, indent=1),
+    }
+    return {name: text for name, text in texts.items() if text}
+
+
+def _text(tag: str, text: str) -> Any:
+    # Indented, Markdown takes it literally: no links and no pictures out of a note.
+    literal = "\n".join(f"    {line}" for line in text.splitlines())
+    tensor = tensor_pb2.TensorProto(dtype=types_pb2.DT_STRING, string_val=[literal.encode()])
+    metadata = text_metadata.create_summary_metadata(tag, None)
+    return summary_pb2.Summary(value=[summary_pb2.Summary.Value(tag=tag, tensor=tensor, metadata=metadata)])
+
+
+def _image(tag: str, data: bytes) -> Any:
+    """None for what is no PNG; nothing is decoded."""
+    if not data.startswith(b"\x89PNG\r\n\x1a\n") or len(data) < 24:
+        return None
+    width, height = struct.unpack(">II", data[16:24])
+    image = summary_pb2.Summary.Image(width=width, height=height, colorspace=3, encoded_image_string=data)
+    return summary_pb2.Summary(value=[summary_pb2.Summary.Value(tag=tag, image=image)])

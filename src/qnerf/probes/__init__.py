@@ -1,0 +1,32 @@
+"""What only a trained model can tell, written into its run's folder as `<probe>.parquet` for `analysis/` to draw."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+
+from qnerf.probes import encoding, rays, spectrum
+from qnerf.probes.trained import Trained, load
+from qnerf.records.files import replace
+
+PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
+    "spectrum": spectrum.table,
+    "encoding": encoding.table,
+    "rays": rays.table,
+}
+
+
+def probe(trained: Trained, name: str) -> Path:
+    """Computes a probe and replaces `<name>.parquet` in the run's folder; returns its path.
+
+    Raises:
+        ValueError: an unknown probe, or one that the run cannot answer (a spectrum without circuits).
+    """
+    if name not in PROBES:
+        raise ValueError(f"unknown probe {name!r}; known: {', '.join(PROBES)}")
+    path = trained.folder / f"{name}.parquet"
+    replace(path, PROBES[name](trained).to_parquet(index=False))
+    return path
+
+
+__all__ = ["PROBES", "Trained", "load", "probe"]

@@ -1,0 +1,191 @@
+"""The Fourier spectrum of a run's circuits in their input angles.
+
+A measured value f is a trigonometric polynomial of its n angles, of degree D_w = sum_s |scale_s| / base in angle w
+(arXiv:2008.08605). With c_k its coefficients, k in prod_w {-D_w, ..., D_w}, the power of angle w at frequency m is
+
+    P_w(m) = sum over k with |k_w| = m of |c_k|^2,        sum_m P_w(m) = E f^2,
+
+the mean over uniform angles of the squared part of f that has frequency m in angle w. Where the values of f on the
+whole grid of 2 D_w + 1 equispaced angles a wire fit into memory, a discrete Fourier transform gives all of it without
+error (method "exact"). Beyond, the transform is taken along one angle and the mean over the others by scrambled
+Sobol points, whose standard error over independent scramblings is told (method "sobol").
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+import pandas as pd
+import torch
+
+from qnerf.heads.qiren import HybridLayer, QirenHead
+from qnerf.probes.trained import Trained
+from qnerf.quantum import QuantumLayer, adjoint, statevector
+from qnerf.quantum.circuit import Circuit, Encoding
+from qnerf.quantum.cones import Cone, TooLarge, find_cones
+from qnerf.quantum.program import compile_program
+
+MOST_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
+CHUNK = 2**14  # samples a call of the engine
+SCRAMBLINGS = 16
+POINTS = 1024  # of each scrambling
+
+
+def table(trained: Trained) -> pd.DataFrame:
+    """One row for each circuit, output, angle (wire) and frequency.
+
+    Columns: head (density | color), circuit (0: the first hybrid layer), output, wire, frequency (radians^-1), power
+    and its standard_error (0 where exact), mean (c_0) and variance (E f^2 - c_0^2) of the output over uniform angles,
+    method (exact | sobol), and angle_mean, angle_std: of this angle over the training samples as the normalisation
+    has them, radians (NaN in front of circuits without one).
+
+    Raises:
+        ValueError: the run has no circuit.
+    """
+    heads = {"density": trained.model.field.density_head, "color": trained.model.field.color_head}
+    parts = []
+    for name, head in heads.items():
+        if isinstance(head, QirenHead):
+            for index, layer in enumerate(head.hybrid):
+                circuit = layer.circuit
+                assert isinstance(circuit, QuantumLayer)
+                rows = powers(circuit).merge(angles(layer, circuit.wires), on="wire")
+                parts.append(rows.assign(head=name, circuit=index))
+    if not parts:
+        raise ValueError(f"{trained.folder}: has no circuit, both of its heads are MLPs")
+    rows = pd.concat(parts, ignore_index=True)
+    return rows[["head", "circuit", *rows.columns.drop(["head", "circuit"])]]
+
+
+def angles(layer: torch.nn.Module, wires: int) -> pd.DataFrame:
+    """wire, angle_mean, angle_std (radians): of a hybrid layer's angles over the training samples.
+
+    The normalisation leaves mean 0 and variance 1, so that its own shift, scale and the layer's input_scale tell.
+    """
+    if not isinstance(layer, HybridLayer):
+        return pd.DataFrame({"wire": range(wires), "angle_mean": np.nan, "angle_std": np.nan})
+    mean, std = (p.detach().double().cpu().numpy() * layer.input_scale for p in (layer.norm.bias, layer.norm.weight))
+    return pd.DataFrame({"wire": range(wires), "angle_mean": mean, "angle_std": np.abs(std)})
+
+
+def powers(layer: QuantumLayer, *, most_values: int = MOST_VALUES) -> pd.DataFrame:
+    """The spectrum of a circuit with its present weights, in float64, noiseless.
+
+    Columns output, wire, frequency, power, standard_error, mean, variance, method. Wires outside an output's light
+    cone have all of its power at frequency 0. `most_values` bounds the grid of the exact method.
+    """
+    circuit = layer.circuit
+    values = _evaluator(layer)
+    cones, bases = _cones(circuit)
+    shared: dict[Cone, list[int]] = {}
+    for output, cone in enumerate(cones):
+        shared.setdefault(cone, []).append(output)
+    parts = []
+    for cone, outputs in shared.items():
+        exact = cone.coefficients * len(circuit.observables) <= most_values
+        method = _exact if exact else _sobol
+        for output, rows in method(values, circuit.wires, cone, outputs, bases):
+            rows["frequency"] *= np.array(bases)[rows["wire"]]
+            parts.append(rows.assign(output=output, method=method.__name__.removeprefix("_")))
+    table = pd.concat(parts, ignore_index=True).sort_values(["output", "wire", "frequency"], ignore_index=True)
+    return table[["output", "wire", "frequency", "power", "standard_error", "mean", "variance", "method"]]
+
+
+Values = Callable[[np.ndarray], np.ndarray]
+"""Angles (B, n) in radians -> outputs (B, outputs), float64."""
+
+
+def _evaluator(layer: QuantumLayer) -> Values:
+    engine = adjoint.Engine(compile_program(layer.circuit))
+    weights = statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
+
+    def values(x: np.ndarray) -> np.ndarray:
+        parts = [adjoint.evaluate(engine, part, weights).numpy() for part in torch.from_numpy(x).split(CHUNK)]
+        return np.concatenate(parts)
+
+    return values
+
+
+def _cones(circuit: Circuit) -> tuple[tuple[Cone, ...], tuple[float, ...]]:
+    """The light cones; where they are large, every wire with its full degree for every output."""
+    try:
+        found = find_cones(circuit)
+        return found.cones, tuple(base or 1.0 for base in found.bases)
+    except TooLarge:
+        scales = np.array([step.scales for step in circuit.operations if isinstance(step, Encoding)])
+        bases = np.abs(scales).min(0)
+        degrees = np.abs(scales / bases).sum(0)
+        if not np.allclose(degrees, degrees.round()):
+            raise ValueError(f"spectrum: expected encoding scales with a common unit, got {scales.tolist()}") from None
+        cone = Cone(tuple(range(circuit.wires)), tuple(int(degree) for degree in degrees.round()))
+        return (cone,) * len(circuit.observables), tuple(bases.tolist())
+
+
+def _exact(
+    values: Values, wires: int, cone: Cone, outputs: list[int], bases: Sequence[float]
+) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Fourier transform of the values on the cone's whole grid."""
+    sizes = [2 * degree + 1 for degree in cone.degrees]
+    results = np.empty((math.prod(sizes), len(outputs)))
+    for start in range(0, len(results), CHUNK):
+        flat = np.arange(start, min(start + CHUNK, len(results)))
+        x = np.zeros((len(flat), wires))
+        for wire, size, index in zip(cone.wires, sizes, np.unravel_index(flat, sizes), strict=True):
+            x[:, wire] = index * (2 * np.pi / size / bases[wire])
+        results[flat] = values(x)[:, outputs]
+    for column, output in enumerate(outputs):
+        spectrum = np.fft.fftn(results[:, column].reshape(sizes), norm="forward")
+        power = spectrum.real**2 + spectrum.imag**2
+        mean = spectrum.flat[0].real
+        total = power.sum()
+        rows = []
+        for wire in range(wires):
+            if wire not in cone.wires:
+                rows.append((wire, 0, total))
+                continue
+            axis = cone.wires.index(wire)
+            one_sided = power.sum(tuple(other for other in range(len(sizes)) if other != axis))
+            rows += [(wire, m, p) for m, p in enumerate(_folded(one_sided[None])[0])]
+        table = pd.DataFrame(rows, columns=["wire", "frequency", "power"])
+        yield output, table.assign(standard_error=0.0, mean=mean, variance=total - mean**2)
+
+
+def _sobol(
+    values: Values, wires: int, cone: Cone, outputs: list[int], bases: Sequence[float]
+) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Fourier transform along one angle, mean over scrambled Sobol points in the others."""
+    estimates: dict[int, np.ndarray] = {}  # by wire: (scramblings, frequencies, outputs)
+    means = np.empty((SCRAMBLINGS, len(outputs)))
+    clouds = [
+        torch.quasirandom.SobolEngine(wires, scramble=True, seed=seed).draw(POINTS, dtype=torch.float64).numpy()
+        for seed in range(SCRAMBLINGS)
+    ]
+    for wire, degree in zip(cone.wires, cone.degrees, strict=True):
+        size = 2 * degree + 1
+        scrambled = []
+        for number, cloud in enumerate(clouds):
+            x = np.repeat(cloud * (2 * np.pi / np.array(bases)), size, axis=0)
+            x[:, wire] = np.tile(np.arange(size) * (2 * np.pi / size / bases[wire]), POINTS)
+            lines = values(x)[:, outputs].reshape(POINTS, size, -1)
+            spectrum = np.fft.fft(lines, axis=1, norm="forward")
+            means[number] = lines.mean((0, 1))
+            scrambled.append(_folded((spectrum.real**2 + spectrum.imag**2).transpose(0, 2, 1)).mean(0).T)
+        estimates[wire] = np.stack(scrambled)
+    for column, output in enumerate(outputs):
+        mean = means[:, column].mean()
+        tables = []
+        for wire, found in estimates.items():
+            power = found[..., column]
+            error = power.std(0, ddof=1) / math.sqrt(SCRAMBLINGS)
+            spread = pd.DataFrame({"power": power.mean(0), "standard_error": error})
+            variance = power.sum(1).mean() - mean**2
+            tables.append(spread.assign(wire=wire, frequency=range(len(spread)), mean=mean, variance=variance))
+        yield output, pd.concat(tables, ignore_index=True)
+
+
+def _folded(power: np.ndarray) -> np.ndarray:
+    """Power (..., 2 D + 1) in the order of a Fourier transform -> (..., D + 1): frequencies m and -m together."""
+    degree = power.shape[-1] // 2
+    both = power[..., : degree + 1].copy()
+    both[..., 1:] += power[..., :degree:-1]
+    return both

@@ -1,0 +1,48 @@
+"""A finished run's scene and model, as training left them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from qnerf.config import Settings, settings_from
+from qnerf.experiment import build_model, build_scene
+from qnerf.model import Model
+from qnerf.records import read_config, state
+from qnerf.records.files import reporting
+from qnerf.scenes import Scene
+
+
+@dataclass(frozen=True)
+class Trained:
+    """The model is in evaluation mode, on the run's device, in the run's dtype."""
+
+    folder: Path
+    settings: Settings
+    scene: Scene
+    model: Model
+    step: int
+
+
+def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
+    """Builds the run's scene and model and fills in its last checkpoint.
+
+    config: the run's configuration where the stored one is older than this version; None: as stored.
+
+    Raises:
+        ValueError: not a finished run, or its scene cannot be read.
+    """
+    folder = Path(run)
+    if not (folder / "config.yaml").is_file():
+        raise ValueError(f"{folder} is not a run: it has no config.yaml")
+    if state(folder) != "finished":
+        raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
+    settings = settings_from(read_config(folder) if config is None else config)
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+    with reporting(folder / "checkpoint.pt", "read"):
+        checkpoint = torch.load(folder / "checkpoint.pt", map_location=settings.torch_device, weights_only=True)
+    model.load_state_dict(checkpoint["model"])
+    return Trained(folder, settings, scene, model.eval(), checkpoint["step"])

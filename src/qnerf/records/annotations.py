@@ -1,0 +1,123 @@
+"""A run's tags and note: `annotations.json`, the one file of a run that others than its owner write.
+
+    {"tags": ["baseline", "good"], "note": "..."}
+
+The file is replaced whole, so a reader always finds the old or the new one. Who changes it reads it, changes it and
+writes it while holding `.annotations/`, which has one owner at a time by the same numbered files as a run (`owner.py`):
+two who add a tag at once go one after the other and both tags stay, and what a killed one held is free again.
+"""
+
+import contextlib
+import json
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from qnerf.printable import printable
+from qnerf.records import files, owner
+from qnerf.records.files import StoreError, reporting
+
+FILE = "annotations.json"
+TAG_LENGTH = 64
+TAGS = 100
+NOTE_LENGTH = 10_000
+PATIENCE = 10.0  # seconds that another one's change is waited for; a change takes milliseconds
+
+
+@dataclass(frozen=True)
+class Annotations:
+    """tags: sorted, each once. note: free text; like the tags it may hold anything: escape it where it is shown."""
+
+    tags: tuple[str, ...] = ()
+    note: str = ""
+
+
+def read(run_dir: str | Path) -> Annotations:
+    """A run's tags and note; empty when there are none.
+
+    Raises:
+        StoreError: the file cannot be read or holds something else.
+    """
+    path = Path(run_dir) / FILE
+    with reporting(path, "read"):
+        try:
+            content = files.read_record(path)
+        except FileNotFoundError:
+            return Annotations()
+        except StoreError:
+            raise
+        except ValueError as error:
+            raise StoreError(f"{path}: damaged: {error}") from error
+    tags, note = content.get("tags", []), content.get("note", "")
+    if not isinstance(tags, list) or not all(isinstance(tag, str) for tag in tags) or not isinstance(note, str):
+        raise StoreError(f'{path}: damaged: expected {{"tags": [texts], "note": text}}')
+    return Annotations(tuple(sorted(set(tags))), note)
+
+
+def change_tags(run_dir: str | Path, add: Iterable[str] = (), remove: Iterable[str] = ()) -> Annotations:
+    """Adds and removes tags; what the run has then.
+
+    Raises:
+        ValueError: not a tag (see `check_tag`), too many of them, or one to remove that the run does not have.
+        StoreError: the file cannot be written.
+    """
+    add, remove = set(map(check_tag, add)), set(remove)
+    with _changing(Path(run_dir)) as path:
+        before = read(run_dir)
+        if unknown := remove - set(before.tags):
+            wanted, have = (", ".join(map(printable, tags)) for tags in (sorted(unknown), before.tags))
+            raise ValueError(f"{Path(run_dir).name} has no tag {wanted}; it has {have or 'none'}")
+        tags = set(before.tags) - remove | add
+        if len(tags) > TAGS:
+            raise ValueError(f"expected at most {TAGS} tags a run, got {len(tags)}")
+        return _write(path, replace(before, tags=tuple(sorted(tags))))
+
+
+def write_note(run_dir: str | Path, note: str) -> Annotations:
+    """Replaces the note; an empty one removes it.
+
+    Raises:
+        ValueError: longer than `NOTE_LENGTH` characters.
+        StoreError: the file cannot be written.
+    """
+    if len(note) > NOTE_LENGTH:
+        raise ValueError(f"expected a note of at most {NOTE_LENGTH:,} characters, got {len(note):,}")
+    with _changing(Path(run_dir)) as path:
+        return _write(path, replace(read(run_dir), note=note))
+
+
+def check_tag(tag: str) -> str:
+    """The tag itself; ValueError unless it is 1 to `TAG_LENGTH` visible characters without spaces, commas and `=`."""
+    fits = 0 < len(tag) <= TAG_LENGTH and tag.isprintable() and not any(c.isspace() or c in ",=" for c in tag)
+    if not fits:
+        raise ValueError(
+            f"expected a tag of 1 to {TAG_LENGTH} visible characters without spaces, commas and '=', got {tag!r:.100}"
+        )
+    return tag
+
+
+def _write(path: Path, annotations: Annotations) -> Annotations:
+    content = {"tags": list(annotations.tags), "note": annotations.note}
+    files.replace(path, (json.dumps(content, indent=1) + "\n").encode())  # ASCII: safe to print whatever is in it
+    return annotations
+
+
+@contextlib.contextmanager
+def _changing(run_dir: Path) -> Iterator[Path]:
+    """The path of the file, while nobody else changes it."""
+    path, lock = run_dir / FILE, run_dir / ".annotations"
+    for folder in (run_dir, lock, lock / "owner"):
+        if folder.is_symlink():
+            raise StoreError(f"{folder}: is a link; nothing is written into a run through links")
+    with reporting(path):
+        lock.mkdir(exist_ok=True)
+    end = time.monotonic() + PATIENCE
+    while not isinstance(held := owner.acquire(lock, watch=0), owner.Ownership):
+        if time.monotonic() > end:
+            raise StoreError(f"{path}: being changed by {held or 'another process'}; try again")
+        time.sleep(0.01)
+    try:
+        yield path
+    finally:
+        held.release()

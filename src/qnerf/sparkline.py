@@ -1,0 +1,31 @@
+"""A curve as one line of text."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+BLOCKS = "▁▂▃▄▅▆▇█"
+ASCII = "_.-~=+*#"
+
+
+def sparkline(values: Sequence[float] | np.ndarray, width: int, blocks: str = BLOCKS) -> str:
+    """`values` as at most `width` characters, from the least (the lowest block) to the greatest.
+
+    More values than characters are averaged; a space stands where there are only NaN or infinite ones.
+    """
+    width = min(width, len(values))
+    bounds = [len(values) * i // max(width, 1) for i in range(width + 1)]
+    means = [_mean(values[a:b]) for a, b in pairwise(bounds)]
+    finite = [value for value in means if value is not None]
+    if not finite:
+        return " " * width
+    low, high = min(finite), max(finite)
+    scale = (len(blocks) - 1) / (high - low) if high > low else 0.0
+    return "".join(" " if value is None else blocks[round((value - low) * scale)] for value in means)
+
+
+def _mean(values: Sequence[float] | np.ndarray) -> float | None:
+    finite = [value for value in values if math.isfinite(value)]
+    return sum(value / len(finite) for value in finite) if finite else None

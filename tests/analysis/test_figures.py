@@ -1,0 +1,285 @@
+"""The numbers that figures of runs draw, on a small store of real runs."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import TINY, composed, write_scene
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from analysis import figures, style
+from analysis.figures import points
+from analysis.load import metrics, runs
+from qnerf.experiment import run
+
+SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu")
+GRID = (
+    *(("field=classical", f"color.layers={layers}", "color.width=8", "hash=C7") for layers in (2, 3)),
+    ("field=classical", "color.layers=2", "color.width=4", "hash=C7"),
+    ("field=classical", "color.layers=2", "color.width=8", "hash=C6"),
+    ("field=qcolor", "qiren=1L1S", "qiren.qubits=2", "hash=C7"),
+    ("field=qcolor", "qiren=2L1S", "qiren.qubits=2", "hash=C7"),
+)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """Six configurations, two seeds each, and the first ones of another scene with one seed."""
+    folder = tmp_path_factory.mktemp("figures")
+    scenes = [f"scene.path={write_scene(folder / name)}" for name in ("hall", "yard")]
+    for overrides in GRID:
+        for seed in (0, 1):
+            run(composed("scene=nerfstudio", scenes[0], f"store={folder / 'runs'}", f"seed={seed}", *overrides, *SMALL))
+    run(composed("scene=nerfstudio", scenes[1], f"store={folder / 'runs'}", *GRID[0], *SMALL))
+    return folder / "runs"
+
+
+@pytest.fixture(scope="module")
+def every(store):
+    return runs(store)
+
+
+@pytest.fixture
+def frame(every):
+    return every[every["scene_name"] == "hall"].reset_index(drop=True)
+
+
+def footnote(figure) -> str:
+    return " ".join(figure.get_supxlabel().split())
+
+
+def bars(ax) -> np.ndarray:
+    """(bars, 2) low and high ends of all vertical error bars."""
+    segments = [segment for container in ax.containers for lines in container[2] for segment in lines.get_segments()]
+    return np.array([segment[:, 1] for segment in segments if segment.size and not np.isnan(segment).any()])
+
+
+def test_capacity_draws_mean_and_spread_over_seeds_by_kind(frame):
+    figure = figures.capacity_vs_psnr(frame, "color")
+    quantum, classical, _ = figure.axes
+    for ax, field in ((quantum, "qcolor"), (classical, "classical")):
+        own = frame[frame["field"] == field]
+        keys = ["color.layers", "color.width", "hash"] if field == "classical" else ["color.qiren.layers"]
+        groups = own.groupby(keys)
+        expected = np.stack([groups["params.color"].first(), groups["psnr"].mean()], axis=1)
+        drawn = ax.collections[-1].get_offsets()
+        np.testing.assert_allclose(sorted(drawn.tolist()), sorted(expected.tolist()))
+        np.testing.assert_allclose(sorted(ax.collections[-1].get_array()), sorted(groups["ssim"].mean()))
+        spread = np.diff(bars(ax)).ravel()
+        np.testing.assert_allclose(sorted(spread), sorted(2 * groups["psnr"].std()))
+        assert field.replace("qcolor", "quantum") in ax.get_title()
+    assert footnote(figure) == "bars: ± standard deviation over seeds, n = 2"
+
+
+def test_one_seed_draws_no_bar_and_says_so(frame):
+    figure = figures.capacity_vs_psnr(frame[frame["seed"] == 0])
+    assert len(bars(figure.axes[1])) == 0
+    assert "n = 1 seed: no bars" in footnote(figure)
+
+
+def test_runs_that_cannot_count_are_counted(frame):
+    spoiled = frame.copy()
+    spoiled.loc[0, "state"], spoiled.loc[1, "state"], spoiled.loc[2, "psnr"] = "interrupted", "failed", np.nan
+    table = figures.capacity_points(spoiled)
+    assert table["n"].sum() == len(frame) - 3
+    figure = figures.capacity_vs_psnr(spoiled)
+    for reason in ("1 interrupted", "1 failed", "1 NaN psnr"):
+        assert reason in footnote(figure)
+    assert "n = 1 to 2" in footnote(figure)
+
+
+def test_scenes_are_never_averaged(every):
+    table = figures.capacity_points(every)
+    (yard,) = table[table["scene_name"] == "yard"]["n"]
+    assert yard == 1
+    figure = figures.capacity_vs_psnr(every)
+    assert [ax.get_title() for ax in figure.axes[:4]] == [
+        f"{scene}: {kind}" for scene in ("hall", "yard") for kind in ("quantum", "classical")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("draw", "key", "kept"),
+    [
+        (figures.psnr_vs_depth, "color.layers", {"color.width": 8, "hash": "C7"}),
+        (figures.psnr_vs_width, "color.width", {"color.layers": 2, "hash": "C7"}),
+    ],
+)
+def test_a_line_runs_over_depth_or_width_alone(frame, draw, key, kept):
+    ax = draw(frame).axes[0]
+    own = frame[frame["field"] == "classical"]
+    for name, value in kept.items():
+        own = own[own[name] == value]
+    groups = own.groupby(key)["psnr"]
+    (container,) = ax.containers
+    np.testing.assert_allclose(container[0].get_xdata(orig=False), groups.mean().index)
+    np.testing.assert_allclose(container[0].get_ydata(orig=False), groups.mean())
+    np.testing.assert_allclose(np.diff(bars(ax)).ravel(), 2 * groups.std())
+    assert container.get_label() == ("width 8" if key == "color.layers" else "2 layers")
+
+
+def test_circuits_have_their_own_panel_of_depth(frame):
+    figure = figures.psnr_vs_depth(frame)
+    (container,) = figure.axes[1].containers
+    assert container.get_label() == "S = 1"
+    assert container[0].get_xdata(orig=False).tolist() == [1, 2]
+    assert "2 configurations that differ in more than the depth are not drawn" in footnote(figure)
+
+
+def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
+    with pytest.raises(ValueError, match=r"no two configurations differ in the width of the density head alone"):
+        figures.psnr_vs_width(frame, "density")
+    with pytest.raises(ValueError, match="expected depth or width"):
+        figures.shape_points(frame, "height")
+
+
+def test_hash_tables_are_named_where_they_lie(frame):
+    ax = figures.hash_configurations(frame).axes[0]
+    own = frame[(frame["color.layers"] == 2) & (frame["color.width"] == 8) & (frame["field"] == "classical")]
+    groups = own.groupby("hash")
+    expected = {name: (size, groups["psnr"].mean()[name]) for name, size in {"C6": 262144, "C7": 65536}.items()}
+    density = own["params.density"].iloc[0]
+    assert {text.get_text(): text.xy for text in ax.texts} == {
+        name: (size + density, pytest.approx(psnr)) for name, (size, psnr) in expected.items()
+    }
+    with pytest.raises(ValueError, match="no two configurations differ in their hash table alone"):
+        figures.hash_configurations(frame[frame["hash"] == "C7"])
+
+
+def test_loss_curves_are_geometric_means_over_seeds(frame):
+    own = frame[(frame["color.layers"] == 3) & (frame["field"] == "classical")]
+    table = figures.loss_points(own)
+    logged = [metrics(path, "train/mse").set_index("step")["value"] for path in own["path"]]
+    decibels = np.log10(pd.concat(logged, axis=1))
+    train = table[table["split"] == "train"].set_index("step")
+    np.testing.assert_allclose(train["mse"], 10 ** decibels.mean(axis=1))
+    np.testing.assert_allclose(train["mse_high"] / train["mse"], 10 ** decibels.std(axis=1))
+    held_out = table[table["split"] == "eval"].set_index("step")
+    final = own["psnr"].mean()
+    assert held_out.loc[4, "mse"] == pytest.approx(10 ** (-final / 10))
+    assert held_out.index.tolist() == [2, 4]
+    lines = {line.get_label(): line for line in figures.loss_curves(own).axes[0].lines}
+    np.testing.assert_allclose(lines["classical"].get_ydata(), held_out["mse"])
+
+
+def test_long_training_curves_are_means_of_spans():
+    logged = pd.DataFrame({"step": np.arange(1, 1001), "time_s": 0.0, "value": np.arange(1000.0)})
+    binned = figures.curves._binned(logged)
+    assert len(binned) == figures.curves.BINS
+    assert binned["step"].iloc[0] == 20
+    assert binned["value"].iloc[0] == np.arange(20).mean()
+
+
+def test_psnr_against_time_ends_at_the_run_s_own_numbers(frame):
+    own = frame[frame["color.qiren.layers"].eq(2) & frame["field"].eq("qcolor")]
+    ax = figures.psnr_vs_time(own).axes[0]
+    (container,) = ax.containers
+    assert container[0].get_ydata(orig=False)[-1] == pytest.approx(own["psnr"].mean())
+    times = [metrics(path, "eval/psnr")["time_s"].iloc[-1] for path in own["path"]]
+    assert container[0].get_xdata(orig=False)[-1] == pytest.approx(np.mean(times))
+
+
+def test_configurations_beyond_the_best_are_told(frame):
+    figure = figures.psnr_vs_time(frame, most=2)
+    assert len(figure.axes[0].containers) == 2
+    best = frame.groupby(["field", "color", "hash"])["psnr"].mean().nlargest(2)
+    drawn = [container[0].get_ydata(orig=False)[-1] for container in figure.axes[0].containers]
+    np.testing.assert_allclose(drawn, best)
+    assert "not drawn: 4 configurations of lower PSNR" in footnote(figure)
+
+
+def test_the_pareto_front_is_drawn_and_named(frame):
+    figure = figures.speed_vs_error(frame, "train_s")
+    ax = figure.axes[0]
+    table = figures.speed_points(frame, "train_s")
+    on = table[table["front"]].sort_values("train_s")
+    (step,) = [line for line in ax.lines if line.get_drawstyle() == "steps-post"]
+    np.testing.assert_allclose(step.get_xydata(), on[["train_s", "psnr"]])
+    assert step.get_ydata()[-1] == table["psnr"].max()
+    assert step.get_xdata()[0] == table["train_s"].min()
+    listed = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert listed == [f"{number}  {name}" for number, name in enumerate(on["name"], 1)]
+    with pytest.raises(ValueError, match="unknown time 'hours'; known: step_ms, train_s"):
+        figures.speed_vs_error(frame, "hours")
+
+
+@given(arrays.arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=st.integers(0, 5).map(float)))
+def test_the_front_holds_exactly_what_nothing_beats(values):
+    table = pd.DataFrame(values, columns=["cost", "loss"])
+    on = figures.front(table["cost"], table["loss"])
+    for index, row in table.iterrows():
+        beaten = ((table <= row).all(axis=1) & (table < row).any(axis=1)).any()
+        assert on[index] == (not beaten)
+
+
+def test_nan_is_never_on_the_front():
+    table = pd.DataFrame({"cost": [1.0, np.nan, 2.0], "loss": [1.0, 0.0, np.nan]})
+    assert figures.front(table["cost"], table["loss"]).tolist() == [True, False, False]
+
+
+def test_engines_without_a_result_are_told(tmp_path):
+    results = pd.DataFrame(
+        {
+            "engine": ["qnerf auto", "slow but exact", "slow and wrong", "absent"],
+            "S": 1,
+            "wires": 8,
+            "batch": 6144,
+            "ms": [1.0, 100.0, 50.0, np.nan],
+            "error_outputs": [1e-7, 1e-9, 1e-6, np.nan],
+            "note": "",
+        }
+    )
+    assert figures.engine_points(results)["front"].tolist() == [True, True, False, False]
+    figure = figures.engine_speed_vs_error(results)
+    drawn = {
+        line.get_label(): line.get_xydata()[0].tolist() for line in figure.axes[0].lines if len(line.get_xdata()) == 1
+    }
+    assert drawn == {"qnerf auto": [1, 1e-7], "slow but exact": [100, 1e-9], "slow and wrong": [50, 1e-6]}
+    assert "no result: absent" in footnote(figure)
+    with pytest.raises(ValueError, match="no benchmark"):
+        figures.engine_points(tmp_path / "quantum.parquet")
+
+
+def test_settings_that_do_not_act_do_not_tell_runs_apart(frame):
+    changed = frame.copy()
+    changed.loc[changed["field"] == "classical", "color.qiren.layers"] = 7
+    changed.loc[changed["field"] == "qcolor", "color.width"] = 7
+    assert len(points.points(changed, ["psnr"])) == len(points.points(frame, ["psnr"])) == len(GRID)
+
+
+def test_names_tell_every_configuration_apart(frame):
+    table = points.points(frame.assign(**{"train.lr": frame["train.lr"]}), ["psnr"])
+    assert table["name"].is_unique
+    tuned = frame[(frame["hash"] == "C6")]
+    both = pd.concat([tuned, tuned.assign(**{"train.lr": 0.5})], ignore_index=True)
+    assert sorted(points.points(both, ["psnr"])["name"]) == ["classical, train.lr=0.01", "classical, train.lr=0.5"]
+
+
+def test_a_seed_twice_is_refused(frame):
+    with pytest.raises(ValueError, match="seed 0 of one configuration twice, the second time in"):
+        figures.capacity_points(pd.concat([frame, frame.iloc[:1]], ignore_index=True))
+
+
+def test_saved_files_hold_text_and_never_change(frame, tmp_path):
+    for name in ("first", "second"):
+        style.save(figures.hash_configurations(frame), tmp_path / name)
+    for kind in style.FORMATS:
+        first, second = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("first", "second"))
+        assert first == second
+    assert ">C7</text>" in (tmp_path / "first.svg").read_text()
+    assert b"/FontFile2" in (tmp_path / "first.pdf").read_bytes()
+
+
+def test_themes_differ_in_ink_and_paper(frame):
+    light, dark = (figures.hash_configurations(frame, theme=theme) for theme in ("light", "dark"))
+    assert light.get_facecolor() != dark.get_facecolor()
+    assert dark.axes[0].title.get_color() == dark.axes[0].texts[0].get_color() != light.axes[0].title.get_color()
+    with pytest.raises(ValueError, match="unknown theme 'sepia'; known: light, dark"):
+        figures.hash_configurations(frame, theme="sepia")
+
+
+def test_colours_of_a_palette_differ_in_lightness_or_marker():
+    looks = [tuple(style.series(number).values()) for number in range(8)]
+    assert len(set(looks)) == 8
+    assert len({marker for _, marker in looks}) == 8

@@ -1,0 +1,223 @@
+"""Figures of what lies in a run's folder beside its numbers: pictures, and what `qnerf evaluate` wrote."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import TINY, composed, write_scene
+
+from analysis import circular, figures, hsv
+from analysis.figures.__main__ import main
+from analysis.images import panels, pictures
+from analysis.load import runs
+from qnerf.experiment import run
+from qnerf.probes import PROBES, load, probe
+from qnerf.probes.hardware import evaluate_hardware, grid
+
+SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu", "hash=C7")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A classical and a quantum configuration, two seeds each, one quantum run probed, both measured with shots."""
+    folder = tmp_path_factory.mktemp("files")
+    scene = write_scene(folder / "hall")
+    for field in ("classical", "qcolor"):
+        for seed in (0, 1):
+            overrides = (f"field={field}", f"seed={seed}", "qiren=1L2S", "qiren.qubits=3")
+            path = run(
+                composed("scene=nerfstudio", f"scene.path={scene}", f"store={folder / 'runs'}", *overrides, *SMALL)
+            ).path
+            if field == "qcolor":
+                evaluate_hardware(load(path), grid([10, 100], "none", [], 0))
+                evaluate_hardware(load(path), grid([], "depolarizing", [0.01, 0.1], 0))
+    for name in PROBES:
+        probe(load(path), name)
+    return folder / "runs"
+
+
+@pytest.fixture
+def frame(store):
+    return runs(store)
+
+
+@pytest.fixture
+def probed(frame):
+    return figures.best_of(frame, "rays")
+
+
+def footnote(figure) -> str:
+    return " ".join(figure.get_supxlabel().split())
+
+
+def test_the_grid_shows_the_stored_panels_of_median_runs(frame):
+    chosen = figures.typical(frame)
+    for _, row in chosen.iterrows():
+        own = frame[frame["field"] == row["field"]]["psnr"]
+        assert row["psnr"] == own.min()  # the lower of two is the median
+    shown = figures.qualitative_panels(chosen)
+    figure = figures.qualitative_grid(frame, views=1)
+    drawn = [ax.images[0].get_array() for ax in figure.axes]
+    assert len(drawn) == 4 * len(shown) == 8
+    for number, picture in enumerate(shown["picture"]):
+        for column, panel in enumerate(panels(picture)):
+            np.testing.assert_array_equal(drawn[4 * number + column], panel)
+    row = shown.iloc[0]
+    measured = pd.read_parquet(row["picture"].parents[1] / "eval.parquet").set_index("image")["psnr"]
+    assert row["psnr"] == pytest.approx(measured[f"images/{row['image'].removeprefix('images-')}.png"])
+    assert figure.axes[1].texts[0].get_text() == f"{row['psnr']:.2f} dB"
+
+
+def test_hsv_curves_are_densities_of_the_stored_pixels(frame):
+    samples = figures.hsv_samples(figures.colors.chosen(frame))
+    table = figures.hsv_histograms(samples)
+    areas = ((table["right"] - table["left"]) * table["density"]).groupby([table["channel"], table["source"]]).sum()
+    np.testing.assert_allclose(areas, 1)
+    path = frame[frame["field"] == "classical"]["path"].iloc[0]
+    truth = np.concatenate([hsv.pixels(panels(file).truth)["value"] for file in pictures(path).values()])
+    own = table[(table["channel"] == "value") & (table["source"] == "truth")]
+    expected = np.histogram(truth, [*own["left"], own["right"].iloc[-1]], density=True)[0]
+    np.testing.assert_allclose(own["density"], expected)
+    axes = figures.hsv_study(frame).axes
+    lines = {line.get_label(): line for line in axes[2].lines}
+    np.testing.assert_allclose(lines["truth"].get_ydata(), expected)
+    assert set(lines) == {"truth", "classical", "quantum"}
+
+
+def test_hue_is_unrolled_about_the_truth_and_grey_has_none():
+    red = pd.DataFrame({"hue": [0.98, 0.02, np.nan, 0.96, 0.04], "saturation": 0.5, "value": 0.5})
+    samples = red.assign(source="truth", seed=pd.array([None] * 5, dtype="Int64"), image="a")
+    (box,) = figures.hsv_boxes(samples).query("channel == 'hue'").to_dict("records")
+    middle = circular.mean_direction(red["hue"].dropna().to_numpy())
+    assert box["pixels"] == 4
+    assert abs(circular.turn(middle, box[0.5])) < 0.01
+    assert box[0.95] - box[0.05] == pytest.approx(0.08, abs=0.01)
+
+
+def test_hsv_of_several_scenes_or_of_one_kind_is_refused(frame):
+    other = frame.assign(scene_name=["hall", "yard"] * 2)
+    with pytest.raises(ValueError, match=r"2 scenes \(hall, yard\): filter on one"):
+        figures.hsv_study(other)
+    with pytest.raises(ValueError, match="no finished quantum run to compare; fields: classical"):
+        figures.hsv_study(frame[frame["field"] == "classical"])
+
+
+def test_samples_and_weights_along_a_ray_are_the_probe_s(probed):
+    table = figures.ray_samples(probed, 1)
+    figure = figures.sampling_strategies(probed, 1)
+    names = list(dict.fromkeys(table["row"]))
+    assert names == [
+        "uniform",
+        "disparity",
+        "piecewise",
+        "proposal: network 0",
+        "proposal: network 1",
+        "proposal: final",
+    ]
+    for ax, name in zip(figure.axes, names, strict=True):
+        level = table[table["row"] == name]
+        ticks = [segment[0, 0] for segment in ax.collections[0].get_segments()]
+        np.testing.assert_allclose(ticks, (level["start"] + level["end"]) / 2)
+        weights, transmittance = (patch.get_data() for patch in ax.patches)
+        np.testing.assert_allclose(weights.values, level["weight"] / (level["weight"].max() or 1))
+        np.testing.assert_allclose(transmittance.values, level["transmittance"])
+        np.testing.assert_allclose(weights.edges[:-1], level["start"])
+    with pytest.raises(ValueError, match="has rays 0 to 4"):
+        figures.sampling_strategies(probed, 5)
+
+
+def test_encodings_are_drawn_channel_by_channel(probed):
+    slices = figures.encoding_slices(probed)
+    assert list(slices) == [("pe", False), ("rff", False), ("hash", True), ("sh", False)]
+    figure = figures.encoding_channels(probed)
+    drawn = [ax.images[0].get_array() for ax in figure.axes]
+    np.testing.assert_array_equal(np.stack(drawn), np.concatenate(list(slices.values())))
+    table = pd.read_parquet(f"{probed}/encoding.parquet")
+    cell = table[(table["encoder"] == "hash") & (table["row"] == 3) & (table["column"] == 5)]
+    assert slices["hash", True][2][3, 5] == cell["channel_2"].item()
+
+
+def test_the_spectrum_shows_each_share_of_variance(probed):
+    table = figures.spectrum_points(probed)
+    assert table["share"].between(-1e-9, 1 + 1e-9).all()
+    np.testing.assert_allclose(table.groupby(["circuit", "output", "wire"])["share"].sum(), 1)
+    figure = figures.fourier_spectrum(probed)
+    rows = table[(table["circuit"] == 0) & (table["frequency"] == 1)]
+    expected = rows.pivot(index="output", columns="wire", values="share").to_numpy()
+    drawn = np.ma.filled(figure.axes[0].images[0].get_array().astype(float), np.nan)
+    shown = expected >= 1e-4
+    np.testing.assert_allclose(drawn[shown], expected[shown])
+    assert np.isnan(drawn[~shown]).all()
+    heights = [patch.get_height() for patch in figure.axes[2].patches]
+    first = table[(table["circuit"] == 0) & (table["frequency"] > 0)]
+    np.testing.assert_allclose(heights, first.groupby("frequency")["share"].sum() / 9)
+    assert footnote(figure).startswith("exact;")
+
+
+@pytest.mark.parametrize(
+    ("draw", "column", "asked"),
+    [
+        (figures.psnr_vs_shots, "shots", "noise == 'none' and shots > 0"),
+        (figures.psnr_vs_noise, "p", "noise != 'none'"),
+    ],
+)
+def test_psnr_under_hardware_conditions_is_the_mean_over_views_and_seeds(frame, draw, column, asked):
+    paths = frame[frame["field"] == "qcolor"]["path"]
+    measured = [pd.read_parquet(f"{path}/eval_hardware.parquet") for path in paths]
+    means = [rows.query(asked).groupby(column)["psnr"].mean() for rows in measured]
+    figure = draw(frame)
+    (container,) = figure.axes[0].containers
+    np.testing.assert_allclose(container[0].get_xdata(orig=False), means[0].index)
+    np.testing.assert_allclose(container[0].get_ydata(orig=False), np.mean(means, axis=0))
+    (dashed,) = [line for line in figure.axes[0].lines if line.get_linestyle() == "--"]
+    exact = frame[frame["field"] == "qcolor"]["psnr"].mean()
+    assert dashed.get_ydata()[0] == pytest.approx(exact, rel=1e-4)
+
+
+def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
+    path = frame[frame["field"] == "qcolor"]["path"].iloc[0]
+    rows = pd.read_parquet(f"{path}/eval_hardware.parquet")
+    (tmp_path / "copy").mkdir()
+    rows[rows["shots"] != 100].to_parquet(tmp_path / "copy" / "eval_hardware.parquet")
+    figure = figures.psnr_vs_shots(frame.replace({"path": {path: str(tmp_path / "copy")}}))
+    (container,) = figure.axes[0].containers
+    assert container[0].get_xdata(orig=False).tolist() == [10]
+    assert "not drawn: 1 conditions that not every measured seed has" in footnote(figure)
+
+
+def test_what_is_missing_says_how_to_make_it(frame):
+    classical = frame[frame["field"] == "classical"]
+    with pytest.raises(ValueError, match=r"none of 2 runs has rays.parquet; `qnerf evaluate RUN rays` writes it"):
+        figures.best_of(classical, "rays")
+    with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf evaluate .* spectrum` writes it"):
+        figures.fourier_spectrum(classical["path"].iloc[0])
+
+
+def test_the_command_draws_what_it_can_and_tells_the_rest(store, tmp_path, capsys):
+    main([str(store), "--out", str(tmp_path / "all"), "--formats", "svg"])
+    out = capsys.readouterr().out
+    assert "width: not drawn: no two configurations differ in the width" in out
+    told = {line.split(":")[0] for line in out.splitlines() if "not drawn" in line}
+    written = {path.stem for path in (tmp_path / "all").iterdir()}
+    assert told | written == set(figures.FIGURES)
+    assert {
+        "capacity",
+        "loss",
+        "time",
+        "speed",
+        "hsv",
+        "sampling",
+        "encodings",
+        "spectrum",
+        "shots",
+        "noise",
+    } <= written
+
+
+def test_a_figure_asked_for_by_name_is_an_error_where_it_cannot_be_drawn(store, tmp_path):
+    out = ["--out", str(tmp_path)]
+    main([str(store), "capacity", *out, "--filter", "field=classical", "--formats", "png"])
+    assert [path.name for path in tmp_path.iterdir()] == ["capacity.png"]
+    with pytest.raises(ValueError, match="no two configurations differ in their hash table alone"):
+        main([str(store), "hash", *out])
+    with pytest.raises(ValueError, match="unknown figure 'hue'; known: capacity"):
+        main([str(store), "hue", *out])

@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import mannwhitneyu
+from stores import picture, write_run
+
+from analysis import hsv
+from analysis.images import enlargement, panels, pictures
+from analysis.load import runs
+
+RANDOM = np.random.default_rng(0)
+
+
+def noise(height=6, width=5):
+    return RANDOM.integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+@pytest.fixture
+def store(tmp_path):
+    """Two views; classical renders are the truth, quantum ones its half: hue and saturation stay, value halves."""
+    truths = {f"v{view}": 2 * RANDOM.integers(20, 120, (8, 6, 3), dtype=np.uint8) for view in (0, 1)}
+    for field, factor in (("classical", 1), ("qcolor", 2)):
+        for seed in (0, 1):
+            drawn = {name: picture(truth, truth // factor, noise(8, 6), noise(8, 6)) for name, truth in truths.items()}
+            write_run(tmp_path, field, seed, pictures=drawn)
+    return tmp_path, truths
+
+
+@pytest.mark.parametrize("factor", [1, 4, 7])
+def test_panels_are_the_pixels_that_were_drawn(tmp_path, factor):
+    drawn = [noise() for _ in range(4)]
+    run = write_run(tmp_path, pictures={"a": picture(*drawn, factor=factor)})
+    assert list(pictures(run)) == ["a"]
+    for panel, pixels in zip(panels(pictures(run)["a"]), drawn, strict=True):
+        np.testing.assert_array_equal(panel, pixels)
+
+
+@given(st.integers(1, 6), st.integers(1, 5), st.integers(1, 5))
+def test_the_enlargement_is_the_side_of_the_squares(factor, height, width):
+    grid = np.arange(height * 4 * width, dtype=np.uint8).reshape(height, 4 * width, 1).repeat(3, 2)
+    assert enlargement(grid.repeat(factor, 0).repeat(factor, 1)) == factor
+
+
+def test_what_is_no_such_picture_is_named(tmp_path):
+    run = write_run(tmp_path, pictures={"narrow": noise(4, 7)})
+    with pytest.raises(
+        ValueError, match=r"narrow.png: expected truth \| render \| error \| depth of equal width, got 7"
+    ):
+        panels(pictures(run)["narrow"])
+    (run / "images" / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
+    with pytest.raises(ValueError, match=r"broken.png: not readable as a picture"):
+        panels(pictures(run)["broken"])
+
+
+def test_pixels_are_those_of_truth_and_renders(store):
+    folder, truths = store
+    samples = hsv.samples(runs(folder))
+    assert samples.groupby(["source", "seed"], observed=True, dropna=False).size().tolist() == [96] * 5
+    truth = samples[samples["source"] == "truth"]
+    brightest = np.concatenate([truths[name].reshape(-1, 3).max(axis=1) for name in ("v0", "v1")])
+    assert truth["value"].to_numpy() == pytest.approx(brightest / 255)
+    assert truth["seed"].isna().all()
+
+
+def test_a_darker_copy_differs_in_value_alone(store):
+    folder, _ = store
+    tests = hsv.tests(hsv.samples(runs(folder))).set_index(["channel", "pair", "seed"])
+    assert len(tests) == 3 * 3 * 2
+    for channel in hsv.CHANNELS:
+        same = tests.loc[(channel, "truth - classical", 0)]
+        assert (same["ks"], same["wasserstein"], same["ks_p"]) == (0, 0, 1)
+    value = tests.loc[("value", "truth - quantum", 1)]
+    values = hsv.samples(runs(folder)).query("source == 'truth'")["value"]
+    assert value["wasserstein"] == pytest.approx(values.mean() / 2)
+    assert value["cliffs_delta"] < -0.5
+    assert value["ks_p"] < 1e-9
+    hue = tests.loc[("hue", "truth - quantum", 1)]
+    assert hue["wasserstein"] < 1e-12
+    assert hue["direction"] == pytest.approx(0, abs=1e-12)
+
+
+def test_the_table_has_means_over_seeds(store):
+    tests = hsv.tests(hsv.samples(runs(store[0])))
+    table = hsv.table(tests)
+    rows = tests[(tests["channel"] == "value") & (tests["pair"] == "truth - quantum")]
+    assert table.data.loc[("value", "truth - quantum"), ("ks", "mean")] == pytest.approx(rows["ks"].mean())
+    assert f"| value | truth - quantum | {rows['ks'].mean():.4f} ± 0.0000 |" in table.markdown()
+    assert table.text["seeds"].tolist() == ["2"] * 9
+
+
+def test_grey_pixels_have_no_hue():
+    image = np.array([[[128, 128, 128], [0, 0, 0], [255, 0, 0], [128, 125, 125], [0, 0, 255]]], dtype=np.uint8)
+    pixels = hsv.pixels(image, grey=0.05)
+    assert pixels["hue"].isna().tolist() == [True, True, False, True, False]
+    assert pixels["hue"].dropna().tolist() == pytest.approx([0, 2 / 3])
+    assert pixels["saturation"].tolist() == pytest.approx([0, 0, 1, 3 / 128, 1])
+
+
+def test_constant_and_absent_channels_do_not_crash():
+    same = hsv.compare(np.full(50, 0.3), np.full(40, 0.3), "hue")
+    assert (same["ks"], same["kuiper"], same["wasserstein"], same["direction"]) == (0, 0, 0, 0)
+    apart = hsv.compare(np.full(50, 0.3), np.full(40, 0.5), "value")
+    assert (apart["ks"], apart["cliffs_delta"]) == (1, 1)
+    assert apart["wasserstein"] == pytest.approx(0.2)
+    none = hsv.compare(np.full(50, 0.3), np.empty(0), "hue")
+    assert (none["n_first"], none["n_second"]) == (50, 0)
+    assert np.isnan([none["ks"], none["kuiper"], none["wasserstein"], none["direction"]]).all()
+
+
+@given(*[st.lists(st.integers(0, 9), min_size=1, max_size=30)] * 2)
+def test_cliffs_delta_is_the_rank_sum(first, second):
+    below = mannwhitneyu(second, first, method="asymptotic").statistic / (len(first) * len(second))
+    assert hsv.cliffs_delta(np.array(first), np.array(second)) == pytest.approx(2 * below - 1)
+
+
+def test_what_cannot_be_compared_is_refused(store):
+    folder, _ = store
+    frame = runs(folder)
+    with pytest.raises(ValueError, match="nothing has field=qboth; field is classical, qcolor"):
+        hsv.samples(frame, quantum={"field": "qboth"})
+    write_run(folder, "qcolor", 2, scene="chair")
+    with pytest.raises(ValueError, match=r"2 scenes in one table \(chair, poster\)"):
+        hsv.samples(runs(folder))
+    bare = write_run(folder, "qcolor", 3)
+    frame = runs(folder)
+    with pytest.raises(ValueError, match="no picture that all 5 runs have; 1 of them have none at all"):
+        hsv.samples(frame[(frame["scene_name"] == "poster") | (frame["path"] == str(bare))])
+
+
+def test_the_command_prints_the_table(store, capsys):
+    hsv.main([str(store[0]), "--grey", "0.1"])
+    assert capsys.readouterr().out.startswith("| channel | pair | ks | kuiper | Cliff's delta |")

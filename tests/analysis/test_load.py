@@ -1,0 +1,82 @@
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from analysis import load
+from qnerf.records import RunStore, read_metrics
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    root = tmp_path / "runs"
+    for seed, field in enumerate(["classical", "qcolor", "qcolor"]):
+        scene = {"name": "nerfstudio", "path": "/data/fox"} if seed else {"name": "poster", "path": None}
+        config = {"seed": seed, "scene": scene}
+        run = RunStore(root).claim(f"r{seed}", config, columns={"field": field, "scene": scene["name"]}).run
+        assert run is not None
+        for step in range(3):
+            run.log(step, 0.5 * step, {"loss": float(seed), "psnr": 20.0 + step})
+        run.finish({"psnr": 20.0 + seed})
+    return root
+
+
+def test_one_row_a_run(store: Path) -> None:
+    frame = load.runs(store)
+    assert frame["run_id"].tolist() == ["r0", "r1", "r2"]
+    assert frame["psnr"].tolist() == [20.0, 21.0, 22.0]
+    assert frame["scene_name"].tolist() == ["poster", "fox", "fox"]
+    assert frame["path"].tolist() == [str(store / name) for name in ("r0", "r1", "r2")]
+    pd.testing.assert_frame_equal(load.runs(str(store)), frame)
+
+
+def test_runs_of_a_filter(store: Path) -> None:
+    assert load.runs(store, "field == 'qcolor' and seed > 1")["run_id"].tolist() == ["r2"]
+    assert load.runs(store, {"scene_name": "fox", "seed": [0, 1]})["run_id"].tolist() == ["r1"]
+    with pytest.raises(ValueError, match="none of 3 runs has field == 'qboth'; there are field: classical, qcolor"):
+        load.runs(store, "field == 'qboth'")
+
+
+def test_runs_behind_a_url(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setenv("QNERF_CACHE", str(tmp_path / "cache"))
+    memory = fsspec.filesystem("memory")
+    for path in store.rglob("*"):
+        if path.is_file():
+            memory.pipe_file(f"/{tmp_path.name}/{path.relative_to(store)}", path.read_bytes())
+    frame = load.runs(f"memory://{tmp_path.name}", {"field": "qcolor"})
+    assert frame["psnr"].tolist() == [21.0, 22.0]
+    assert load.metrics(frame, "psnr")["value"].tolist() == [20.0, 21.0, 22.0] * 2
+    assert len(load.metrics(frame["path"].tolist()[0])) == 6
+
+
+def test_no_runs_is_a_mistake(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no runs found; expected folders"):
+        load.runs(tmp_path / "absent")
+
+
+def test_metrics_of_one_run(store: Path) -> None:
+    frame = load.metrics(store / "r1")
+    pd.testing.assert_frame_equal(frame, read_metrics(store / "r1"))
+    assert list(frame.columns) == ["step", "time_s", "key", "value"]
+    psnr = load.metrics(str(store / "r1"), "psnr")
+    assert psnr["value"].tolist() == [20.0, 21.0, 22.0]
+    assert psnr.index.tolist() == [0, 1, 2]
+    assert load.metrics(store / "r1", "absent").empty
+
+
+def test_metrics_of_several_runs(store: Path) -> None:
+    frame = load.metrics(load.runs(store, {"field": "qcolor"}), "loss")
+    assert list(frame.columns) == ["run_id", "step", "time_s", "key", "value"]
+    assert frame.groupby("run_id")["value"].unique().map(list).to_dict() == {"r1": [1.0], "r2": [2.0]}
+    pd.testing.assert_frame_equal(load.metrics([f"{store}/r1/", store / "r2"], "loss"), frame)
+    with pytest.raises(ValueError, match="expected at least one run"):
+        load.metrics([])
+
+
+def test_metrics_that_are_damaged_or_absent_are_named(store: Path) -> None:
+    (store / "r1" / "metrics" / "part-00000.parquet").write_bytes(b"damaged")
+    with pytest.raises(ValueError, match=r"r1/metrics/part-00000\.parquet: damaged"):
+        load.metrics(load.runs(store))
+    with pytest.raises(ValueError, match="absent"):
+        load.metrics(store / "absent")

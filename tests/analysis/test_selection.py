@@ -1,0 +1,53 @@
+import pandas as pd
+import pytest
+
+from analysis.selection import conditions, measured, select, where
+
+FRAME = pd.DataFrame(
+    {
+        "state": ["finished", "finished", "running"],
+        "field": ["classical", "qcolor", "qcolor"],
+        "experiment": [None, "no_gain", None],
+        "encoder.dense": [True, False, True],
+        "train.lr": [0.01, 0.001, 0.01],
+        "psnr": [20.0, 21.0, None],
+        "lpips": [None, None, None],
+        "lpips_reason": ["no weights"] * 3,
+        "seed": [0, 1, 2],
+    }
+).astype({"lpips": float})
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [
+        ("field=qcolor", [1, 2]),
+        ("field=qcolor, experiment=none", [2]),
+        ("encoder.dense=true", [0, 2]),
+        ("train.lr=1e-2", [0, 2]),
+        ("seed=1", [1]),
+    ],
+)
+def test_conditions_choose_by_value(text, seeds):
+    assert where(FRAME, conditions(text))["seed"].tolist() == seeds
+
+
+def test_mistakes_are_named():
+    for message, call in {
+        "nothing has field=qboth; field is classical, qcolor": lambda: where(FRAME, {"field": "qboth"}),
+        "unknown key 'feild'; known: field": lambda: where(FRAME, {"feild": "qboth"}),
+        "train.lr is a number, got 'small'": lambda: where(FRAME, {"train.lr": "small"}),
+        "expected KEY=VALUE with commas between, such as field=classical, got 'qcolor'": lambda: conditions("qcolor"),
+        r"none of 2 finished runs has lpips \(no weights\); have: psnr": lambda: select(FRAME, "lpips"),
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_what_is_measured_is_no_setting():
+    assert measured(FRAME) == ["psnr"]
+
+
+def test_everything_left_out_is_told():
+    assert select(FRAME).note == "left out: 1 running"
+    assert select(FRAME[:2]).note == ""

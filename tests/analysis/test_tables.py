@@ -1,0 +1,212 @@
+import io
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from stores import write_run
+
+from analysis.load import runs
+from analysis.tables import Table, ablation, markdown, over_seeds
+from analysis.tables.__main__ import main
+from analysis.tables.ablation import best
+from analysis.tables.table import latex_escape, markdown_escape
+from qnerf.experiment import run
+
+
+@pytest.fixture
+def store(tmp_path):
+    for field, level in (("classical", 20.0), ("qcolor", 21.0)):
+        for seed in (0, 1, 2):
+            write_run(tmp_path, field, seed, [level + seed, level + 2 * seed])
+    return tmp_path
+
+
+def test_means_spreads_and_counts_are_those_of_the_runs(store):
+    table = over_seeds(runs(store), ["field", "color"])
+    row = table.loc[("qcolor", "1L2S")]
+    by_hand = [21.0, 22.5, 24.0]
+    assert row["psnr"].tolist() == pytest.approx([np.mean(by_hand), np.std(by_hand, ddof=1), 3])
+    assert row[("ssim", "mean")] == pytest.approx(np.mean(by_hand) / 40)
+    assert row[("seeds", "n")] == 3
+    assert row[("params.color", "mean")] == 491
+    lines = markdown(table).splitlines()
+    assert lines[0].startswith("| field | color | PSNR, dB | SSIM | encoder parameters |")
+    assert lines[2].startswith("| classical | 3x64 | 21.50 ± 1.50 |")
+    assert lines[3].startswith("| qcolor | 1L2S | **22.50 ± 1.50** |")
+    assert lines[3].endswith("| 394,929 | 11.0 ± 1.0 | 5 ± 0 | 3 |")
+    assert "| 393,216 | 1,222 | 491 |" in lines[3]
+
+
+def test_the_difference_from_the_baseline_is_paired_by_seed_and_view(store):
+    table = ablation(runs(store), ["field"], baseline={"field": "classical"})
+    difference = table.data["difference"]
+    # Every view of every seed is 1 dB better: whatever is resampled, the difference is 1.
+    assert difference.loc["qcolor"].tolist() == pytest.approx([1, 1, 1, 3, 2])
+    assert difference.loc["classical"].isna().all()
+    assert table.text["difference, PSNR, dB"].tolist() == ["baseline", "+1.00 [+1.00, +1.00] *"]
+    assert table.text["pairs"].tolist() == ["", "3 x 2"]
+    assert "95 % percentile interval" in table.notes[0]
+    assert "10,000 times" in table.notes[0]
+
+
+def test_one_seed_has_no_spread_and_says_so(store):
+    frame = runs(store)
+    table = ablation(frame[frame["seed"] == 0], ["field"], baseline={"field": "classical"})
+    assert "±" not in table.markdown()
+    assert table.text["seeds"].tolist() == ["1", "1"]
+    assert "n = 1 in 2 of 2 rows: no spread" in table.notes
+    assert "pairs of one seed: the interval speaks about views alone" in table.notes
+
+
+def test_runs_that_are_left_out_are_counted_with_the_reason(store):
+    write_run(store, "classical", 3, state="failed")
+    write_run(store, "classical", 4, state="interrupted")
+    write_run(store, "classical", 5, state="interrupted")
+    write_run(store, "qcolor", 3, [float("nan"), 20.0])
+    write_run(store, "qcolor", 4, [float("inf"), 20.0])
+    damaged = write_run(store, "qcolor", 5)
+    (damaged / "summary.parquet").write_bytes(b"")
+    table = ablation(runs(store), ["field"])
+    (note,) = [note for note in table.notes if note.startswith("left out: ")]
+    assert set(note.removeprefix("left out: ").split(", ")) == {
+        "1 failed",
+        "2 interrupted",
+        "1 damaged",
+        "1 NaN psnr",
+        "1 infinite psnr",
+    }
+    assert table.data[("psnr", "mean")].tolist() == pytest.approx([21.5, 22.5])
+
+
+def test_a_value_that_only_some_seeds_have_says_how_many(store):
+    write_run(store, "qcolor", 3, results={"lpips": 0.5})
+    write_run(store, "qcolor", 4, results={"lpips": 0.7})
+    table = ablation(runs(store), ["field"])
+    assert table.text["LPIPS"].tolist() == ["", "0.6000 ± 0.1414 (n = 2)"]
+
+
+def test_what_must_not_be_averaged_is_refused(store):
+    frame = runs(store)
+    with pytest.raises(ValueError, match=r"row poster mixes runs of different field \(classical, qcolor\)"):
+        over_seeds(frame, ["scene_name"])
+    write_run(store, "qcolor", 3, config={"train": {"steps": 20}})
+    with pytest.raises(ValueError, match=r"row qcolor mixes runs of different train.steps \(10, 20\)"):
+        over_seeds(runs(store), ["field"])
+    assert len(over_seeds(runs(store), ["field", "train.steps"])) == 3
+    again = pd.concat([frame, frame[frame["seed"] == 1]])
+    with pytest.raises(ValueError, match="holds seed 1 twice"):
+        over_seeds(again, ["field"])
+
+
+def test_scenes_stand_in_one_table_only_under_their_names(store):
+    write_run(store, "classical", 0, [30.0], scene="chair")
+    frame = runs(store)
+    with pytest.raises(ValueError, match=r"2 scenes in one table \(chair, poster\): add scene_name"):
+        ablation(frame[(frame["field"] == "qcolor") | (frame["scene_name"] == "chair")], ["field"])
+    table = ablation(frame, ["scene_name", "field"])
+    assert table.text["scene_name"].tolist() == ["chair", "poster", "poster"]
+    # The best of each scene; alone in its scene, a row is no best.
+    assert table.bold["PSNR, dB"].tolist() == [False, False, True]
+
+
+def test_mistakes_are_named(store, tmp_path):
+    frame = runs(store)
+    for message, call in {
+        r"unknown key 'colour'; known: color": lambda: over_seeds(frame, ["colour"]),
+        r"no finished runs among 6: \{'failed': 6\}": lambda: over_seeds(frame.assign(state="failed"), ["field"]),
+        r"none of 6 finished runs has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
+        r"no metric 'beauty'; the runs have .*psnr": lambda: ablation(frame, ["field"], values=["beauty"]),
+        r"no metric 'color'": lambda: ablation(frame, ["field"], metric="color"),
+        r"nothing has field=qubit; field is classical, qcolor": lambda: ablation(
+            frame, ["field"], baseline={"field": "qubit"}
+        ),
+        r"'seed' is not a row key; the rows are field": lambda: ablation(frame, ["field"], baseline={"seed": 0}),
+        r"expected one row of the table that matches, got 2: 2x64, classical; 2x64, qcolor": lambda: ablation(
+            frame, ["density", "field"], baseline={"density": "2x64"}
+        ),
+        r"step_ms is not measured for each view": lambda: ablation(
+            frame, ["field"], metric="step_ms", baseline={"field": "qcolor"}
+        ),
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_a_table_is_the_same_in_every_format(store):
+    table = ablation(runs(store), ["field"], values=["psnr", "params.color"], baseline={"field": "classical"})
+    numbers = pd.read_csv(io.StringIO(table.csv()), index_col="field")
+    assert numbers["psnr_mean"].tolist() == pytest.approx([21.5, 22.5])
+    assert numbers["psnr_std"].tolist() == pytest.approx([1.5, 1.5])
+    assert numbers.loc["qcolor", "difference_low"] == pytest.approx(1)
+    latex = table.latex().splitlines()
+    assert [line for line in latex if line.startswith("\\") and "rule" in line] == [
+        r"\toprule",
+        r"\midrule",
+        r"\bottomrule",
+    ]
+    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} {*} & 3 x 2 & 3 \\" in latex
+    assert r"\begin{tabular}{lrrlrr}" in latex
+    assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 [+1.00, +1.00] * | 3 x 2 | 3 |" in table.markdown()
+
+
+SPECIAL = st.text(alphabet="ab \\{}$&#_%~^<>|[]*`±\n", max_size=12)
+
+
+@given(SPECIAL)
+def test_no_text_from_outside_changes_a_table(text):
+    frame = pd.DataFrame({"name": [text], "next": ["x"]})
+    table = Table(text, frame, frame, frame == "nothing", (text,))
+    cells = [line for line in table.latex().splitlines() if line.endswith(r"& x \\")]
+    assert len(cells) == 1
+    commands = r"\\textbackslash\{\}|\\text[a-z]+\{\}|\$\\pm\$|\\[{}$&#_%]|\{[\[\]*]\}"
+    assert not set(re.sub(commands, "", latex_escape(text))) & set("\\{}$&#_%~^<>|[]*\n")
+    row = table.markdown().splitlines()[2]
+    assert len(re.findall(r"(?<!\\)(?:\\\\)*\|", row)) == 3
+
+
+def test_a_star_in_a_name_is_no_emphasis_and_a_tag_is_text():
+    assert markdown_escape("a*b* <b> p < 1 *") == r"a\*b\* \<b> p < 1 *"
+
+
+@given(st.lists(st.floats(0, 50), min_size=2, max_size=6), st.sampled_from(["psnr", "lpips"]))
+def test_bold_is_what_prints_like_the_best(means, name):
+    table = pd.DataFrame({(name, "mean"): means}, index=pd.Index(range(len(means)), name="row"))
+    bold = best(table, name).to_numpy()
+    wanted = (np.argmax if name == "psnr" else np.argmin)(means)
+    digits = 2 if name == "psnr" else 4
+    if len({f"{mean:.{digits}f}" for mean in means}) == 1:
+        assert not bold.any()
+        return
+    assert bold[wanted]
+    assert {f"{means[row]:.{digits}f}" for row in np.flatnonzero(bold)} == {f"{means[wanted]:.{digits}f}"}
+
+
+def test_tables_of_trained_runs(tiny, tmp_path):
+    for seed in (0, 1):
+        for field in ("classical", "qcolor"):
+            run(tiny(f"field={field}", f"seed={seed}"))
+    frame = runs(tmp_path / "runs")
+    table = ablation(frame, ["scene_name", "field", "color"], baseline={"field": "classical"})
+    psnr = frame[frame["field"] == "qcolor"]["psnr"]
+    line = table.data.loc[("scene", "qcolor", "1L2S")]
+    assert line["psnr"].tolist() == pytest.approx([psnr.mean(), psnr.std(), 2])
+    assert line[("difference", "mean")] == pytest.approx(
+        psnr.mean() - frame[frame["field"] == "classical"]["psnr"].mean()
+    )
+    assert line["params.color"].tolist() == [491, 0, 2]
+
+
+def test_the_command_prints_what_is_asked(store, capsys):
+    main([str(store), "--rows", "field", "--filter", "seed=1", "--values", "psnr"])
+    assert capsys.readouterr().out.splitlines()[2:4] == ["| classical | 21.50 | 1 |", "| qcolor | **22.50** | 1 |"]
+    main([str(store), "--rows", "field", "--baseline", "field=classical", "--format", "csv"])
+    out, err = capsys.readouterr()
+    assert out.startswith("field,psnr_mean,psnr_std,psnr_n")
+    assert err.startswith("difference from classical")
+    with pytest.raises(ValueError, match="nothing has seed=7; seed is 0, 1, 2"):
+        main([str(store), "--filter", "seed=7"])
+    with pytest.raises(ValueError, match="expected KEY=VALUE"):
+        main([str(store), "--filter", "seed"])

@@ -1,0 +1,113 @@
+"""Tags, and the file that they are in."""
+
+import json
+import multiprocessing
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qnerf.records import StoreError, annotations
+
+
+def test_tags_are_added_removed_and_listed(store, qnerf):
+    assert qnerf("tag", "aaaa", "good", "base,old").out == "base\ngood\nold\n"
+    assert qnerf("tag", "aaaa", "new", "--remove", "old", "--remove", "base").out == "good\nnew\n"
+    assert qnerf("tag", "aaaa").out == "good\nnew\n"
+    assert qnerf("tag", "bbbb").out == ""
+
+
+@pytest.mark.parametrize("tag", ["two words", "k=v", "\x1b[31m", "a\u202eb", "x" * 65, "line\nline"])
+def test_what_is_no_tag_is_refused(store, qnerf, tag):
+    done = qnerf("tag", "aaaa", tag)
+    assert done.code == 2
+    assert "expected a tag of 1 to 64 visible characters" in done.err
+    assert done.err.count("\n") == 1
+    assert done.err[:-1].isprintable()
+    assert qnerf("tag", "aaaa").out == ""
+
+
+def test_removing_what_is_not_there_names_what_is(store, qnerf):
+    qnerf("tag", "aaaa", "good")
+    done = qnerf("tag", "aaaa", "--remove", "bad")
+    assert (done.code, done.err) == (2, "error: poster-qcolor-s0-aaaaaaaaaa has no tag bad; it has good\n")
+
+
+def test_a_run_takes_so_many_tags_and_no_more(make):
+    run = make("a")
+    annotations.change_tags(run, [f"t{i}" for i in range(annotations.TAGS)])
+    with pytest.raises(ValueError, match="at most 100 tags a run, got 101"):
+        annotations.change_tags(run, ["more"])
+
+
+def _tag(run: Path, number: int) -> None:
+    for i in range(10):
+        annotations.change_tags(run, [f"p{number}-{i}"])
+
+
+def test_processes_that_tag_at_once_lose_nothing(make):
+    run = make("a")
+    context = multiprocessing.get_context("fork")
+    processes = [context.Process(target=_tag, args=(run, number)) for number in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 4
+    assert set(annotations.read(run).tags) == {f"p{number}-{i}" for number in range(4) for i in range(10)}
+
+
+def test_a_killed_change_does_not_stop_the_next(make):
+    run = make("a")
+    annotations.change_tags(run, ["one"])
+    (held,) = (run / ".annotations" / "owner").glob("*.json")
+    record = json.loads(held.read_text()) | {"released": False, "started": "1"}  # no such process any more
+    held.write_text(json.dumps(record))
+    annotations.change_tags(run, ["two"])
+    assert annotations.read(run).tags == ("one", "two")
+
+
+def test_a_change_waits_for_another_one_and_says_who_is_at_it(make, monkeypatch):
+    run = make("a")
+    monkeypatch.setattr(annotations, "PATIENCE", 0.05)
+    with (
+        annotations._changing(run),
+        pytest.raises(StoreError, match=r"being changed by process .* on this machine; try again"),
+    ):
+        annotations.change_tags(run, ["one"])
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"tags": 3}', '{"tags": [1]}', '{"note": null}', "[" * 100_000])
+def test_a_damaged_file_is_told_and_left_alone(make, content):
+    run = make("a")
+    (run / annotations.FILE).write_text(content)
+    for touch in (lambda: annotations.read(run), lambda: annotations.change_tags(run, ["one"])):
+        with pytest.raises(StoreError, match=r"annotations\.json"):
+            touch()
+    assert (run / annotations.FILE).read_text() == content
+
+
+@pytest.mark.parametrize("name", [".annotations", ".annotations/owner", annotations.FILE])
+def test_nothing_is_written_through_a_link(make, tmp_path, name):
+    run, elsewhere = make("a"), tmp_path / "elsewhere"
+    (run / name).parent.mkdir(exist_ok=True)
+    if name == annotations.FILE:
+        elsewhere.write_text('{"tags": ["theirs"]}')
+    else:
+        elsewhere.mkdir()
+    (run / name).symlink_to(elsewhere)
+    with pytest.raises(StoreError, match="is a link"):
+        annotations.change_tags(run, ["one"])
+    left = elsewhere.read_text() if elsewhere.is_file() else list(elsewhere.iterdir())
+    assert left in ('{"tags": ["theirs"]}', [])
+
+
+@given(tag=st.text(min_size=1, max_size=64))
+def test_a_tag_that_is_accepted_is_one_visible_word(tag):
+    fits = True
+    try:
+        annotations.check_tag(tag)
+    except ValueError:
+        fits = False
+    assert fits == (tag.isprintable() and tag.split() == [tag] and "," not in tag and "=" not in tag)

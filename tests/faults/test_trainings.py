@@ -1,0 +1,310 @@
+"""Trainings that are killed, doubled, or run into a broken disk; QNERF_FAULTS=full runs the long form.
+
+The full form, 100 kills and 50 pairs, a few minutes: QNERF_FAULTS=full python -m pytest tests/faults
+"""
+
+import contextlib
+import json
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+import torch
+from conftest import TINY, composed, write_scene
+
+from qnerf import experiment, records
+from qnerf.records import StoreError
+
+HERE = Path(__file__).parent
+FULL = os.environ.get("QNERF_FAULTS") == "full"
+
+SHORT = [
+    *TINY, "field=qcolor", "hash=C7", "cameras=so3xr3", "appearance=2", "train.steps=30", "train.rays=8", "device=cpu",
+    "train.log_every=1", "train.eval_every=12", "train.checkpoint_every=0.02", "threads=1",
+]  # fmt: skip
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    """A second or two of training, with everything in it that a checkpoint has to remember."""
+    overrides = ["scene=nerfstudio", f"scene.path={write_scene(tmp_path / 'scene')}", *SHORT]
+    content = {"overrides": overrides, "config": composed(*overrides), "store": str(tmp_path)}
+    (tmp_path / "job.json").write_text(json.dumps(content))
+    return tmp_path / "job.json"
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    path = os.pathsep.join([str(HERE.parents[1] / "src"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return subprocess.Popen(
+        [sys.executable, str(HERE / "trainings.py"), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+    )
+
+
+def lines(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
+    out, err = process.communicate(timeout=1800)
+    assert process.returncode == 0, err
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def only_run(store: Path) -> Path:
+    (run,) = records.runs(store)
+    return run
+
+
+def numbers(run: Path) -> pd.DataFrame:
+    """Every logged row without the clocks."""
+    rows = records.read_metrics(run)
+    clocks = rows["key"].str.startswith("time/") | (rows["key"] == "eval/eval_s")
+    return rows.loc[~clocks, ["step", "key", "value"]].reset_index(drop=True)
+
+
+def same(one: Any, other: Any) -> bool:
+    """Bit for bit, tensors within containers too."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(same, one, other))
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
+
+
+def assert_equal_runs(run: Path, whole: Path) -> None:
+    """Parameters, optimiser, random streams, rows, images and results, bit for bit."""
+    assert records.state(run) == "finished"
+    pd.testing.assert_frame_equal(numbers(run), numbers(whole), check_exact=True)
+    logged = records.read_metrics(run)
+    assert not logged.duplicated(["step", "key"]).any()
+    steps = logged.query("key == 'train/loss'")["step"]
+    assert steps.tolist() == list(range(1, len(steps) + 1))
+    mine, others = (torch.load(path / "checkpoint.pt", weights_only=True) for path in (run, whole))
+    del mine["step_seconds"], others["step_seconds"]
+    assert same(mine, others)
+    pd.testing.assert_frame_equal(*(pd.read_parquet(path / "eval.parquet") for path in (run, whole)), check_exact=True)
+    for key in ("psnr", "ssim", "steps", "params.total"):
+        assert records.read_summary(run)[key] == records.read_summary(whole)[key]
+    assert not list(run.rglob(".*.tmp"))
+
+
+def poll(run: Path) -> None:
+    """Whole tables, rows that are there once, states that make sense: what any reader finds at any moment."""
+    metrics = pd.read_parquet(run / "metrics")
+    assert not metrics.duplicated(["step", "key"]).any()
+    steps = metrics.loc[metrics["key"] == "train/loss", "step"].tolist()
+    assert steps == list(range(1, len(steps) + 1))
+    assert list(pd.read_parquet(run / "eval.parquet").columns)[:3] == ["image", "step", "psnr"]
+    assert records.read_summary(run)["run_id"] == run.name
+    assert records.read_config(run)["train"]["steps"] == 30
+    assert records.read_status(run)["state"] in ("running", "finished")
+
+
+def test_killed_trainings_resume_to_the_same_numbers(job: Path) -> None:
+    wanted = 100 if FULL else 4
+    process = start("kills", str(job), str(wanted), "0")
+    polls = 0
+    try:
+        while process.poll() is None:
+            for store in sorted(job.parent.glob("killed-*"))[-1:]:
+                for run in records.runs(store):
+                    poll(run)
+                    polls += 1
+            time.sleep(0.02)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    rounds = lines(process)
+    assert polls > 10
+    assert sum(line["killed"] for line in rounds) == wanted
+    assert [line["code"] for line in rounds] == [0] * len(rounds)
+    whole = sorted(records.runs(job.parent / "whole"), key=lambda run: records.read_config(run)["seed"])
+    for line in rounds:
+        assert_equal_runs(only_run(job.parent / f"killed-{line['number']:03d}"), whole[line["number"] % len(whole)])
+    print(f"{wanted} kills in {len(rounds)} trainings, {polls} polls")
+
+
+def test_the_same_command_twice_at_once_is_one_training(job: Path) -> None:
+    """One trains; the other says who does, or that it is finished already, and ends with exit code 0."""
+    rounds = lines(start("twins", str(job), str(50 if FULL else 2)))
+    for line in rounds:
+        assert line["codes"] == [0, 0]
+        trained = [said for said in line["said"] if said[0].startswith("run ")]
+        others = [said for said in line["said"] if said not in trained]
+        assert len(trained) == len(others) == 1, line["said"]
+        assert "already being written by process" in others[0][0] or "finished already" in others[0][0]
+    runs = records.runs(job.parent / "twins")
+    assert len(runs) == len(rounds)
+    for run in runs:
+        assert records.state(run) == "finished"
+        assert numbers(run).query("key == 'train/loss'")["step"].tolist() == list(range(1, 31))
+    busy = sum("being written" in said[0] for line in rounds for said in line["said"])
+    print(f"{len(rounds)} pairs, {busy} told who trains, {len(rounds) - busy} that it is finished")
+
+
+# Trainings that meet something broken
+
+
+class At(experiment.Display):
+    """Does `action` after a step."""
+
+    def __init__(self, step: int, action: Callable[[], Any]) -> None:
+        self.when, self.action = step, action
+
+    def step(self, step: int, metrics: Any) -> None:
+        if step == self.when:
+            self.action()
+
+
+@pytest.fixture(scope="module")
+def training(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Eight steps; the store is that of an undisturbed run, `whole`."""
+    scene = write_scene(tmp_path_factory.mktemp("scene") / "scene")
+    steps = ["train.steps=8", "train.eval_every=3", "train.checkpoint_every=0"]
+    store = tmp_path_factory.mktemp("whole")
+    return composed("scene=nerfstudio", f"scene.path={scene}", *SHORT, *steps, f"store={store}")
+
+
+@pytest.fixture(scope="module")
+def whole(training: dict[str, Any]) -> Path:
+    return experiment.run(training).path
+
+
+@pytest.fixture
+def config(training: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
+    return training | {"store": str(tmp_path / "runs")}
+
+
+def stop() -> None:
+    raise KeyboardInterrupt
+
+
+def interrupted(config: dict[str, Any], step: int) -> Path:
+    with pytest.raises(KeyboardInterrupt):
+        experiment.run(config, display=At(step, stop))
+    return only_run(Path(config["store"]))
+
+
+def mount(*arguments: str) -> None:
+    done = subprocess.run(["mount", *arguments], capture_output=True, text=True, timeout=20, check=False)
+    if done.returncode != 0:
+        pytest.skip(f"cannot mount a small disk here: {done.stderr.strip()}")
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Any:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if shutil.which("mount") is None:
+        pytest.skip("there is no command `mount` here")
+    mount("-t", "tmpfs", "-o", "size=3m", "tmpfs", str(folder))
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True, timeout=20)
+
+
+def test_a_full_disk_stops_the_training_and_with_room_it_goes_on(
+    training: dict[str, Any], whole: Path, disk: Path
+) -> None:
+    config = training | {"store": str(disk / "runs")}
+    filler = disk / "filler"
+
+    def fill() -> None:
+        with contextlib.suppress(OSError), open(filler, "wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+
+    with pytest.raises(StoreError, match=r"cannot write: No space left on device$"):
+        experiment.run(config, display=At(5, fill))
+    run = only_run(disk / "runs")
+    assert records.state(run) in ("failed", "interrupted")
+    assert torch.load(run / "checkpoint.pt", weights_only=True)["step"] == 4
+    assert set(range(1, 5)) <= set(numbers(run)["step"])
+    filler.unlink()
+    assert_equal_runs(experiment.run(config).path, whole)
+
+
+def test_a_disk_that_turns_read_only(training: dict[str, Any], whole: Path, disk: Path) -> None:
+    config = training | {"store": str(disk / "runs")}
+    with pytest.raises(StoreError, match=r"cannot write: Read-only file system$"):
+        experiment.run(config, display=At(5, lambda: mount("-o", "remount,ro", str(disk))))
+    run = only_run(disk / "runs")
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    with pytest.raises(StoreError, match="Read-only file system"):
+        experiment.run(config)
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    mount("-o", "remount,rw", str(disk))
+    assert_equal_runs(experiment.run(config).path, whole)
+
+
+def test_a_store_that_is_deleted_under_a_training(config: dict[str, Any]) -> None:
+    with pytest.raises(StoreError, match="folder was removed or moved while the run was writing to it") as error:
+        experiment.run(config, display=At(4, lambda: shutil.rmtree(config["store"])))
+    assert "\n" not in str(error.value)
+    assert not Path(config["store"]).exists()
+    assert experiment.run(config).state == "finished"
+
+
+def test_a_clock_that_jumps_backwards(config: dict[str, Any], whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hours at every look: neither rows nor checkpoints go by the clock of the wall."""
+    now = [time.time()]
+
+    def backwards() -> float:
+        now[0] -= 5000.0
+        return now[0]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "time", backwards)
+        run = interrupted(config, 5)
+        assert records.state(run) == "interrupted"
+        resumed = experiment.run(config)
+    assert_equal_runs(resumed.path, whole)
+    logged = records.read_metrics(run)
+    assert logged["time_s"].is_monotonic_increasing
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "both"])
+def test_a_damaged_checkpoint_falls_back_and_the_numbers_stay(
+    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture, damage: str
+) -> None:
+    run = interrupted(config, 5)
+    for path in [run / "checkpoint.pt", *([run / "checkpoint.prev.pt"] if damage == "both" else [])]:
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 1
+        path.write_bytes(data if damage == "flipped" else data[: len(data) // 2])
+    with caplog.at_level(logging.WARNING):
+        resumed = experiment.run(config)
+    assert len(caplog.messages) == (2 if damage == "both" else 1)
+    assert ("starting over" if damage == "both" else "going on from the checkpoint before") in caplog.messages[-1]
+    assert_equal_runs(resumed.path, whole)
+
+
+def test_a_truncated_part_costs_its_own_rows_only(
+    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(records.writer, "PART_ROWS", 30)
+    run = interrupted(config, 6)
+    parts = sorted((run / "metrics").iterdir())
+    assert len(parts) > 2
+    part = parts[1]
+    lost = {(row.step, row.key) for row in pd.read_parquet(part).itertuples()}
+    part.write_bytes(part.read_bytes()[:-20])
+    with pytest.raises(StoreError, match=r"part-00001\.parquet: damaged") as error:
+        records.read_metrics(run)
+    assert "\n" not in str(error.value)
+    with caplog.at_level(logging.WARNING):
+        resumed = experiment.run(config)
+    assert "part-00001.parquet: damaged" in caplog.messages[0]
+    assert "its rows are missing from now on" in caplog.messages[0]
+    expected = numbers(whole)
+    kept = [row not in lost for row in zip(expected["step"], expected["key"], strict=True)]
+    assert 0 < sum(kept) < len(kept)
+    pd.testing.assert_frame_equal(numbers(resumed.path), expected[kept].reset_index(drop=True), check_exact=True)

@@ -1,0 +1,93 @@
+"""Links in a run's folder lead nowhere: nothing is read through them, nothing written."""
+
+from pathlib import Path
+
+import pytest
+from spoiled import CONFIG, interrupted, store
+
+from qnerf import records
+from qnerf.records import StoreError
+
+READERS = {
+    "config.yaml": records.read_config,
+    "summary.parquet": records.read_summary,
+    "metrics/part-00000.parquet": records.read_metrics,
+    "metrics": records.read_metrics,
+}
+
+
+def lead_away(run: Path, name: str, outside: Path) -> dict[Path, bytes]:
+    """Moves a file or folder out of the run and puts a link in its place; what lies outside now."""
+    outside.mkdir()
+    (run / name).rename(outside / Path(name).name)
+    (run / name).symlink_to(outside / Path(name).name)
+    return contents(outside)
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() if path.is_file() else b"" for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_nothing_is_read_through_a_link(tmp_path: Path, name: str) -> None:
+    run = interrupted(tmp_path)
+    lead_away(run, name, tmp_path / "outside")
+    with pytest.raises(StoreError, match="is a link") as error:
+        READERS[name](run)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["owner", "metrics", "images"])
+def test_nothing_is_written_through_a_linked_folder(tmp_path: Path, name: str) -> None:
+    run = interrupted(tmp_path)
+    before = lead_away(run, name, tmp_path / "outside")
+    with pytest.raises(StoreError, match=f"{name}: is a link"):
+        store(tmp_path).claim("a", CONFIG)
+    assert contents(tmp_path / "outside") == before
+
+
+def test_a_run_that_is_a_link_is_not_written(tmp_path: Path) -> None:
+    run = interrupted(tmp_path)
+    before = lead_away(run.parent, "a", tmp_path / "outside")
+    with pytest.raises(StoreError, match="a: is a link"):
+        store(tmp_path).claim("a", CONFIG)
+    assert contents(tmp_path / "outside") == before
+    assert len(records.read_metrics(run)) == 10  # one that was moved to another disk and linked is still read
+
+
+@pytest.mark.parametrize("name", ["status.json", "config.yaml", "summary.parquet", "eval.parquet", "checkpoint.pt"])
+def test_a_linked_file_is_replaced_not_written(tmp_path: Path, name: str) -> None:
+    run = interrupted(tmp_path)
+    before = lead_away(run, name, tmp_path / "outside")
+    claim = store(tmp_path).claim("a", CONFIG)
+    assert claim.run is not None
+    claim.run.resume(9)
+    claim.run.write_eval([{"image": "a", "psnr": 20.0}])
+    claim.run.save_checkpoint({"step": 9})
+    claim.run.finish()
+    assert contents(tmp_path / "outside") == before
+    assert not (run / name).is_symlink()
+
+
+def test_a_linked_log_is_not_appended_to(tmp_path: Path) -> None:
+    run = interrupted(tmp_path)
+    (tmp_path / "profile").write_text("mine\n")
+    (run / "log.txt").symlink_to(tmp_path / "profile")
+    claim = store(tmp_path).claim("a", CONFIG)
+    assert claim.run is not None
+    with pytest.raises(StoreError, match=r"log\.txt: is a link"):
+        claim.run.text_log("hello")
+    claim.run.finish()
+    assert (tmp_path / "profile").read_text() == "mine\n"
+
+
+def test_leftovers_that_are_links_go_without_what_they_lead_to(tmp_path: Path) -> None:
+    run = interrupted(tmp_path)
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "precious").write_text("x")
+    (run / ".x.tmp").symlink_to(tmp_path / "outside")
+    (run.parent / ".tmp" / "old-a-00000000").symlink_to(tmp_path / "outside")
+    claim = store(tmp_path).claim("a", CONFIG)
+    assert claim.run is not None
+    claim.run.finish()
+    assert (tmp_path / "outside" / "precious").read_text() == "x"

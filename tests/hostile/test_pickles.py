@@ -1,0 +1,135 @@
+"""Checkpoints from elsewhere: nothing in them runs, none unpacks to more than it is, all fall back in one line."""
+
+import io
+import logging
+import os
+import pickle
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from spoiled import interrupted, started, store
+
+
+class Command:
+    """Unpickling it runs a shell command."""
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.system, (self.command,)
+
+
+class Evaluated(Command):
+    def __reduce__(self) -> tuple[Any, ...]:
+        return eval, (f"__import__('os').system({self.command!r})",)
+
+
+def saved(content: object) -> bytes:
+    data = io.BytesIO()
+    torch.save(content, data)
+    return data.getvalue()
+
+
+def legacy(content: object) -> bytes:
+    data = io.BytesIO()
+    torch.save(content, data, _use_new_zipfile_serialization=False)
+    return data.getvalue()
+
+
+def compressed(_: object) -> bytes:
+    """A gigabyte of zeros in a megabyte: the archive of torch.save, but deflated."""
+    whole = zipfile.ZipFile(io.BytesIO(saved({"step": 3, "x": torch.zeros(10)})))
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
+        for item in whole.infolist():
+            if item.filename.endswith("data/0"):
+                with archive.open(item.filename, "w") as sink:
+                    for _block in range(64):
+                        sink.write(bytes(2**20))
+            else:
+                archive.writestr(item.filename, whole.read(item))
+    return data.getvalue()
+
+
+def shared(_: object) -> bytes:
+    """Ten thousand directory entries for the same bytes."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        archive.writestr("a/data/0", bytes(10_000))
+        first = archive.filelist[0]
+        for number in range(1, 1000):
+            copy = zipfile.ZipInfo(f"a/data/{number}")
+            for name in ("header_offset", "CRC", "compress_size", "file_size"):
+                setattr(copy, name, getattr(first, name))
+            archive.filelist.append(copy)
+        archive._didModify = True  # type: ignore[attr-defined]
+    return data.getvalue()
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda command: saved({"step": 3, "x": Command(command)}),
+        lambda command: saved({"step": 3, "x": Evaluated(command)}),
+        lambda command: saved(Command(command)),
+        lambda command: legacy({"step": 3, "x": Command(command)}),
+        lambda command: pickle.dumps(Command(command)),
+        compressed,
+        shared,
+        lambda _: saved([1, 2]),
+        lambda _: saved({"step": 3, "x": type("Own", (), {"__reduce__": lambda self: (open, ("/dev/zero",))})()}),
+    ],
+    ids=["reduce", "eval", "alone", "legacy", "pickle", "compressed", "shared", "no dict", "open"],
+)
+def test_a_hostile_checkpoint_is_set_aside(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, made: Callable[[str], bytes]
+) -> None:
+    run = interrupted(tmp_path)
+    (run / "checkpoint.pt").write_bytes(made(f"touch {tmp_path / 'owned'}"))
+    claim = store(tmp_path).claim("a", {})
+    assert claim.run is not None
+    with caplog.at_level(logging.WARNING):
+        content = claim.run.load_checkpoint()
+    assert content == {"step": 8}
+    assert not (tmp_path / "owned").exists()
+    (message,) = caplog.messages
+    assert "damaged" in message
+    assert "going on from the checkpoint before" in message
+    assert "\n" not in message
+    claim.run.interrupt()
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_what_is_no_file_is_set_aside(tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str) -> None:
+    run = interrupted(tmp_path)
+    path = run / "checkpoint.pt"
+    path.rename(tmp_path / "elsewhere.pt")
+    if kind == "link":
+        path.symlink_to(tmp_path / "elsewhere.pt")
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.mkdir()
+    claim = store(tmp_path).claim("a", {})
+    assert claim.run is not None
+    with caplog.at_level(logging.WARNING):
+        content = claim.run.load_checkpoint()
+    assert content == {"step": 8}
+    assert len(caplog.messages) == 1
+    claim.run.save_checkpoint({"step": 9})
+    assert torch.load(path, weights_only=True) == {"step": 9}
+    assert torch.load(tmp_path / "elsewhere.pt", weights_only=True) == {"step": 9}  # that of before, untouched
+    claim.run.finish()
+
+
+def test_only_plain_values_are_written(tmp_path: Path) -> None:
+    run = started(tmp_path)
+    with pytest.raises(ValueError, match="checkpoint: expected tensors and plain values only"):
+        run.save_checkpoint({"x": Command(f"touch {tmp_path / 'owned'}")})
+    assert not (tmp_path / "owned").exists()
+    run.finish()

@@ -1,0 +1,29 @@
+"""A store for tests, and runs in it."""
+
+import json
+from typing import Any
+
+from qnerf.records import Run, RunStore
+
+CONFIG = {
+    "seed": 0,
+    "train": {"lr": 1e-6, "steps": 10, "eval_views": None},
+    "scene": {"name": "poster", "path": None, "label": "1e-2"},
+    "odd": ["a", 1],
+    "hydra": {"x": 1},
+}
+
+
+def claimed(store: RunStore, name: str = "a", **options: Any) -> Run:
+    claim = store.claim(name, CONFIG, ["seed=0"], **options)
+    assert claim.run is not None, claim.message
+    return claim.run
+
+
+def vanish(run: Run) -> None:
+    """As a killed process leaves it: nothing more is written and the recorded owner is no living process."""
+    run._stop()
+    run._closed = True
+    for path in [run.dir / "status.json", *run.dir.glob("owner/*.json")]:
+        record = json.loads(path.read_text()) | {"started": "1"}
+        path.write_text(json.dumps(record))

@@ -1,0 +1,83 @@
+"""Disks that are full, read-only, gone or no folders at all."""
+
+import errno
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from qnerf import records
+from qnerf.records import RunStore, StoreError
+
+from .stores import CONFIG, claimed
+
+
+def test_no_space(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = claimed(store_)
+    run.log(0, 0.0, {"loss": 1.0})
+    run.save_checkpoint({"step": 0})
+    content = {path: path.read_bytes() for path in run.dir.rglob("*") if path.is_file()}
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    run.log(1, 0.0, {"loss": 1.0})
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        for write in (run.flush, lambda: run.save_checkpoint({"step": 1}), lambda: run.write_summary({"psnr": 1})):
+            with pytest.raises(StoreError, match=r"cannot write: No space left on device$"):
+                write()
+    assert {path: path.read_bytes() for path in run.dir.rglob("*") if path.is_file()} == content
+    run.finish()
+    assert len(records.read_metrics(run.dir)) == 2
+
+
+def test_an_error_in_the_background_reaches_the_training_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = claimed(RunStore(tmp_path, every=0.01))
+
+    def refused(source: Any, target: Any) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    def train() -> None:
+        with run:
+            end = time.monotonic() + 20
+            step = 0
+            while time.monotonic() < end:
+                run.log(step, 0.0, {"loss": 1.0})
+                step += 1
+                time.sleep(0.001)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", refused)
+        with pytest.raises(StoreError, match=r"cannot write: Read-only file system$"):
+            train()
+    assert records.state(run.dir) == "interrupted"  # not even the failure could be written
+    again = claimed(RunStore(tmp_path))
+    assert again.resumed
+    again.interrupt()
+
+
+def test_the_store_is_removed_under_a_running_job(store_: RunStore) -> None:
+    import shutil
+
+    run = claimed(store_)
+    run.log(0, 0.0, {"loss": 1.0})
+    shutil.rmtree(store_.root)
+    with pytest.raises(StoreError, match="folder was removed or moved while the run was writing"):
+        run.flush()
+    with pytest.raises(StoreError, match="folder was removed"):
+        run.finish()
+    assert not store_.root.exists()
+
+
+def test_a_store_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for root in (tmp_path / "file", tmp_path / "file" / "runs"):
+        with pytest.raises(StoreError, match="cannot write"):
+            RunStore(root).claim("a", CONFIG)
+    (tmp_path / "a").write_text("")
+    with pytest.raises(StoreError, match="cannot create the run's folder"):
+        RunStore(tmp_path).claim("a", CONFIG)
+    assert list((tmp_path / ".tmp").iterdir()) == []

@@ -1,0 +1,108 @@
+"""Who may write a run: skipped, resumed, done over, refused."""
+
+import errno
+import os
+from typing import Any
+
+import pytest
+import torch
+
+from qnerf import records
+from qnerf.records import RunStore
+
+from .stores import CONFIG, claimed
+
+
+def test_context_manager_ends_the_run(store_: RunStore) -> None:
+    def broken() -> None:
+        with claimed(store_, "a") as run:
+            run.log(0, 0.0, {"loss": 1.0})
+            raise ValueError("loss is\nNaN at step 7")
+
+    def stopped() -> None:
+        with claimed(store_, "b"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(ValueError, match="NaN at step 7"):
+        broken()
+    status = records.read_status(store_.root / "a")
+    assert (status["state"], status["error"]) == ("failed", "loss is NaN at step 7")
+    assert len(records.read_metrics(store_.root / "a")) == 1
+    assert records.read_summary(store_.root / "a")["error"] == "loss is NaN at step 7"
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert records.state(store_.root / "b") == "interrupted"
+    with claimed(store_, "c"):
+        pass
+    assert records.state(store_.root / "c") == "interrupted"
+    for name in "abc":
+        again = store_.claim(name, CONFIG)
+        assert again.outcome == "resumed"
+        assert again.run is not None
+        assert records.read_status(again.dir)["error"] is None
+        again.run.finish()
+
+
+def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.log(0, 0.0, {"loss": 1.0})
+    run.finish({"psnr": 20.0})
+    claim = store_.claim("a", CONFIG)
+    assert (claim.outcome, claim.run) == ("finished", None)
+    assert "finished already; run.force=true does it over" in claim.message
+    again = store_.claim("a", CONFIG, force=True)
+    assert again.outcome == "new"
+    assert again.run is not None
+    assert len(records.read_metrics(again.dir)) == 0
+    assert records.read_summary(again.dir)["psnr"] is None
+    assert list((store_.root / ".tmp").iterdir()) == []
+    assert store_.claim("a", CONFIG, force=True).outcome == "busy"
+    again.run.finish()
+
+
+def test_a_missing_file_is_made_again(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.interrupt()
+    for name in ("config.yaml", "eval.parquet", "status.json"):
+        (run.dir / name).unlink()
+    (run.dir / "summary.parquet").write_bytes(b"")
+    (run.dir / ".part-00000.parquet.0000.tmp").write_bytes(b"")
+    run = claimed(store_)
+    assert run.resumed
+    assert records.read_config(run.dir) == CONFIG
+    assert records.read_summary(run.dir)["run_id"] == "a"
+    assert not list(run.dir.glob(".*"))
+    run.finish()
+
+
+def test_leftovers_of_killed_processes_go(store_: RunStore) -> None:
+    claimed(store_).interrupt()
+    old, new = store_.root / ".tmp" / "old-a-00000000", store_.root / ".tmp" / "new-a-00000000"
+    old.mkdir()
+    new.mkdir()
+    os.utime(new, (0, 0))
+    fresh = store_.root / ".tmp" / "new-a-11111111"
+    fresh.mkdir()
+    claimed(store_).finish()
+    assert list((store_.root / ".tmp").iterdir()) == [fresh]
+
+
+@pytest.mark.parametrize("name", ["../a", "a/b", "", ".a", "a b", "a" * 300])
+def test_run_ids_stay_in_the_store(store_: RunStore, name: str) -> None:
+    with pytest.raises(ValueError, match="run_id: expected letters"):
+        store_.claim(name, CONFIG)
+
+
+def test_no_hard_links(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsupported(source: Any, target: Any) -> None:
+        raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
+
+    monkeypatch.setattr(os, "link", unsupported)
+    run = claimed(store_)
+    assert store_.claim("a", CONFIG).outcome == "busy"
+    for step in (1, 2):
+        run.save_checkpoint({"step": step})
+    assert torch.load(run.dir / "checkpoint.prev.pt", weights_only=True)["step"] == 1
+    run.interrupt()
+    claimed(store_).finish()
+    assert store_.claim("a", CONFIG).outcome == "finished"

@@ -1,0 +1,531 @@
+"""The table of all runs: whole, true, and the same with an index as without one."""
+
+import json
+import os
+import shutil
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from qnerf.records import RunStore, entries, files, index, kept, places, row, tables
+from qnerf.records.places import ANNOTATIONS, STATUS, SUMMARY
+
+CONFIG = {"seed": 0, "train": {"lr": 0.01, "steps": 10}, "experiment": None}
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("QNERF_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files count as settled from the moment that they are written."""
+    monkeypatch.setattr(places, "SETTLED", -3600.0)
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """(file, run) of all that is read from now on."""
+    seen: list[tuple[str, str]] = []
+    read = places.Folder.read
+
+    def noted(place: places.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+        seen.extend((file, run) for run in runs)
+        return read(place, file, runs)
+
+    monkeypatch.setattr(places.Folder, "read", noted)
+    return seen
+
+
+def put(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.replace(path, data, durable=False)
+
+
+def write(store: Path, name: str, state: str = "finished", config: dict | None = None, **results: Any) -> Path:
+    """The files of a run that the index is made of, as the writer leaves them."""
+    row_ = {"run_id": name, "state": state} | results
+    put(store / name / SUMMARY, tables.encode(tables.summary(row_, CONFIG | (config or {}))))
+    status = {"state": state, "step": 10, "created": 100.0, "heartbeat": 110.0, "error": None}
+    put(store / name / STATUS, json.dumps(status).encode())
+    return store / name
+
+
+def anew(store: Path) -> pd.DataFrame:
+    """The table of the same files without an index."""
+    copy = store.parent / "copy" / store.name
+    shutil.rmtree(copy.parent, ignore_errors=True)
+    shutil.copytree(store, copy, ignore=shutil.ignore_patterns(".index"), symlinks=True)
+    frame = index.load(copy)
+    frame["path"] = frame["path"].str.replace(str(copy), str(store), regex=False)
+    return frame
+
+
+def test_a_row_is_what_the_run_wrote(tmp_path: Path) -> None:
+    claim = RunStore(tmp_path / "runs").claim("a", CONFIG | {"seed": 7}, columns={"field": "qcolor"})
+    assert claim.run is not None
+    claim.run.log(4, 0.5, {"loss": 1.0})
+    claim.run.finish({"psnr": 21.5, "params.total": 491})
+    (claim.dir / ANNOTATIONS).write_text('{"tags": ["good", "baseline"], "note": "see the ä"}')
+    frame = index.load(tmp_path / "runs")
+    (found,) = frame.to_dict("records")
+    expected = {
+        "run_id": "a", "state": "finished", "path": str(claim.dir), "step": 4, "tags": ("baseline", "good"),
+        "note": "see the ä", "field": "qcolor", "seed": 7, "train.lr": 0.01, "psnr": 21.5, "params.total": 491,
+    }  # fmt: skip
+    assert {key: found[key] for key in expected} == expected
+    assert found["heartbeat"] >= found["created"] > 1e9
+    assert pd.isna(found["error"])
+    assert found["experiment"] is None
+    assert frame.columns.is_unique
+    summary = pd.read_parquet(claim.dir / SUMMARY)
+    assert set(frame.columns) == set(summary.columns) | set(index.OWN)
+
+
+def test_the_state_is_the_true_one(tmp_path: Path) -> None:
+    store = RunStore(tmp_path / "runs")
+    alive = store.claim("alive", CONFIG).run
+    dead = store.claim("dead", CONFIG).run
+    failed = store.claim("failed", CONFIG).run
+    assert alive is not None
+    assert dead is not None
+    assert failed is not None
+    failed.fail("out of memory")
+    dead._stop()
+    dead._closed = True
+    for path in [dead.dir / "status.json", *dead.dir.glob("owner/*.json")]:
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"started": "1"}))
+    for _ in range(2):
+        frame = index.load(store.root).set_index("run_id")
+        assert frame["state"].to_dict() == {"alive": "running", "dead": "interrupted", "failed": "failed"}
+        assert frame["error"]["failed"] == "out of memory"
+    alive.finish()
+    assert index.load(store.root).set_index("run_id")["state"]["alive"] == "finished"
+
+
+def test_runs_are_shown_whatever_is_wrong_with_them(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    write(store, "good", psnr=20.0)
+    put(write(store, "damaged") / SUMMARY, b"PAR1 and no more")
+    (write(store, "bare", state="failed") / SUMMARY).unlink()
+    (write(store, "mute") / STATUS).unlink()
+    put(write(store, "odd") / STATUS, b"[1, 2]")
+    put(write(store, "noted") / ANNOTATIONS, b'{"tags": "no list", "note": 5}')
+    put(store / "configured" / "config.yaml", b"seed: 0\n")
+    (write(store, "linked") / SUMMARY).unlink()
+    (store / "linked" / SUMMARY).symlink_to(store / "good" / SUMMARY)
+    (store / "empty").mkdir()
+    (store / "stray.txt").write_text("")
+    (store / ".tmp" / "new-x").mkdir(parents=True)
+    frame = index.load(store).set_index("run_id")
+    assert frame["state"].to_dict() == {
+        "bare": "failed", "configured": "interrupted", "damaged": "damaged", "good": "finished", "linked": "damaged",
+        "mute": "interrupted", "noted": "finished", "odd": "interrupted",
+    }  # fmt: skip
+    assert frame["error"]["damaged"].startswith("summary.parquet is damaged: ")
+    assert "is a link" in frame["error"]["linked"]
+    assert frame["psnr"].notna().sum() == 1
+    assert set(frame["tags"]) == {()}
+    assert frame["note"].isna().all()
+    pd.testing.assert_frame_equal(frame, index.load(store).set_index("run_id"))
+
+
+def test_there_may_be_no_store(tmp_path: Path) -> None:
+    for store in (tmp_path / "absent", tmp_path / "file", tmp_path / "empty"):
+        (tmp_path / "file").write_text("")
+        (tmp_path / "empty").mkdir(exist_ok=True)
+        frame = index.load(store)
+        assert frame.empty
+        assert {"run_id", "state", "path"} <= set(frame.columns)
+
+
+def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    options = [
+        {"a": 1, "b": 1, "c": True, "d": None, "e": 2**53 + 1},
+        {"a": 0.5, "b": "auto", "c": 2, "d": None, "e": 0.5},
+        {"a": None, "b": None, "c": None, "f": "x"},
+    ]
+    for number, config in enumerate(options):
+        write(store, f"r{number}", config=config)
+    frame = index.load(store)
+    assert frame["a"].tolist()[:2] == [1.0, 0.5]
+    assert frame["a"].dtype == "float64"
+    assert frame["b"].tolist()[:2] == ["1", "auto"]
+    assert frame["c"].tolist()[:2] == ["true", "2"]
+    assert frame["d"].tolist() == [None] * 3
+    assert frame["e"].tolist()[:2] == [str(2**53 + 1), "0.5"]  # no float64 is that number
+    assert frame["f"].tolist()[2] == "x"
+    assert frame.iloc[2][["a", "b", "c"]].isna().all()
+    # once its odd company is gone a column has its own type again
+    shutil.rmtree(store / "r1")
+    frame = index.load(store)
+    assert frame["b"].tolist()[0] == 1
+    assert frame["c"].tolist()[0] is True
+
+
+@pytest.mark.usefixtures("settled")
+def test_only_what_changed_is_read_again(tmp_path: Path, reads: list[tuple[str, str]]) -> None:
+    store = tmp_path / "runs"
+    for name in "abc":
+        write(store, name, psnr=1.0)
+    index.load(store)
+    assert sorted(reads) == sorted((file, name) for file in (SUMMARY, STATUS) for name in "abc")
+    reads.clear()
+    index.load(store)
+    assert reads == []
+    put(store / "b" / STATUS, b'{"state": "failed", "error": "why"}')
+    put(store / "c" / ANNOTATIONS, b'{"tags": ["x"]}')
+    shutil.rmtree(store / "a")
+    frame = index.load(store)
+    assert reads == [(STATUS, "b"), (SUMMARY, "b"), (ANNOTATIONS, "c")]
+    assert frame["run_id"].tolist() == ["b", "c"]
+    assert frame["state"].tolist() == ["failed", "finished"]
+    assert frame["error"].tolist()[0] == "why"
+    assert frame["tags"].tolist() == [(), ("x",)]
+    reads.clear()
+    write(store, "a", psnr=2.0)
+    assert index.load(store)["psnr"].tolist() == [2.0, 1.0, 1.0]
+    assert {run for _, run in reads} == {"a"}
+
+
+def test_what_has_just_changed_is_read_every_time(tmp_path: Path, reads: list[tuple[str, str]]) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    for _ in range(3):
+        index.load(store)
+    assert reads == [(STATUS, "a"), (SUMMARY, "a")] * 3
+
+
+def test_a_change_within_the_step_of_a_coarse_clock_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Same size, same times, same inode: on a file system that counts in seconds, or one that uses inodes again."""
+    lstat = os.lstat
+
+    def coarse(path: str) -> Any:
+        found = lstat(path)
+        return SimpleNamespace(
+            st_mtime=int(found.st_mtime), st_ctime=int(found.st_ctime), st_size=found.st_size,
+            st_mtime_ns=0, st_ctime_ns=0, st_ino=1,
+        )  # fmt: skip
+
+    monkeypatch.setattr(places.os, "lstat", coarse)
+    store = tmp_path / "runs"
+    for psnr in (1.0, 2.0, 3.0):
+        write(store, "a", psnr=psnr)
+        assert index.load(store)["psnr"].tolist() == [psnr]
+
+
+@pytest.mark.usefixtures("settled")
+def test_an_older_copy_put_back_with_its_times_is_seen(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    path = write(store, "a", psnr=1.0) / SUMMARY
+    shutil.copy2(path, tmp_path / "kept")
+    before = path.stat()
+    write(store, "a", psnr=2.0)
+    assert path.stat().st_size == before.st_size
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert index.load(store)["psnr"].tolist() == [2.0]
+    with open(path, "r+b") as file:
+        file.write((tmp_path / "kept").read_bytes())
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert index.load(store)["psnr"].tolist() == [1.0]
+
+
+operations = st.lists(
+    st.tuples(
+        st.sampled_from(["write", "write", "write", "remove", "damage", "strip", "tag", "status"]),
+        st.sampled_from("abcd"),
+        st.sampled_from([1, 2**60, 0.5, "text", True, None, [1], "1"]),
+        st.booleans(),
+    ),
+    min_size=1,
+    max_size=8,
+)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(operations)
+@pytest.mark.usefixtures("settled")
+def test_a_store_that_changes_reads_as_if_read_for_the_first_time(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[str, str, Any, bool]]
+) -> None:
+    store = tmp_path_factory.mktemp("store") / "runs"
+    store.mkdir()
+    for operation, name, value, look in steps:
+        run = store / name
+        if operation == "write":
+            write(store, name, config={"odd": value} if look else {"other": value})
+        elif operation == "remove":
+            shutil.rmtree(run, ignore_errors=True)
+        elif operation == "damage":
+            put(run / SUMMARY, b"damaged")
+        elif operation == "strip":
+            (run / SUMMARY).unlink(missing_ok=True)
+        elif operation == "tag":
+            put(run / ANNOTATIONS, json.dumps({"tags": [str(value)], "note": str(value)}).encode())
+        else:
+            put(run / STATUS, json.dumps({"state": "failed", "error": str(value)}).encode())
+        if look:
+            index.load(store)
+    pd.testing.assert_frame_equal(index.load(store), anew(store))
+
+
+def spoil(path: Path, how: str) -> None:
+    data = path.read_bytes()
+    path.write_bytes(
+        {
+            "empty": b"",
+            "cut": data[: len(data) // 2],
+            "flipped": data[:100] + bytes([data[100] ^ 1]) + data[101:],
+            "flipped footer": data[:-60] + bytes([data[-60] ^ 1]) + data[-59:],
+            "other": b"hello" * 100,
+        }[how]
+    )
+
+
+@pytest.mark.usefixtures("settled")
+@pytest.mark.parametrize("how", ["empty", "cut", "flipped", "flipped footer", "other"])
+def test_a_damaged_index_counts_as_none(tmp_path: Path, how: str) -> None:
+    store = tmp_path / "runs"
+    for name in "ab":
+        write(store, name, psnr=1.0)
+    expected = index.load(store)
+    written = sorted((store / ".index").iterdir())
+    assert [path.name for path in written] == ["status.json.index", "summary.parquet.index"]
+    for path in written:
+        spoil(path, how)
+    pd.testing.assert_frame_equal(index.load(store), expected)
+    for path in written:
+        assert kept.Kept.load([store / ".index"], path.name).keys == ["a", "b"]
+
+
+@pytest.mark.usefixtures("settled")
+def test_an_index_of_another_format_is_built_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
+) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    with monkeypatch.context() as older:
+        older.setattr(kept, "FORMAT", kept.FORMAT - 1)
+        index.load(store)
+    reads.clear()
+    for _ in range(2):
+        assert index.load(store)["psnr"].tolist() == [1.0]
+    assert reads == [(STATUS, "a"), (SUMMARY, "a")]
+
+
+@pytest.mark.usefixtures("settled")
+def test_the_index_of_a_store_that_cannot_be_written_lies_in_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
+) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    monkeypatch.setattr(places.os, "access", lambda path, mode: False)
+    for _ in range(2):
+        assert index.load(store)["psnr"].tolist() == [1.0]
+    assert len(reads) == 2
+    assert not (store / ".index").exists()
+    assert len(list((tmp_path / "cache" / "index").glob("*/*.index"))) == 2
+
+
+@pytest.mark.usefixtures("settled")
+def test_an_index_in_a_store_that_cannot_be_written_any_more_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
+) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    index.load(store)
+    reads.clear()
+    monkeypatch.setattr(places.os, "access", lambda path, mode: False)
+    assert index.load(store)["psnr"].tolist() == [1.0]
+    assert reads == []
+
+
+@pytest.mark.usefixtures("settled")
+def test_without_any_place_for_an_index_all_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
+) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    (store / ".index").write_text("in the way")
+    (tmp_path / "cache").write_text("in the way")
+    for _ in range(2):
+        assert index.load(store)["psnr"].tolist() == [1.0]
+    assert len(reads) == 4
+
+
+@pytest.mark.usefixtures("settled")
+def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    (tmp_path / "elsewhere").mkdir()
+    (store / ".index").symlink_to(tmp_path / "elsewhere")
+    assert index.load(store)["psnr"].tolist() == [1.0]
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+@pytest.mark.usefixtures("settled")
+def test_several_who_refresh_at_once_all_see_the_truth(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    for number in range(20):
+        write(store, f"r{number:02d}", psnr=float(number))
+    start = threading.Barrier(4)
+
+    def look(turn: int) -> list[pd.DataFrame]:
+        start.wait()
+        return [index.load(store) for _ in range(5)]
+
+    for turn in range(3):
+        write(store, "r00", psnr=100.0 + turn)
+        with ThreadPoolExecutor(4) as pool:
+            frames = [frame for part in pool.map(look, range(4)) for frame in part]
+        for frame in frames:
+            assert frame["psnr"].tolist() == [100.0 + turn, *map(float, range(1, 20))]
+    assert not list((store / ".index").glob("*.tmp"))
+
+
+@pytest.mark.usefixtures("settled")
+@pytest.mark.parametrize("warm", [False, True])
+def test_columns_that_are_asked_for(tmp_path: Path, warm: bool) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+    put(write(store, "b") / SUMMARY, b"damaged")
+    if warm:
+        index.load(store)
+    wanted = ["psnr", "run_id", "never there", "state", "train.lr", "tags"]
+    frame = index.load(store, wanted)
+    assert list(frame.columns) == ["psnr", "run_id", "state", "train.lr", "tags"]
+    pd.testing.assert_frame_equal(frame, index.load(store)[list(frame.columns)])
+    assert frame["state"].tolist() == ["finished", "damaged"]
+    assert index.columns(store) == list(index.load(store).columns)
+
+
+@pytest.mark.usefixtures("settled")
+def test_progress_is_told_of_what_is_read(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    for name in "abc":
+        write(store, name)
+    told: list[tuple[str, int, int]] = []
+    index.load(store, progress=lambda *step: told.append(step))
+    assert [step for step in told if step[0] == SUMMARY] == [(SUMMARY, done, 3) for done in range(3)]
+    told.clear()
+    index.load(store, progress=lambda *step: told.append(step))
+    assert told == []
+
+
+def forged(names: list, types: list, values: list) -> bytes:
+    """A summary whose footer says what its columns do not hold, with the right checksum."""
+    data = row.encode(pa.table({"psnr": [1.0]}))
+    start = data.index(b'["qnerf.row"')
+    end = data.index(b"]]", start) + 2
+    entry = json.dumps(["qnerf.row", data[start + 14 : start + 22].decode(), names, types, values]).encode()
+    return data[:start] + entry + data[end:]
+
+
+@pytest.mark.parametrize(
+    ("names", "types", "values"),
+    [
+        (["psnr"], ["double"], ["text"]),
+        (["psnr"], ["int64"], [2**70]),
+        (["psnr"], ["string"], [["list"]]),
+        (["psnr"], ["string"], ["\ud800"]),
+        (["psnr"], ["double"], []),
+        ([["psnr"]], ["double"], [1.0]),
+        ([5], ["double"], [1.0]),
+        (["psnr"], [{}], [1.0]),
+        (5, 5, 5),
+    ],
+    ids=["text", "large", "list", "half a character", "short", "nested", "number", "dict", "no lists"],
+)
+def test_a_forged_summary_spoils_only_its_own_row(tmp_path: Path, names: Any, types: Any, values: Any) -> None:
+    store = tmp_path / "runs"
+    write(store, "good", psnr=20.0)
+    put(write(store, "bad") / SUMMARY, forged(names, types, values))
+    frame = index.load(store)
+    assert frame["state"].tolist() == ["damaged", "finished"]
+    assert "damaged" in frame["error"].tolist()[0]
+    assert frame["psnr"].tolist()[1] == 20.0
+
+
+def test_types_that_a_run_does_not_write_are_read(tmp_path: Path) -> None:
+    store = tmp_path / "runs"
+    write(store, "a")
+    small = pa.table({"int": pa.array([1], pa.int8()), "list": [[1, 2]], "day": pa.array([0], pa.date32())})
+    put(store / "a" / SUMMARY, row.encode(small.select(["int"])))
+    assert index.load(store)["int"].tolist() == [1]
+    sink = pa.BufferOutputStream()
+    pa.parquet.write_table(small, sink)
+    put(store / "a" / SUMMARY, sink.getvalue().to_pybytes())
+    (found,) = index.load(store).to_dict("records")
+    assert (found["int"], found["list"], found["day"]) == (1, "[1, 2]", "1970-01-01")
+
+
+def test_a_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = tmp_path / "runs"
+    for name in "ab":
+        write(store, name)
+    scan = places.Folder.scan
+
+    def scan_then_remove(place: places.Folder) -> places.Stamps:
+        found = scan(place)
+        shutil.rmtree(store / "a")
+        return found
+
+    monkeypatch.setattr(places.Folder, "scan", scan_then_remove)
+    assert index.load(store)["run_id"].tolist() == ["b"]
+
+
+@pytest.mark.usefixtures("settled")
+@pytest.mark.parametrize("late", [STATUS, SUMMARY])
+def test_a_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
+) -> None:
+    """Never finished with the numbers of before, nor interrupted because its owner has just let go."""
+    store = RunStore(tmp_path / "runs")
+    run = store.claim("a", CONFIG).run
+    assert run is not None
+    run.write_summary({"psnr": 1.0})
+    index.load(store.root)
+    run.status(step=5)
+    read = places.Folder.read
+
+    def ending(place: places.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+        if file == late and not run._closed:
+            run.finish({"psnr": 2.0})
+        return read(place, file, runs)
+
+    monkeypatch.setattr(places.Folder, "read", ending)
+    (found,) = index.load(store.root)[["state", "psnr"]].to_dict("records")
+    assert run._closed
+    assert found in (
+        {"state": "running", "psnr": 1.0},
+        {"state": "running", "psnr": 2.0},
+        {"state": "finished", "psnr": 2.0},
+    )
+    assert index.load(store.root)["state"].tolist() == ["finished"]
+
+
+def test_what_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = tmp_path / "runs"
+    write(store, "a", psnr=1.0)
+
+    def broken(path: Path, most: int) -> bytes:
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as context:
+        context.setattr(places, "read_bytes", broken)
+        frame = index.load(store)
+    assert frame["state"].tolist() == ["damaged"]
+    assert frame["error"].tolist()[0].endswith("summary.parquet: cannot read: Permission denied")
+    assert index.load(store)["state"].tolist() == ["finished"]
+    assert entries.DAMAGED not in index.load(store).columns

@@ -1,0 +1,127 @@
+"""What a run's folder holds, and that every reader understands it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+from PIL import Image
+
+from qnerf import records
+from qnerf.records import RunStore, store
+
+from .stores import CONFIG, claimed
+
+
+def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:
+    claim = store_.claim(
+        "fox-1", CONFIG, ["seed=0", "train.lr=1e-6"], columns={"field": "qcolor", "time.field_ms": None}
+    )
+    assert (claim.outcome, claim.dir.name) == ("new", "fox-1")
+    assert claim.run is not None
+    assert not claim.run.resumed
+    assert (claim.dir / "overrides.txt").read_text() == "seed=0\ntrain.lr=1e-6\n"
+    metrics = pd.read_parquet(claim.dir / "metrics")
+    assert {k: str(v) for k, v in metrics.dtypes.items()} == {
+        "step": "int64",
+        "time_s": "float64",
+        "key": "str",
+        "value": "float64",
+    }
+    assert len(pd.read_parquet(claim.dir / "eval.parquet")) == 0
+    row = pd.read_parquet(claim.dir / "summary.parquet").iloc[0]
+    assert (row["run_id"], row["state"], row["field"]) == ("fox-1", "running", "qcolor")
+    assert (row["seed"], row["train.lr"], row["odd"]) == (0, 1e-6, '["a", 1]')
+    assert "hydra.x" not in row
+    assert records.state(claim.dir) == "running"
+    assert store_.runs() == [claim.dir]
+    claim.run.finish()
+
+
+def test_config_reads_back_the_same_with_every_reader(store_: RunStore) -> None:
+    run = claimed(store_)
+    text = (run.dir / "config.yaml").read_text()
+    assert records.read_config(run.dir) == CONFIG == yaml.safe_load(text)
+    assert OmegaConf.to_container(OmegaConf.create(text)) == CONFIG
+    run.interrupt()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | st.integers() | st.floats() | st.text()))
+def test_any_text_and_number_survives_yaml(config: dict) -> None:
+    # repr, because nan differs from itself
+    assert repr(yaml.safe_load(store.to_yaml(config))) == repr(config)
+
+
+def test_evaluation_keeps_its_types(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.log(40, 1.0, {"loss": 1.0})
+    rows = [{"image": "a.png", "psnr": 20, "lpips": None, "lpips_reason": "no weights", "note": None, "view": 3}]
+    run.write_eval([*rows, {"image": "b.png", "psnr": 21.5, "note": "dark"}])
+    frame = pd.read_parquet(run.dir / "eval.parquet")
+    assert frame["psnr"].tolist() == [20.0, 21.5]
+    assert frame["step"].tolist() == [40, 40]
+    assert {str(frame[name].dtype) for name in ("ssim", "lpips", "depth_error", "view")} == {"float64"}
+    assert {str(frame[name].dtype) for name in ("image", "lpips_reason", "note")} == {"str"}
+    with pytest.raises(ValueError, match="psnr: expected a number, got 'high'"):
+        run.write_eval([{"image": "a.png", "psnr": "high"}])
+    run.finish()
+    assert len(pd.read_parquet(run.dir / "eval.parquet")) == 2
+
+
+def test_summary_collects_and_keeps_its_types(store_: RunStore) -> None:
+    run = claimed(store_, columns={"field": "qcolor"})
+    run.write_summary({"psnr": 20, "params.color": 211})
+    run.interrupt()
+    assert records.read_summary(run.dir)["state"] == "interrupted"
+    run = claimed(store_)
+    assert records.read_summary(run.dir)["state"] == "running"
+    run.finish({"steps": 10, "time.field_ms": None, "step_ms": 24})
+    schema = {name: str(kind) for name, kind in zip(*_schema(run.dir / "summary.parquet"), strict=True)}
+    row = records.read_summary(run.dir)
+    assert (row["field"], row["psnr"], row["params.color"], row["steps"]) == ("qcolor", 20.0, 211, 10)
+    assert row["state"] == "finished"
+    assert {schema[name] for name in ("psnr", "lpips", "time.field_ms", "step_ms", "train.lr")} == {"double"}
+    assert {schema[name] for name in ("params.color", "params.encoder", "steps", "seed")} == {"int64"}
+    assert {schema[name] for name in ("lpips_reason", "error", "field")} == {"string"}
+    assert schema["scene.path"] == schema["train.eval_views"] == "null"
+    assert list(row)[: len(set(row) - {"scene.path"})].count("psnr") == 1
+
+
+def _schema(path: Path) -> tuple[list[str], list[Any]]:
+    schema = pq.read_schema(path)
+    return schema.names, schema.types
+
+
+def test_environment_of_every_start_is_kept(store_: RunStore) -> None:
+    run = claimed(store_)
+    for environment, diff in (({"a": 1}, "x"), ({"a": 1}, "x"), ({"a": 2}, ""), ({"a": 2}, "")):
+        run.write_environment(environment, diff)
+    assert json.loads((run.dir / "environment.json").read_text()) == {"a": 1}
+    assert (run.dir / "dirty.diff").read_text() == "x"
+    assert json.loads((run.dir / "environment-2.json").read_text()) == {"a": 2}
+    assert len(list(run.dir.glob("environment*"))) == 2
+    assert len(list(run.dir.glob("dirty*"))) == 1
+    run.finish()
+
+
+def test_images_and_texts(store_: RunStore) -> None:
+    run = claimed(store_)
+    picture = np.random.default_rng(0).integers(0, 255, (4, 5, 3), dtype=np.uint8)
+    run.save_image("view_000", picture)
+    assert np.array_equal(np.asarray(Image.open(run.dir / "images" / "view_000.png")), picture)
+    for name in ("../x", "a/b", "", ".hidden"):
+        with pytest.raises(ValueError, match="plain file name"):
+            run.save_image(name, picture)
+    with pytest.raises(ValueError, match=r"uint8, got \(4, 5, 3\) float64"):
+        run.save_image("x", picture / 255)
+    run.text_log("one\ntwo")
+    assert (run.dir / "log.txt").read_text().endswith(" one two\n")
+    run.finish()

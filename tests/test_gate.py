@@ -1,0 +1,85 @@
+import pytest
+import torch
+from conftest import TINY
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qnerf.config import settings_from
+from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.gate import GATES
+from qnerf.quantum import QuantumLayer
+from qnerf.render import render, shares, volume_weights
+from qnerf.timing import Stopwatch
+from qnerf.types import Samples
+
+
+def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, Samples]:
+    """Weights, colours and intervals of rays, some of them empty."""
+    generator = torch.Generator().manual_seed(seed)
+    s = torch.rand(count, samples + 1, dtype=torch.float64, generator=generator).sort(-1).values
+    density = torch.rand(count, samples, dtype=torch.float64, generator=generator).mul(12).sub(8).exp()
+    density[0] = 0
+    color = torch.rand(count, samples, 3, dtype=torch.float64, generator=generator)
+    return volume_weights(density, s.diff()), color, Samples(s, s)
+
+
+@pytest.mark.parametrize("background", ["last_sample", "white"])
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**20), samples=st.integers(1, 40), least=st.sampled_from([0.0, 1e-4, 1e-2, 0.3]))
+def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, seed, samples, least):
+    weights, color, intervals = along(6, samples, seed)
+    share = shares(weights, background)
+    kept = GATES.build("threshold", least=least)(share)
+    assert bool(kept.any(-1).all())
+    left_out = (share * ~kept).sum(-1)
+    assert bool((left_out <= samples * least).all())
+    full, _ = render(weights, color, intervals, background=background)
+    gated, _ = render(weights, color * kept[..., None], intervals, background=background, kept=kept)
+    assert bool(((gated.color - full.color).abs().amax(-1) <= left_out + 1e-12).all())
+    assert torch.equal(gated.weights, full.weights)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
+def test_top_keeps_the_largest_shares(seed, samples, most):
+    share = shares(along(5, samples, seed)[0], "last_sample")
+    kept = GATES.build("top", samples=most)(share)
+    assert bool((kept.sum(-1) == min(most, samples)).all())
+    smallest_kept = share.masked_fill(~kept, 2).amin(-1)
+    assert bool((share.masked_fill(kept, -1).amax(-1) <= smallest_kept).all())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("threshold", {"least": 1.0}, "least must be at least 0 and below 1, got 1.0"),
+        ("top", {"samples": 0}, "samples must be at least 1, got 0"),
+    ],
+)
+def test_bad_options_are_one_line(name, options, message):
+    with pytest.raises(ValueError, match=message):
+        GATES.build(name, **options)
+
+
+def test_the_colour_head_sees_the_kept_samples_alone_and_a_gate_that_keeps_all_changes_nothing(config):
+    """In training and in evaluation; the normalisation of a circuit head is part of the comparison."""
+    rendered = {}
+    for gate in ("none", "threshold", "top"):
+        options = ["gate.least=0.0"] if gate == "threshold" else ["gate.samples=1"] if gate == "top" else []
+        settings_ = settings_from(config("field=qcolor", "qiren.qubits=3", f"gate={gate}", *options, *TINY))
+        scene = build_scene(settings_)
+        model, table = build_model(settings_, scene), ray_table(settings_, scene)
+        seen: list[int] = []
+        model.field.color_head.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(len(inputs[0])))
+        watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+        rays, _ = table.batch(32, torch.Generator().manual_seed(0))
+        colors = []
+        for training in (True, False):
+            model.train(training)
+            colors.append(model(rays, background="last_sample", step=0, watch=watch)[0].color)
+        rendered[gate] = (colors, seen)
+    samples = 32 * 4
+    assert rendered["none"][1] == [samples] * 2
+    assert rendered["top"][1] == [32] * 2
+    assert rendered["threshold"][1] == [samples] * 2
+    torch.testing.assert_close(rendered["threshold"][0], rendered["none"][0], rtol=1e-5, atol=1e-6)
