@@ -12,7 +12,7 @@ from analysis.figures import FIGURES, save, scenes_of
 from analysis.style import settings
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
-MOST_SVG = 400_000  # bytes; a figure of ten thousand points is smaller as PNG
+MOST_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
 HINTS = {
     "depth": "`qnerf run -m field=qcolor qiren.layers=1,2,3` trains some",
     "width": "`qnerf run -m color.width=16,32,64` trains some",

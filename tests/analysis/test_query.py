@@ -18,7 +18,7 @@ FRAME = pd.DataFrame(
         "two words": [1, 1, 2, 2],
         "psnr": [20.0, 21.5, 25.0, np.nan],
         "run.force": [False, True, False, False],
-        "mixed": pd.array(["1", "auto", "true", None], dtype="str"),
+        "mixed": ["1", "auto", "true", None],
         "flag": pd.Series([True, None, False, None], dtype=object),
         "tags": [(), ("good",), ("good", "old"), ()],
     }

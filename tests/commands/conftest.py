@@ -47,8 +47,9 @@ Make = Callable[..., Path]
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Make:
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     """`make("a-s0-1", end="finish", psnr=20.0, field="qcolor", seed=1)`: a run's folder."""
+    monkeypatch.setattr("os.fsync", lambda _: None)  # no test here cuts the power
     store = RunStore(tmp_path / "runs", every=60, watch=0.1)
 
     def made(name: str, end: str = "finish", psnr: float = 20.0, field: str = "qcolor", **options: Any) -> Path:

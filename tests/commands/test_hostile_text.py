@@ -104,25 +104,23 @@ def poison(run: Path, text: str) -> None:
     (run / name).write_text("x")
 
 
-@pytest.mark.parametrize("width", [None, 80])
-@pytest.mark.parametrize(
-    "line",
-    [
-        "show aaaa", "show aaaa --config", "show aaaa --json", "diff aaaa bbbb", "diff aaaa bbbb --json", "tag aaaa",
-        "note aaaa", "tag aaaa --remove x", "runs", "runs --json", "runs --columns scene.path", "watch aaaa --once",
-    ],
+COMMANDS = (
+    "show aaaa", "show aaaa --config", "show aaaa --json", "diff aaaa bbbb", "diff aaaa bbbb --json", "tag aaaa",
+    "note aaaa", "tag aaaa --remove x", "runs", "runs --json", "runs --columns scene.path", "watch aaaa --once",
 )  # fmt: skip
-def test_commands_show_it_and_do_not_obey(store, qnerf, terminal, text, line, width):
+
+
+def test_commands_show_it_and_do_not_obey(store, qnerf, terminal, text):
     (run,) = store.glob("*-aaaaaaaaaa")
     poison(run, text)
-    if width is not None:
-        terminal(width)
-    arguments = line.split()
-    done = qnerf(*arguments)
-    assert harmless(done.out)
-    assert harmless(done.err)
-    if "[red]" in text and arguments[:2] in (["show", "aaaa"], ["note", "aaaa"], ["tag", "aaaa"]):
-        assert "[red]red[/red]" in done.out + done.err
+    for width in (None, 80):
+        if width is not None:
+            terminal(width)
+        for line in COMMANDS:
+            done = qnerf(*line.split())
+            assert harmless(done.out + done.err), line
+            if "[red]" in text and line in ("show aaaa", "note aaaa", "tag aaaa"):
+                assert "[red]red[/red]" in done.out, line
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from qnerf.records import owner, tables
 from qnerf.records.files import StoreError, remove_leftovers, replace, reporting
 from qnerf.records.owner import Held, Ownership, Process
 from qnerf.records.read import read_config, read_status, read_table, runs
+from qnerf.records.row import encode as encode_row
 from qnerf.records.writer import EMPTY_PART, FORMAT, Run
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
@@ -228,7 +229,7 @@ class _Content:
                 put("eval.parquet", tables.encode(tables.evaluation([], 0)))
             if not _readable(read_table, folder / "summary.parquet"):
                 row = self.columns | {"run_id": self.run_id, "state": "running"}
-                put("summary.parquet", tables.encode(tables.summary(row, self.config)))
+                put("summary.parquet", encode_row(tables.summary(row, self.config)))
             if not (folder / "metrics").is_dir():
                 temporary = folder / f".metrics.{secrets.token_hex(4)}.tmp"
                 temporary.mkdir()

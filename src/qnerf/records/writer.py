@@ -30,6 +30,7 @@ from qnerf.records.checkpoints import Checkpoints
 from qnerf.records.files import StoreError, keep_copy, open_plain, read_bytes, replace, reporting
 from qnerf.records.owner import HEARTBEAT, Ownership, Process
 from qnerf.records.read import MOST_TABLE_BYTES, read_config, read_part, read_status, read_summary
+from qnerf.records.row import encode as encode_row
 from qnerf.records.stable import appended, encode, rewritten
 
 FORMAT = 1  # of the store; a run of a newer one is read as far as it goes, and not written
@@ -76,6 +77,7 @@ class Run:
         self._keys: dict[str, int] = {}
         self._open_part(0, 0)
         self._eval_data = _bytes(self.dir / "eval.parquet")
+        self._summary_data = _bytes(self.dir / "summary.parquet")
 
         self._error: StoreError | None = None
         self._wake = threading.Event()
@@ -197,8 +199,10 @@ class Run:
         """Adds to the one row of summary.parquet; what was there under other names stays."""
         with self._io:
             self._results |= plain(results, "summary")
-            row = self._results | {"run_id": self.run_id}
-            self._write("summary.parquet", tables.encode(tables.summary(row, self.config)))
+            row = tables.summary(self._results | {"run_id": self.run_id}, self.config)
+            data = rewritten(self._summary_data, partial(encode_row, row))
+            self._write("summary.parquet", data)
+            self._summary_data = data
 
     def write_environment(self, environment: Mapping[str, Any], diff: str = "") -> None:
         """environment.json and, where the code differs from its commit, dirty.diff.

@@ -1,4 +1,4 @@
-"""The runs of a store as MLflow takes them."""
+"""The runs of a store in MLflow, which runs in a Python of its own."""
 
 import json
 import math
