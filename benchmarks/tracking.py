@@ -87,7 +87,8 @@ def listing(options: argparse.Namespace) -> Iterator[Measured]:
 
 def first_screen(store: str) -> None:
     """The whole command, from its start."""
-    command = [sys.executable, "-m", "qnerf.cli", "runs", "--store", store, "--limit", str(SCREEN)]
+    command = [sys.executable, "-c", "from qnerf.cli import main; main()", "runs", "--store", store]
+    command += ["--limit", str(SCREEN)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) >= SCREEN, done.stdout
 

@@ -46,9 +46,14 @@ def dispatch(command: str, arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog=f"qnerf {command}")
     module.arguments(parser)
     try:
-        return module.main(parser.parse_args(arguments)) or 0
+        code = module.main(parser.parse_args(arguments)) or 0
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except (ValueError, OSError) as error:
         return report(error)
 

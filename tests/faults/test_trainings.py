@@ -103,7 +103,7 @@ def poll(run: Path) -> None:
     steps = metrics.loc[metrics["key"] == "train/loss", "step"].tolist()
     assert steps == list(range(1, len(steps) + 1))
     assert list(pd.read_parquet(run / "eval.parquet").columns)[:3] == ["image", "step", "psnr"]
-    assert records.read_summary(run)["run_id"] == run.name
+    assert pd.read_parquet(run / "summary.parquet")["run_id"].tolist() == [run.name]
     assert records.read_config(run)["train"]["steps"] == 30
     assert records.read_status(run)["state"] in ("running", "finished")
 

@@ -40,20 +40,20 @@ def kills(config: dict[str, Any], root: Path, wanted: int, seed: int) -> None:
     """Rows and heartbeats go out fifty times a second, checkpoints too, so that kills meet them."""
     experiment.RunStore = functools.partial(RunStore, every=0.02)  # type: ignore[assignment,misc]
     dice = random.Random(seed)
-    durations = []  # seconds, on this machine as busy as it is now
     for number in range(SEEDS):
         whole = config | {"seed": number, "store": str(root / "whole")}
         begin = time.monotonic()
         assert ended(fork(lambda whole=whole: train(whole))) == 0
-        durations.append(time.monotonic() - begin)
+        latest = time.monotonic() - begin  # seconds, on this machine as busy as it is now
     number = landed = 0
     while landed < wanted:
         mine = config | {"seed": number % SEEDS, "store": str(root / f"killed-{number:03d}")}
         pid = fork(lambda mine=mine: train(mine))
-        after = dice.uniform(0, max(durations))
+        after = dice.uniform(0, latest)
         time.sleep(after)
         os.kill(pid, signal.SIGKILL)
-        killed = ended(pid) == -signal.SIGKILL  # else it was through already
+        killed = ended(pid) == -signal.SIGKILL  # else it was through already: the machine is less busy by now
+        latest *= 1.03 if killed else 0.8
         code = ended(fork(lambda mine=mine: train(mine)))
         print(json.dumps({"number": number, "after": after, "killed": killed, "code": code}), flush=True)
         landed += killed

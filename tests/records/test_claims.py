@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from qnerf import records
-from qnerf.records import RunStore
+from qnerf.records import RunStore, annotations
 
 from .stores import CONFIG, claimed
 
@@ -41,6 +41,20 @@ def test_context_manager_ends_the_run(store_: RunStore) -> None:
         assert again.run is not None
         assert records.read_status(again.dir)["error"] is None
         again.run.finish()
+
+
+def test_a_run_done_over_keeps_its_tags_and_note(store_: RunStore) -> None:
+    claim = store_.claim("a", CONFIG)
+    assert claim.run is not None
+    annotations.change_tags(claim.dir, ["good"])
+    annotations.write_note(claim.dir, "look again")
+    claim.run.finish()
+    again = store_.claim("a", CONFIG, force=True)
+    assert again.outcome == "new"
+    assert again.run is not None
+    again.run.finish()
+    kept = annotations.read(again.dir)
+    assert (list(kept.tags), kept.note) == (["good"], "look again")
 
 
 def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> None:

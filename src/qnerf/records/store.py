@@ -17,7 +17,7 @@ import yaml  # type: ignore[import-untyped]
 
 from qnerf.identity import identity, plain
 from qnerf.records import owner, tables
-from qnerf.records.files import StoreError, remove_leftovers, replace, reporting
+from qnerf.records.files import StoreError, read_bytes, remove_leftovers, replace, reporting
 from qnerf.records.owner import Held, Ownership, Process
 from qnerf.records.read import read_config, read_status, read_table, runs
 from qnerf.records.row import encode as encode_row
@@ -155,6 +155,8 @@ class RunStore:
             with contextlib.suppress(StoreError):
                 held.release()
             raise
+        with contextlib.suppress(StoreError, OSError):  # tags and note are the user's, not the old results'
+            (made.directory / "annotations.json").write_bytes(read_bytes(held.directory / "annotations.json", 2**20))
         trash = self._temporary("old", content.run_id)
         try:
             os.rename(held.directory, trash)
