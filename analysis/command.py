@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import pandas as pd
 
 from analysis.load import runs
-from analysis.selection import conditions, where
+from analysis.query import HELP
 from analysis.tables.table import Table
 
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
@@ -22,12 +22,7 @@ def parser(name: str, description: str, examples: str) -> argparse.ArgumentParse
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     made.add_argument("store", help="folder of runs")
-    made.add_argument(
-        "--filter",
-        type=str,
-        metavar="KEY=VALUE,...",
-        help="only runs with these values, such as scene_name=fox_64,seed=0",
-    )
+    made.add_argument("--filter", metavar="TEXT", help=HELP)
     made.add_argument(
         "--format", choices=FORMATS, default="markdown", help="markdown (default), csv or latex (booktabs)"
     )
@@ -36,8 +31,7 @@ def parser(name: str, description: str, examples: str) -> argparse.ArgumentParse
 
 def chosen(options: argparse.Namespace) -> pd.DataFrame:
     """The runs of the store that the filter lets through."""
-    frame = runs(options.store)
-    return where(frame, conditions(options.filter)) if options.filter else frame
+    return runs(options.store, options.filter)
 
 
 def show(table: Table, form: str) -> None:

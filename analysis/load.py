@@ -18,7 +18,7 @@ def runs(
 
     store: a folder, or a URL that fsspec reads, such as s3://bucket/runs; of those that run behind a URL it is known
     only how old their heartbeat is. What was read is kept in an index: the next call reads only what has changed.
-    filter: comparisons as a text, "field == 'qcolor' and qiren.layers > 1", or values by column,
+    filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
     {"field": "qcolor", "seed": [0, 1]}; see `analysis.query`.
 
     Raises:

@@ -175,6 +175,3 @@ def _number(key: str, value: object) -> float:
         return float(str(value))
     except ValueError:
         raise ValueError(f"{key} is a number, got {value!r}") from None
-
-
-_configuration = configuration

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from analysis.command import chosen, run
 from analysis.figures import FIGURES, save, scenes_of
+from analysis.query import HELP
 from analysis.style import FORMATS
 
 
@@ -18,7 +19,7 @@ def main(arguments: Sequence[str] | None) -> None:
     parser.add_argument("store", help="folder of runs")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"figures; without any, all: {', '.join(FIGURES)}")
     parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: figures)")
-    parser.add_argument("--filter", metavar="KEY=VALUE,...", help="only runs with these values, such as scene=poster")
+    parser.add_argument("--filter", metavar="TEXT", help=HELP)
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
     parser.add_argument("--theme", default="light", choices=["light", "dark"])
     draw(parser.parse_intermixed_args(arguments))

@@ -13,6 +13,7 @@ from rich.progress import Progress
 
 import qnerf
 from analysis.load import runs
+from analysis.query import HELP
 from analysis.report import content, curves, page, parts, pictures
 
 DESCRIPTION = """\
@@ -23,7 +24,7 @@ loads nothing from the network.
 EXAMPLES = """\
 examples:
   python -m analysis.report runs --out report
-  python -m analysis.report runs --out sweep.html --filter "scene_name == 'poster'" --title "Poster, 3 seeds"
+  python -m analysis.report runs --out sweep.html --filter scene_name=poster --title "Poster, 3 seeds"
   python -m analysis.report runs --no-images
 """
 
@@ -69,9 +70,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="a folder, which gets index.html, or a .html file (default: report)",
     )
-    made.add_argument(
-        "--filter", metavar="TEXT", help="only runs of which this is true: \"field == 'qcolor' and psnr > 24\""
-    )
+    made.add_argument("--filter", metavar="TEXT", help=HELP)
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
     images = made.add_mutually_exclusive_group()
     images.add_argument("--no-images", action="store_true", help="leave out the held-out views")

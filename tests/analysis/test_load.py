@@ -31,10 +31,10 @@ def test_one_row_a_run(store: Path) -> None:
 
 
 def test_runs_of_a_filter(store: Path) -> None:
-    assert load.runs(store, "field == 'qcolor' and seed > 1")["run_id"].tolist() == ["r2"]
+    assert load.runs(store, "field=qcolor seed>1")["run_id"].tolist() == ["r2"]
     assert load.runs(store, {"scene_name": "fox", "seed": [0, 1]})["run_id"].tolist() == ["r1"]
-    with pytest.raises(ValueError, match="none of 3 runs has field == 'qboth'; there are field: classical, qcolor"):
-        load.runs(store, "field == 'qboth'")
+    with pytest.raises(ValueError, match="none of 3 runs has field=qboth; there are field: classical, qcolor"):
+        load.runs(store, "field=qboth")
 
 
 def test_runs_behind_a_url(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

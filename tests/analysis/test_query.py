@@ -1,7 +1,4 @@
-"""Choosing runs by a query: what it chooses, what it tells, and that it can do nothing else."""
-
-import builtins
-import os
+"""Choosing runs: what is chosen, and what is told when nothing is."""
 
 import numpy as np
 import pandas as pd
@@ -28,21 +25,17 @@ FRAME = pd.DataFrame(
 @pytest.mark.parametrize(
     ("condition", "chosen"),
     [
-        ("field == 'qcolor'", "bc"),
-        ("field != 'qcolor'", "ad"),
-        ("field == 'qcolor' and qiren.layers > 2", "c"),
-        ("`qiren.layers` > 1 & seed < 2", "b"),
-        ("`two words` == 2", "cd"),
-        ("seed in [0, 3] or psnr > 24", "acd"),
-        ("field not in ('qcolor',)", "ad"),
-        ("not 20 <= psnr < 25", "cd"),
-        ("~(psnr > 20)", "ad"),
-        ("run.force", "b"),
-        ("run.force == False and -1 < seed", "acd"),
-        ("mixed == 'auto'", "b"),
-        ("field == '`seed`' or seed == 0", "a"),
-        ('field == "qcolor" and (seed == 1 or seed == 2)', "bc"),
-        ("psnr > seed", "abc"),
+        ("field=qcolor", "bc"),
+        ("field!=qcolor", "ad"),
+        ("field=qcolor qiren.layers>2", "c"),
+        ("'two words=2'", "cd"),
+        ("seed=0,3", "ad"),
+        ("field=none", "d"),
+        ("psnr>=20 'psnr<25'", "ab"),
+        ("run.force=true", "b"),
+        ("mixed=auto", "b"),
+        ("tag=good", "bc"),
+        ("field=q* seed=1", "b"),
         ({}, "abcd"),
         ({"field": "qcolor"}, "bc"),
         ({"field": "qcolor", "seed": [0, 1]}, "b"),
@@ -64,14 +57,16 @@ def test_what_is_chosen(condition: str | dict, chosen: str) -> None:
 @pytest.mark.parametrize(
     ("condition", "told"),
     [
-        ("field == 'qboth'", "none of 4 runs has field == 'qboth'; there are field: classical, qcolor"),
-        ("psnr > 30 and seed == 1", "psnr: 20.0, 21.5, 25.0; seed: 0, 1, 2, 3"),
+        ("field=qboth", "none of 4 runs has field=qboth; there are field: classical, qcolor"),
+        ("psnr>30 seed=1", "psnr: 20.0, 21.5, 25.0; seed: 0, 1, 2, 3"),
         ({"field": "qboth", "seed": 1}, "has field=qboth, seed=1; there are field: classical, qcolor; seed: 0, 1"),
         ({"seed": []}, r"none of 4 runs has seed=\[\]"),
         ({"tags": "bad"}, "tags: good, old"),
-        ("fild == 'a'", "no run has a column 'fild'; near ones: field"),
-        ("layers == 1", "no run has a column 'layers'; near ones: qiren.layers"),
-        ({"qiren.layer": 1}, "no run has a column 'qiren.layer'; near ones: qiren.layers"),
+        ("fild=a", "no run has a column 'fild'; did you mean field"),
+        ("layers=1", "no run has a column 'layers'; did you mean qiren.layers"),
+        ({"qiren.layer": 1}, "no run has a column 'qiren.layer'; did you mean qiren.layers"),
+        ("psnr>high", "filter 'psnr>high': psnr>high: > compares numbers, got 'high'"),
+        ("field='qcolor", "filter .*: No closing quotation"),
     ],
 )  # fmt: skip
 def test_what_is_told_when_nothing_is_chosen(condition: str | dict, told: str) -> None:
@@ -84,64 +79,3 @@ def test_many_values_are_told_in_short() -> None:
     assert known(pd.Series(range(100), name="x")) == "0 to 99"
     assert known(pd.Series([f"v{i:02d}" for i in range(12)], name="x"), 3) == "v00, v01, v02 and 9 more"
     assert known(pd.Series([None, np.nan], name="x", dtype=object)) == "no values"
-
-
-HOSTILE = [
-    "__import__('os').system('touch {}')",
-    "@__import__('os').system('touch {}')",
-    "@pd.io.common.os.system('touch {}')",
-    "run_id.to_csv('{}')",
-    "run_id.map(open)",
-    "`run_id`.to_csv('{}')",
-    "run_id.str.cat()",
-    "field.__class__.__mro__ == 1",
-    "`field`.__class__ == 1",
-    "_quoted[0] == 1",
-    "`seed`[0] == 1",
-    "seed[__import__('os').system('touch {}')] == 1",
-    "[seed for seed in [1]]",
-    "(lambda: open('{}', 'w'))() == 1",
-    "open('{}', 'w')",
-    "seed == (x := 1)",
-    "f'{{seed}}' == '1'",
-    "seed ** 99999 == 1",
-    "'a' * 10000000000 == 'a'",
-    "seed == 1; seed == 2",
-    "seed = 1",
-    "import os",
-    "seed == 1 if True else False",
-    "seed == None",
-    "seed == b'1'",
-    "seed == 1j",
-    "seed == ...",
-    "seed is True",
-    "*seed",
-    "seed == {{1: 2}}",
-    "seed",
-    "1 == 1",
-    "",
-    "   ",
-    "seed == '",
-    "`seed == 1",
-    "seed == 1\0",
-    "(" * 500 + "seed" + ")" * 500 + " == 1",
-    "not " * 450 + "run.force",
-    "-" * 1500 + "seed == 1",
-    "seed == 1 or " * 500 + "seed == 1",
-]
-
-
-@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
-def test_a_query_can_only_choose(text: str, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def called(*arguments: object, **options: object) -> None:
-        pytest.fail("the query did something")
-
-    target = tmp_path / "written"
-    monkeypatch.setattr(os, "system", called)
-    monkeypatch.setattr(builtins, "eval", called)
-    monkeypatch.setattr(builtins, "exec", called)
-    with pytest.raises(ValueError, match=r"is no query: |no run has a column ") as error:
-        select(FRAME, text.format(target) if "{}" in text else text.replace("{{", "{").replace("}}", "}"))
-    assert "\n" not in str(error.value)
-    assert len(str(error.value)) < 600
-    assert not target.exists()

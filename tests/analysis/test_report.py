@@ -276,7 +276,7 @@ def test_mistakes_are_one_line(store, tmp_path):
     with pytest.raises(ValueError, match="no runs found"):
         main([str(tmp_path)])
     with pytest.raises(ValueError, match="qcolour"):
-        main([str(store), "--filter", "field == 'qcolour'", "--out", str(tmp_path)])
+        main([str(store), "--filter", "field=qcolour", "--out", str(tmp_path)])
     command = [sys.executable, "-m", "analysis.report", str(tmp_path / "nowhere")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1

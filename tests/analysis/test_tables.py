@@ -206,7 +206,7 @@ def test_the_command_prints_what_is_asked(store, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("field,psnr_mean,psnr_std,psnr_n")
     assert err.startswith("difference from classical")
-    with pytest.raises(ValueError, match="nothing has seed=7; seed is 0, 1, 2"):
+    with pytest.raises(ValueError, match="has seed=7; there are seed: 0, 1, 2"):
         main([str(store), "--filter", "seed=7"])
     with pytest.raises(ValueError, match="expected KEY=VALUE"):
-        main([str(store), "--filter", "seed"])
+        main([str(store), "--rows", "field", "--baseline", "seed"])
