@@ -47,7 +47,7 @@ def main() -> None:
     rows = [*writing(options), *listing(options), *logging(options)]
     if options.mlflow_python:
         rows += in_mlflow(options)
-    table = pd.DataFrame(rows).assign(load=os.getloadavg()[0], cores=os.cpu_count())
+    table = pd.DataFrame(rows).astype({"runs": "Int64"}).assign(load=os.getloadavg()[0], cores=os.cpu_count())
     RESULTS.mkdir(exist_ok=True)
     table.to_parquet(RESULTS / "tracking.parquet", index=False)
     print(
@@ -104,6 +104,7 @@ def logging(options: argparse.Namespace) -> Iterator[Measured]:
 
 
 def in_mlflow(options: argparse.Namespace) -> Iterator[Measured]:
+    """The same there. Its calls wait for the database: the share of a step is their whole time."""
     database = options.mlflow_database or Path(options.store).with_suffix(".mlflow.db")
     python = options.mlflow_python
     with tempfile.TemporaryDirectory() as folder:

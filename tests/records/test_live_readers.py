@@ -12,8 +12,9 @@ import pytest
 
 from qnerf.records import index
 
+from .writing_runs import RUNS, STEPS, VIEWS
+
 WRITER = Path(__file__).with_name("writing_runs.py")
-RUNS, STEPS, VIEWS = 12, 20, 3
 
 
 def folders(store: Path) -> list[Path]:

@@ -16,13 +16,6 @@ from qnerf.records.places import ANNOTATIONS, STATUS, SUMMARY
 
 CONFIG = {"seed": 0, "train": {"lr": 0.01, "steps": 10}}
 
-pytestmark = [
-    # boto and aiohttp are not ours
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-    pytest.mark.filterwarnings("ignore::ResourceWarning"),
-    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
-]
-
 
 @pytest.fixture(autouse=True)
 def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
