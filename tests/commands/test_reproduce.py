@@ -19,6 +19,12 @@ from qnerf.reproduce import compare, environment_differences, recorded_threads, 
 STEPS = ("train.steps=4", "train.eval_every=2")
 
 
+@pytest.fixture(autouse=True)
+def _no_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment of these tests does not depend on what is being edited meanwhile."""
+    monkeypatch.setattr("qnerf.environment.checkout", lambda: None)
+
+
 @pytest.fixture
 def run(tiny: Callable[..., dict[str, Any]]) -> Path:
     return experiment.run(tiny(*STEPS, "field=qcolor")).path
