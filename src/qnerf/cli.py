@@ -46,7 +46,7 @@ def dispatch(command: str, arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog=f"qnerf {command}")
     module.arguments(parser)
     try:
-        code = module.main(parser.parse_args(arguments)) or 0
+        code = module.main(parser.parse_intermixed_args(arguments)) or 0
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:

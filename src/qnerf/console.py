@@ -65,7 +65,7 @@ class LiveDisplay(Display):
             self.console.print(line, highlight=False)
 
     def note(self, text: str) -> None:
-        self.console.print(text, highlight=False, markup=False)
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def end(self) -> None:
         self.progress.stop()
@@ -74,9 +74,9 @@ class LiveDisplay(Display):
 def print_outcome(console: Console, outcome: Outcome) -> None:
     """A short table: quality on the held-out views, parameters a part, seconds, where the run lies."""
     if outcome.message:
-        console.print(outcome.message, highlight=False, markup=False)
+        console.print(outcome.message, highlight=False, markup=False, soft_wrap=True)
     summary = outcome.summary
-    if summary.get("psnr") is None:
+    if outcome.state != "finished":  # what is evaluated on the way is not the result
         return
     table = Table(show_header=False, box=None, padding=(0, 2))
     views = f"{summary['eval_views']:.0f} held-out views"

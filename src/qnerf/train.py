@@ -135,13 +135,17 @@ class Trainer:
         }
 
     def load(self, state: dict[str, Any]) -> None:
-        self.step = state["step"]
-        self.model.load_state_dict(state["model"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        for name, stream in self.streams.items():
-            stream.set_state(state["streams"][name].cpu())
-        torch.set_rng_state(state["torch_random"].cpu())
-        self.step_seconds = state["step_seconds"].tolist()
+        """Goes on from what `state` gave; ValueError where that was another model's."""
+        try:
+            self.step = state["step"]
+            self.model.load_state_dict(state["model"])
+            self.optimiser.load_state_dict(state["optimiser"])
+            for name, stream in self.streams.items():
+                stream.set_state(state["streams"][name].cpu())
+            torch.set_rng_state(state["torch_random"].cpu())
+            self.step_seconds = state["step_seconds"].tolist()
+        except (KeyError, TypeError, RuntimeError) as error:
+            raise ValueError("the checkpoint does not fit this run's model") from error
         self.seconds = sum(self.step_seconds)
 
     def steps(self, store: Checkpoints, stopping: Callable[[], bool]) -> Iterator[dict[str, float]]:

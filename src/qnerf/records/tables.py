@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -39,14 +38,6 @@ SUMMARY = {
     "step_ms": pa.float64(),
     "steps": pa.int64(),
 }
-
-
-def metrics(steps: Any, times: Any, indices: Any, keys: Sequence[str], values: Any) -> bytes:
-    """A part of metrics/ from arrays of equal length; `keys[indices]` are the names."""
-    names = pa.DictionaryArray.from_arrays(pa.array(np.asarray(indices, np.int32)), pa.array(list(keys), pa.string()))
-    columns = [np.asarray(steps, np.int64), np.asarray(times, np.float64), names, np.asarray(values, np.float64)]
-    # Without the stored Arrow schema the names read back as text, although they are encoded as a dictionary.
-    return encode(pa.table([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], METRICS.names), ["key"])
 
 
 def encode(table: pa.Table, dictionary: Sequence[str] = ()) -> bytes:
