@@ -61,6 +61,7 @@ def _has(column: pd.Series, value: Any) -> pd.Series:
         return column.map(lambda tags: value in tags).astype(bool)
     if value is None:
         return column.isna()
-    if not isinstance(value, str) and isinstance(column.dtype, pd.StringDtype):  # numbers in some runs, text in others
+    # A column that is a number in some runs and text in others is text.
+    if not isinstance(value, str) and pd.api.types.infer_dtype(column) == "string":
         value = json.dumps(value)
     return (column == value).fillna(False).astype(bool)
