@@ -12,6 +12,7 @@ SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 
 LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
 _SCALARS = ("experiment", "numerics", "geo_features", "appearance")
+_PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
 _RESULTS = ("params", "time", "run")  # first parts of dotted names that are no configuration
 # What is logged and how often decides no number; where a scene lies says nothing about what it is.
 _IRRELEVANT = (
@@ -67,7 +68,7 @@ def measured(runs: pd.DataFrame) -> list[str]:
     return [
         name
         for name in runs.select_dtypes("number").columns
-        if name not in settings and name != "seed" and runs[name].notna().any()
+        if name not in settings and name not in _PROGRESS and runs[name].notna().any()
     ]
 
 

@@ -173,7 +173,8 @@ def test_a_schedulers_warning_reaches_its_handler_when_the_run_has_stopped():
 
 @pytest.mark.parametrize(("restarts", "calls"), [(None, 1), ("1", 3)])
 def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatch, tmp_path, config, restarts, calls):
-    outcomes = [Outcome("run", tmp_path, state, {}, "") for state in ("busy", "busy", "finished")]
+    summary = {"eval_views": 1, "psnr": 20.0, "ssim": 0.5, "params.total": 10, "train_s": 1.0, "step_ms": 1.0}
+    outcomes = [Outcome("run", tmp_path, state, summary, "") for state in ("busy", "busy", "finished")]
     done: list[Outcome] = []
     monkeypatch.setattr(experiment, "run", lambda *_: done.append(outcomes[len(done)]) or done[-1])
     monkeypatch.setattr(launch, "RETRY", 0.0)

@@ -1,10 +1,37 @@
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from qnerf.records import RunStore
+from qnerf.records import RunStore, places
 
 
 @pytest.fixture
 def store_(tmp_path: Path) -> RunStore:
     return RunStore(tmp_path / "runs", every=60, watch=0.3)
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("QNERF_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files count as settled from the moment that they are written."""
+    monkeypatch.setattr(places, "SETTLED", -3600.0)
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """(file, run) of all that is read from now on."""
+    seen: list[tuple[str, str]] = []
+    read = places.Folder.read
+
+    def noted(place: places.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+        seen.extend((file, run) for run in runs)
+        return read(place, file, runs)
+
+    monkeypatch.setattr(places.Folder, "read", noted)
+    return seen

@@ -3,9 +3,7 @@
 import json
 import os
 import shutil
-import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,59 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from qnerf.records import RunStore, entries, files, index, kept, places, row, tables
+from qnerf.records import RunStore, entries, index, places, row
 from qnerf.records.places import ANNOTATIONS, STATUS, SUMMARY
 
-CONFIG = {"seed": 0, "train": {"lr": 0.01, "steps": 10}, "experiment": None}
-
-
-@pytest.fixture(autouse=True)
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("QNERF_CACHE", str(tmp_path / "cache"))
-
-
-@pytest.fixture
-def settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files count as settled from the moment that they are written."""
-    monkeypatch.setattr(places, "SETTLED", -3600.0)
-
-
-@pytest.fixture
-def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """(file, run) of all that is read from now on."""
-    seen: list[tuple[str, str]] = []
-    read = places.Folder.read
-
-    def noted(place: places.Folder, file: str, runs: list[str]) -> Iterator[Any]:
-        seen.extend((file, run) for run in runs)
-        return read(place, file, runs)
-
-    monkeypatch.setattr(places.Folder, "read", noted)
-    return seen
-
-
-def put(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.replace(path, data, durable=False)
-
-
-def write(store: Path, name: str, state: str = "finished", config: dict | None = None, **results: Any) -> Path:
-    """The files of a run that the index is made of, as the writer leaves them."""
-    row_ = {"run_id": name, "state": state} | results
-    put(store / name / SUMMARY, tables.encode(tables.summary(row_, CONFIG | (config or {}))))
-    status = {"state": state, "step": 10, "created": 100.0, "heartbeat": 110.0, "error": None}
-    put(store / name / STATUS, json.dumps(status).encode())
-    return store / name
-
-
-def anew(store: Path) -> pd.DataFrame:
-    """The table of the same files without an index."""
-    copy = store.parent / "copy" / store.name
-    shutil.rmtree(copy.parent, ignore_errors=True)
-    shutil.copytree(store, copy, ignore=shutil.ignore_patterns(".index"), symlinks=True)
-    frame = index.load(copy)
-    frame["path"] = frame["path"].str.replace(str(copy), str(store), regex=False)
-    return frame
+from .summaries import CONFIG, anew, put, write
 
 
 def test_a_row_is_what_the_run_wrote(tmp_path: Path) -> None:
@@ -278,120 +227,6 @@ def test_a_store_that_changes_reads_as_if_read_for_the_first_time(
         if look:
             index.load(store)
     pd.testing.assert_frame_equal(index.load(store), anew(store))
-
-
-def spoil(path: Path, how: str) -> None:
-    data = path.read_bytes()
-    path.write_bytes(
-        {
-            "empty": b"",
-            "cut": data[: len(data) // 2],
-            "flipped": data[:100] + bytes([data[100] ^ 1]) + data[101:],
-            "flipped footer": data[:-60] + bytes([data[-60] ^ 1]) + data[-59:],
-            "other": b"hello" * 100,
-        }[how]
-    )
-
-
-@pytest.mark.usefixtures("settled")
-@pytest.mark.parametrize("how", ["empty", "cut", "flipped", "flipped footer", "other"])
-def test_a_damaged_index_counts_as_none(tmp_path: Path, how: str) -> None:
-    store = tmp_path / "runs"
-    for name in "ab":
-        write(store, name, psnr=1.0)
-    expected = index.load(store)
-    written = sorted((store / ".index").iterdir())
-    assert [path.name for path in written] == ["status.json.index", "summary.parquet.index"]
-    for path in written:
-        spoil(path, how)
-    pd.testing.assert_frame_equal(index.load(store), expected)
-    for path in written:
-        assert kept.Kept.load([store / ".index"], path.name).keys == ["a", "b"]
-
-
-@pytest.mark.usefixtures("settled")
-def test_an_index_of_another_format_is_built_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
-) -> None:
-    store = tmp_path / "runs"
-    write(store, "a", psnr=1.0)
-    with monkeypatch.context() as older:
-        older.setattr(kept, "FORMAT", kept.FORMAT - 1)
-        index.load(store)
-    reads.clear()
-    for _ in range(2):
-        assert index.load(store)["psnr"].tolist() == [1.0]
-    assert reads == [(STATUS, "a"), (SUMMARY, "a")]
-
-
-@pytest.mark.usefixtures("settled")
-def test_the_index_of_a_store_that_cannot_be_written_lies_in_the_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
-) -> None:
-    store = tmp_path / "runs"
-    write(store, "a", psnr=1.0)
-    monkeypatch.setattr(places.os, "access", lambda path, mode: False)
-    for _ in range(2):
-        assert index.load(store)["psnr"].tolist() == [1.0]
-    assert len(reads) == 2
-    assert not (store / ".index").exists()
-    assert len(list((tmp_path / "cache" / "index").glob("*/*.index"))) == 2
-
-
-@pytest.mark.usefixtures("settled")
-def test_an_index_in_a_store_that_cannot_be_written_any_more_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
-) -> None:
-    store = tmp_path / "runs"
-    write(store, "a", psnr=1.0)
-    index.load(store)
-    reads.clear()
-    monkeypatch.setattr(places.os, "access", lambda path, mode: False)
-    assert index.load(store)["psnr"].tolist() == [1.0]
-    assert reads == []
-
-
-@pytest.mark.usefixtures("settled")
-def test_without_any_place_for_an_index_all_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[tuple[str, str]]
-) -> None:
-    store = tmp_path / "runs"
-    write(store, "a", psnr=1.0)
-    (store / ".index").write_text("in the way")
-    (tmp_path / "cache").write_text("in the way")
-    for _ in range(2):
-        assert index.load(store)["psnr"].tolist() == [1.0]
-    assert len(reads) == 4
-
-
-@pytest.mark.usefixtures("settled")
-def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
-    store = tmp_path / "runs"
-    write(store, "a", psnr=1.0)
-    (tmp_path / "elsewhere").mkdir()
-    (store / ".index").symlink_to(tmp_path / "elsewhere")
-    assert index.load(store)["psnr"].tolist() == [1.0]
-    assert list((tmp_path / "elsewhere").iterdir()) == []
-
-
-@pytest.mark.usefixtures("settled")
-def test_several_who_refresh_at_once_all_see_the_truth(tmp_path: Path) -> None:
-    store = tmp_path / "runs"
-    for number in range(20):
-        write(store, f"r{number:02d}", psnr=float(number))
-    start = threading.Barrier(4)
-
-    def look(turn: int) -> list[pd.DataFrame]:
-        start.wait()
-        return [index.load(store) for _ in range(5)]
-
-    for turn in range(3):
-        write(store, "r00", psnr=100.0 + turn)
-        with ThreadPoolExecutor(4) as pool:
-            frames = [frame for part in pool.map(look, range(4)) for frame in part]
-        for frame in frames:
-            assert frame["psnr"].tolist() == [100.0 + turn, *map(float, range(1, 20))]
-    assert not list((store / ".index").glob("*.tmp"))
 
 
 @pytest.mark.usefixtures("settled")

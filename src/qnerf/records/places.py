@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import pandas as pd
 
 from qnerf.records.files import StoreError, read_bytes
-from qnerf.records.read import read_metrics, read_status, state
+from qnerf.records.read import read_metrics, state
 
 SUMMARY, STATUS, ANNOTATIONS = "summary.parquet", "status.json", "annotations.json"
 FILES = {SUMMARY: 2**24, STATUS: 2**20, ANNOTATIONS: 2**20}
@@ -90,8 +90,8 @@ class Folder:
 
     def state(self, run: str, status: dict[str, Any]) -> str:
         found = state(self.root / run, status)
-        ended = found == "interrupted" and read_status(self.root / run).get("state") != "running"
-        return "running" if ended else found  # it has ended since its files were read: the row shows it as it was then
+        # One that has ended since its files were read is shown as it was then.
+        return found if found in ("running", "interrupted") else "running"
 
     def metrics(self) -> pd.DataFrame:
         return read_metrics(self.root)

@@ -54,13 +54,21 @@ def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
     stored = status.get("state")
     if stored != "running":
         return stored if stored in STATES else "interrupted"
+    if _is_owned(directory, status):
+        return "running"
+    # Nobody owns it: it was killed, or it has ended since status.json was read.
+    now = read_status(directory).get("state")
+    return now if now in STATES and now != "running" else "interrupted"
+
+
+def _is_owned(directory: Path, status: dict[str, Any]) -> bool:
     if not owner.alive(status, owner.moment(status.get("heartbeat"))):
-        return "interrupted"
+        return False
     try:
         _, record = owner.newest(directory)
     except OSError:
-        return "interrupted"
-    return "interrupted" if record is None or record.get("released") else "running"
+        return False
+    return record is not None and not record.get("released")
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
