@@ -11,12 +11,13 @@ SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
 
 LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
-_SCALARS = ("experiment", "numerics", "geo_features", "appearance")
+_SCALARS = ("experiment", "geo_features", "appearance")
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
 _RESULTS = ("params", "time", "run")  # first parts of dotted names that are no configuration
-# What is logged and how often decides no number; where a scene lies says nothing about what it is.
+# What is logged or checked decides no number; where a scene lies says nothing about what it is.
 _IRRELEVANT = (
     "scene.path",
+    "numerics.check",
     "train.log_every",
     "train.eval_every",
     "train.eval_views",

@@ -26,7 +26,6 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from qnerf import experiment, kernels
-from qnerf.config import settings_from
 from qnerf.encoders import HashEncoder
 from qnerf.evaluate import Evaluator
 from qnerf.launch import conf_folder
@@ -61,8 +60,7 @@ def build(overrides: str) -> tuple[Trainer, Evaluator]:
     with initialize_config_dir(str(conf_folder()), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
     assert isinstance(config, dict)
-    settings = settings_from({key: value for key, value in config.items() if key != "hydra"})  # type: ignore[misc]
-    scene = experiment.build_scene(settings)
+    _, settings, scene = experiment.prepare({str(key): value for key, value in config.items() if key != "hydra"})
     model = experiment.build_model(settings, scene)
     table = experiment.ray_table(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)

@@ -22,7 +22,7 @@ def test_every_value_arrives():
         ("render.background=blue", "render.background must be one of last_sample, white, black, random, got 'blue'"),
         ("render.near=2000", "render.near must be below render.far, got 2000 and 1000.0"),
         ("device=gpu", "device must be one of auto, cpu, cuda, got 'gpu'"),
-        ("numerics=float16", "numerics must be one of float32, float64, got 'float16'"),
+        ("numerics.dtype=float16", "numerics.dtype must be one of float32, float64, got 'float16'"),
         ("seed=-1", "seed must be between 0 and"),
         ("threads=0", "threads must be at least 1, got 0"),
         ("geo_features=-1", "geo_features must be at least 0, got -1"),

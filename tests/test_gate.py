@@ -66,7 +66,9 @@ def test_the_colour_head_sees_the_kept_samples_alone_and_a_gate_that_keeps_all_c
     rendered = {}
     for gate in ("none", "threshold", "top"):
         options = ["gate.least=0.0"] if gate == "threshold" else ["gate.samples=1"] if gate == "top" else []
-        settings_ = settings_from(config("field=qcolor", "qiren.qubits=3", f"gate={gate}", *options, *TINY))
+        settings_ = settings_from(
+            config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"gate={gate}", *options, *TINY)
+        )
         scene = build_scene(settings_)
         model, table = build_model(settings_, scene), ray_table(settings_, scene)
         seen: list[int] = []

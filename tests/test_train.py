@@ -65,13 +65,12 @@ def test_steps_lower_the_loss(tiny):
     assert sum(losses[-10:]) < 0.9 * sum(losses[:10])
 
 
-@pytest.mark.parametrize("numerics", ["float32", "float64"])
-def test_a_step_stays_in_its_dtype(tiny, numerics):
-    dtype = getattr(torch, numerics)
-    taken = trainer(tiny("field=qboth", f"numerics={numerics}"))
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_parameters_and_gradients_stay_in_their_dtype(tiny, dtype):
+    taken = trainer(tiny("field=qboth", f"numerics.dtype={dtype}"))
     taken.take_step(measure=False)
-    assert {p.dtype for p in taken.model.parameters()} == {dtype}
-    assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {dtype}
+    assert {p.dtype for p in taken.model.parameters()} == {getattr(torch, dtype)}
+    assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {getattr(torch, dtype)}
 
 
 def test_alpha_is_composited_on_what_lies_behind():

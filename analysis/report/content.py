@@ -40,7 +40,7 @@ NEEDED = (
 )  # fmt: skip
 """What tables and figures read of every run; one of another version may lack some, and says so by having no value."""
 
-_SETTINGS = ("experiment", "seed", "numerics", "geo_features", "appearance", "device", "threads")
+_SETTINGS = ("experiment", "seed", "geo_features", "appearance", "device", "threads")
 _RESULTS = ("params.", "time.", "run.")
 
 

@@ -21,7 +21,8 @@ def sinc_of_square(square: Tensor) -> Tensor:
     """sin(theta) / theta from theta^2 >= 0; smooth at 0, gradient included."""
     small = square < 1e-3
     theta = torch.where(small, torch.ones_like(square), square).sqrt()
-    series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+    near = torch.where(small, square, 0)  # the series overflows at 3e6 radians, and infinity times 0 is no gradient
+    series = 1 - near / 6 * (1 - near / 20 * (1 - near / 42))
     return torch.where(small, series, theta.sin() / theta)
 
 
@@ -33,7 +34,7 @@ def skew(vector: Tensor) -> Tensor:
 
 
 def exp_so3(rotation: Tensor) -> Tensor:
-    """Rotation vectors (..., 3), radians, any length -> rotation matrices (..., 3, 3).
+    """Rotation vectors (..., 3), radians, of any length whose square is finite -> rotation matrices (..., 3, 3).
 
     R = I + sin(theta)/theta K + (1 - cos(theta))/theta^2 K^2, the last factor as half the square of
     sin(theta/2) / (theta/2): no digits are lost at small angles or near pi.

@@ -60,11 +60,57 @@ class Visibility:
     """Where density may be: cells of contracted space seen by at least `cameras` training cameras."""
 
     cameras: int  # 0: everywhere
+    alpha: bool  # not where a training view is transparent
     resolution: int  # cells an axis
 
     def __post_init__(self) -> None:
         at_least("visibility.cameras", self.cameras, 0)
         between("visibility.resolution", self.resolution, 2, 512)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Occupancy:
+    """Whether cells that training finds empty are closed."""
+
+    every: int  # steps between looks; 0: never
+    after: int  # steps before the first look
+    least: float  # opacity of a cell below which it counts as empty
+
+    def __post_init__(self) -> None:
+        at_least("occupancy.every", self.every, 0)
+        at_least("occupancy.after", self.after, 0)
+        if not 0 < self.least < 1:
+            raise ValueError(f"occupancy.least must be above 0 and below 1, got {self.least}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stop:
+    """Whether training ends when it no longer gains, judged by training rays that are kept apart."""
+
+    every: int  # steps between checks; 0: never
+    patience: int  # checks without a gain
+    least: float  # dB that count as a gain
+    share: float  # of the training rays that are kept apart
+    rays: int  # of them, that a check renders
+
+    def __post_init__(self) -> None:
+        at_least("stop.every", self.every, 0)
+        at_least("stop.patience", self.patience, 1)
+        at_least("stop.least", self.least, 0)
+        at_least("stop.rays", self.rays, 1)
+        if not 0 < self.share <= 0.5:
+            raise ValueError(f"stop.share must be above 0 and at most 0.5, got {self.share}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numerics:
+    """How numbers are computed."""
+
+    dtype: str  # of model and training
+    check: bool  # stop at the first one that is not finite (see numerics.py); changes none of them
+
+    def __post_init__(self) -> None:
+        one_of("numerics.dtype", self.dtype, ("float32", "float64"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,13 +131,16 @@ class Settings:
     device: str
     threads: int | None
     store: str
-    numerics: str
     geo_features: int
     appearance: int
     run: Run
+    numerics: Numerics
     train: Train
     render: Render
     visibility: Visibility
+    occupancy: Occupancy
+    stop: Stop
+    needs: dict
     contraction: dict
     density: dict
     color: dict
@@ -108,7 +157,6 @@ class Settings:
     def __post_init__(self) -> None:
         between("seed", self.seed, 0, 2**63 - 2)
         one_of("device", self.device, ("auto", "cpu", "cuda"))
-        one_of("numerics", self.numerics, ("float32", "float64"))
         at_least("geo_features", self.geo_features, 0)
         at_least("appearance", self.appearance, 0)
         if self.threads is not None:
@@ -124,7 +172,7 @@ class Settings:
 
     @property
     def dtype(self) -> torch.dtype:
-        return torch.float64 if self.numerics == "float64" else torch.float32
+        return torch.float64 if self.numerics.dtype == "float64" else torch.float32
 
 
 T = TypeVar("T")
@@ -144,6 +192,8 @@ def _build(group: str, component: type[T], node: Any) -> T:
 def settings_from(config: Mapping[str, Any]) -> Settings:
     """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
     nodes = dict(config)
-    for name, section in (("run", Run), ("train", Train), ("render", Render), ("visibility", Visibility)):
+    sections = {"run": Run, "numerics": Numerics, "train": Train, "render": Render, "visibility": Visibility}
+    sections |= {"occupancy": Occupancy, "stop": Stop}
+    for name, section in sections.items():
         nodes[name] = _build(name, section, nodes.get(name))
     return _build("config", Settings, nodes)

@@ -10,19 +10,24 @@ from typing import Any, TypeGuard
 
 import torch
 
+from qnerf import needs
 from qnerf.activations import ACTIVATIONS
 from qnerf.cameras import CAMERAS
 from qnerf.config import Settings, settings_from
-from qnerf.contraction import CONTRACTIONS
+from qnerf.contraction import CONTRACTIONS, Contraction
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.environment import capture, dirty_diff
 from qnerf.evaluate import Evaluator
 from qnerf.field import Field
 from qnerf.gate import GATES
 from qnerf.heads import HEADS
+from qnerf.hull import hull
 from qnerf.identity import clean, run_id
 from qnerf.labels import labels, slug
 from qnerf.model import Model
+from qnerf.numerics import FILE as NONFINITE
+from qnerf.numerics import CheckedTrainer, Origin
+from qnerf.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
 from qnerf.rays import RayTable
 from qnerf.records import Run, RunStore, read_metrics, read_summary
@@ -62,14 +67,30 @@ def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
     return registry.build(node["name"], *wiring, **options)
 
 
+def prepare(config: Mapping[str, Any]) -> tuple[dict[str, Any], Settings, Scene]:
+    """The scene, and the configuration as it holds there: options that are `auto` decided by what the scene needs."""
+    if not needs.asked(config):
+        settings = settings_from(config)
+        return dict(config), settings, build_scene(settings)
+    scene = component(SCENES, config["scene"])
+    resolved = needs.resolve(config, scene)
+    settings = settings_from(resolved)
+    check_background(scene, settings)
+    return resolved, settings, scene
+
+
 def build_scene(settings: Settings) -> Scene:
     scene = component(SCENES, settings.scene)
+    check_background(scene, settings)
+    return scene
+
+
+def check_background(scene: Scene, settings: Settings) -> None:
     if scene.images.shape[-1] == 4 and settings.render.background == "last_sample":
         raise ValueError(
             f"scene {scene.name}: the images have alpha, which render.background=last_sample cannot be compared with; "
             "use render.background=white, black or random"
         )
-    return scene
 
 
 def build_head(node: Mapping[str, Any], settings: Settings, in_dim: int, out_dim: int) -> torch.nn.Module:
@@ -105,18 +126,35 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         field = build_field(settings, scene.cameras.poses.shape[0])
         sampler = component(SAMPLERS, settings.sampler, field.contraction)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
-        if settings.visibility.cameras:
-            least, resolution = settings.visibility.cameras, settings.visibility.resolution
-            seen = visible(field.contraction, scene.cameras, scene.train, least, resolution)
-            field.mask = sampler.mask = SpaceMask(seen)
+        field.mask = sampler.mask = build_mask(settings, scene, field.contraction)
         return Model(field, sampler, cameras, component(GATES, settings.gate)).to(settings.torch_device)
     finally:
         torch.set_default_dtype(previous)
 
 
+def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> SpaceMask | None:
+    """Where density may be: seen by enough cameras, inside the silhouettes, and, once learnt, not empty."""
+    least, n = settings.visibility.cameras, settings.visibility.resolution
+    grids = []
+    if least:
+        grids.append(visible(contraction, scene.cameras, scene.train, least, n))
+    if settings.visibility.alpha:
+        grids.append(hull(contraction, scene, n))
+    if not grids and not settings.occupancy.every:
+        return None
+    allowed = torch.stack(grids).all(0) if grids else torch.ones(n, n, n, dtype=torch.bool)
+    if not bool(allowed.any()):
+        raise ValueError("visibility: no cell is both inside the silhouettes and seen by enough cameras; turn one off")
+    if not settings.occupancy.every:
+        return SpaceMask(allowed)
+    options = {name: getattr(settings.occupancy, name) for name in ("every", "after", "least")}
+    return Occupancy(allowed, contraction, **options)
+
+
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
-    return RayTable(scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype)
+    apart = round(1 / settings.stop.share) if settings.stop.every else 0
+    return RayTable(scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, apart=apart)
 
 
 def parameter_counts(model: Model) -> dict[str, int]:
@@ -171,14 +209,14 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint is kept.
     """
     display = display or Display()
-    settings = settings_from(config)
+    resolved, settings, scene = prepare(config)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    scene = build_scene(settings)
     model = build_model(settings, scene)
 
     name = name or run_id(slug(config), config, scene.fingerprint)
-    columns = labels(config) | parameter_counts(model) | {"steps": 0}
+    config = dict(config) | {"needs": resolved["needs"]}
+    columns = labels(resolved) | parameter_counts(model) | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
@@ -194,7 +232,11 @@ def _execute(
 ) -> Outcome:
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     table = ray_table(settings, scene)
-    trainer = Trainer(model, table, settings, watch)
+    if settings.numerics.check:
+        origin = Origin(scene.names, store.config, store.dir / NONFINITE)
+        trainer: Trainer = CheckedTrainer(model, table, settings, watch, origin)
+    else:
+        trainer = Trainer(model, table, settings, watch)
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
     )
@@ -210,7 +252,7 @@ def _execute(
     try:
         # Rows are logged before the checkpoint that includes their step: a resumed run neither doubles nor misses one.
         for metrics in trainer.steps(store, stopping):
-            done = trainer.step == train.steps
+            done = trainer.done
             if metrics:
                 store.log(trainer.step, trainer.seconds, metrics)
                 display.step(trainer.step, metrics)
@@ -221,7 +263,7 @@ def _execute(
                 display.note(f"step {trainer.step}: held-out PSNR {measured['psnr']:.2f} dB")
     finally:
         display.end()
-    if trainer.step < train.steps:
+    if not trainer.done:
         store.interrupt()
         message = f"stopped at step {trainer.step} of {train.steps}; the same command goes on from there"
         return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
@@ -232,6 +274,7 @@ def _execute(
         "train_s": trainer.seconds,
         "step_ms": median_ms(trainer.step_seconds),
         "steps": trainer.step,
+        "stopped": "plateau" if trainer.plateau.reached else None,
         "peak_memory_mb": peak_memory_mb(settings.torch_device),
     }
     store.finish(measured | timings | part_times(store.dir))

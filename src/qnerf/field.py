@@ -49,22 +49,36 @@ class Field(nn.Module):
         self.mask: SpaceMask | None = None
         """Where density may be; None for everywhere."""
 
-    def geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """World points (R, K, 3) -> density (R, K) per world unit and geometry features (R, K, G)."""
+    def geometry(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """World points (R, K, 3) -> density (R, K) per world unit, features (R, K, G), samples evaluated (R, K).
+
+        With a mask those are the ones where density may be, and each ray's last, whose colour can stand for all that
+        lies behind; the others have density 0 and features 0. None: all.
+        """
         shape = points.shape[:-1]
         unit = self.contraction(points)
-        encoded = self.encoder(unit.reshape(-1, 3))
-        raw = self.density_head(encoded).view(*shape, -1)
-        density = self.activation(raw[..., 0])
-        if self.initial != 1.0:
-            density = density * self.initial
-        if self.mask is not None:
-            density = density * self.mask(unit)
-        return density, raw[..., 1:]
+        if self.mask is None:
+            raw = self.density_head(self.encoder(unit.reshape(-1, 3))).view(*shape, -1)
+            return self._activated(raw[..., 0]), raw[..., 1:], None
+        inside = self.mask(unit)
+        evaluated = inside.clone()
+        evaluated[:, -1] = True
+        chosen = evaluated.flatten().nonzero()[:, 0]
+        raw = self.density_head(self.encoder(unit.reshape(-1, 3)[chosen]))
+        density = spread(self._activated(raw[:, 0]), chosen, shape) * inside
+        return density, spread(raw[:, 1:], chosen, shape), evaluated
+
+    def _activated(self, raw: Tensor) -> Tensor:
+        density = self.activation(raw)
+        return density if self.initial == 1.0 else density * self.initial
 
     def density(self, points: Tensor) -> Tensor:
         """World points (R, K, 3) -> density (R, K) per world unit."""
         return self.geometry(points)[0]
+
+    def density_anywhere(self, unit: Tensor) -> Tensor:
+        """Unit-cube points (N, 3) -> density (N,) per world unit, also where the mask has none."""
+        return self._activated(self.density_head(self.encoder(unit))[:, 0])
 
     def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, kept: Tensor | None = None) -> Tensor:
         """Geometry features (R, K, G), unit directions (R, 3), views (R,) -> colours (R, K, 3) in [0, 1].
@@ -86,9 +100,15 @@ class Field(nn.Module):
         ray = torch.div(chosen, samples, rounding_mode="floor")
         features = torch.cat([ray_features[ray], geometry.reshape(-1, size)[chosen]], dim=-1)
         color = torch.sigmoid(self.color_head(features))
-        return color.new_zeros(rays * samples, 3).index_copy(0, chosen, color).view(rays, samples, 3)
+        return spread(color, chosen, kept.shape)
 
     def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
         """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3) in [0, 1]."""
-        density, geometry = self.geometry(points)
+        density, geometry, _ = self.geometry(points)
         return density, self.color(geometry, directions, cameras)
+
+
+def spread(values: Tensor, chosen: Tensor, shape: torch.Size) -> Tensor:
+    """Values (N, ...) of the samples with row-major numbers `chosen` (N,), among zeros: (R, K, ...)."""
+    rest = values.shape[1:]
+    return values.new_zeros(shape.numel(), *rest).index_copy(0, chosen, values).view(*shape, *rest)

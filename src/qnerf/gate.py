@@ -1,5 +1,5 @@
 """Which samples get a colour: the colour head, a circuit above all, is the costliest part of a field, and most samples
-of a ray lie in front of its surface or behind it.
+of a ray lie in front of its surface or behind it. A sample without geometry never gets one: it weighs nothing.
 """
 
 import torch
@@ -12,22 +12,23 @@ GATES: "Registry[Gate]" = Registry("gate")
 
 
 class Gate(nn.Module):
-    """Shares (R, K) of the samples in their rays' colours, at least 0 -> which of them get a colour (R, K), or None for
-    all. Every ray keeps its largest share.
+    """Which samples get a colour (R, K), or None for all; every ray keeps its largest share.
 
-    It decides alike in training and evaluation, so that a head's normalisation sees the same kind of samples in both.
+    Of the samples' shares (R, K) in their rays' colours, at least 0, and which of them were evaluated (R, K), None for
+    all; one at least on each ray. It decides alike in training and evaluation, so that a head's normalisation sees the
+    same kind of samples in both.
     """
 
-    def forward(self, shares: Tensor) -> Tensor | None:
+    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor | None:
         raise NotImplementedError
 
 
 @GATES.register("none")
 class NoGate(Gate):
-    """Every sample gets a colour."""
+    """Every sample that has a geometry gets a colour."""
 
-    def forward(self, shares: Tensor) -> None:
-        return None
+    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor | None:
+        return evaluated
 
 
 @GATES.register("threshold")
@@ -45,9 +46,10 @@ class ThresholdGate(Gate):
         self.least = least
 
     @torch.no_grad()
-    def forward(self, shares: Tensor) -> Tensor:
+    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor:
         largest = shares.amax(-1, keepdim=True)
-        return shares >= largest.clamp(max=self.least)
+        kept = shares >= largest.clamp(max=self.least)
+        return kept if evaluated is None else kept & evaluated
 
 
 @GATES.register("top")
@@ -64,6 +66,9 @@ class TopGate(Gate):
         self.samples = samples
 
     @torch.no_grad()
-    def forward(self, shares: Tensor) -> Tensor:
+    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor:
         count = min(self.samples, shares.shape[-1])
-        return torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
+        if evaluated is not None:
+            shares = shares.masked_fill(~evaluated, -1)
+        kept = torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
+        return kept if evaluated is None else kept & evaluated

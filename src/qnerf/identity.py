@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-# Top-level keys that say where and how a run is executed, not what it computes.
-EXECUTION = ("device", "store", "run", "threads", "hydra")
+EXECUTION = ("device", "store", "run", "threads", "hydra", "needs", "numerics.check")
+"""Names of keys, with all below them, that say where and how a run is executed, not what it computes. `needs` says what
+options that are `auto` were found to be; that they are `auto` does enter."""
 SLUG_LENGTH = 80
 DIGITS = 10  # hexadecimal
 
@@ -37,10 +38,10 @@ def plain(value: Any, name: str = "config") -> Any:
 def identity(config: Mapping[str, Any], fingerprint: str | None = None) -> str:
     """Ten hexadecimal digits of the SHA-256 of the resolved configuration.
 
-    The keys of `EXECUTION` do not enter; `scene.path` enters as `fingerprint`, that of the scene's contents, where
+    What is `EXECUTION` does not enter; `scene.path` enters as `fingerprint`, that of the scene's contents, where
     one is given. Equal numbers count as equal however they were written (1 and 1.0); the order of keys does not matter.
     """
-    kept = {key: value for key, value in plain(config).items() if key not in EXECUTION}
+    kept = _computed(plain(config))
     if fingerprint is not None:
         scene = kept.get("scene")
         kept["scene"] = (dict(scene) if isinstance(scene, dict) else {"name": scene}) | {"path": fingerprint}
@@ -75,6 +76,20 @@ def flatten(config: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in plain(config).items():
         visit(key, value)
     return flat
+
+
+def is_execution(name: str) -> bool:
+    """Whether the dotted name of a key says how a run is executed."""
+    return any(f"{name}.".startswith(f"{key}.") for key in EXECUTION)
+
+
+def _computed(config: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """`config` without what is execution."""
+    return {
+        key: _computed(value, f"{above}{key}.") if isinstance(value, dict) else value
+        for key, value in config.items()
+        if not is_execution(f"{above}{key}")
+    }
 
 
 def _canonical(value: Any) -> Any:

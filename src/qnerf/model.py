@@ -55,9 +55,9 @@ class Model(nn.Module):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
         samples = sampled.samples
         with watch.part("field"):
-            density, geometry = self.field.geometry(rays.along(samples.mids))
+            density, geometry, evaluated = self.field.geometry(rays.along(samples.mids))
             weights = volume_weights(density, samples.deltas)
-            kept = self.gate(shares(weights, background))
+            kept = self.gate(shares(weights, background), evaluated)
             color = self.field.color(geometry, rays.directions, rays.cameras, kept)
         with watch.part("render"):
             rendering, behind = render(weights, color, samples, background=background, kept=kept, generator=generator)

@@ -71,9 +71,10 @@ class RayTable:
 
     Args:
         scene: whose training views are drawn from.
-        near, far: world units; the scene's own bounds win where it has them.
+        near, far: world units; where the scene has bounds of its own, the narrower ones hold.
         device: where rays and pixels are put.
         dtype: of rays and colours.
+        apart: one in `apart` training pixels is never drawn for training, and serves validation; 0: none.
     """
 
     def __init__(
@@ -84,10 +85,12 @@ class RayTable:
         far: float = 1000.0,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
+        apart: int = 0,
     ) -> None:
         cameras = scene.cameras
-        self.near = near if scene.near is None else scene.near
-        self.far = far if scene.far is None else scene.far
+        self.near = near if scene.near is None else max(near, scene.near)
+        self.far = far if scene.far is None else min(far, scene.far)
+        self.apart = apart
         if not 0 <= self.near < self.far:
             raise ValueError(
                 f"scene {scene.name}: near must be at least 0 and below far, got {self.near:g} and {self.far:g}"
@@ -127,7 +130,23 @@ class RayTable:
 
         `generator` is one of the CPU, whatever the device: every device sees the same batches.
         """
-        drawn = torch.randint(len(self.train) * self.pixels, (rays,), generator=generator)
+        total = len(self.train) * self.pixels
+        if not self.apart:
+            drawn = torch.randint(total, (rays,), generator=generator)
+        else:  # every `apart`-th pixel is passed over
+            drawn = torch.randint(total - total // self.apart, (rays,), generator=generator)
+            drawn += drawn // (self.apart - 1)
+        return self._drawn(drawn, refinement)
+
+    def validation(self, rays: int, refinement: Refinement | None = None) -> tuple[Rays, Tensor]:
+        """At most `rays` of the training pixels kept apart, evenly spread: their rays and colours."""
+        assert self.apart, "no pixels are kept apart"
+        kept = torch.arange(self.apart - 1, len(self.train) * self.pixels, self.apart)
+        chosen = torch.linspace(0, len(kept) - 1, min(rays, len(kept))).long()
+        return self._drawn(kept[chosen], refinement)
+
+    def _drawn(self, drawn: Tensor, refinement: Refinement | None) -> tuple[Rays, Tensor]:
+        """Rays and colours of training pixels (R,), numbered view by view and row by row."""
         views = self.train[torch.div(drawn, self.pixels, rounding_mode="floor")]
         pixels = drawn % self.pixels
         if self.device.type != "cpu":

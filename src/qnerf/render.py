@@ -33,7 +33,9 @@ def volume_weights_reference(density: Tensor, delta: Tensor) -> Tensor:
     """`volume_weights` in plain PyTorch, differentiated by autograd."""
     thickness = _thickness(density, delta)
     before = torch.nn.functional.pad(thickness.cumsum(-1)[:, :-1], (1, 0))
-    return -torch.expm1(-thickness) * torch.exp(-before)
+    # Autograd has the derivative e^-x of 1 - e^-x from its value, whose digits end where it is nearly 1.
+    opacity = torch.where(thickness < 1, -torch.expm1(-thickness), 1 - torch.exp(-thickness))
+    return opacity * torch.exp(-before)
 
 
 def _thickness(density: Tensor, delta: Tensor) -> Tensor:
@@ -57,8 +59,8 @@ class _VolumeWeights(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         delta, after, weights = ctx.saved_tensors
-        product = grad * weights
-        behind = product.flip(-1).cumsum(-1).flip(-1) - product
+        product = grad[:, 1:] * weights[:, 1:]  # summed without the own term: nothing cancels on an opaque sample
+        behind = torch.nn.functional.pad(product.flip(-1).cumsum(-1).flip(-1), (0, 1))
         return (grad * after - behind) * delta, None
 
 

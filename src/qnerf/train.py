@@ -11,8 +11,14 @@ from torch import Tensor
 from qnerf.config import Settings, Train
 from qnerf.losses import distortion, interlevel, mse
 from qnerf.model import Model
+from qnerf.occupancy import Occupancy
 from qnerf.rays import RayTable
+from qnerf.samplers import SampledRays
+from qnerf.stopping import Plateau
 from qnerf.timing import PARTS, Stopwatch
+from qnerf.types import Rendering
+
+ADVICE = "the same command with numerics.check=true goes on from the last checkpoint and tells where that arises"
 
 
 class Diverged(RuntimeError):
@@ -49,6 +55,9 @@ class Trainer:
         self.step = 0
         self.step_seconds: list[float] = []
         self.seconds = 0.0  # in training steps, over all resumptions
+        stop = settings.stop
+        self.plateau = Plateau(stop.every, stop.patience, stop.least)
+        self.validation_rays = stop.rays
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
@@ -70,26 +79,19 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         with self.watch.part("sampling"):
+            mask = self.model.field.mask
+            if isinstance(mask, Occupancy) and mask.due(self.step):
+                mask.look(self.model.field, self.streams["samples"])
             rays, pixels = self.table.batch(self.train.rays, self.streams["pixels"], self.model.cameras)
         rendering, sampled, behind = self.model(
             rays, background=self.background, step=self.step, watch=self.watch, generator=self.streams["samples"]
         )
         with self.watch.part("render"):
-            target = composite(pixels, behind)
-            terms = {"mse": mse(rendering.color, target)}
-            if self.train.distortion:
-                terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
-            if self.train.interlevel and sampled.proposals:
-                terms["interlevel"] = self.train.interlevel * interlevel(
-                    sampled.samples, rendering.weights, sampled.proposals
-                )
-            penalty = self.model.cameras.penalty()
-            if penalty is not None:
-                terms["poses"] = penalty
+            terms = self.loss_terms(rendering, sampled, composite(pixels, behind))
             loss = torch.stack(list(terms.values())).sum()
             value = float(loss.detach())
         if not math.isfinite(value):
-            raise Diverged(f"the loss is {value} at step {self.step}, {self._blame(terms)}")
+            raise Diverged(f"the loss is {value} at step {self.step}, {self._blame(terms)}; {ADVICE}")
         with self.watch.part("backward"):
             self.optimiser.zero_grad(set_to_none=True)
             loss.backward()
@@ -111,6 +113,20 @@ class Trainer:
             **{f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in PARTS},
         }
 
+    def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
+        """What is minimised is their sum. target: (R, 3)."""
+        terms = {"mse": mse(rendering.color, target)}
+        if self.train.distortion:
+            terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
+        if self.train.interlevel and sampled.proposals:
+            terms["interlevel"] = self.train.interlevel * interlevel(
+                sampled.samples, rendering.weights, sampled.proposals
+            )
+        penalty = self.model.cameras.penalty()
+        if penalty is not None:
+            terms["poses"] = penalty
+        return terms
+
     def _blame(self, terms: dict[str, Tensor]) -> str:
         """The part in which the first value that is not finite arose."""
         for name, parameters in self.model.parts.items():
@@ -131,6 +147,7 @@ class Trainer:
             "optimiser": self.optimiser.state_dict(),
             "streams": {name: stream.get_state() for name, stream in self.streams.items()},
             "torch_random": torch.get_rng_state(),
+            "plateau": self.plateau.state(),
             "step_seconds": torch.tensor(self.step_seconds, dtype=torch.float64),
         }
 
@@ -143,20 +160,50 @@ class Trainer:
             for name, stream in self.streams.items():
                 stream.set_state(state["streams"][name].cpu())
             torch.set_rng_state(state["torch_random"].cpu())
+            self.plateau.load(state["plateau"])
             self.step_seconds = state["step_seconds"].tolist()
         except (KeyError, TypeError, RuntimeError) as error:
             raise ValueError("the checkpoint does not fit this run's model") from error
         self.seconds = sum(self.step_seconds)
 
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to train: the last step was taken, or the validation rays no longer gain."""
+        return self.step >= self.train.steps or self.plateau.reached
+
+    @torch.no_grad()
+    def validate(self) -> float:
+        """PSNR in dB of the training rays that are kept apart, rendered as in evaluation."""
+        start = self.watch.now()
+        background = "white" if self.background == "random" else self.background
+        rays, pixels = self.table.validation(self.validation_rays, self.model.cameras)
+        self.model.eval()
+        self.watch.begin(watch=False)
+        errors = []
+        for first in range(0, len(rays), self.train.chunk):
+            part = slice(first, first + self.train.chunk)
+            rendering, _, behind = self.model(rays[part], background=background, step=self.step, watch=self.watch)
+            errors.append((rendering.color - composite(pixels[part], behind)).square())
+        self.model.train()
+        seconds = self.watch.now() - start
+        self.step_seconds[-1] += seconds
+        self.seconds += seconds
+        return -10 * math.log10(max(float(torch.cat(errors).mean()), 1e-12))
+
     def steps(self, store: Checkpoints, stopping: Callable[[], bool]) -> Iterator[dict[str, float]]:
-        """Trains to the last step, yielding each step's metrics; checkpoints by the clock, at a stop and at the end.
+        """Trains until it is done, yielding each step's metrics; checkpoints by the clock, at a stop and at the end.
 
         A state that is not finite is never saved: the last good checkpoint stays.
         """
         saved = time.monotonic()
-        while self.step < self.train.steps and not stopping():
-            measure = (self.step + 1) % self.train.log_every == 0 or self.step + 1 == self.train.steps
-            yield self.take_step(measure)
+        while not self.done and not stopping():
+            check = self.plateau.due(self.step + 1)
+            measure = check or (self.step + 1) % self.train.log_every == 0 or self.step + 1 == self.train.steps
+            metrics = self.take_step(measure)
+            if check:
+                metrics["validation/psnr"] = self.validate()
+                self.plateau.add(metrics["validation/psnr"])
+            yield metrics
             if time.monotonic() - saved > self.train.checkpoint_every:
                 self.save(store)
                 saved = time.monotonic()
@@ -164,7 +211,7 @@ class Trainer:
 
     def save(self, store: Checkpoints) -> None:
         if not self.finite():
-            raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._blame({})}")
+            raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._blame({})}; {ADVICE}")
         store.save_checkpoint(self.state())
 
 

@@ -4,23 +4,22 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.contraction import Contraction
+from qnerf.kernels.projection import count_views
 from qnerf.scenes import Cameras
 
 
 class SpaceMask(nn.Module):
-    """Unit-cube points (..., 3) -> 1 where density may be, else 0 (...); points outside count to the nearest cell.
+    """Unit-cube points (..., 3) -> whether density may be there (...); points outside count to the nearest cell.
 
     Args:
         grid: (n, n, n) bool over the unit cube.
     """
 
     grid: Tensor
-    flat: Tensor
 
     def __init__(self, grid: Tensor) -> None:
         super().__init__()
         self.register_buffer("grid", grid, persistent=False)
-        self.register_buffer("flat", grid.flatten().to(torch.get_default_dtype()), persistent=False)
 
     @property
     def fraction(self) -> float:
@@ -31,7 +30,7 @@ class SpaceMask(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         n = self.grid.shape[0]
         cell = (points * n).long().clamp_(0, n - 1)
-        return self.flat[(cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]]
+        return self.grid.view(-1)[(cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]]
 
 
 def visible(contraction: Contraction, cameras: Cameras, views: list[int], least: int, resolution: int) -> Tensor:
@@ -44,7 +43,7 @@ def visible(contraction: Contraction, cameras: Cameras, views: list[int], least:
     axis = (torch.arange(resolution, dtype=torch.float64) + 0.5) / resolution
     cells = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
     least = min(least, max(1, len(views) // 2))
-    counts = count_cameras(contraction.inverse(cells), cameras, views)
+    counts = count_cameras(contraction.inverse(cells), cameras, views, most=least)
     seen = counts >= least
     if not bool(seen.any()):
         raise ValueError(
@@ -54,14 +53,14 @@ def visible(contraction: Contraction, cameras: Cameras, views: list[int], least:
     return seen.view(resolution, resolution, resolution)
 
 
-def count_cameras(points: Tensor, cameras: Cameras, views: list[int]) -> Tensor:
-    """How many of the views have the world points (N, 3) in front of them and inside their image: (N,)."""
-    counts = torch.zeros(points.shape[0], dtype=torch.int64)
-    for view in views:
-        pose = cameras.poses[view].to(points.dtype)
-        local = (points - pose[:, 3]) @ pose[:, :3]
-        depth = -local[:, 2]
-        x = cameras.fx[view] * local[:, 0] / depth + cameras.cx[view]
-        y = -cameras.fy[view] * local[:, 1] / depth + cameras.cy[view]
-        counts += (depth > 0) & (x >= 0) & (x <= cameras.width) & (y >= 0) & (y <= cameras.height)
-    return counts
+def count_cameras(points: Tensor, cameras: Cameras, views: list[int], most: int | None = None) -> Tensor:
+    """How many of the views have the world points (N, 3) in front of them and inside their image: (N,), at most `most`.
+
+    Lens distortion is left out.
+    """
+    poses, (fx, fy, cx, cy) = cameras.poses[views], (cameras.intrinsics[views, i, None] for i in range(4))
+    right, up, backward = poses[:, :, 0], poses[:, :, 1], poses[:, :, 2]
+    turned = torch.stack([fx * right - cx * backward, -fy * up - cy * backward, -backward], dim=1)
+    matrices = torch.cat([turned, -(turned @ poses[:, :, 3:])], dim=-1)
+    limit = len(views) if most is None else most
+    return count_views(points.to(torch.float64), matrices, cameras.width, cameras.height, limit)

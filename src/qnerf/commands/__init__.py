@@ -17,6 +17,7 @@ COMMANDS = {
     "resume": "go on with an interrupted run, or do a failed one again",
     "reproduce": "run a finished run again and compare every number",
     "export": "copy a run to MLflow, TensorBoard or CSV",
+    "replay": "repeat the step in which numerics.check=true found a value that is not finite",
     "evaluate": "measure a finished run further: finite shots, noisy gates, spectra, encodings, samples",
 }
 """Name -> what it does, in the order of the help. `run` is not here: Hydra reads its arguments."""

@@ -28,11 +28,10 @@ def main(options: argparse.Namespace) -> int:
     config, filled = stored(run, options.overrides)
 
     from qnerf import experiment
-    from qnerf.config import settings_from
     from qnerf.console import LiveDisplay, print_outcome
     from qnerf.train import Diverged
 
-    check_identity(run, experiment.build_scene(settings_from(config)).fingerprint)
+    check_identity(run, experiment.prepare(config)[2].fingerprint)
     display = LiveDisplay(console(), live=config["run"]["progress"])
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")

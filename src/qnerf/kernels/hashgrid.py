@@ -7,6 +7,10 @@ k = 0..resolution. A point's features at that level are interpolated trilinearly
     i + j s + k s^2, s = resolution + 1                      where the whole grid fits into the table (`dense`)
     (i xor j * 2654435761 xor k * 805459861) mod T           elsewhere (Eq. 4, arXiv:2201.05989)
 
+Where a point lies in its cell is computed in float64: at 2,048 cells a float32 product alone is off by 1e-4 of a cell,
+and near a border it picks the wrong one. So computed, float32 features and gradients hold to a few roundings for the
+given points at any resolution.
+
 At the edges: points outside [0, 1] are moved to the nearest face, and their gradient across it is 0; a point on a
 border belongs to the cell above it, at 1 to the last cell; a NaN coordinate gives NaN features.
 """
@@ -50,9 +54,9 @@ def hash_encode_reference(points: Tensor, table: Tensor, resolutions: Tensor, de
     _check(points, table, resolutions)
     levels, size, _ = table.shape
     resolution = resolutions.to(points.device)[:, None, None]  # (L, 1, 1)
-    scaled = points.clamp(0, 1) * resolution.to(points.dtype)  # (L, N, 3)
+    scaled = points.clamp(0, 1).double() * resolution  # (L, N, 3), exact where points are float32
     cell = torch.minimum(scaled.detach().nan_to_num(nan=0.0).long(), resolution - 1)
-    high = scaled - cell.to(points.dtype)
+    high = (scaled - cell).to(points.dtype)
     low = 1 - high
     side = resolution[..., 0] + 1  # (L, 1)
     direct = torch.full_like(side, dense, dtype=torch.bool) & (side**3 <= size)
@@ -135,7 +139,7 @@ U = np.uintp
 def _corners(points, first, count, resolution, direct, mask, row, weight, fraction):  # type: ignore[no-untyped-def]
     """Of points first..first + count: corner rows and weights (8, BLOCK), `fraction` (3, BLOCK) across the cell."""
     number = points.dtype.type
-    zero, one, cells = number(0), number(1), number(resolution)
+    zero, one, cells = number(0), number(1), np.float64(resolution)
     last = np.int32(resolution - 1)
     side = np.uint32(resolution + 1)
     plane = side * side
@@ -146,13 +150,14 @@ def _corners(points, first, count, resolution, direct, mask, row, weight, fracti
         j = U(3) * (U(first) + i)
         x, y, z = points[j], points[j + U(1)], points[j + U(2)]
         # Both comparisons are false for NaN, which so stays; the cell is then that of 0: a NaN has no integer.
+        # float64 holds the product of a float32 and the resolution exactly: no digit of the fraction is lost.
         x = (zero if x < zero else (one if x > one else x)) * cells
         y = (zero if y < zero else (one if y > one else y)) * cells
         z = (zero if z < zero else (one if z > one else z)) * cells
-        ix = min(np.int32(x if x >= zero else zero), last)
-        iy = min(np.int32(y if y >= zero else zero), last)
-        iz = min(np.int32(z if z >= zero else zero), last)
-        fx, fy, fz = x - number(ix), y - number(iy), z - number(iz)
+        ix = min(np.int32(x if x >= 0 else 0.0), last)
+        iy = min(np.int32(y if y >= 0 else 0.0), last)
+        iz = min(np.int32(z if z >= 0 else 0.0), last)
+        fx, fy, fz = number(x - ix), number(y - iy), number(z - iz)
         x0, y0, z0 = np.uint32(ix), np.uint32(iy), np.uint32(iz)
         if direct:
             low = x0 + y0 * side + z0 * plane

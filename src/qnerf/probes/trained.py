@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 
-from qnerf.config import Settings, settings_from
-from qnerf.experiment import build_model, build_scene
+from qnerf.config import Settings
+from qnerf.experiment import build_model, prepare
 from qnerf.model import Model
 from qnerf.records import read_config, state
 from qnerf.records.files import reporting
@@ -39,8 +39,7 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
         raise ValueError(f"{folder} is not a run: it has no config.yaml")
     if state(folder) != "finished":
         raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
-    settings = settings_from(read_config(folder) if config is None else config)
-    scene = build_scene(settings)
+    _, settings, scene = prepare(read_config(folder) if config is None else config)
     model = build_model(settings, scene)
     with reporting(folder / "checkpoint.pt", "read"):
         checkpoint = torch.load(folder / "checkpoint.pt", map_location=settings.torch_device, weights_only=True)

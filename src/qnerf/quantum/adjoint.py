@@ -402,19 +402,24 @@ def unblocked(x: np.ndarray, batch: int) -> Tensor:
     return torch.from_numpy(flat[:batch])
 
 
-def waves(angles: np.ndarray, out: np.ndarray) -> None:
-    """out[0], out[1] = cos, sin of the angles; infinite angles give NaN."""
+def waves(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
+    """out[0], out[1] = cos, sin of the inputs (blocks, n, W) times a factor (n,) for each wire; infinities give NaN.
+
+    Products that the inputs' dtype would round are taken in float64: of an angle of 1e3 an error of 1e-4 would be left.
+    """
+    mantissas = np.abs(np.frexp(factors)[0])
+    exact = bool(((mantissas == 0.5) | (mantissas == 0)).all())
+    angles = factors[:, None].astype(x.dtype if exact else np.float64) * x
     with np.errstate(invalid="ignore"):
-        np.cos(angles, out=out[0])
-        np.sin(angles, out=out[1])
+        np.cos(angles, out=out[0], casting="same_kind")
+        np.sin(angles, out=out[1], casting="same_kind")
 
 
 def trigonometry(x: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """cos and sin of half the scaled inputs: (blocks, n, W) -> (blocks, tables, 2, n, W)."""
     out = np.empty((x.shape[0], len(scales), 2, *x.shape[1:]), x.dtype)
     for table, scale in enumerate(scales):
-        half = (0.5 * scale).astype(x.dtype)[:, None] * x
-        waves(half, out[:, table].swapaxes(0, 1))
+        waves(x, 0.5 * scale, out[:, table].swapaxes(0, 1))
     return out
 
 
@@ -426,7 +431,7 @@ class _Simulate(torch.autograd.Function):
         out, kept = bound.forward(trig)
         ctx.saved = bound, trig, kept
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return unblocked(out, x.shape[0])
+        return unblocked(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
 
     @staticmethod
     @torch.autograd.function.once_differentiable

@@ -7,7 +7,7 @@ bits in the diagonals behind it, signs of angles (an RY angle where x + z is odd
 """
 
 from dataclasses import dataclass
-from math import cos, pi, sin, tan
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -173,12 +173,12 @@ def bind(
             scale = 1.0
             for j in range(n):
                 flips[step, j] = -1.0 if x[j] != z[j] else 1.0
-                turns = np.rint(angle[j] / pi)
-                rest = angle[j] - turns * pi
-                tangents[step, 0, j] = tan(flips[step, j] * rest / 2)
-                scale *= cos(rest / 2)
-                if turns % 2 != 0:
+                c, s = cos(angle[j] / 2), sin(angle[j] / 2)
+                if abs(s) > abs(c):  # k is odd; no digit of a large angle is lost to multiples of pi
+                    c, s = s, -c
                     x[j], z[j] = not x[j], not z[j]
+                tangents[step, 0, j] = flips[step, j] * s / c
+                scale *= abs(c)
             if step > 0 and codes[step - 1] == PHASE:
                 tables[step - 1] *= scale
             else:

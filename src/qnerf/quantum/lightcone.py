@@ -9,6 +9,7 @@ treated.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from math import pi
 from typing import Any
 
@@ -122,19 +123,17 @@ def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
 def polynomials(circuit: Circuit, x: Tensor, table: Tensor) -> Tensor:
     """The polynomials (B, outputs) with those coefficients at inputs x (B, n): plain PyTorch."""
     grid = interpolation(circuit)
-    angles = x * x.new_tensor(grid.bases)
-    orders = torch.arange(1, grid.most + 1, device=x.device, dtype=x.dtype)
-    multiples = angles[..., None] * orders  # (B, n, most)
-    waves = torch.stack([multiples.cos(), multiples.sin()], -1).flatten(-2)
-    basis = torch.cat([torch.ones_like(angles)[..., None], waves], -1)  # (B, n, 2 most + 1)
+    waves = [statevector.waves(x, (order * grid.bases).tolist()) for order in range(1, grid.most + 1)]
+    basis = torch.stack([torch.ones_like(x.T), *chain.from_iterable(waves)], -1)  # (n, B, 2 most + 1)
     outputs = []
     for k, cone in enumerate(grid.cones.cones):
         value = table[k, : cone.coefficients].expand(x.shape[0], -1)
         for wire, degree in zip(reversed(cone.wires), reversed(cone.degrees), strict=True):
             size = 2 * degree + 1
-            value = (value.reshape(x.shape[0], value.shape[1] // size, size) * basis[:, wire, None, :size]).sum(-1)
+            value = (value.reshape(x.shape[0], value.shape[1] // size, size) * basis[wire, :, None, :size]).sum(-1)
         outputs.append(value.reshape(x.shape[0]))
-    return torch.stack(outputs, -1)
+    values = torch.stack(outputs, -1)
+    return values + (values.clamp(-1, 1) - values).detach()
 
 
 class _Polynomials(torch.autograd.Function):
@@ -148,16 +147,16 @@ class _Polynomials(torch.autograd.Function):
         values = values.transpose(1, 0, 2).reshape(values.shape[1], -1, 1)[:, : len(grid.points)]
         dtype = numpy_dtype(x.dtype)
         table = np.matmul(grid.matrix, values)[..., 0].astype(dtype)
-        angles = blocked(x.detach().numpy(), lanes(table.itemsize)) * grid.bases[:, None].astype(dtype)
+        angles = blocked(x.detach().numpy(), lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), dtype)
-        waves(angles, trig.swapaxes(0, 1))
+        waves(angles, grid.bases, trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(grid.counts), trig.shape[3]), dtype)
         parts = min(PARTS, max(trig.shape[0], 1))
         arguments = trig, trig.shape[3], grid.most, table, grid.wires, grid.sizes, grid.counts
         run(polynomial.evaluate, parts, parts, *arguments, out)
         ctx.saved = cone, bound, kept, parts, arguments
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return unblocked(out, x.shape[0])
+        return unblocked(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
 
     @staticmethod
     @torch.autograd.function.once_differentiable

@@ -1,0 +1,143 @@
+"""How exact each numerical part is, beside what it costs: `python -m benchmarks.accuracy --write docs/numerics.md`.
+
+Every case of `benchmarks.accuracy_cases` in each of its variants and dtypes against its float64 reference. Saved as
+benchmarks/results/accuracy.parquet, a row a case, variant and dtype; `--from-saved` writes the page without measuring.
+"""
+
+import argparse
+import math
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from benchmarks.accuracy_cases import Case, Function, bound_in, modules
+from benchmarks.accuracy_page import page
+
+RESULTS = Path(__file__).parent / "results" / "accuracy.parquet"
+
+
+def relative(found: Tensor, exact: Tensor) -> float:
+    """Largest difference relative to the largest number of `exact`, at least the least normal float32.
+
+    Numbers that are not finite have to be the same: else infinity.
+    """
+    found, exact = found.detach().double(), exact.detach().double()
+    finite = torch.isfinite(exact)
+    if not torch.equal(finite, torch.isfinite(found)) or not bool(
+        torch.isclose(found, exact, equal_nan=True)[~finite].all()
+    ):
+        return math.inf
+    if not bool(finite.any()):
+        return 0.0
+    scale = max(float(exact[finite].abs().max()), torch.finfo(torch.float32).tiny)
+    return float((found[finite] - exact[finite]).abs().max()) / scale
+
+
+def results(case: Case, function: Function, dtype: torch.dtype) -> list[Tensor]:
+    """The output, then the gradients of its product with fixed numbers in [-1, 1)."""
+    inputs = [t.to(dtype) if t.is_floating_point() else t for t in case.inputs]
+    inputs = [t.clone().requires_grad_(i in case.leaves) for i, t in enumerate(inputs)]
+    out = function(*inputs)
+    if not case.leaves:
+        return [out]
+    generator = torch.Generator().manual_seed(3)
+    upstream = torch.rand(out.shape, generator=generator, dtype=torch.float32).mul(2).sub(1)
+    return [out.detach(), *torch.autograd.grad(out, [inputs[i] for i in case.leaves], upstream.to(out.dtype))]
+
+
+def exact(case: Case) -> list[Tensor]:
+    """What `results` ought to be."""
+    return results(case, case.reference, torch.float64)
+
+
+def errors(case: Case, variant: str, dtype: torch.dtype, expected: Sequence[Tensor]) -> tuple[float, float]:
+    """Forward error and the largest of the gradients' (NaN where there are none), each as `relative` has it."""
+    found = results(case, case.variants[variant], dtype)
+    assert found[0].dtype == dtype, f"{case.id}: {variant} of {dtype} gave {found[0].dtype}"
+    forward, *gradients = (relative(a, b) for a, b in zip(found, expected, strict=True))
+    return forward, max(gradients, default=math.nan)
+
+
+def milliseconds(step: Callable[[], object], repeats: int) -> float:
+    """Median time of a call, after one that does not count."""
+    times = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        step()
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[1:])
+
+
+def measure(case: Case, repeats: int) -> list[dict[str, Any]]:
+    """A row for each variant and dtype."""
+    expected = exact(case)
+    rows = []
+    for dtype in case.dtypes:
+        for variant, function in case.variants.items():
+            forward, gradient = errors(case, variant, dtype, expected)
+            rows.append(
+                {
+                    "part": case.part,
+                    "case": case.name,
+                    "variant": variant,
+                    "dtype": str(dtype).removeprefix("torch."),
+                    "values": expected[0].numel(),
+                    "error": forward,
+                    "ulp": forward / torch.finfo(dtype).eps,
+                    "gradient_error": gradient,
+                    "bounded": variant in case.bounded,
+                    "bound": bound_in(dtype, case.bound),
+                    "gradient_bound": math.nan if case.gradient is None else bound_in(dtype, case.gradient),
+                    "ms": milliseconds(lambda f=function, d=dtype: results(case, f, d), repeats),
+                    "repeats": repeats,
+                    "threads": torch.get_num_threads(),
+                }
+            )
+    return rows
+
+
+def beyond(frame: pd.DataFrame) -> pd.DataFrame:
+    """The rows that do not hold their bounds."""
+    over = (frame["error"] > frame["bound"]) | (frame["gradient_error"] > frame["gradient_bound"])
+    return frame[frame["bounded"] & over]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "--write", type=Path, metavar="PAGE", help="write the tables there, as Markdown; else print them"
+    )
+    parser.add_argument("--from-saved", action="store_true", help="do not measure: use the saved parquet")
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--threads", type=int, default=1)
+    options = parser.parse_args(arguments)
+    groups = modules()
+    if not options.from_saved:
+        torch.set_num_threads(options.threads)
+        rows = [
+            row | {"group": name}
+            for name, module in groups.items()
+            for case in module.cases()
+            for row in measure(case, options.repeats)
+        ]
+        pd.DataFrame(rows).to_parquet(RESULTS, index=False)
+    elif not RESULTS.is_file():
+        parser.error(f"{RESULTS} is not there; run without --from-saved first")
+    frame = pd.read_parquet(RESULTS)
+    text = page(frame, {name: module.__doc__ or name for name, module in groups.items()})
+    if options.write:
+        options.write.write_text(text)
+    else:
+        print(text)
+    if len(beyond(frame)):
+        raise SystemExit(f"beyond their bounds:\n{beyond(frame).to_string()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""Circuits, and the normalisation before them."""
+
+import math
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+
+from benchmarks.accuracy_cases import ACCEPTED_GRADIENT, EPS, Case, Function, rounded
+from qnerf.quantum import adjoint, lightcone, statevector
+from qnerf.quantum.circuit import ANSATZE, Circuit
+from qnerf.quantum.program import compile_program
+
+CIRCUIT_GRADIENTS = 1e-5
+"""Of the inputs and of the weights, each relative to its largest, up to S = 6; beyond, and at 14 wires, where gradients
+are a hundredth of the range, `ACCEPTED_GRADIENT`."""
+
+
+def output_error(circuit: Circuit) -> float:
+    """Bound of a circuit's outputs in float32, of their range of 1: 3 sqrt(passes) EPS, whatever the angles are.
+
+    A sublayer passes over the state once a wire (RY) and three times more (diagonals, measurement). A pass is a product
+    and a sum, EPS / 2 each, and the roundings of different passes are independent: they add up like sqrt(passes), in an
+    expectation value twice, with half as much again for its sum over the amplitudes. 8 wires, S = 2: 2.9e-6.
+    """
+    return 3 * math.sqrt(circuit.rows * (circuit.wires + 3)) * EPS
+
+
+def normalised_error(x: Tensor) -> float:
+    """Bound of normalised values in float32, of the largest of them: 4 (1 + |mean| / std) EPS.
+
+    They are computed as x alpha + beta with alpha = 1 / std, so that what is rounded is as large as |mean| / std; the
+    linear map before rounds its own output just as much.
+    """
+    spread = (x.var(0, unbiased=False) + 1e-5).sqrt()
+    return 4 * float((1 + x.mean(0).abs() / spread).max()) * EPS
+
+
+def normalised_gradient_error(x: Tensor) -> float:
+    """Bound of the gradient into the features, of the largest: ten times `normalised_error`.
+
+    Of a batch of 2 the normalised values are +1 and -1 whatever the features are: what is left of the gradient is
+    1e-5 / var of its terms.
+    """
+    bound = max(10 * normalised_error(x), ACCEPTED_GRADIENT)
+    return bound if len(x) > 2 else bound * float(1 + x.var(0, unbiased=False).max() / 1e-5)
+
+
+def engines(circuit: Circuit) -> dict[str, Function]:
+    """Variant -> function of inputs (B, n) and stacked weights (rows, 3, n). "plain": the state vector in PyTorch."""
+    program = compile_program(circuit)
+    functions: dict[str, Function] = {
+        "plain": partial(statevector.evaluate, program),
+        "statevector": partial(adjoint.evaluate, adjoint.Engine(program)),
+    }
+    try:
+        cone = lightcone.LightCone(circuit)
+    except ValueError:  # every output depends on too many inputs
+        return functions
+    return functions | {
+        "lightcone": partial(lightcone.evaluate, cone),
+        "lightcone plain": partial(lightcone.evaluate_reference, circuit),
+    }
+
+
+def _with_range(function: Function, x: Tensor, weights: Tensor) -> Tensor:
+    """The outputs, and a 1: errors count against the range, not against the largest output there happens to be."""
+    y = function(x, weights)
+    return torch.cat([y.flatten(), y.new_ones(1)])
+
+
+def angles(circuit: Circuit, *, inputs: float, weights: float, batch: int) -> tuple[Tensor, Tensor]:
+    """Inputs (B, n), normally distributed, and weights (rows, 3, n), uniform from 0, of these sizes, in radians."""
+    generator = torch.Generator().manual_seed(0)
+    x = torch.randn(batch, circuit.wires, generator=generator, dtype=torch.float64) * inputs
+    w = torch.rand(circuit.rows, 3, circuit.wires, generator=generator, dtype=torch.float64) * weights
+    return rounded(x), rounded(w)
+
+
+def circuit_case(
+    name: str, circuit: Circuit, *, inputs: float = 1.0, weights: float = 2 * math.pi, batch: int = 256
+) -> Case:
+    variants = {variant: partial(_with_range, function) for variant, function in engines(circuit).items()}
+    gradient = ACCEPTED_GRADIENT if circuit.spectral > 6 or circuit.wires == 14 else CIRCUIT_GRADIENTS
+    given = angles(circuit, inputs=inputs, weights=weights, batch=batch)
+    return Case("circuits", name, variants, given, output_error(circuit), gradient)
+
+
+def batch_norm(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """What a hybrid layer does in training."""
+    return nn.functional.batch_norm(x, None, None, weight, bias, training=True)
+
+
+def batch_norm_plain(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """(x - mean) / sqrt(var + 1e-5) weight + bias, mean and variance over the batch."""
+    centred = x - x.mean(0)
+    return centred / (centred.square().mean(0) + 1e-5).sqrt() * weight + bias
+
+
+def normalisation_case(name: str, x: Tensor) -> Case:
+    generator = torch.Generator().manual_seed(1)
+    weight = rounded(torch.rand(x.shape[1], generator=generator, dtype=torch.float64) + 0.5)
+    bias = rounded(torch.randn(x.shape[1], generator=generator, dtype=torch.float64))
+    variants = {"fast": batch_norm, "plain": batch_norm_plain}
+    x = rounded(x)
+    gradient = normalised_gradient_error(x)
+    return Case("normalisation", name, variants, (x, weight, bias), normalised_error(x), gradient)
+
+
+def cases() -> list[Case]:
+    qiren = partial(ANSATZE.build, "qiren")
+    random = torch.randn(1024, 8, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    constant = torch.cat([random[:, 1:], torch.full((1024, 1), 0.3, dtype=torch.float64)], dim=1)
+    return [
+        circuit_case("8 wires, S = 1", qiren(8, 1)),
+        circuit_case("8 wires, S = 2", qiren(8, 2)),
+        *(circuit_case(f"inputs of {size:.0e} rad", qiren(8, 1), inputs=size) for size in (1e3, 1e6, 1e30)),
+        *(circuit_case(f"weights of {size:.0e} rad", qiren(8, 2), weights=size) for size in (1e3, 1e6, 1e30)),
+        circuit_case("inputs of 1e+03 rad, scaled by 3^s", ANSATZE.build("ternary", 3, 2), inputs=1e3),
+        circuit_case("8 wires, S = 32", qiren(8, 32), batch=32),
+        circuit_case("1 wire, S = 32", qiren(1, 32)),
+        circuit_case("14 wires, S = 1", qiren(14, 1), batch=4),
+        circuit_case("14 wires, S = 2", qiren(14, 2), batch=4),
+        normalisation_case("features of size 1", random),
+        normalisation_case("batch of 2", random[:2]),
+        normalisation_case("constant feature", constant),
+        normalisation_case("offset of 100 standard deviations", 1 + random * 0.01),
+        normalisation_case("offset of 1e+05 standard deviations", 1e3 + random * 0.01),
+        normalisation_case("features of 1e+17", random * 1e17),  # beyond, their variance overflows float32
+    ]

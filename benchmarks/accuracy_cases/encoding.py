@@ -1,0 +1,51 @@
+"""Encodings of points, and the activations of densities."""
+
+import torch
+from torch import Tensor
+
+from benchmarks.accuracy_cases import EPS, Case, fast_and_plain, only, rounded
+from qnerf.activations import softplus, trunc_exp
+from qnerf.encoders import ENCODERS, level_resolutions
+from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
+
+PHASES = 5e-7
+"""Of sines and cosines whose phases are reduced in float64: half an ulp of pi for the phase, an ulp of 1 after it."""
+FEATURES = 16 * EPS
+"""Relative to the table's largest entry, at any resolution. The place in the cell is rounded once, the weights of the 8
+corners four times more, their sum of 8 eight times."""
+ACTIVATED = 4 * EPS
+"""Relative to each value."""
+
+
+def hashed(name: str, points: Tensor, levels: tuple[int, int, int], log2_size: int, features: int) -> Case:
+    """levels: number, coarsest and finest resolution."""
+    cells = torch.tensor(level_resolutions(*levels))
+    generator = torch.Generator().manual_seed(1)
+    table = 2 * torch.rand(levels[0], 2**log2_size, features, generator=generator) - 1
+    variants = fast_and_plain(hash_encode, hash_encode_reference)
+    return Case("hash grid", name, variants, (rounded(points), rounded(table), cells), FEATURES)
+
+
+def phased(name: str, points: Tensor, **options: float) -> Case:
+    encoder = ENCODERS.build(name, 3, **options)
+    return Case("frequencies", name, only(encoder), (rounded(points),), PHASES)
+
+
+def cases() -> list[Case]:
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(8192, 3, generator=generator, dtype=torch.float64)
+    borders = (points * 512).round() / 512
+    corners = torch.tensor([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    x = rounded(torch.cat([torch.linspace(-60, 60, 8192), torch.tensor([-80.0, 80.0])]))
+    return [
+        hashed("C5", points, (12, 16, 1024), 15, 1),
+        hashed("cells to 2,048, 2 features", points, (16, 16, 2048), 13, 2),
+        hashed("cells to 2^17", points, (4, 16, 2**17), 15, 1),
+        hashed("cell borders", borders, (4, 64, 512), 15, 2),
+        hashed("0 and 1 exactly", corners, (12, 16, 1024), 15, 1),
+        hashed("outside [0, 1]", 3 * points - 1, (12, 16, 1024), 15, 1),
+        phased("pe", points),
+        phased("rff", points, scale=4.0),
+        Case("activations", "trunc_exp", only(trunc_exp), (x,), ACTIVATED),
+        Case("activations", "softplus", only(softplus), (x,), ACTIVATED),
+    ]

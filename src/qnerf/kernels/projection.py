@@ -1,0 +1,54 @@
+"""Counting the cameras that see points: the plain PyTorch form and a fast CPU one."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.kernels import compiled
+from qnerf.kernels.jit import jit, run
+
+GRAIN = 4096  # points worth waking a thread for
+
+
+def count_views(points: Tensor, matrices: Tensor, width: int, height: int, most: int) -> Tensor:
+    """In how many images each world point falls, at most `most`: (N,) int64.
+
+    Args:
+        points: (N, 3) float64.
+        matrices: (V, 3, 4) float64, world -> (x depth, y depth, depth) in pixels and world units.
+        width, height: of the images, in pixels; their borders belong to them.
+    """
+    if not compiled(points, matrices):
+        return count_views_reference(points, matrices, width, height, most)
+    counts = torch.empty(len(points), dtype=torch.int64)
+    arrays = (points.contiguous().numpy(), matrices.contiguous().numpy(), width, height, most, counts.numpy())
+    run(_count, len(points), *arrays, grain=GRAIN)
+    return counts
+
+
+def count_views_reference(points: Tensor, matrices: Tensor, width: int, height: int, most: int) -> Tensor:
+    """What `count_views` computes, in plain PyTorch, one view at a time."""
+    counts = torch.zeros(points.shape[0], dtype=torch.int64, device=points.device)
+    for matrix in matrices:
+        x, y, depth = (points @ matrix[:, :3].T + matrix[:, 3]).unbind(-1)
+        counts += (depth > 0) & (x >= 0) & (x <= width * depth) & (y >= 0) & (y <= height * depth)
+    return counts.clamp_(max=most)
+
+
+@jit
+def _count(start, stop, points, matrices, width, height, most, out):  # type: ignore[no-untyped-def]
+    """Owns the counts of points start..stop."""
+    for i in range(start, stop):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        count = np.int64(0)
+        for v in range(matrices.shape[0]):
+            m = matrices[v]
+            depth = m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3]
+            if depth > 0:
+                x = m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3]
+                y = m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3]
+                if x >= 0 and x <= width * depth and y >= 0 and y <= height * depth:
+                    count += 1
+                    if count == most:
+                        break
+        out[i] = count

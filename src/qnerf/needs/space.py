@@ -1,0 +1,81 @@
+"""Where a scene lies: whether it is bounded, and which part of a ray the training cameras can say anything about."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.contraction import CONTRACTIONS
+from qnerf.hull import hull
+from qnerf.rays import camera_rays
+from qnerf.scenes import Scene
+from qnerf.visibility import count_cameras, visible
+
+CELLS = 48  # an axis of the grids here
+MOST_CAMERAS = 4
+COVERED = 0.99  # share of training rays that must meet space seen by enough cameras
+RAYS = 2000  # training rays that are followed
+MARGIN = 0.1  # kept in front of the nearest thing and behind the farthest
+
+
+def box_half_extent(scene: Scene) -> float | None:
+    """Half the side of the cube around the origin that holds what silhouettes leave of the space that half of the
+    training cameras see; None without alpha, or where that reaches the border of a cube twice that of the cameras.
+    """
+    if scene.images.shape[-1] != 4:
+        return None
+    box = CONTRACTIONS.build("box", half_extent=2.0)
+    seen = visible(box, scene.cameras, scene.train, len(scene.train), CELLS)
+    cells = (hull(box, scene, CELLS) & seen).nonzero()
+    if bool(((cells == 0) | (cells == CELLS - 1)).any()):
+        return None
+    corners = torch.stack([cells, cells + 1]).to(torch.float64) / CELLS
+    return math.ceil(100 * float((4 * corners - 2).abs().max())) / 100
+
+
+class Followed:
+    """Training rays, evenly spread over all pixels, followed from the camera outwards."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        cameras = scene.cameras
+        total = len(scene.train) * cameras.width * cameras.height
+        chosen = torch.from_numpy(np.linspace(0, total - 1, min(RAYS, total)).astype(np.int64))
+        pixels = cameras.width * cameras.height
+        views = torch.tensor(scene.train)[chosen // pixels]
+        place = chosen % pixels
+        centres = torch.stack([place % cameras.width, place // cameras.width], dim=-1) + 0.5
+        rays = camera_rays(cameras, views, centres, 0.0, 1.0, torch.float64)
+        self.distances = torch.logspace(-3, 1, 160, dtype=torch.float64)  # world units
+        points = rays.origins[:, None] + rays.directions[:, None] * self.distances[:, None]
+        self.counts = count_cameras(points.reshape(-1, 3), cameras, scene.train).view(len(views), -1)
+
+    def coverage(self, cameras: int) -> float:
+        """Share of the rays that somewhere pass space seen by at least so many cameras, within ten world units."""
+        return float((self.counts >= cameras).any(-1).double().mean())
+
+    def cameras(self) -> int:
+        """The most cameras, up to 4, that can be asked for with 99 % of the rays covered; 0: not even 2."""
+        for least in range(MOST_CAMERAS, 1, -1):
+            if self.coverage(least) >= COVERED:
+                return least
+        return 0
+
+    def near(self, cameras: int) -> float | None:
+        """The distance before which no ray passes space seen by so many cameras, less a tenth; None: from the start."""
+        first = self._first(self.counts >= max(cameras, 1))
+        return None if first is None or first <= float(self.distances[0]) else first * (1 - MARGIN)
+
+    def _first(self, reached: Tensor) -> float | None:
+        there = reached.any(-1)
+        if not bool(there.any()):
+            return None
+        return float(self.distances[reached[there].to(torch.int8).argmax(-1)].min())
+
+
+def hull_bounds(scene: Scene, half_extent: float) -> tuple[float, float]:
+    """Least and largest distance, world units, from a training camera to the sphere around the box, with a margin."""
+    away = torch.linalg.vector_norm(scene.cameras.poses[scene.train][:, :, 3], dim=-1)
+    reach = half_extent * math.sqrt(3)
+    return max(0.0, (float(away.min()) - reach) * (1 - MARGIN)), (float(away.max()) + reach) * (1 + MARGIN)

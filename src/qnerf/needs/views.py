@@ -1,0 +1,40 @@
+"""Which training views look at the same things."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qnerf.scenes import Scene
+
+ANGLE = np.deg2rad(30)  # beyond it between optical axes, two views count as strangers
+
+
+def neighbours(scene: Scene) -> list[tuple[int, int]]:
+    """For each training view the one that stands nearest and looks the same way, to 30 degrees: pairs (V', 2).
+
+    Each pair once; views without such a neighbour have none.
+    """
+    views = np.array(scene.train)
+    poses = scene.cameras.poses.numpy()[views]
+    centres, axes = poses[:, :, 3], -poses[:, :, 2]
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    strange = np.arccos(np.clip(axes @ axes.T, -1, 1)) > ANGLE
+    apart[strange | np.eye(len(views), dtype=bool)] = np.inf
+    nearest = apart.argmin(axis=1)
+    pairs = {
+        (min(a, b), max(a, b)) for a, b in zip(range(len(views)), nearest.tolist(), strict=True) if apart[a, b] < np.inf
+    }
+    return [(int(views[a]), int(views[b])) for a, b in sorted(pairs)]
+
+
+def grey(scene: Scene, view: int) -> NDArray[np.float64]:
+    """The view (H, W) in [0, 1], its three channels averaged; NaN where it is transparent."""
+    pixels = scene.images[view].numpy().astype(np.float64) / 255
+    mean: NDArray[np.float64] = pixels[..., :3].mean(-1)
+    return mean if pixels.shape[-1] == 3 else np.where(pixels[..., 3] > 0.5, mean, np.nan)
+
+
+def subset(items: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+    """At most `most` of the items, evenly spread."""
+    if len(items) <= most:
+        return items
+    return [items[int(index)] for index in np.linspace(0, len(items) - 1, most)]

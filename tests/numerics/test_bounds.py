@@ -1,0 +1,55 @@
+"""Every case of the accuracy benchmark within its bounds."""
+
+import math
+
+import pandas as pd
+import pytest
+from hard import rounded
+
+from benchmarks.accuracy import beyond, errors, exact, measure, relative
+from benchmarks.accuracy_cases import bound_in, every
+from benchmarks.accuracy_page import page
+
+CASES = every()
+
+
+def test_cases_have_names_of_their_own() -> None:
+    assert len({case.id for case in CASES}) == len(CASES)
+
+
+@pytest.mark.parametrize("case", CASES, ids=[case.id for case in CASES])
+def test_hard_case(case) -> None:
+    for tensor in case.inputs:
+        assert not tensor.is_floating_point() or (rounded(tensor) == tensor).all()
+    expected = exact(case)
+    for dtype in case.dtypes:
+        for variant in case.variants:
+            forward, gradient = errors(case, variant, dtype, expected)
+            assert math.isfinite(forward)
+            if variant in case.bounded:
+                assert forward <= bound_in(dtype, case.bound)
+                assert case.gradient is None or gradient <= bound_in(dtype, case.gradient)
+
+
+def test_the_error_is_relative_to_the_largest_and_infinite_where_a_nan_hides() -> None:
+    exact = rounded([1.0, -4.0, math.inf])
+    assert relative(rounded([1.5, -4.0, math.inf]), exact) == 0.125
+    for wrong in ([1.0, -4.0, 5.0], [1.0, math.nan, math.inf], [1.0, -4.0, -math.inf]):
+        assert relative(rounded(wrong), exact) == math.inf
+    assert relative(rounded([math.nan]), rounded([math.nan])) == 0
+
+
+def test_the_page_shows_the_saved_figures_and_a_broken_bound_is_found() -> None:
+    case = next(case for case in CASES if case.id == "losses: distortion, coincident edges")
+    frame = pd.DataFrame(measure(case, repeats=1)).assign(group="losses")
+    assert beyond(frame).empty
+    text = page(frame, {"losses": "Regularisers.\n\nWhat to know."})
+    (line,) = (line for line in text.splitlines() if line.startswith("| distortion, coincident edges | fast |"))
+    shown = [cell.strip() for cell in line.split("|")[3:-1]]
+    fast = frame[(frame["variant"] == "fast") & (frame["dtype"] == "float32")].iloc[0]
+    assert shown[0] == f"{fast['error']:.1e}"
+    assert shown[3] == f"{fast['gradient_error']:.1e}"
+    assert shown[6] == f"{fast['ms']:.2f}"
+    assert "## Regularisers\n\nWhat to know.\n" in text
+    broken = frame.assign(error=frame["error"] + 1)
+    assert set(beyond(broken)["variant"]) == {"fast"}

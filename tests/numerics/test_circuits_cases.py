@@ -1,0 +1,211 @@
+"""Circuits on hard cases: huge, infinite and NaN angles, many encodings, many wires, drift, vanishing gradients."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from benchmarks.accuracy import errors, exact
+from benchmarks.accuracy_cases import EPS, Function, bound_in
+from benchmarks.accuracy_cases.circuits import angles, cases, engines, output_error
+from qnerf.quantum import QuantumLayer, adjoint, statevector
+from qnerf.quantum.circuit import ANSATZE, Circuit
+from qnerf.quantum.program import Angles, Program, Turn, compile_program
+
+CASES = {case.name: case for case in cases() if case.part == "circuits"}
+ENGINES = ("plain", "statevector", "lightcone", "lightcone plain")
+GRADIENTS = 20
+"""A gradient is the difference of two outputs at shifted angles, half the sum of their errors each, and one of a weight
+sums over a batch of 8 samples and up to 5 outputs with weights of up to 1: within 20 times the bound of the outputs."""
+
+
+def held(name: str) -> None:
+    """Every engine keeps the case's bounds in float32 and float64."""
+    case = CASES[name]
+    expected = exact(case)
+    for variant in case.variants:
+        for dtype in case.dtypes:
+            forward, gradient = errors(case, variant, dtype, expected)
+            assert forward <= bound_in(dtype, case.bound), (variant, dtype)
+            assert gradient <= bound_in(dtype, case.gradient), (variant, dtype)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if "rad" in name])
+def test_angles_of_1e3_1e6_and_1e30_radians(name: str) -> None:
+    held(name)
+
+
+@pytest.mark.parametrize("name", ["8 wires, S = 32", "1 wire, S = 32"])
+def test_s_32(name: str) -> None:
+    held(name)
+
+
+@pytest.mark.parametrize("name", ["14 wires, S = 1", "14 wires, S = 2"])
+def test_14_wires(name: str) -> None:
+    held(name)
+
+
+def test_every_case_has_its_test() -> None:
+    named = {name for name in CASES if "rad" in name or "S = 32" in name or "14 wires" in name}
+    assert set(CASES) - named == {"8 wires, S = 1", "8 wires, S = 2"}
+    for name in set(CASES) - named:
+        held(name)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_infinite_and_nan_inputs_are_nan_and_spoil_no_other_sample(
+    engine: str, value: float, dtype: torch.dtype
+) -> None:
+    circuit = ANSATZE.build("qiren", 4, 1)
+    function = engines(circuit)[engine]
+    x, w = (t.to(dtype) for t in angles(circuit, inputs=1.0, weights=6.0, batch=40))
+    sound = x.clone().requires_grad_()
+    expected = function(sound, w)
+    x[17, 2] = value
+    x.requires_grad_()
+    y = function(x, w)
+    others = torch.arange(40) != 17
+    assert y[17].isnan().any()
+    assert torch.equal(y[others], expected[others])
+    (before,) = torch.autograd.grad(expected.sum(), sound)
+    (after,) = torch.autograd.grad(y.sum(), x)
+    assert torch.equal(after[others], before[others])
+    assert after[17].isnan().any()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_nan_weights_are_nan_everywhere_they_reach(engine: str) -> None:
+    circuit = ANSATZE.build("qiren", 3, 1)
+    x, w = angles(circuit, inputs=1.0, weights=6.0, batch=5)
+    w[2, 1, 1] = math.nan
+    assert engines(circuit)[engine](x, w).isnan().all()
+
+
+def with_norm(circuit: Circuit) -> Circuit:
+    """Its only output is the squared norm of the state: the expectation value of the identity."""
+    return replace(circuit, observables=((),))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("spectral", [1, 8, 32])
+def test_norm_drift(spectral: int, dtype: torch.dtype) -> None:
+    circuit = with_norm(ANSATZE.build("qiren", 6, spectral))
+    bound = output_error(circuit) * torch.finfo(dtype).eps / EPS
+    x, w = (t.to(dtype) for t in angles(circuit, inputs=3.0, weights=6.0, batch=16))
+    engine = adjoint.Engine(compile_program(circuit))
+    compiled = engine.bound(adjoint.flat_weights(w), adjoint.numpy_dtype(dtype))
+    trig = adjoint.trigonometry(adjoint.blocked(x.numpy(), compiled.width), engine.tape.scales)
+    norm, _ = compiled.forward(trig)
+    assert abs(norm - 1).max() <= bound
+    state = statevector.final_state(compile_program(circuit), x, w)
+    assert (state.abs().square().sum(0) - 1).abs().max() <= bound
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_unitarity_drift(dtype: torch.dtype) -> None:
+    """What the circuit makes of all basis states stays orthonormal."""
+    circuit = ANSATZE.build("qiren", 3, 32)
+    program = compile_program(circuit)
+    x, w = (t.to(dtype) for t in angles(circuit, inputs=3.0, weights=6.0, batch=1))
+    columns = []
+    for basis in range(8):
+        flips = tuple(math.pi * (basis >> (2 - wire) & 1) for wire in range(3))
+        started = Program(circuit, (Turn(Angles(constant=flips)), *program.steps), program.words)
+        columns.append(statevector.final_state(started, x, w)[:, 0])
+    u = torch.stack(columns, dim=1)
+    assert u.dtype == dtype.to_complex()
+    drift = (u.mH @ u - torch.eye(8, dtype=u.dtype)).abs().max()
+    assert drift <= output_error(circuit) * torch.finfo(dtype).eps / EPS
+
+
+def gradient(function: Function, x: Tensor, w: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+    x, w = x.clone().requires_grad_(), w.clone().requires_grad_()
+    return torch.autograd.grad(function(x, w), (x, w), g)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_gradients_that_vanish_by_construction_are_exactly_zero(engine: str, dtype: torch.dtype) -> None:
+    """A gradient of rounding noise is no zero for Adam, which moves such a weight by the whole learning rate."""
+    circuit = ANSATZE.build("qiren", 5, 1)
+    x, w = (t.to(dtype) for t in angles(circuit, inputs=1.0, weights=6.0, batch=33))
+    _, dw = gradient(engines(circuit)[engine], x, w, torch.ones(33, 5, dtype=dtype))
+    assert not dw[0, 0].any()  # phi of the first sublayer acts on |0...0>
+    assert not dw[-1, 2].any()  # omega of the last one comes before a measurement of Z
+    assert dw[0, 1].all()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("weights", [0.0, math.pi], ids=["no rotation", "half turns"])
+def test_gradients_at_an_extremum_vanish_and_outputs_stay_in_range(engine: str, weights: float) -> None:
+    """At these weights every output is +1 or -1 whatever the inputs: the flattest point there is."""
+    circuit = ANSATZE.build("qiren", 4, 1)
+    x, w = angles(circuit, inputs=1e3, weights=0.0, batch=64)
+    w[:, 1] = weights
+    x, w = x.float(), w.float()
+    y = engines(circuit)[engine](x, w)
+    assert (y.abs() <= 1).all()
+    assert (1 - y.abs()).max() <= output_error(circuit)
+    dx, dw = gradient(engines(circuit)[engine], x, w, torch.ones_like(y))
+    assert dx.abs().max() <= GRADIENTS * output_error(circuit)
+    assert dw.abs().max() <= 64 * output_error(circuit)  # half turns are off by 9e-8 in float32
+
+
+corners = st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi, 2 * math.pi, 1e3, 1e30])
+anything = st.floats(allow_nan=False, allow_infinity=False, width=32) | st.floats(-7, 7, width=32)
+shapes = st.sampled_from([(1, 1), (2, 3), (3, 1), (4, 2), (5, 1)])
+seeds = st.integers(0, 2**31)
+
+
+@settings(max_examples=40)
+@given(shape=shapes, turned=corners, size=anything, seed=seeds)
+@example(shape=(5, 1), turned=0.0, size=3.4028234663852886e38, seed=0)
+def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float, size: float, seed: int) -> None:
+    """Weights at and around corners, where an expectation value is largest; inputs of any size."""
+    circuit = ANSATZE.build("qiren", *shape)
+    generator = torch.Generator().manual_seed(seed)
+    near = torch.randint(0, 3, (circuit.rows, 3, shape[0]), generator=generator) * 1e-4
+    w = near + torch.tensor(turned)
+    x = torch.rand(20, shape[0], generator=generator) * size
+    for function in engines(circuit).values():
+        y = function(x, w)
+        assert y.dtype == torch.float32
+        assert (y.abs() <= 1).all()  # false for NaN
+
+
+@settings(max_examples=40)
+@given(shape=shapes, inputs=anything, weights=anything, seed=seeds)
+@example(shape=(4, 2), inputs=1e30, weights=1e30, seed=1)
+def test_float32_keeps_its_bounds_at_angles_of_any_size(
+    shape: tuple[int, int], inputs: float, weights: float, seed: int
+) -> None:
+    circuit = ANSATZE.build("qiren", *shape)
+    generator = torch.Generator().manual_seed(seed)
+    x = torch.randn(8, shape[0], generator=generator) * (inputs / 8)
+    w = torch.randn(circuit.rows, 3, shape[0], generator=generator) * (weights / 8)
+    g = torch.rand(8, shape[0], generator=generator)
+    functions = engines(circuit)
+    y = functions["plain"](x.double(), w.double())
+    dx, dw = gradient(functions["plain"], x.double(), w.double(), g.double())
+    bound = output_error(circuit)
+    for function in functions.values():
+        assert (function(x, w) - y).abs().max() <= bound
+        for found, expected in zip(gradient(function, x, w, g), (dx, dw), strict=True):
+            assert (found - expected).abs().max() <= GRADIENTS * bound
+
+
+@pytest.mark.parametrize("method", ["statevector", "lightcone"])
+@pytest.mark.parametrize("backend", ["compiled", "torch"])
+def test_a_layer_takes_any_input_and_gives_numbers_in_range_or_nan(method: str, backend: str) -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(3, 1, method=method, backend=backend)
+    x = torch.tensor([0.0, 1e-45, 1e-30, 1e3, 1e6, 1e30, 3.4e38, -3.4e38, math.inf, -math.inf, math.nan])
+    y = layer(x[:, None].expand(-1, 3))
+    assert (y[:8].abs() <= 1).all()
+    assert y[8:].isnan().all()

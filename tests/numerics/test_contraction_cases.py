@@ -1,0 +1,57 @@
+"""The contraction's derivative and its inverse from 0 over norm 1 to 1e30."""
+
+import pytest
+import torch
+from hard import rounded
+from hypothesis import given, target
+from hypothesis import strategies as st
+from torch import Tensor
+
+from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases.geometry import CONTRACTED, CONTRACTION_GRADIENT
+from qnerf.contraction import ORDERS, contract, uncontract
+
+BACK_AND_FORTH = 12 * EPS
+"""Of contracted points in [-2, 2]^3: what the inverse loses far away, eps |x|^2, the contraction shrinks by |x|^2."""
+
+EACH_ORDER = pytest.mark.parametrize("order", ORDERS)
+ULPS = st.integers(-4, 4).map(lambda steps: 1 + steps * EPS / 2)
+SIZES = ULPS | st.floats(0, 30).map(lambda power: 10.0**power) | st.floats(0, 2)
+AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3).filter(lambda axis: max(map(abs, axis)) > 1e-3)
+
+
+def scaled(axis: tuple[float, ...], size: float) -> Tensor:
+    """The point of that largest coordinate, as float32 holds it."""
+    return rounded([size * x / max(map(abs, axis)) for x in axis])
+
+
+@EACH_ORDER
+@given(axis=AXES, size=SIZES)
+def test_contract_and_its_derivative_in_float32(order: str, axis: tuple[float, ...], size: float) -> None:
+    point = scaled(axis, size)
+    exact, found = (contract(point.to(dtype), order) for dtype in (torch.float64, torch.float32))
+    assert float((found.double() - exact).abs().max()) <= 2 * CONTRACTED
+    jacobians = [
+        torch.autograd.functional.jacobian(lambda x: contract(x, order), point.to(dtype)).double()
+        for dtype in (torch.float64, torch.float32)
+    ]
+    if order == "linf" and float(point.abs().topk(2).values.diff().abs()) == 0:
+        return  # on a diagonal of the cube the derivative is one-sided
+    error = float((jacobians[1] - jacobians[0]).abs().max() / jacobians[0].abs().max())
+    target(error)
+    assert error <= CONTRACTION_GRADIENT
+
+
+@EACH_ORDER
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@given(axis=AXES, size=st.floats(0, 2) | st.floats(-7, 0).map(lambda power: 2 - 10.0**power))
+def test_inverse_is_consistent(order: str, dtype: torch.dtype, axis: tuple[float, ...], size: float) -> None:
+    """contract(uncontract(y)) is y, as far out as 2 - 1e-7."""
+    inside = scaled(axis, min(size, 2 - 1e-7))
+    if order == "l2":
+        inside = inside / torch.linalg.vector_norm(inside).clamp(min=1e-9) * inside.abs().max()
+    inside = inside.to(dtype)
+    again = contract(uncontract(inside, order), order)
+    error = float((again - inside).abs().max())
+    target(error)
+    assert error <= BACK_AND_FORTH * torch.finfo(dtype).eps / EPS

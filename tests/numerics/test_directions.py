@@ -1,0 +1,44 @@
+"""Spherical harmonics of directions that are no unit vectors."""
+
+import pytest
+import torch
+from hard import rounded
+from hypothesis import given, target
+from hypothesis import strategies as st
+
+from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases.geometry import HARMONICS
+from qnerf.encoders import spherical_harmonics
+
+LONGEST = 1e12
+"""Its cube, which the fourth band has, is below the largest float32 by two digits."""
+
+AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@given(axis=AXES, power=st.floats(-38, 12))
+def test_harmonics_of_unnormalised_directions(degree: int, axis: tuple[float, ...], power: float) -> None:
+    """Any length from 0 to 10^12: finite, and each band right relative to what it is made of, |d|^l and the constants."""
+    direction = rounded([x * 10.0**power for x in axis])
+    exact, found = (spherical_harmonics(direction.to(dtype), degree) for dtype in (torch.float64, torch.float32))
+    length = max(1.0, float(direction.abs().max()))
+    scale = torch.cat([torch.full((2 * band + 1,), 4 * length**band) for band in range(degree)]).double()
+    error = float(((found.double() - exact).abs() / scale).max())
+    target(error)
+    assert error <= HARMONICS
+
+
+def test_the_zero_direction_has_a_finite_gradient() -> None:
+    direction = torch.zeros(3, requires_grad=True)
+    values = spherical_harmonics(direction, 4)
+    (gradient,) = torch.autograd.grad(values.sum(), direction)
+    assert values.detach().nonzero().flatten().tolist() == [0, 6]
+    assert bool(gradient.isfinite().all())
+
+
+def test_the_longest_direction_is_finite_and_a_longer_one_is_not_hidden() -> None:
+    longest = torch.tensor([LONGEST, -LONGEST, LONGEST])
+    assert bool(spherical_harmonics(longest, 4).isfinite().all())
+    assert not bool(spherical_harmonics(100 * longest, 4).isfinite().all())
+    assert EPS * LONGEST > 1  # as directions go, it has no digits after the point

@@ -1,0 +1,78 @@
+"""The hash grid in float32 against float64 where cells meet, at every resolution it allows."""
+
+import pytest
+import torch
+from hard import rounded, seeds
+from hypothesis import given, target
+from hypothesis import strategies as st
+from torch import Tensor
+
+from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases.encoding import FEATURES
+from qnerf.kernels import plain
+from qnerf.kernels.hashgrid import FINEST, hash_encode
+
+POINT_GRADIENTS = 32 * EPS
+"""Relative to resolution times the largest entry times the largest upstream: four products and differences of two corners
+each, twelve sums of features, all of which may cancel."""
+TABLE_GRADIENTS = 16 * EPS
+"""Relative to the largest upstream, for one point: its weights, as in FEATURES."""
+
+RESOLUTIONS = st.sampled_from([1, 2, 16, 1023, 1024, 2048, 2**17, FINEST]) | st.integers(1, FINEST)
+
+
+@st.composite
+def coordinates(draw: st.DrawFn) -> tuple[int, list[float]]:
+    """A resolution, and a point with coordinates on borders, some ulp beside them, at 0 and 1, outside, anywhere."""
+    cells = draw(RESOLUTIONS)
+    borders = st.integers(0, cells).map(lambda k: k / cells)
+    beside = st.tuples(borders, st.integers(-3, 3)).map(lambda pair: pair[0] * (1 + pair[1] * EPS))
+    one = borders | beside | st.sampled_from([0.0, 1.0, -0.5, 1.5, 1e30]) | st.floats(0, 1, width=32)
+    return cells, draw(st.lists(one, min_size=3, max_size=3))
+
+
+def encoded(dtype: torch.dtype, point: Tensor, table: Tensor, cells: Tensor, upstream: Tensor) -> list[Tensor]:
+    leaves = point.to(dtype).requires_grad_(), table.to(dtype).requires_grad_()
+    out = hash_encode(*leaves, cells)
+    return [t.detach().double() for t in (out, *torch.autograd.grad(out, leaves, upstream.to(dtype)))]
+
+
+@pytest.mark.parametrize("form", ["fast", "plain"])
+@given(where=coordinates(), seed=seeds, features=st.sampled_from([1, 2, 3]))
+def test_float32_features_and_gradients_at_cell_borders(
+    form: str, where: tuple[int, list[float]], seed: int, features: int
+) -> None:
+    """The cell is that of float64, so that the gradient, which jumps at a border, is too."""
+    generator = torch.Generator().manual_seed(seed)
+    table = rounded(2 * torch.rand(1, 64, features, generator=generator) - 1)
+    upstream = rounded(2 * torch.rand(1, features, generator=generator) - 1)
+    arguments = rounded([where[1]]), table, torch.tensor([where[0]]), upstream
+    exact = encoded(torch.float64, *arguments)
+    if form == "fast":
+        found = encoded(torch.float32, *arguments)
+    else:
+        with plain():
+            found = encoded(torch.float32, *arguments)
+    largest = float(upstream.abs().max())
+    scales = (FEATURES, POINT_GRADIENTS * where[0] * features * largest, TABLE_GRADIENTS * largest)
+    errors = [float((a - b).abs().max()) / scale for a, b, scale in zip(found, exact, scales, strict=True) if scale]
+    target(max(errors))
+    assert max(errors) <= 1
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@given(where=coordinates(), seed=seeds, axis=st.integers(0, 2))
+def test_interpolation_is_continuous_at_cell_borders(
+    dtype: torch.dtype, where: tuple[int, list[float]], seed: int, axis: int
+) -> None:
+    """From one number to the next a feature moves by the slope, 2 resolution, and by its own roundings.
+
+    The place of a float64 point in its grid is rounded too, by 2^-53 resolution.
+    """
+    table = (2 * torch.rand(1, 64, 2, generator=torch.Generator().manual_seed(seed)) - 1).to(dtype)
+    points = torch.tensor([where[1]] * 2, dtype=dtype)
+    points[1, axis] = points[0, axis].nextafter(points.new_tensor(2.0))
+    here, there = hash_encode(points, table, torch.tensor([where[0]]))
+    moved = float((points[1] - points[0]).clamp(-1, 1).abs().max())
+    slack = 2 * FEATURES * torch.finfo(dtype).eps / EPS
+    assert float((there - here).abs().max()) <= 2 * where[0] * (moved + 2**-52) + slack

@@ -1,0 +1,178 @@
+"""The batch normalisation before each circuit, on hard cases: few rows, no variance, huge offsets, lagging statistics."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from benchmarks.accuracy import errors, exact
+from benchmarks.accuracy_cases import EPS, bound_in
+from benchmarks.accuracy_cases.circuits import batch_norm, batch_norm_plain, cases, normalised_error
+from qnerf.heads import HEADS, HybridLayer
+from qnerf.quantum import QuantumLayer
+
+CASES = {case.name: case for case in cases() if case.part == "normalisation"}
+MOMENTUM = 0.1  # of the running statistics, a step
+DAMPING = 1e-5  # added to the variance
+
+
+class Angles(torch.nn.Module):
+    """Stands where the circuit does, and gives the angles that it would get."""
+
+    wires = 3
+
+    def forward(self, angles: Tensor) -> Tensor:
+        return angles
+
+
+def layer(in_dim: int = 3, dtype: torch.dtype = torch.float32) -> HybridLayer:
+    """Its linear map is the identity."""
+    made = HybridLayer(in_dim, 3, Angles()).to(dtype)
+    torch.nn.init.eye_(made.linear.weight)
+    torch.nn.init.zeros_(made.linear.bias)
+    return made
+
+
+def features(rows: int, offset: float = 0.0, spread: float = 1.0, seed: int = 0) -> Tensor:
+    return torch.randn(rows, 3, generator=torch.Generator().manual_seed(seed)) * spread + offset
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_normalised_values_and_gradients_keep_their_bounds(name: str) -> None:
+    """Batch of 2, constant feature, huge offset with small variance, huge features."""
+    case = CASES[name]
+    expected = exact(case)
+    for variant in case.variants:
+        for dtype in case.dtypes:
+            forward, gradient = errors(case, variant, dtype, expected)
+            assert forward <= bound_in(dtype, case.bound), (variant, dtype)
+            assert gradient <= bound_in(dtype, case.gradient), (variant, dtype)
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_batch_of_1_has_no_variance_and_is_refused_in_training(rows: int) -> None:
+    head = HEADS.build("qiren", 4, 3, layers=1, spectral=1, qubits=3)
+    with pytest.raises(ValueError, match=f"expected at least 2, got {rows}; raise train.rays") as caught:
+        head(torch.zeros(rows, 4))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_batch_of_1_is_evaluated_as_in_any_other() -> None:
+    torch.manual_seed(0)
+    head = HEADS.build("qiren", 4, 3, layers=1, spectral=1, qubits=3)
+    for seed in range(5):
+        head(torch.randn(32, 4, generator=torch.Generator().manual_seed(seed)))
+    head.eval()
+    x = torch.randn(8, 4)
+    alone = torch.cat([head(row[None]) for row in x])
+    assert (alone - head(x)).abs().max() <= 100 * EPS  # other engines and matrix products for other batches
+    assert head(x[:0]).shape == (0, 3)
+
+
+def test_a_batch_of_2_gives_plus_and_minus_1_whatever_the_features_are() -> None:
+    angles = layer()(torch.tensor([[1.0, 5.0, -100.0], [2.0, 4.0, 900.0]]))
+    expected = torch.tensor([[-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])
+    assert (angles - expected).abs().max() <= DAMPING / 0.25  # the least variance is 1/4; 1 / sqrt(1 + 4e-5)
+
+
+def test_a_constant_feature_gives_the_bias_and_gradients_of_zero() -> None:
+    made = layer()
+    torch.nn.init.constant_(made.norm.bias, 0.25)
+    x = features(512)
+    x[:, 1] = 1000.1
+    x.requires_grad_()
+    angles = made(x)
+    rounding = normalised_error(x.detach()[:, 1:2])  # 1000 sqrt(1e5) roundings: 0.15 rad, of which half is seen
+    assert (angles[:, 1] - 0.25).abs().max() <= rounding
+    (gradient,) = torch.autograd.grad(angles.square().sum(), x)
+    assert torch.isfinite(gradient).all()
+
+
+@settings(max_examples=60)
+@given(
+    rows=st.integers(3, 400),
+    offset=st.floats(-1e6, 1e6),
+    spread=st.floats(1e-4, 1e4),
+    seed=st.integers(0, 2**31),
+)
+@example(rows=64, offset=1e6, spread=1e-4, seed=0)
+@example(rows=3, offset=0.0, spread=1e4, seed=1)
+def test_a_huge_offset_costs_as_many_digits_as_it_has_standard_deviations(
+    rows: int, offset: float, spread: float, seed: int
+) -> None:
+    x = features(rows, offset, spread, seed)  # rounded as the linear map before rounds
+    one, zero = torch.ones(3), torch.zeros(3)
+    found = batch_norm(x, one, zero)
+    expected = batch_norm_plain(x.double(), one.double(), zero.double())
+    bound = normalised_error(x.double()) * float(expected.abs().max().clamp(min=1))
+    assert (found - expected).abs().max() <= bound
+    assert (layer()(x) - expected).abs().max() <= bound
+
+
+@pytest.mark.parametrize("size", [1e16, 1e20, 1e30, 1e38])
+def test_features_whose_variance_overflows_give_finite_angles(size: float) -> None:
+    """Beyond 3e38 / rows for their squares, every angle is the bias: constant, but no NaN."""
+    made = layer()
+    x = features(64, spread=size / 4).requires_grad_()
+    angles = made(x)
+    assert torch.isfinite(angles).all()
+    assert torch.isfinite(torch.autograd.grad(angles.square().sum(), x)[0]).all()
+    assert (angles.abs().max() > 1) == (size < 1e18)
+
+
+@settings(max_examples=25)
+@given(
+    shift=st.floats(-50, 50),
+    stretch=st.floats(0.1, 10),
+    steps=st.integers(1, 60),
+)
+def test_running_statistics_lag_by_a_factor_of_ten_ninths_a_step(shift: float, stretch: float, steps: int) -> None:
+    """Of a jump of the features' mean and variance 0.9^steps is left after `steps` steps."""
+    made = layer(dtype=torch.float64)
+    before, after = features(200).double(), features(200, seed=1).double() * stretch + shift
+    with torch.no_grad():
+        for _ in range(300):  # 0.9^300 = 2e-14
+            made(before)
+        for _ in range(steps):
+            made(after)
+    left = (1 - MOMENTUM) ** steps
+    mean = left * before.mean(0) + (1 - left) * after.mean(0)
+    variance = left * before.var(0) + (1 - left) * after.var(0)
+    torch.testing.assert_close(made.norm.running_mean, mean, rtol=0, atol=1e-11 * (1 + abs(shift)))
+    torch.testing.assert_close(made.norm.running_var, variance, rtol=1e-11, atol=0)
+
+
+@settings(max_examples=25)
+@given(rows=st.integers(2, 600), offset=st.floats(-100, 100), spread=st.floats(0.05, 20), seed=st.integers(0, 1000))
+def test_training_and_evaluation_differ_by_the_bias_of_the_variance(
+    rows: int, offset: float, spread: float, seed: int
+) -> None:
+    """Once the statistics have settled: angles of evaluation are sqrt((N - 1) / N) of those of training."""
+    made = layer(dtype=torch.float64)
+    x = features(rows, offset, spread, seed).double()
+    with torch.no_grad():
+        for _ in range(400):
+            trained = made(x)
+        made.eval()
+        evaluated = made(x)
+    biased = x.var(0, unbiased=False)
+    ratio = ((biased + DAMPING) / (biased * rows / (rows - 1) + DAMPING)).sqrt()
+    size = 1 + float(trained.abs().max())
+    assert (evaluated - ratio * trained).abs().max() <= 1e-10 * size * (1 + abs(offset) / spread)
+
+
+def test_evaluation_before_any_training_takes_the_features_as_they_are() -> None:
+    made = layer().eval()
+    x = features(7, offset=2.0)
+    assert (made(x) - x / math.sqrt(1 + DAMPING)).abs().max() <= 4 * EPS * float(x.abs().max())
+
+
+def test_evaluation_moves_no_running_statistics() -> None:
+    torch.manual_seed(0)
+    made = HybridLayer(3, 3, QuantumLayer(3, 1)).eval()
+    before = {name: value.clone() for name, value in made.state_dict().items()}
+    made(features(20, offset=5.0))
+    assert all(torch.equal(value, before[name]) for name, value in made.state_dict().items())

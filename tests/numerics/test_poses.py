@@ -1,0 +1,89 @@
+"""Pose refinement at zero, at pi, after many turns and after many steps."""
+
+import math
+
+import pytest
+import torch
+from hard import rounded, seeds
+from hypothesis import given, target
+from hypothesis import strategies as st
+from torch import Tensor
+
+from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases.geometry import MOTION, ROTATION
+from qnerf.cameras import CAMERAS, exp_se3, exp_so3, exp_so3xr3
+
+ANGLE_GRADIENTS = 1e-4
+"""Relative to the largest derivative, up to a turn: what is asked for."""
+TURNS = 2 * EPS
+"""Of the angle, relative: its square and the square root are rounded. Within one turn MOTION has it."""
+
+ANGLES = st.sampled_from([0.0, 1e-30, 1e-20, 1e-7, math.pi / 2, math.pi, 2 * math.pi, 1e3, 1e6, 1e7, 1e18]) | st.floats(0, 7)
+AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3).filter(lambda axis: math.hypot(*axis) > 1e-3)
+
+
+def vector(axis: tuple[float, ...], angle: float) -> Tensor:
+    return rounded([angle * x / math.hypot(*axis) for x in axis])
+
+
+@given(axis=AXES, angle=ANGLES)
+def test_a_rotation_of_any_angle(axis: tuple[float, ...], angle: float) -> None:
+    """Orthogonal, right up to the rounding of the angle, with a finite gradient: no 0/0, no infinity times 0."""
+    turn = vector(axis, angle).float().requires_grad_()
+    rotation = exp_so3(turn)
+    drift = float((rotation @ rotation.T - torch.eye(3)).detach().abs().max())
+    target(drift)
+    assert drift <= ROTATION
+    error = float((rotation.detach().double() - exp_so3(turn.detach().double())).abs().max())
+    assert error <= MOTION + TURNS * angle
+    (gradient,) = torch.autograd.grad(rotation[0, 1] + rotation[1, 2] - rotation[2, 2], turn)
+    assert bool(gradient.isfinite().all())
+
+
+@pytest.mark.parametrize("exponential", [exp_so3xr3, exp_se3])
+@given(axis=AXES, angle=st.sampled_from([0.0, 1e-20, 1e-7, 0.03, math.pi, 2 * math.pi]) | st.floats(0, 7), seed=seeds)
+def test_gradients_of_motions_up_to_a_turn(exponential, axis: tuple[float, ...], angle: float, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    motion = torch.cat([rounded(torch.randn(3, generator=generator)), vector(axis, angle)])
+    upstream = rounded(torch.randn(3, 4, generator=generator))
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        leaf = motion.to(dtype).requires_grad_()
+        moved = exponential(leaf)
+        found.append((moved.detach().double(), torch.autograd.grad(moved, leaf, upstream.to(dtype))[0].double()))
+    largest = [float(exact.abs().max()) for exact in found[1]]
+    assert float((found[0][0] - found[1][0]).abs().max()) <= (MOTION + TURNS * angle) * max(largest[0], 1)
+    error = float((found[0][1] - found[1][1]).abs().max()) / largest[1]
+    target(error)
+    assert error <= ANGLE_GRADIENTS
+
+
+@pytest.mark.parametrize("name", ["so3xr3", "se3"])
+def test_composition_over_ten_thousand_steps_stays_a_rotation(name: str) -> None:
+    """The pose is made anew from six numbers: however far Adam walks, no rounding adds up."""
+    cameras = CAMERAS.build(name, 3)
+    optimiser = torch.optim.Adam(cameras.parameters(), lr=1e-2, fused=True)
+    pose, views = torch.eye(4)[None, :3].expand(3, 3, 4), torch.arange(3)
+    upstream = torch.randn(10_000, 3, 6, generator=torch.Generator().manual_seed(0)) + 0.1
+    for step, gradient in enumerate(upstream):
+        cameras.motion.grad = gradient
+        optimiser.step()
+        if step % 1000 == 999:
+            rotation = cameras.poses(views, pose)[..., :3]
+            torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(3, 3, 3), rtol=0, atol=ROTATION)
+            assert bool((torch.linalg.det(rotation) > 0.99).all())
+    assert float(cameras.motion.detach().abs().max()) > 2 * math.pi  # it was more than a turn
+
+
+@pytest.mark.parametrize("name", ["so3xr3", "se3"])
+def test_the_first_step_from_zero_rotation_is_finite(name: str) -> None:
+    """The penalty's norm and the exponential's angle are both 0 there."""
+    cameras = CAMERAS.build(name, 2)
+    optimiser = torch.optim.Adam(cameras.parameters(), lr=1e-3, eps=1e-15)
+    poses = cameras.poses(torch.tensor([0, 1]), torch.eye(4)[None, :3].expand(2, 3, 4))
+    (poses[0].sum() + cameras.penalty()).backward()
+    assert bool(cameras.motion.grad[0].any())
+    assert not bool(cameras.motion.grad[1].any())
+    optimiser.step()
+    assert bool(cameras.motion.isfinite().all())
+    assert float(cameras.motion.detach().abs().max()) <= 1e-3 * (1 + EPS)

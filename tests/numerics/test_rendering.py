@@ -1,0 +1,180 @@
+"""Volume rendering on the inputs at which float32 gives up."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+import torch
+from hard import TINY, distance, rounded, seeds
+from hypothesis import given, target
+from hypothesis import strategies as st
+from torch import Tensor
+
+from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases.rendering import PIXELS, WEIGHT_GRADIENTS, WEIGHTS, SmallField
+from qnerf.activations import trunc_exp
+from qnerf.render import BACKGROUNDS, render, volume_weights, volume_weights_reference
+from qnerf.types import Samples
+
+PARAMETER_GRADIENTS = 1e-4
+"""Of a field's parameters, each tensor relative to its largest: what is asked for."""
+
+SIGMAS = st.sampled_from([0.0, 1e-38, 1e-30, 1.0, 1e10, 1e38, math.inf]) | st.floats(0, 200, width=32)
+DELTAS = st.sampled_from([0.0, 1.0]) | st.floats(2**-20, 2, width=32)
+INTERVALS = st.lists(st.tuples(SIGMAS, DELTAS, st.floats(-1, 1, width=32)), min_size=1, max_size=24)
+
+
+def exactly(sigma: np.ndarray, delta: np.ndarray, upstream: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights, transmittance behind each interval, and d(upstream . weights)/d sigma by steps of 1e-40 i: no digit cancels."""
+
+    def weights(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        behind = np.exp(-np.cumsum(x))
+        return -np.expm1(-x) * np.concatenate([[1.0], behind[:-1]]), behind
+
+    thickness = np.minimum(sigma, 1e30) * delta  # infinite ones too are opaque
+    found, behind = weights(thickness)
+    gradient = np.zeros(len(sigma))
+    for i in range(len(sigma)):
+        moved = thickness.astype(complex)
+        moved[i] += 1e-40j * delta[i]
+        gradient[i] = (upstream * weights(moved)[0].imag).sum() / 1e-40
+    return found, behind, gradient
+
+
+def check(sigma: Tensor, delta: Tensor, upstream: Tensor) -> float:
+    """Asserts the bounds on one ray (K,); the gradient's error in its bound's unit."""
+    expected, behind, slope = exactly(sigma.numpy(), delta.numpy(), upstream.numpy())
+    leaf = sigma.float()[None].requires_grad_()
+    weights = volume_weights(leaf, delta.float()[None])
+    (gradient,) = torch.autograd.grad(weights, leaf, upstream.float()[None])
+    found = weights[0].detach().double()
+    assert float(found.sum()) <= 1 + (len(sigma) + 4) * EPS
+    assert distance(found, torch.from_numpy(expected)) <= WEIGHTS * expected.max() + TINY
+    error = np.abs(gradient[0].double().numpy() - slope)
+    unit = EPS * delta.numpy() * (behind * np.abs(upstream.numpy()).max() + len(sigma) * TINY / EPS)
+    worst = float(np.max(error / np.where(unit > 0, unit, 1)))
+    assert worst <= WEIGHT_GRADIENTS / EPS
+    return worst
+
+
+@given(ray=INTERVALS)
+def test_weights_and_gradients_of_the_worst_ray(ray: list[tuple[float, float, float]]) -> None:
+    sigma, delta, upstream = (rounded(column) for column in zip(*ray, strict=True))
+    target(check(sigma, delta, upstream))
+
+
+K = 12
+RAMP = np.linspace(0.5, 3, K)
+NAMED = {
+    "sigma of 0": np.where(np.arange(K) % 2, 0, RAMP),
+    "sigma of 1e-30": np.full(K, 1e-30),
+    "sigma of 1e10": np.where(np.arange(K) == 7, 1e10, RAMP),
+    "infinite sigma": np.where(np.arange(K) == 7, np.inf, RAMP),
+    "opaque first sample": np.where(np.arange(K) == 0, 60.0, RAMP),
+    "empty ray": np.zeros(K),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("delta", [0.5, "every other 0"])
+def test_rays(name: str, delta: object) -> None:
+    lengths = np.where(np.arange(K) % 3 == 1, 0, 0.5) if delta == "every other 0" else np.full(K, 0.5)
+    upstream = np.cos(np.arange(K))
+    check(rounded(NAMED[name]), rounded(lengths), rounded(upstream))
+
+
+@pytest.mark.parametrize("function", [volume_weights, volume_weights_reference])
+def test_gradients_behind_an_opaque_first_sample_keep_their_digits(function) -> None:
+    """The transmittance behind is 1e-13: any difference of numbers near 1 has no digit of it."""
+    sigma, delta = rounded([30.0, 1.0, 2.0]), rounded([1.0, 0.3, 0.2])
+    upstream = rounded([0.5, -0.25, 1.0])
+    leaf = sigma[None].float().requires_grad_()
+    (gradient,) = torch.autograd.grad(function(leaf, delta[None].float()), leaf, upstream[None].float())
+    exact = torch.from_numpy(exactly(sigma.numpy(), delta.numpy(), upstream.numpy())[2])
+    torch.testing.assert_close(gradient[0].double(), exact, rtol=1e-4, atol=0)
+
+
+def test_sigma_that_overflows_in_exp_has_a_finite_gradient() -> None:
+    raw = torch.tensor([[1.0, 200.0, -200.0, 2.0]], requires_grad=True)
+    sigma = trunc_exp(raw)
+    assert sigma.isinf().tolist() == [[False, True, False, False]]
+    weights = volume_weights(sigma, torch.full((1, 4), 0.1))
+    (weights * torch.tensor([1.0, -1.0, 2.0, 0.5])).sum().backward()
+    assert raw.grad is not None
+    assert bool(raw.grad.isfinite().all())
+    assert float(raw.grad[0, 0]) != 0
+
+
+@given(ray=INTERVALS, background=st.sampled_from([name for name in BACKGROUNDS if name != "random"]), seed=seeds)
+def test_pixels_of_the_worst_ray(ray: list[tuple[float, float, float]], background: str, seed: int) -> None:
+    """The same densities and colours; depth and opacity within as much of what they are measured in."""
+    sigma, delta, _ = (rounded(column)[None] for column in zip(*ray, strict=True))
+    edges = rounded(torch.nn.functional.pad(delta.cumsum(-1), (1, 0)))
+    colors = rounded(torch.rand(1, len(ray), 3, generator=torch.Generator().manual_seed(seed)))
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        samples = Samples(edges.to(dtype), edges.to(dtype))
+        weights = volume_weights(sigma.to(dtype), samples.deltas)
+        found.append(render(weights, colors.to(dtype), samples, background=background)[0])
+    error = distance(found[0].color, found[1].color)
+    target(error)
+    assert error <= PIXELS
+    assert distance(found[0].accumulation, found[1].accumulation) <= PIXELS
+    for rendering in found:
+        assert bool((rendering.depth >= rendering.depth.new_tensor(0)).all())
+        assert bool((rendering.depth <= edges.max()).all())
+
+
+@pytest.mark.parametrize("thickness", [0.1, 5.0, 60.0])
+def test_pixels_and_gradients_of_ten_thousand_samples(thickness: float) -> None:
+    generator = torch.Generator().manual_seed(0)
+    sigma = rounded(torch.rand(2, 10_000, generator=generator) * 2 * thickness)
+    edges = rounded(torch.linspace(0, 1, 10_001).expand(2, -1))
+    colors = rounded(torch.rand(2, 10_000, 3, generator=generator))
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        leaf, samples = sigma.to(dtype).requires_grad_(), Samples(edges.to(dtype), edges.to(dtype))
+        pixel = render(volume_weights(leaf, samples.deltas), colors.to(dtype), samples, background="white")[0].color
+        found.append((pixel, *torch.autograd.grad(pixel.sum(), leaf)))
+    assert distance(found[0][0], found[1][0]) <= PIXELS
+    assert distance(found[0][1], found[1][1]) <= 1e-4 * float(found[1][1].abs().max())
+
+
+FIELDS = {
+    "none": {},
+    "pe": {},
+    "rff": {"scale": 4},
+    "hash": {"levels": 16, "max_resolution": 2048, "log2_table_size": 10, "features": 2},
+}
+RAYS = 16
+
+
+@pytest.fixture(scope="module")
+def fields() -> dict[str, tuple[SmallField, SmallField]]:
+    singles = {name: SmallField(name, RAYS, **options) for name, options in FIELDS.items()}
+    return {name: (single, copy.deepcopy(single).double()) for name, single in singles.items()}
+
+
+@pytest.mark.parametrize("encoder", FIELDS)
+@given(seed=seeds, far=st.sampled_from([2.0, 10.0, 1e3, 1e6]))
+def test_rendered_pixels_of_a_field(fields, encoder: str, seed: int, far: float) -> None:
+    single, double = fields[encoder]
+    generator = torch.Generator().manual_seed(seed)
+    edges = rounded(0.05 + far * torch.rand(RAYS, 25, generator=generator).sort(-1).values ** 3)
+    with torch.no_grad():
+        error = distance(single(edges.float()), double(edges))
+    target(error)
+    assert error <= PIXELS
+
+
+@pytest.mark.parametrize("encoder", FIELDS)
+def test_gradients_of_a_field_s_parameters_and_of_its_rays(fields, encoder: str) -> None:
+    edges = rounded(0.05 + 4 * torch.rand(RAYS, 25, generator=torch.Generator().manual_seed(0)).sort(-1).values ** 2)
+    found = []
+    for field in fields[encoder]:
+        dtype = field.origins.dtype
+        loss = field(edges.to(dtype)).square().mean()
+        found.append(torch.autograd.grad(loss, [parameter for _, parameter in field.named_parameters()]))
+    for (name, _), a, b in zip(fields[encoder][0].named_parameters(), *found, strict=True):
+        assert distance(a, b) <= PARAMETER_GRADIENTS * float(b.abs().max()), name

@@ -1,0 +1,164 @@
+"""Drawing from histograms, spacing curves and samplers on the inputs at which float32 gives up."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from hard import rounded, seeds
+from hypothesis import given, target
+from hypothesis import strategies as st
+from scipy.stats import kstest
+from torch import Tensor
+
+from benchmarks.accuracy_cases.sampling import SPACED
+from qnerf.contraction import CONTRACTIONS
+from qnerf.kernels import plain
+from qnerf.pdf import sample_edges, sample_edges_reference
+from qnerf.samplers import SAMPLERS, even_edges
+from qnerf.spacing import SPACINGS
+from qnerf.types import Rays
+
+LEAST = Fraction(1e-5)  # of all weights together: below, the histogram is filled up evenly
+SLACK = 2.0**-46
+"""Of the distribution at a drawn edge, relative to the whole: the loop adds at most 64 numbers in float64."""
+WEIGHTS = st.sampled_from([0.0, 1e-38, 1e-12, 1.0]) | st.floats(0, 1, width=32)
+EDGES = st.sampled_from([0.0, 0.25, 0.5, 1.0]) | st.floats(0, 1, width=32)
+
+
+def cumulative(edges: list[float], masses: list[Fraction], at: float, right: bool) -> Fraction:
+    """Mass below `at`, with or without what lies exactly there, in rational numbers."""
+    total = Fraction(0)
+    for low, high, mass in zip(edges[:-1], edges[1:], masses, strict=True):
+        if high < at or (right and high == at):
+            total += mass
+        elif low < at < high:
+            total += mass * (Fraction(at) - Fraction(low)) / (Fraction(high) - Fraction(low))
+        elif high == at and low < at:
+            total += mass
+    return total
+
+
+@given(
+    histogram=st.lists(st.tuples(EDGES, WEIGHTS), min_size=1, max_size=12),
+    count=st.integers(1, 12),
+    padding=st.sampled_from([0.0, 0.01]),
+    jitter=st.none() | st.floats(0, 1, exclude_max=True, width=32),
+)
+def test_drawn_edges_lie_where_the_distribution_says(
+    histogram: list[tuple[float, float]], count: int, padding: float, jitter: float | None
+) -> None:
+    """One float32 below an edge the exact distribution is at most its share, one above at least."""
+    edges = [0.0, *sorted(edge for edge, _ in histogram)]
+    weights = [Fraction(weight) + Fraction(padding) for _, weight in histogram]
+    fill = max(LEAST - sum(weights), Fraction(0)) / len(weights)
+    masses = [weight + fill for weight in weights]
+    s, w = torch.tensor([edges], dtype=torch.float32), torch.tensor([[w for _, w in histogram]], dtype=torch.float32)
+    offset = None if jitter is None else torch.tensor([[jitter]], dtype=torch.float32)
+    found = sample_edges(s, w, count, padding=padding, jitter=offset)[0].numpy()
+    whole = sum(masses)
+    for k, edge in enumerate(found):
+        share = (k + Fraction(0.5 if jitter is None else jitter)) / count * whole
+        below, above = (float(np.nextafter(edge, np.float32(end))) for end in (-1, 2))
+        assert cumulative(edges, masses, below, right=False) <= share + Fraction(SLACK) * whole
+        assert cumulative(edges, masses, above, right=True) >= share - Fraction(SLACK) * whole
+
+
+HISTOGRAMS = {
+    "all-zero weights": ([0.0, 0.1, 0.5, 1.0], [0.0, 0.0, 0.0]),
+    "one spike": ([0.0, 0.4, 0.41, 1.0], [0.0, 1.0, 0.0]),
+    "weights of 1e-38": ([0.0, 0.1, 0.5, 1.0], [1e-38, 1e-38, 0.0]),
+    "duplicated edges": ([0.0, 0.3, 0.3, 0.3, 0.7, 1.0], [0.2, 0.0, 0.0, 0.5, 0.3]),
+    "ordinary": ([0.0, 0.1, 0.15, 0.6, 0.9, 1.0], [0.05, 0.4, 0.0, 0.35, 0.2]),
+}
+
+
+@pytest.mark.parametrize("draw", [sample_edges, sample_edges_reference])
+@pytest.mark.parametrize("padding", [0.0, 0.01])
+@pytest.mark.parametrize("name", HISTOGRAMS)
+def test_the_distribution_of_drawn_edges(name: str, padding: float, draw) -> None:
+    """Kolmogorov-Smirnov against the histogram's own distribution: single edges of 5,000 independent rays."""
+    edges, weights = HISTOGRAMS[name]
+    rays = 5000
+    s, w = (torch.tensor(values).expand(rays, -1) for values in (edges, weights))
+    jitter = torch.rand(rays, 1, generator=torch.Generator().manual_seed(1))
+    found = draw(s, w, 1, padding=padding, jitter=jitter)[:, 0].double().numpy()
+    mass = np.asarray(weights) + padding
+    mass += max(1e-5 - mass.sum(), 0) / len(mass)
+    knots = np.concatenate([[0], np.cumsum(mass)]) / mass.sum()
+    assert kstest(found, lambda at: np.interp(at, edges, knots)).pvalue > 1e-4
+
+
+@given(samples=st.integers(1, 200), jitter=st.floats(0, 1, exclude_max=True, width=32))
+def test_even_edges_are_ordered_for_every_jitter(samples: int, jitter: float) -> None:
+    rays = rays_between(0.0, 1.0, 1)
+    edges = even_edges(rays, samples, torch.tensor([[jitter]], dtype=torch.float32))
+    assert bool((edges.diff() >= 0).all())
+    assert 0 <= float(edges[0, 0])
+    assert float(edges[0, -1]) <= 1
+
+
+@pytest.mark.parametrize("name", SPACINGS.names())
+@given(
+    near=st.floats(2**-10, 1e3, width=32),
+    ratio=st.floats(1.0009765625, 1e6, width=32),
+    s=st.lists(st.floats(0, 1, width=32), min_size=1, max_size=30),
+)
+def test_distances_of_every_spacing(name: str, near: float, ratio: float, s: list[float]) -> None:
+    bounds = rounded([[near]]), rounded([[near * ratio]])
+    at = rounded([s])
+    exact = SPACINGS.build(name, *bounds).to_world(at)
+    found = SPACINGS.build(name, *(bound.float() for bound in bounds)).to_world(at.float())
+    error = float(((found.double() - exact) / exact).abs().max())
+    target(error)
+    assert error <= SPACED
+
+
+def rays_between(near: float, far: float, count: int) -> Rays:
+    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=torch.Generator().manual_seed(1)), dim=-1)
+    bounds = (torch.full((count, 1), bound) for bound in (near, far))
+    return Rays(torch.zeros(count, 3), directions, torch.zeros(count, dtype=torch.int64), *bounds)
+
+
+SIZES = {
+    "proposal": {"samples": [16, 12], "final": 8, "levels": 2, "max_resolutions": [24, 32], "log2_table_size": 8},
+    "vanilla": {"coarse": 8, "fine": 12},
+    "uniform": {"samples": 10},
+    "piecewise": {"samples": 10},
+}
+
+
+@pytest.fixture(scope="module")
+def samplers() -> dict[str, torch.nn.Module]:
+    torch.manual_seed(0)
+    return {name: SAMPLERS.build(name, CONTRACTIONS.build("linf"), **sizes) for name, sizes in SIZES.items()}
+
+
+@pytest.mark.parametrize("name", SIZES)
+@given(seed=seeds, at=st.floats(0, 1e6), opacity=st.sampled_from([0.0, 1e-38, 1.0, 1e10, math.inf]))
+def test_edges_of_every_sampler_are_ordered_from_near_0_to_far_1e6(
+    samplers, name: str, seed: int, at: float, opacity: float
+) -> None:
+    """Whatever one shell of density makes of the weights: nothing, 1e-38, one spike."""
+
+    def density(points: Tensor) -> Tensor:
+        return torch.where(points.norm(dim=-1) >= at, opacity, 0.0)
+
+    generator = torch.Generator().manual_seed(seed)
+    found = samplers[name](rays_between(0.0, 1e6, 4), density, generator=generator, step=2000)
+    for samples in [found.samples, *(samples for samples, _ in found.proposals)]:
+        assert bool((samples.edges.diff() >= 0).all())
+        assert bool((samples.edges >= 0).all())
+        assert bool((samples.edges <= 1e6 * (1 + SPACED)).all())
+
+
+@given(seed=seeds, bins=st.integers(1, 64), count=st.integers(1, 64), power=st.sampled_from([0, 1, 8, 40]))
+def test_the_plain_form_draws_the_same_edges_in_float64(seed: int, bins: int, count: int, power: int) -> None:
+    """In float64 both agree as far as the distribution does: 1e-9 of [0, 1] at a padding of 0.01."""
+    generator = torch.Generator().manual_seed(seed)
+    s = torch.rand(3, bins + 1, generator=generator, dtype=torch.float64).sort(-1).values
+    w = torch.rand(3, bins, generator=generator, dtype=torch.float64).pow(power)
+    fast = sample_edges(s, w, count)
+    with plain():
+        torch.testing.assert_close(fast, sample_edges(s, w, count), rtol=0, atol=1e-9)
