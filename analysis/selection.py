@@ -7,23 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from analysis.settings import LABELS, acting, configuration, effective, what_acts
+
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
 
-LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
-_SCALARS = ("experiment", "geo_features", "appearance")
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
-_RESULTS = ("params", "time", "run")  # first parts of dotted names that are no configuration
-# What is logged or checked decides no number; where a scene lies says nothing about what it is.
-_IRRELEVANT = (
-    "scene.path",
-    "numerics.check",
-    "train.log_every",
-    "train.eval_every",
-    "train.eval_views",
-    "train.checkpoint_every",
-    "train.chunk",
-)
 
 
 @dataclass(frozen=True)
@@ -44,6 +33,7 @@ class Selection:
 def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
     """The runs of `frame`, one a row as `load.runs` gives them, that finished with a finite `metric`.
 
+    One that repeats another in seed and every setting that acts is left out; settings that do not act are None.
     ValueError where there is none: it says how many runs there are, in which states, and which metrics they have.
     """
     states = frame["state"].fillna("unknown").value_counts()
@@ -60,7 +50,9 @@ def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
         raise ValueError(f"none of {len(finished)} finished runs has {metric}{why}; have: {_listed(finished)}")
     left = states.drop("finished").to_dict()
     left |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
-    return Selection(kept, {reason: count for reason, count in left.items() if count})
+    again = what_acts(kept).duplicated()
+    left["repeating another"] = int(again.sum())
+    return Selection(acting(kept[~again]), {reason: count for reason, count in left.items() if count})
 
 
 def measured(runs: pd.DataFrame) -> list[str]:
@@ -105,10 +97,10 @@ def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
 
 
 def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where the groups of `rows` compare scenes, or a group mixes configurations or holds a seed twice."""
+    """ValueError where the groups of `rows` compare scenes, or a group mixes configurations."""
     refuse_scenes(runs, rows)
     groups = runs.groupby(list(rows), dropna=False, sort=False)
-    settings = [key for key in (*LABELS, *configuration(runs)) if key in runs.columns and key not in rows]
+    settings = [key for key in (*LABELS, *effective(runs)) if key in runs.columns and key not in rows]
     varying = [key for key in settings if runs[key].nunique(dropna=False) > 1]
     if varying:
         several = groups[varying].nunique(dropna=False) > 1
@@ -120,11 +112,6 @@ def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
             raise ValueError(
                 f"row {label(mixed.index[0])} mixes runs of different {told}: add a key to the rows or filter"
             )
-    again = runs.duplicated([*rows, "seed"])
-    if again.any():
-        row = runs[again].iloc[0]
-        name = label(tuple(row[key] for key in rows))
-        raise ValueError(f"row {name} holds seed {row['seed']:g} twice, the second time in {row['path']}: filter")
 
 
 def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
@@ -136,12 +123,6 @@ def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
         raise ValueError(
             f"{len(names)} scenes in one table ({', '.join(names)}): add scene_name to the rows, or filter on one"
         )
-
-
-def configuration(frame: pd.DataFrame) -> list[str]:
-    """Columns of the flat configuration that decide a run's numbers, its seed aside."""
-    dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
-    return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _IRRELEVANT]
 
 
 def label(key: object) -> str:

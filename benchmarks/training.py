@@ -37,21 +37,33 @@ RESULTS = Path(__file__).parent / "results" / "training.parquet"
 FIELDS = ("classical", "qcolor", "qdensity", "qboth")
 ENCODERS = ("hash", "pe")
 CIRCUITS = ("1L1S", "1L2S", "2L2S", "3L4S")
+NO_GATE = "gate=none"
 RATIOS = {  # name -> overrides above, overrides below, what is promised
-    "plain references / compiled, classical C5": ("field=classical", "field=classical", "at least 4"),
-    "qcolor 1L1S / classical": ("field=qcolor qiren=1L1S", "field=classical", "at most 1.25"),
-    "qcolor 1L2S / classical": ("field=qcolor qiren=1L2S", "field=classical", "at most 1.8"),
-    "qcolor 3L4S / classical": ("field=qcolor qiren=3L4S", "field=classical", ""),
-    "PennyLane / qnerf, qcolor 1L1S": (
-        "field=qcolor qiren=1L1S qiren.method=pennylane",
-        "field=qcolor qiren=1L1S",
-        "at least 40",
+    "plain references / compiled, classical C5": (
+        f"field=classical {NO_GATE}",
+        f"field=classical {NO_GATE}",
+        "at least 4",
     ),
-    "PennyLane / qnerf, qcolor 1L2S": (
-        "field=qcolor qiren=1L2S qiren.method=pennylane",
-        "field=qcolor qiren=1L2S",
-        "at least 40",
-    ),
+    **{
+        f"{name} / classical, no gate": (
+            f"field=qcolor qiren={name} {NO_GATE}",
+            f"field=classical {NO_GATE}",
+            promised,
+        )
+        for name, promised in (("1L1S", "at most 1.25"), ("1L2S", "at most 1.8"), ("3L4S", ""))
+    },
+    **{
+        f"{name} / classical, gate=merge": (f"field=qcolor qiren={name}", "field=classical", promised)
+        for name, promised in (("1L1S", ""), ("1L2S", "at most 1.3"), ("3L4S", "at most 2.0"))
+    },
+    **{
+        f"PennyLane / qnerf, {name}, no gate": (
+            f"field=qcolor qiren={name} qiren.method=pennylane {NO_GATE}",
+            f"field=qcolor qiren={name} {NO_GATE}",
+            "at least 40",
+        )
+        for name in ("1L1S", "1L2S")
+    },
 }
 
 

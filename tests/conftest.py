@@ -20,7 +20,7 @@ from PIL import Image
 # Examples are the same in every run; how long one takes is nobody's promise.
 hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
 # `QNERF_HYPOTHESIS=long python -m pytest tests/numerics`: other examples each time, more than 10^5 over all of them.
-hypothesis.settings.register_profile("long", deadline=None, max_examples=2000)
+hypothesis.settings.register_profile("long", deadline=None, max_examples=2500)
 hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
 ROOT = Path(__file__).parents[1]

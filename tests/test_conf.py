@@ -82,6 +82,23 @@ def test_every_camera_refinement_trains(tiny, cameras):
     assert (summary["params.cameras"] > 0) == (cameras != "fixed")
 
 
+@pytest.mark.parametrize("needs", ["auto", "full", "none"])
+def test_every_way_to_say_what_a_scene_needs_trains(tiny, needs):
+    """Small tables by hand: what is set wins."""
+    assert finished(tiny(f"needs={needs}", "hash=C7", "visibility.resolution=16"))["hash"] == "C7"
+
+
+@pytest.mark.parametrize("group", ["hash", "cameras", "gate"])
+def test_auto_of_one_group_trains(tiny, group):
+    summary = finished(tiny("field=classical", f"{group}=auto", "visibility.resolution=16"))
+    assert any(column.startswith(f"needs.{group}.") for column in summary)
+
+
+def test_the_options_of_an_occupancy_and_of_a_stop_train(tiny):
+    options = ("occupancy.every=1", "occupancy.after=0", "stop.every=1", "stop.share=0.2", "visibility.resolution=16")
+    finished(tiny("field=classical", *options))
+
+
 @pytest.mark.parametrize("train", choices("train"))
 def test_every_recipe_trains(tiny, train):
     assert finished(tiny(f"train={train}"))["train"] == train

@@ -155,6 +155,52 @@ def test_batches_draw_every_training_pixel_equally():
     assert float(((counts - mean) ** 2 / mean).sum()) < 40  # chi-squared, 11 degrees of freedom: beyond by 4e-5
 
 
+@given(
+    apart=st.integers(2, 40),
+    width=st.integers(1, 7),
+    height=st.integers(1, 6),
+    train=st.lists(st.integers(0, 4), min_size=1, max_size=5, unique=True),
+)
+@settings(deadline=None, max_examples=60)
+def test_pixels_kept_apart_are_never_drawn_and_all_others_are(apart, width, height, train):
+    """All draws there are: `randint` is replaced by counting."""
+    total = len(train) * width * height
+    world = scene(cameras(width=width, height=height), train=train, eval=[])
+    if apart > total:
+        with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart, which is none here"):
+            RayTable(world, apart=apart)
+        return
+    table = RayTable(world, apart=apart)
+    drawn: list[torch.Tensor] = []
+    table._drawn = lambda numbers, _: drawn.append(numbers)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch, "randint", lambda high, size, generator: torch.arange(high))
+        table.batch(1, torch.Generator())
+    table.validation(total)
+    training, validation = drawn
+    assert len(validation) == total // apart
+    assert torch.equal(torch.cat(drawn).sort().values, torch.arange(total))
+    assert len(training) + len(validation) == total
+
+
+def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_time():
+    world = scene(cameras(), channels=4)
+    table = RayTable(world, apart=5)
+    rays, colors = table.validation(10)
+    assert len(rays) == len(colors) == 10
+    assert colors.shape == (10, 4)
+    assert set(rays.cameras.tolist()) == {0, 1, 2, 3}
+    assert torch.equal(table.validation(10)[0].directions, rays.directions)
+    assert len(table.validation(10_000)[0]) == 4 * 63 // 5
+
+
+def test_without_pixels_apart_all_are_drawn():
+    table = RayTable(scene(cameras(width=2, height=3), train=[1, 3], eval=[0]))
+    rays, _ = table.batch(2000, torch.Generator().manual_seed(0))
+    keys = torch.cat([rays.directions, rays.cameras[:, None].float()], dim=1)
+    assert len(torch.unique(keys, dim=0)) == 12
+
+
 def test_batches_follow_the_generator():
     table = RayTable(scene(cameras()))
     draw = [table.batch(16, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]

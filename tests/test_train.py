@@ -2,8 +2,9 @@ import pytest
 import torch
 
 from qnerf.config import settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.experiment import build_model, build_scene, ray_table, run
 from qnerf.quantum import QuantumLayer
+from qnerf.records import read_metrics
 from qnerf.timing import PARTS, Stopwatch, median_ms
 from qnerf.train import Trainer, composite, learning_rate
 
@@ -78,6 +79,78 @@ def test_alpha_is_composited_on_what_lies_behind():
     behind = torch.tensor([[1.0, 0.0, 0.5]])
     torch.testing.assert_close(composite(pixels, behind), torch.tensor([[0.6, 0.2, 0.55]]))
     assert torch.equal(composite(pixels[:, :3], None), pixels[:, :3])
+
+
+STOP = ("stop.every=2", "stop.share=0.1", "stop.rays=9", "field=classical")
+
+
+def test_validation_is_of_the_rays_kept_apart_and_changes_nothing(tiny):
+    taken = trainer(tiny(*STOP, "field=qboth", "qiren=1L1S", "cameras=so3xr3", "appearance=2"))
+    taken.take_step(measure=False)
+    before = taken.state()
+    kept = {name: value.clone() for name, value in before["model"].items()}
+    first, second = taken.validate(), taken.validate()
+    assert first == second
+    assert 0 < first < 60
+    after = taken.state()
+    assert all(torch.equal(kept[name], after["model"][name]) for name in kept)
+    assert all(torch.equal(before["streams"][name], after["streams"][name]) for name in before["streams"])
+    assert all(module.training for module in taken.model.modules())
+
+
+def test_kept_pixels_are_not_the_same_columns_of_each_image(tiny):
+    """The images are 8 wide: one pixel in 4 would be two columns."""
+    table = trainer(tiny(*STOP, "stop.share=0.25")).table
+    assert table.apart == 5
+    assert trainer(tiny("field=classical")).table.apart == 0
+
+
+def test_a_share_that_keeps_no_pixel_is_one_line(tiny):
+    with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart") as caught:
+        trainer(tiny(*STOP, "stop.share=1e-6"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_that_no_longer_gains_stops_and_says_so(tiny):
+    outcome = run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.least=50"))
+    assert outcome.state == "finished"
+    assert (outcome.summary["steps"], outcome.summary["stopped"]) == (6, "plateau")  # the first check is a gain
+    assert outcome.summary["psnr"] > 0
+    rows = read_metrics(outcome.path)
+    assert rows[rows["key"] == "validation/psnr"]["step"].tolist() == [2, 4, 6]
+    assert "finished already" in run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.least=50")).message
+
+
+def test_a_run_that_is_not_stopped_says_nothing(tiny):
+    assert run(tiny(*STOP, "train.steps=4")).summary["stopped"] is None
+
+
+@pytest.mark.parametrize("stop_at", [1, 2, 3, 5])
+def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, monkeypatch, stop_at):
+    options = [*STOP, "train.steps=12", "stop.patience=2", "stop.least=50"]
+    whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
+    take_step = Trainer.take_step
+
+    def interrupted(self: Trainer, measure: bool) -> dict[str, float]:
+        if self.step == stop_at:
+            raise KeyboardInterrupt
+        return take_step(self, measure)
+
+    parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "take_step", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(parts)
+    resumed = run(parts)
+    assert (resumed.summary["steps"], resumed.summary["stopped"]) == (6, "plateau")
+    mine, others = (torch.load(found.path / "checkpoint.pt", weights_only=True) for found in (resumed, whole))
+    assert mine["plateau"] == others["plateau"]
+    assert all(torch.equal(mine["model"][name], others["model"][name]) for name in others["model"])
+    logged = [
+        read_metrics(found.path).query("key == 'validation/psnr'")["value"].tolist() for found in (resumed, whole)
+    ]
+    assert logged[0] == logged[1]
+    assert len(logged[0]) == 3
 
 
 def test_the_median_leaves_the_first_fifty_steps_out():

@@ -10,12 +10,15 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import Figure
 
+from analysis.figures.accuracy import accuracy_points, accuracy_vs_speed
 from analysis.figures.capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
 from analysis.figures.colors import hsv_boxes, hsv_histograms, hsv_samples, hsv_study
 from analysis.figures.curves import loss_curves, loss_points, psnr_vs_time, time_points
 from analysis.figures.encodings import encoding_channels, encoding_slices
 from analysis.figures.hardware import hardware_points, psnr_vs_noise, psnr_vs_shots
+from analysis.figures.ladder import ladder_points, speed_error_ladder
 from analysis.figures.pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
+from analysis.figures.plateaus import barren_plateaus, plateau_points
 from analysis.figures.probed import best_of
 from analysis.figures.qualitative import qualitative_grid, qualitative_panels, typical
 from analysis.figures.sampling import ray_samples, sampling_strategies
@@ -41,6 +44,9 @@ FIGURES: dict[str, tuple[str, Callable[..., Figure]]] = {
     "time": ("PSNR against wall time", psnr_vs_time),
     "speed": ("Step time against PSNR with the Pareto front", speed_vs_error),
     "engines": ("Engine time against numerical error", lambda frame, **options: engine_speed_vs_error(**options)),
+    "accuracy": ("Numerical error against time of each part", lambda frame, **options: accuracy_vs_speed(**options)),
+    "ladder": ("Speed against error, rung by rung", lambda frame, **options: speed_error_ladder(**options)),
+    "plateaus": ("Variance of gradients against wires", lambda frame, **options: barren_plateaus(**options)),
     "qualitative": ("Truth, render, error, depth of chosen runs", qualitative_grid),
     "hsv": ("Hue, saturation, value of truth, classical, quantum", hsv_study),
     "sampling": ("Sampling strategies along a ray", _of_best(sampling_strategies, "rays")),
@@ -64,6 +70,9 @@ def scenes_of(name: str, frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 __all__ = [
     "FIGURES",
+    "accuracy_points",
+    "accuracy_vs_speed",
+    "barren_plateaus",
     "capacity_points",
     "capacity_vs_psnr",
     "encoding_channels",
@@ -79,8 +88,10 @@ __all__ = [
     "hsv_histograms",
     "hsv_samples",
     "hsv_study",
+    "ladder_points",
     "loss_curves",
     "loss_points",
+    "plateau_points",
     "psnr_vs_depth",
     "psnr_vs_noise",
     "psnr_vs_shots",
@@ -94,6 +105,7 @@ __all__ = [
     "scenes_of",
     "shape_points",
     "spectrum_points",
+    "speed_error_ladder",
     "speed_points",
     "speed_vs_error",
     "time_points",

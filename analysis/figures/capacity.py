@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from analysis import style
 from analysis.figures import points
 from analysis.selection import select
+from analysis.settings import QUANTUM
 
 PARTS = {
     "heads": ("params.density", "params.color"),
@@ -29,7 +30,7 @@ def capacity_points(frame: pd.DataFrame, part: str = "heads") -> pd.DataFrame:
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; known: {', '.join(PARTS)}")
     table = points.points(select(frame).runs, ["psnr", "ssim"], PARTS[part])
-    quantum = table["field"].isin(points.QUANTUM[part]) if part in points.QUANTUM else table["field"] != "classical"
+    quantum = table["field"].isin(QUANTUM[part]) if part in QUANTUM else table["field"] != "classical"
     return table.assign(params=table[list(PARTS[part])].sum(axis=1), kind=np.where(quantum, "quantum", "classical"))
 
 

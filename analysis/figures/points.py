@@ -4,38 +4,16 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis.selection import LABELS, configuration
+from analysis.settings import LABELS, effective
 
-_SOURCES = ("qiren", "hash", "proposal")
-"""Groups whose values reach a run only through density.*, color.*, encoder.* and sampler.*."""
-QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth")}
-"""Head -> the fields in which it is a circuit."""
 _NAMING = ("field", "encoder", "hash", "density", "color", "sampler", "cameras", "train", "steps")
 
 
-def effective(runs: pd.DataFrame) -> pd.DataFrame:
-    """The settings that decide each run's numbers, as text, seeds aside; "" where a setting does not act in that run.
-
-    The width of an MLP does not act where the head is a circuit, nor a circuit's options where it is an MLP.
-    """
-    keys = [key for key in configuration(runs) if key.split(".")[0] not in _SOURCES]
-    table = runs[keys].map(str)
-    for head, circuits in QUANTUM.items():
-        quantum = runs["field"].isin(circuits)
-        for key in keys:
-            if key.startswith(f"{head}.qiren."):
-                table.loc[~quantum, key] = ""
-            elif key in (f"{head}.layers", f"{head}.width"):
-                table.loc[quantum, key] = ""
-    return table
-
-
 def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) -> pd.DataFrame:
-    """One row for each scene and configuration of finished runs, best mean of the first value first within a scene.
+    """One row for each scene and configuration of `select`'s runs, best mean of the first value first within a scene.
 
     Columns: scene_name, `LABELS`, `keep` (the first run's), <value>, <value>_std (n - 1; NaN for one seed), n, name
-    (what tells the configuration from the others) and runs (their row numbers). ValueError where a configuration has
-    a seed twice.
+    (what tells the configuration from the others) and runs (their row numbers).
     """
     table = _grouped(runs, values, keep)
     return table.assign(name=names(table, runs))
@@ -82,10 +60,6 @@ def names(
 def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> pd.DataFrame:
     keys = pd.concat([runs["scene_name"], effective(runs)], axis=1)
     number = keys.groupby(list(keys.columns), sort=False).ngroup()
-    twice = pd.DataFrame({"number": number, "seed": runs["seed"]}).duplicated()
-    if twice.any():
-        run = runs[twice].iloc[0]
-        raise ValueError(f"seed {run['seed']} of one configuration twice, the second time in {run['path']}: filter")
     groups = runs.groupby(number)
     table = groups[list(dict.fromkeys(["scene_name", *LABELS, "train.steps", *keep]))].first()
     for value in values:

@@ -12,9 +12,9 @@ from analysis import style
 from analysis.figures import points
 from analysis.report import curves, pictures
 from analysis.report.columns import packed
-from analysis.report.repeats import first_of_each
 from analysis.report.versions import versions
-from analysis.selection import LABELS, select
+from analysis.selection import select
+from analysis.settings import LABELS, first_of_each
 from analysis.tables.values import VALUES, value
 
 SHOWN = (

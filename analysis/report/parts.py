@@ -9,7 +9,6 @@ from analysis import hsv
 from analysis.figures import FIGURES, colors
 from analysis.paper import PAPER_TABLES
 from analysis.report.figures import Drawn, draw
-from analysis.report.repeats import acting
 from analysis.report.tables import ShownTable, attempt, over_seeds, what_the_scene_needs
 from analysis.tables import Table
 from analysis.tables.needs import TOLERANCE
@@ -50,7 +49,6 @@ class Part:
 def parts(frame: pd.DataFrame, told: Callable[[], None]) -> list[Part]:
     """Tables and figures of the store, in the order of the page."""
     repeats = frame["repeats"].notna().sum()
-    frame = acting(frame)
     configurations = Part("tables", "Tables", "Configurations over seeds")
     if repeats:
         configurations.text = f"{repeats:,} runs {REPEATS}"

@@ -7,7 +7,8 @@ from typing import Any
 import pandas as pd
 
 from analysis.figures import points
-from analysis.selection import LABELS, configuration, select
+from analysis.selection import select
+from analysis.settings import LABELS, configuration
 from analysis.tables import Table, ablation, needs
 
 MOST_ERROR = 600  # characters of an error that may list every column

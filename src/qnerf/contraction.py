@@ -14,7 +14,8 @@ def contract(points: Tensor, order: str = "linf") -> Tensor:
 
     `order` is the norm: "linf" fills the cube, "l2" the ball of radius 2. Continuous with its first derivative (linf:
     off the cube's diagonals). Infinite coordinates count as the largest number and have gradient 0; a NaN makes all
-    three coordinates NaN; gradients are finite everywhere else.
+    three coordinates NaN; gradients are finite everywhere else. They are known to some eps of the largest derivative,
+    about 1/|x|; the one along x, 1/|x|^2, has no digits of its own left beyond |x| = 1/eps.
     """
     _check(order)
     largest = torch.finfo(points.dtype).max / 4  # room for the sum in an l2 norm

@@ -1,6 +1,7 @@
 """One run, top to bottom: scene -> rays -> samples -> field -> render -> loss -> metrics -> parquet."""
 
 import contextlib
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,7 +31,7 @@ from qnerf.numerics import CheckedTrainer, Origin
 from qnerf.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
 from qnerf.rays import RayTable
-from qnerf.records import Run, RunStore, read_metrics, read_summary
+from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.samplers import SAMPLERS
 from qnerf.scenes import SCENES, Scene
 from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
@@ -67,16 +68,30 @@ def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
     return registry.build(node["name"], *wiring, **options)
 
 
-def prepare(config: Mapping[str, Any]) -> tuple[dict[str, Any], Settings, Scene]:
-    """The scene, and the configuration as it holds there: options that are `auto` decided by what the scene needs."""
+def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str, Any], Settings, Scene]:
+    """The scene, and the configuration as it holds there: options that are `auto` decided by what the scene needs.
+
+    `begun`: what a run of this configuration that is in its store already was found to need is not measured again.
+    """
     if not needs.asked(config):
         settings = settings_from(config)
         return dict(config), settings, build_scene(settings)
     scene = component(SCENES, config["scene"])
+    if begun and not config["run"]["force"]:
+        config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
     resolved = needs.resolve(config, scene)
     settings = settings_from(resolved)
     check_background(scene, settings)
     return resolved, settings, scene
+
+
+def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    """The group `needs` of the run of this configuration; empty where there is none yet."""
+    try:
+        stored = read_config(Path(config["store"]) / run_id(slug(config), config, scene.fingerprint))
+    except StoreError:
+        return {}
+    return dict(stored.get("needs") or {})
 
 
 def build_scene(settings: Settings) -> Scene:
@@ -154,6 +169,8 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
     apart = round(1 / settings.stop.share) if settings.stop.every else 0
+    while apart and math.gcd(apart, scene.cameras.width) > 1:  # else they would be the same few columns of each image
+        apart += 1
     return RayTable(scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, apart=apart)
 
 
@@ -209,7 +226,7 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint is kept.
     """
     display = display or Display()
-    resolved, settings, scene = prepare(config)
+    resolved, settings, scene = prepare(config, begun=True)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     model = build_model(settings, scene)
@@ -222,6 +239,9 @@ def run(
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
     if claim.outcome == "resumed":
         display.note(claim.message)
+    found = [f"{option}={node['value']}" for option, node in resolved["needs"].items() if isinstance(node, Mapping)]
+    if found:
+        display.note(f"the scene needs {', '.join(found)}")
     with claim.run as store, stop_requests() as stops:
         store.write_environment(capture(settings.seed), dirty_diff())
         return _execute(settings, scene, model, store, display, lambda: bool(stops) or stopping())

@@ -65,7 +65,7 @@ class Field(nn.Module):
         evaluated[:, -1] = True
         chosen = evaluated.flatten().nonzero()[:, 0]
         raw = self.density_head(self.encoder(unit.reshape(-1, 3)[chosen]))
-        density = spread(self._activated(raw[:, 0]), chosen, shape) * inside
+        density = spread(self._activated(raw[:, 0]), chosen, shape).masked_fill(~inside, 0)
         return density, spread(raw[:, 1:], chosen, shape), evaluated
 
     def _activated(self, raw: Tensor) -> Tensor:
@@ -83,7 +83,7 @@ class Field(nn.Module):
     def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, kept: Tensor | None = None) -> Tensor:
         """Geometry features (R, K, G), unit directions (R, 3), views (R,) -> colours (R, K, 3) in [0, 1].
 
-        A view of -1 is one without an embedding of its own: it gets the mean of all. `kept` (R, K): the samples to
+        A view of -1 is one without an embedding of its own: it gets the mean of all. `kept` (R, K): those to
         evaluate; the others are black.
         """
         per_ray = [self.directions(directions)]

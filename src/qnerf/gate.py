@@ -1,6 +1,8 @@
-"""Which samples get a colour: the colour head, a circuit above all, is the costliest part of a field, and most samples
-of a ray lie in front of its surface or behind it. A sample without geometry never gets one: it weighs nothing.
+"""Where along a ray colours are computed: the colour head, a circuit above all, is the costliest part of a field, and
+the samples of a ray that count lie close together. Samples without a geometry weigh nothing and never get a colour.
 """
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,15 +13,22 @@ from qnerf.registry import Registry
 GATES: "Registry[Gate]" = Registry("gate")
 
 
-class Gate(nn.Module):
-    """Which samples get a colour (R, K), or None for all; every ray keeps its largest share.
+class Gated(NamedTuple):
+    """What gets a colour: M places on each ray."""
 
-    Of the samples' shares (R, K) in their rays' colours, at least 0, and which of them were evaluated (R, K), None for
-    all; one at least on each ray. It decides alike in training and evaluation, so that a head's normalisation sees the
-    same kind of samples in both.
+    shares: Tensor  # (R, M) what a place's colour counts in its ray's; of a ray they sum to what they summed to before
+    geometry: Tensor  # (R, M, G)
+    kept: Tensor | None  # (R, M) bool: the others count nothing and need no colour; None: all get one
+
+
+class Gate(nn.Module):
+    """Shares (R, K) of the samples in their rays' colours, at least 0, their geometry features (R, K, G), and which of
+    them were evaluated (R, K), at least one on each ray, None for all -> `Gated`.
+
+    It decides alike in training and evaluation, so that a head's normalisation sees the same kind of inputs in both.
     """
 
-    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor | None:
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
         raise NotImplementedError
 
 
@@ -27,12 +36,29 @@ class Gate(nn.Module):
 class NoGate(Gate):
     """Every sample that has a geometry gets a colour."""
 
-    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor | None:
-        return evaluated
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        return Gated(shares, geometry, evaluated)
+
+
+class SelectingGate(Gate):
+    """Some samples get a colour, one at least on each ray; they share what the others would have counted."""
+
+    def select(self, shares: Tensor) -> Tensor:
+        """Shares (R, K), -1 of a sample that was not evaluated -> which get a colour (R, K)."""
+        raise NotImplementedError
+
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        with torch.no_grad():
+            ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
+            kept = self.select(ranked) & (ranked >= 0)
+        left = shares * kept
+        total = shares.sum(-1, keepdim=True)
+        scale = total / left.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
+        return Gated(left * scale, geometry, kept)
 
 
 @GATES.register("threshold")
-class ThresholdGate(Gate):
+class ThresholdGate(SelectingGate):
     """Samples whose share is at least `least`: what is left out of a ray sums to less than K `least`.
 
     Args:
@@ -45,15 +71,12 @@ class ThresholdGate(Gate):
             raise ValueError(f"gate=threshold: least must be at least 0 and below 1, got {least}")
         self.least = least
 
-    @torch.no_grad()
-    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor:
-        largest = shares.amax(-1, keepdim=True)
-        kept = shares >= largest.clamp(max=self.least)
-        return kept if evaluated is None else kept & evaluated
+    def select(self, shares: Tensor) -> Tensor:
+        return shares >= shares.amax(-1, keepdim=True).clamp(max=self.least)
 
 
 @GATES.register("top")
-class TopGate(Gate):
+class TopGate(SelectingGate):
     """The `samples` largest shares of each ray.
 
     Args:
@@ -65,10 +88,35 @@ class TopGate(Gate):
         at_least("samples", samples, 1)
         self.samples = samples
 
-    @torch.no_grad()
-    def forward(self, shares: Tensor, evaluated: Tensor | None = None) -> Tensor:
+    def select(self, shares: Tensor) -> Tensor:
         count = min(self.samples, shares.shape[-1])
-        if evaluated is not None:
-            shares = shares.masked_fill(~evaluated, -1)
-        kept = torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
-        return kept if evaluated is None else kept & evaluated
+        return torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
+
+
+@GATES.register("merge")
+class MergeGate(Gate):
+    """Samples that follow each other share a colour: that of their mean geometry, weighted by their shares.
+
+    A ray's share is cut into `parts` equal ones, in the order in which the ray passes them; a sample belongs to the
+    part in which its middle falls. Where the features change little across a part, so does the colour, and nothing is
+    left out.
+
+    Args:
+        parts: of a ray, at least 1; 1 renders features first and colours once a ray.
+    """
+
+    def __init__(self, *, parts: int = 8) -> None:
+        super().__init__()
+        at_least("parts", parts, 1)
+        self.parts = parts
+
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        tiny = torch.finfo(shares.dtype).tiny
+        with torch.no_grad():
+            middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
+            part = (middle * self.parts).long().clamp_(0, self.parts - 1)
+        merged = shares.new_zeros(len(shares), self.parts).scatter_add(1, part, shares)
+        index = part[..., None].expand_as(geometry)
+        sums = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
+        sums = sums.scatter_add(1, index, shares[..., None] * geometry)
+        return Gated(merged, sums / merged.clamp(min=tiny)[..., None], merged > 0)

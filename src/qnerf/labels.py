@@ -29,6 +29,8 @@ def head_label(head: Mapping[str, Any]) -> str:
 def hash_label(table: Mapping[str, Any]) -> str:
     keys = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
     values = tuple(table[key] for key in keys)
+    if "auto" in values:
+        return "auto"
     for name, known in HASH_TABLES.items():
         if values == known:
             return name

@@ -55,8 +55,8 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     """Pulls each ray's weight together (Eq. 15, arXiv:2111.12077), in the normalised coordinate s.
 
     mean over rays of sum_{i,j} w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 (s_{i+1} - s_i), m the interval midpoints. The
-    double sum is 2 sum_k (m_{k+1} - m_k) W_k (W - W_k) with W_k = w_0 + ... + w_k: all its terms are positive and no
-    digits cancel.
+    double sum is 2 sum_k (m_{k+1} - m_k) W_k (w_{k+1} + ...) with W_k = w_0 + ... + w_k: all its terms are positive and
+    no digits cancel.
     """
     s = samples.spacing.detach()
     if compiled(weights, s):
@@ -66,9 +66,9 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
 
 def distortion_reference(weights: Tensor, s: Tensor) -> Tensor:
     """The sum over rays of `distortion`, in plain PyTorch."""
-    cumulative = weights.cumsum(-1)
-    total = cumulative[:, -1:]
+    before = weights[:, :-1].cumsum(-1)
+    behind = weights[:, 1:].flip(-1).cumsum(-1).flip(-1)  # the total less `before` would cancel behind a spike
     gaps = s[:, 2:] - s[:, :-2]  # twice the distance of neighbouring midpoints
-    between = (gaps * cumulative[:, :-1] * (total - cumulative[:, :-1])).sum()
+    between = (gaps * before * behind).sum()
     within = ((s[:, 1:] - s[:, :-1]) * weights.square()).sum() / 3
     return between + within

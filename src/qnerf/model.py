@@ -57,8 +57,10 @@ class Model(nn.Module):
         with watch.part("field"):
             density, geometry, evaluated = self.field.geometry(rays.along(samples.mids))
             weights = volume_weights(density, samples.deltas)
-            kept = self.gate(shares(weights, background), evaluated)
-            color = self.field.color(geometry, rays.directions, rays.cameras, kept)
+            gated = self.gate(shares(weights, background), geometry, evaluated)
+            color = self.field.color(gated.geometry, rays.directions, rays.cameras, gated.kept)
         with watch.part("render"):
-            rendering, behind = render(weights, color, samples, background=background, kept=kept, generator=generator)
+            rendering, behind = render(
+                weights, color, samples, background=background, parts=gated.shares, generator=generator
+            )
         return rendering, sampled, behind

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from qnerf.cameras import Cameras
 from qnerf.config import Settings
+from qnerf.gate import Gated
 from qnerf.model import Model
 from qnerf.quantum import QuantumLayer
 from qnerf.rays import RayTable
@@ -32,12 +33,12 @@ CONTENT = {"told": str, "part": str, "values": Tensor, "config": dict, "state": 
 BACKWARD = ("color", "appearance", "density", "encoder", "sampler", "cameras")
 """Parts in the order in which the loss's gradient reaches them."""
 
-RayOf = Callable[[int], int]
-"""Row of a tensor -> number of the ray in its batch that it belongs to."""
+RayOf = Callable[[int], int | None]
+"""Row of a tensor -> number of the ray in its batch that it belongs to; None where it belongs to none."""
 
 
 class NonFinite(Diverged):
-    """A value is not finite. `values` are those of the `part` it stands in; `ray` is None where no one ray has it."""
+    """A value is not finite. `values` are those of the `part` it is in; `ray` is None where that is no one ray."""
 
     def __init__(self, part: str, values: Tensor, ray_of: RayOf | None) -> None:
         self.part, self.values = part, values.detach()
@@ -48,8 +49,8 @@ class NonFinite(Diverged):
             f"{float(self.values[index])} in {part}: {int(wrong.sum())} of {wrong.numel()} values, first {place}"
         )
         self.ray: int | None = None
-        if ray_of is not None and not bool(wrong.flatten(1).any(1)[1:].all() and len(wrong) > 1):
-            self.ray = ray_of(index[0])
+        if ray_of is not None and (len(wrong) == 1 or not bool(wrong.reshape(len(wrong), -1).any(1).all())):
+            self.ray = ray_of(index[0])  # else every ray has it
         super().__init__(self.told)
 
 
@@ -59,6 +60,7 @@ class Checks:
     def __init__(self, model: Model) -> None:
         self.model = model
         self._hooks = ExitStack()
+        self._unit: Tensor | None = None  # (R, K, 3) samples of the step in the unit cube
 
     def __enter__(self) -> None:
         model, field = self.model, self.model.field
@@ -72,6 +74,7 @@ class Checks:
 
     def __exit__(self, *_: object) -> None:
         self._hooks.close()
+        self._unit = None
 
     def _hook(self, module: nn.Module, before: Callable[..., None] | None, after: Callable[..., None]) -> None:
         if before is not None:
@@ -113,17 +116,23 @@ class Checks:
     def _weights(self, shares: Tensor, *_: object) -> None:
         look("weights", shares, int)
 
-    def _chosen(self, kept: Tensor | None, shares: Tensor, *_: object) -> None:
-        self._kept = torch.ones_like(shares, dtype=torch.bool) if kept is None else kept
+    def _chosen(self, gated: Gated, *_: object) -> None:
+        look("gate (shares)", gated.shares, int)
+        look("gate (geometry)", gated.geometry, int)
+        self._kept = torch.ones_like(gated.shares, dtype=torch.bool) if gated.kept is None else gated.kept
 
     def _rendering(self, out: tuple[Rendering, SampledRays, Tensor | None], _: Rays) -> None:
         for name in ("color", "depth", "accumulation"):
             look(f"rendering ({name})", getattr(out[0], name), int)
 
-    def _ray_of_point(self, row: int) -> int:
-        """The field may leave points out: the one that the encoder got is looked up among all."""
-        place = (self._unit == self._at[row]).all(-1).nonzero()[0]
-        return int(place[0])
+    def _ray_of_point(self, row: int) -> int | None:
+        """The field may leave points out: the one that the encoder got is looked up among all.
+
+        None while the occupancy is looked at, which comes before the rays.
+        """
+        if self._unit is None:
+            return None
+        return int((self._unit == self._at[row]).all(-1).nonzero()[0, 0])
 
     def _ray_of_color(self, row: int) -> int:
         return int(self._kept.nonzero()[row, 0])
@@ -138,6 +147,8 @@ def look(part: str, values: Tensor, ray_of: RayOf | None = None) -> None:
 class Recorder(RayTable):
     """The table it is made of; it remembers the batch that it gave last."""
 
+    last: tuple[Rays, Tensor] | None = None
+
     def __init__(self, table: RayTable) -> None:
         vars(self).update(vars(table))
 
@@ -146,8 +157,8 @@ class Recorder(RayTable):
         return super().rays(views, pixels, refinement)
 
     def batch(self, rays: int, generator: torch.Generator, refinement: Cameras | None = None) -> tuple[Rays, Tensor]:
-        self.last = super().batch(rays, generator, refinement)
-        return self.last
+        self.last = batch = super().batch(rays, generator, refinement)
+        return batch
 
 
 class Recorded(Recorder):
@@ -155,13 +166,14 @@ class Recorded(Recorder):
 
     def __init__(self, table: RayTable, rays: dict[str, Tensor], colors: Tensor) -> None:
         super().__init__(table)
-        self.before = Rays(**rays).to(table.device), colors.to(table.device)
+        self.before = {name: rays[name].to(table.device) for name in _FIELDS}, colors.to(table.device)
 
     def batch(self, rays: int, generator: torch.Generator, refinement: Cameras | None = None) -> tuple[Rays, Tensor]:
         now, _ = super().batch(rays, generator, refinement)
         then, colors = self.before
-        pairs = {name: (getattr(now, name), getattr(then, name)) for name in _FIELDS}
-        return Rays(**{name: torch.where(a == b, a, b) for name, (a, b) in pairs.items()}), colors
+        same = {name: torch.where(getattr(now, name) == then[name], getattr(now, name), then[name]) for name in _FIELDS}
+        self.last = Rays(**same), colors
+        return self.last
 
 
 _FIELDS = [field.name for field in fields(Rays)]
@@ -196,6 +208,7 @@ class CheckedTrainer(Trainer):
             NonFinite: names the part, the step, and where there is one the ray, its camera and its pixel.
         """
         before = copy.deepcopy(self.state())
+        self.table.last = None
         try:
             with self.checks:
                 return super().take_step(measure)
@@ -223,8 +236,11 @@ class CheckedTrainer(Trainer):
 
     def _kept(self, found: NonFinite, before: dict[str, Any]) -> NonFinite:
         """`found` with all that is to be told; the file is written."""
-        rays, colors = self.table.last
         told = f"{found.told}; step {before['step']}"
+        if self.table.last is None:  # the occupancy was looked at, which comes first: any batch will do
+            self.table.batch(self.train.rays, self.streams["pixels"], self.model.cameras)
+        assert self.table.last is not None
+        rays, colors = self.table.last
         if found.ray is not None:
             y, x = divmod(int(self.table.drawn[found.ray]), self.table.width)
             camera = self.origin.names[int(rays.cameras[found.ray])]

@@ -5,10 +5,12 @@ from torch import Tensor
 
 from qnerf.contraction import Contraction
 from qnerf.field import Field
-from qnerf.visibility import SpaceMask
+from qnerf.visibility import SpaceMask, cell_centres
 
 DECAY = 0.7  # of the opacity that was seen, from one look at a cell to the next
 CHUNK = 2**15  # cells looked at together
+INFINITE = 1e12  # world units
+STEP = 1e-6  # cells, of the difference that stands for a derivative
 
 
 class Occupancy(SpaceMask):
@@ -35,8 +37,9 @@ class Occupancy(SpaceMask):
     def __init__(self, allowed: Tensor, contraction: Contraction, *, every: int, after: int, least: float) -> None:
         super().__init__(allowed)
         self.every, self.after, self.least = every, after, least
-        cells = allowed.flatten().nonzero()[:, 0]
-        sides = shortest_sides(contraction, cells, allowed.shape[0]).to(torch.get_default_dtype())
+        n = allowed.shape[0]
+        cells = (allowed.flatten() & reachable(contraction, n)).nonzero()[:, 0]
+        sides = shortest_sides(contraction, n)[cells].to(torch.get_default_dtype())
         self.register_buffer("cells", cells, persistent=False)
         self.register_buffer("sides", sides, persistent=False)
         self.register_buffer("allowed", allowed, persistent=False)
@@ -67,9 +70,16 @@ class Occupancy(SpaceMask):
         self.grid = found if bool(found.any()) else self.allowed.clone()
 
 
-def shortest_sides(contraction: Contraction, cells: Tensor, n: int) -> Tensor:
-    """World length of the shortest of a cell's three sides, through its centre: (N,) of cells numbered row by row."""
-    centre = (torch.stack([cells // (n * n), cells // n % n, cells % n], dim=-1).to(torch.float64) + 0.5) / n
-    half = 0.5 / n * torch.eye(3, dtype=torch.float64)
-    ends = [contraction.inverse(centre + side) - contraction.inverse(centre - side) for side in half]
-    return torch.stack([torch.linalg.vector_norm(end, dim=-1) for end in ends]).amin(0)
+def reachable(contraction: Contraction, n: int) -> Tensor:
+    """Whether some world point lies at a cell's centre (n^3,): none does in the corners around an l2 ball."""
+    return contraction.inverse(cell_centres(n)).abs().amax(-1) < INFINITE
+
+
+def shortest_sides(contraction: Contraction, n: int) -> Tensor:
+    """World length of the shortest of each cell's three sides, through its centre (n^3,), row by row.
+
+    By the derivative there: the outermost sides of a contracted cube end at infinity.
+    """
+    centres, steps = cell_centres(n), STEP / n * torch.eye(3, dtype=torch.float64)
+    moved = [contraction.inverse(centres + step) - contraction.inverse(centres - step) for step in steps]
+    return torch.stack([torch.linalg.vector_norm(each, dim=-1) for each in moved]).amin(0) / (2 * STEP)

@@ -91,6 +91,10 @@ class RayTable:
         self.near = near if scene.near is None else max(near, scene.near)
         self.far = far if scene.far is None else min(far, scene.far)
         self.apart = apart
+        if apart > len(scene.train) * cameras.width * cameras.height:
+            raise ValueError(
+                f"stop.share keeps one training pixel in {apart} apart, which is none here; make it larger"
+            )
         if not 0 <= self.near < self.far:
             raise ValueError(
                 f"scene {scene.name}: near must be at least 0 and below far, got {self.near:g} and {self.far:g}"

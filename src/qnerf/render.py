@@ -93,22 +93,21 @@ def render(
     samples: Samples,
     *,
     background: str,
-    kept: Tensor | None = None,
+    parts: Tensor | None = None,
     generator: torch.Generator | None = None,
 ) -> tuple[Rendering, Tensor | None]:
-    """Composites the samples of each ray over a background.
+    """Composites the colours of each ray over a background.
 
-    C = sum_i w_i c_i + (1 - sum_i w_i) c_background. Nothing is clamped: colours in [0, 1] give a colour in [0, 1] up
+    C = sum_i s_i c_i + (1 - sum_i w_i) c_background. Nothing is clamped: colours in [0, 1] give a colour in [0, 1] up
     to rounding. The expected depth is sum w t / sum w over interval midpoints t; both depths lie between the first and
     the last midpoint, also on empty rays.
 
     Args:
         weights: (R, K) of `volume_weights`.
-        color: (R, K, 3).
+        color: (R, M, 3).
         samples: K intervals on each of R rays.
         background: last_sample (the last sample's colour), white, black, or random (a new colour for each ray).
-        kept: (R, K) samples that have a colour, at least one a ray; they share what the others would have counted, in
-            proportion. None: all.
+        parts: (R, M) what each colour counts in its ray's, where a gate decided it; None: `shares`, M = K.
         generator: of the random background.
 
     Returns:
@@ -120,12 +119,9 @@ def render(
     """
     accumulation = weights.sum(-1).clamp(max=1)
     behind = background_color(background, weights, generator)
-    share = shares(weights, background)
-    if kept is not None:
-        total = share.sum(-1, keepdim=True)
-        share = share * kept
-        share = share * (total / share.sum(-1, keepdim=True).clamp(min=torch.finfo(share.dtype).tiny))
-    composite = torch.bmm(share[:, None], color)[:, 0]
+    if parts is None:
+        parts = shares(weights, background)
+    composite = torch.bmm(parts[:, None], color)[:, 0]
     if behind is not None:
         composite = composite + (1 - accumulation)[:, None] * behind
     with torch.no_grad():

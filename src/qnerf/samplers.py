@@ -281,7 +281,7 @@ class ProposalSampler(Sampler):
             return raw.exp_().view(points.shape[:-1])
         density = network(unit)
         if self.mask is not None:
-            density = density * self.mask(unit)
+            density = density.masked_fill(~self.mask(unit), 0)  # infinity times 0 would be NaN
         return density.view(points.shape[:-1])
 
     def forward(

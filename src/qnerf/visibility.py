@@ -40,10 +40,8 @@ def visible(contraction: Contraction, cameras: Cameras, views: list[int], least:
     of it (lens distortion moves the border by a fraction of a cell and is left out). Few views see little in common, so
     at most half of them are asked for. ValueError where nothing is seen.
     """
-    axis = (torch.arange(resolution, dtype=torch.float64) + 0.5) / resolution
-    cells = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
     least = min(least, max(1, len(views) // 2))
-    counts = count_cameras(contraction.inverse(cells), cameras, views, most=least)
+    counts = count_cameras(contraction.inverse(cell_centres(resolution)), cameras, views, most=least)
     seen = counts >= least
     if not bool(seen.any()):
         raise ValueError(
@@ -51,6 +49,12 @@ def visible(contraction: Contraction, cameras: Cameras, views: list[int], least:
             f"(at most {int(counts.max())} see one); lower it, or 0 turns it off"
         )
     return seen.view(resolution, resolution, resolution)
+
+
+def cell_centres(resolution: int) -> Tensor:
+    """Centres (n^3, 3) float64 of the unit cube's cells, row by row."""
+    axis = (torch.arange(resolution, dtype=torch.float64) + 0.5) / resolution
+    return torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
 
 
 def count_cameras(points: Tensor, cameras: Cameras, views: list[int], most: int | None = None) -> Tensor:

@@ -23,7 +23,6 @@ from analysis.load import metrics, runs
 from analysis.report import columns, content, curves, figures, page, parts, tables
 from analysis.report.__main__ import gathered, main, parser
 from analysis.report.pictures import Pictures, gather
-from analysis.report.repeats import acting
 from analysis.tables import Table, over_seeds
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'`&amp;javascript:alert(3)"
@@ -258,7 +257,7 @@ def test_a_run_that_repeats_another_is_shown_and_counts_once(store):
     again = first.assign(run_id="again", psnr=99.0, **{"density.qiren.layers": 3})
     every = content.prepared(pd.concat([frame, again]))
     assert every.set_index("run_id")["repeats"].dropna().to_dict() == {"again": first["run_id"].iloc[0]}
-    table = tables.over_seeds(acting(every))
+    table = tables.over_seeds(every)
     assert table.text.loc[table.text["field"] == "classical", "seeds"].tolist() == ["2"]
     assert table.data["psnr", "mean"].max() < 99
     assert len(content.data(every, Pictures(), {})["columns"]["run_id"]["values"]) == len(frame) + 1

@@ -4,6 +4,7 @@ import math
 import os
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.identity import identity
 from qnerf.quantum import QuantumLayer
 from qnerf.records import read_status
+from qnerf.render import render
 from qnerf.timing import Stopwatch
 from qnerf.train import Diverged, Trainer
 
@@ -165,7 +167,7 @@ def test_nan_in_a_circuit_s_input(checked: Make, file: Path, capsys: Capture, fi
     assert replayed(file, capsys) == again(error)
 
 
-@pytest.mark.parametrize("gate", [[], ["gate=top", "gate.samples=1"]], ids=["all", "gated"])
+@pytest.mark.parametrize("gate", [[], ["gate=top", "gate.samples=1"], ["gate=merge", "gate.parts=2"]], ids=str)
 def test_nan_in_one_camera_s_appearance(checked: Make, gate: list[str]) -> None:
     taken = checked("field=qcolor", "appearance=2", *gate)
     plant(taken.model.field.appearance.weight, 3, 1)
@@ -291,3 +293,25 @@ def test_a_hostile_file_is_refused_in_one_line(tmp_path: Path, capsys: Capture, 
     assert str(file) in told
     assert told.count("\n") == 1
     assert not (tmp_path / "owned").exists()
+
+
+def test_nan_while_the_occupancy_is_looked_at(checked: Make, file: Path, capsys: Capture) -> None:
+    """It comes before the rays: the value belongs to none of them."""
+    taken = checked("field=qdensity", "occupancy.every=2", "occupancy.after=1", "visibility.resolution=8")
+    taken.take_step(measure=False)
+    plant(taken.model.field.density_head.hybrid[0].linear.bias, 1)
+    error = found(taken)
+    assert error.part == "inputs of circuit 0 of the density head"
+    assert len(error.values) == len(taken.model.field.mask.cells)
+    assert "ray" not in error.told
+    assert replayed(file, capsys) == again(error)
+
+
+def test_nan_in_one_depth_of_the_rendering(checked: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    def spoilt(*given: Any, **options: Any) -> tuple[Any, Any]:
+        rendering, behind = render(*given, **options)
+        return replace(rendering, depth=rendering.depth + torch.where(torch.arange(8) == 6, NAN, 0.0)), behind
+
+    monkeypatch.setattr("qnerf.model.render", spoilt)
+    error = found(checked("field=classical"))
+    assert (error.part, error.ray) == ("rendering (depth)", 6)

@@ -19,7 +19,7 @@ AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3)
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 @given(axis=AXES, power=st.floats(-38, 12))
 def test_harmonics_of_unnormalised_directions(degree: int, axis: tuple[float, ...], power: float) -> None:
-    """Any length from 0 to 10^12: finite, and each band right relative to what it is made of, |d|^l and the constants."""
+    """Any length from 0 to 10^12: finite, each band right relative to what it is made of, |d|^l and the constants."""
     direction = rounded([x * 10.0**power for x in axis])
     exact, found = (spherical_harmonics(direction.to(dtype), degree) for dtype in (torch.float64, torch.float32))
     length = max(1.0, float(direction.abs().max()))

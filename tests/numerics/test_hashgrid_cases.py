@@ -13,8 +13,8 @@ from qnerf.kernels import plain
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
 POINT_GRADIENTS = 32 * EPS
-"""Relative to resolution times the largest entry times the largest upstream: four products and differences of two corners
-each, twelve sums of features, all of which may cancel."""
+"""Relative to resolution times the largest upstream, with entries below 1: four differences of corners, whose sums may
+cancel, with three products and a rounded place each."""
 TABLE_GRADIENTS = 16 * EPS
 """Relative to the largest upstream, for one point: its weights, as in FEATURES."""
 

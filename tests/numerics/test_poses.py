@@ -18,7 +18,9 @@ ANGLE_GRADIENTS = 1e-4
 TURNS = 2 * EPS
 """Of the angle, relative: its square and the square root are rounded. Within one turn MOTION has it."""
 
-ANGLES = st.sampled_from([0.0, 1e-30, 1e-20, 1e-7, math.pi / 2, math.pi, 2 * math.pi, 1e3, 1e6, 1e7, 1e18]) | st.floats(0, 7)
+ANGLES = st.sampled_from([0.0, 1e-30, 1e-20, 1e-7, math.pi / 2, math.pi, 2 * math.pi, 1e3, 1e6, 1e7, 1e18]) | st.floats(
+    0, 7
+)
 AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3).filter(lambda axis: math.hypot(*axis) > 1e-3)
 
 

@@ -95,7 +95,7 @@ def test_even_edges_are_ordered_for_every_jitter(samples: int, jitter: float) ->
     rays = rays_between(0.0, 1.0, 1)
     edges = even_edges(rays, samples, torch.tensor([[jitter]], dtype=torch.float32))
     assert bool((edges.diff() >= 0).all())
-    assert 0 <= float(edges[0, 0])
+    assert float(edges[0, 0]) >= 0
     assert float(edges[0, -1]) <= 1
 
 
@@ -116,7 +116,9 @@ def test_distances_of_every_spacing(name: str, near: float, ratio: float, s: lis
 
 
 def rays_between(near: float, far: float, count: int) -> Rays:
-    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=torch.Generator().manual_seed(1)), dim=-1)
+    directions = torch.nn.functional.normalize(
+        torch.randn(count, 3, generator=torch.Generator().manual_seed(1)), dim=-1
+    )
     bounds = (torch.full((count, 1), bound) for bound in (near, far))
     return Rays(torch.zeros(count, 3), directions, torch.zeros(count, dtype=torch.int64), *bounds)
 

@@ -21,7 +21,7 @@ def main(options: argparse.Namespace) -> int:
     import torch
 
     from qnerf import experiment, numerics
-    from qnerf.config import settings_from
+    from qnerf.quantum import QuantumLayer
     from qnerf.timing import Stopwatch
 
     content = numerics.load(options.file)
@@ -31,14 +31,13 @@ def main(options: argparse.Namespace) -> int:
         config["scene"]["path"] = options.scene
     if options.device is not None:
         config["device"] = options.device
-    settings = settings_from(config)
+    _, settings, scene = experiment.prepare(config)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    scene = experiment.build_scene(settings)
     model = experiment.build_model(settings, scene)
     table = numerics.Recorded(experiment.ray_table(settings, scene), content["rays"], content["colors"])
     origin = numerics.Origin(scene.names, config, None)
-    watch = Stopwatch(settings.torch_device, model, experiment.QuantumLayer)
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     trainer = numerics.CheckedTrainer(model, table, settings, watch, origin)
     trainer.load(content["state"])
     print(printable(f"then: {content['told']}"))

@@ -13,7 +13,8 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     """Real spherical harmonics of bands 0..degree - 1 of unit directions (..., 3): (..., degree^2), degree 1 to 4.
 
     Orthonormal over the sphere, band by band with m from -l to l, as polynomials in (x, y, z) without the
-    Condon-Shortley sign. Of a direction that is not of unit length, zero included, they are those polynomials.
+    Condon-Shortley sign. Of a direction that is not of unit length, zero included, they are those polynomials, finite
+    up to a length of 1e12 in float32.
     """
     if degree not in DEGREES:
         raise ValueError(f"directions=sh: degree must be one of {', '.join(map(str, DEGREES))}, got {degree}")

@@ -110,9 +110,7 @@ class Interlevel(torch.autograd.Function):
 def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
     bins = w.shape[1]
     for ray in range(start, stop):
-        whole = 0.0
-        for i in range(bins):
-            whole += w[ray, i]
+        # L = sum_i w_i (sum_{k<i} gap_k W_k + 1/3 w_i (s_(i+1) - s_i)), of positive terms alone
         # dL/dw_i = sum_{k<i} gap_k W_k + sum_{k>=i} gap_k (W - W_k) + 2/3 w_i (s_(i+1) - s_i), gap_k = s_(k+2) - s_k
         before = 0.0
         cumulative = 0.0
@@ -122,11 +120,9 @@ def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
             length = np.float64(s[ray, i + 1]) - s[ray, i]
             grad[ray, i] = before + 2 / 3 * weight * length
             cumulative += weight
-            total += weight * weight * length / 3
+            total += weight * (before + weight * length / 3)
             if i < bins - 1:
-                gap = np.float64(s[ray, i + 2]) - s[ray, i]
-                before += gap * cumulative
-                total += gap * cumulative * (whole - cumulative)
+                before += (np.float64(s[ray, i + 2]) - s[ray, i]) * cumulative
         behind = 0.0
         cumulative = 0.0
         for i in range(bins - 1, -1, -1):

@@ -26,8 +26,8 @@ def exposure_spread(scene: Scene) -> float:
 
 
 def coarse(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The image made smaller by means over blocks, to at most `COARSE` rows; NaN where a block has one."""
-    factor = -(-image.shape[0] // COARSE)
+    """The image made smaller by means over blocks, to at most `COARSE` rows or one column; NaN where one has a NaN."""
+    factor = min(-(-image.shape[0] // COARSE), image.shape[1])
     rows, columns = (size // factor * factor for size in image.shape)
     blocks = image[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
     mean: NDArray[np.float64] = blocks.mean(axis=(1, 3))

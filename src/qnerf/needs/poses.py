@@ -1,9 +1,11 @@
 """Whether the given poses are off, from what pairs of images show."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from skimage.feature import SIFT, match_descriptors
 from skimage.measure import ransac
 from skimage.transform import FundamentalMatrixTransform, rescale
@@ -14,6 +16,7 @@ from qnerf.scenes import Scene
 PAIRS = 8  # at most
 LEAST = 20  # matches that some pair of cameras explains, below which a pair of views is left out
 WITHIN = 1.0  # pixels from its epipolar line at which a match counts as explained
+OUTLINE = 2.0  # pixels from a transparent one within which a feature is left out
 SMALL = 256  # pixels: images are enlarged to this height for the features, never more than four times
 
 
@@ -44,15 +47,16 @@ def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
     points = matched(grey(scene, a), grey(scene, b))
     if len(points) < LEAST:
         return None
-    model, explained = ransac(
-        (points[:, 0], points[:, 1]),
-        FundamentalMatrixTransform,
-        min_samples=8,
-        residual_threshold=WITHIN,
-        max_trials=200,
-        rng=np.random.default_rng(0),
-    )
-    if explained is None or explained.sum() < LEAST:
+    with warnings.catch_warnings(action="ignore"):  # that it finds nothing is told by what it returns
+        model, explained = ransac(
+            (points[:, 0], points[:, 1]),
+            FundamentalMatrixTransform,
+            min_samples=8,
+            residual_threshold=WITHIN,
+            max_trials=200,
+            rng=np.random.default_rng(0),
+        )
+    if not model or explained.sum() < LEAST:
         return None
     points = points[explained]
     given, best = distances(fundamental(scene, a, b), points), distances(model.params, points)
@@ -60,7 +64,10 @@ def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
 
 
 def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Features that both images have: (N, 2, 2), which image, x and y in pixels."""
+    """Features that both images have: (N, 2, 2), which image, x and y in pixels.
+
+    None at a silhouette: an outline is another curve on the object in each view.
+    """
     features = []
     for image in (a, b):
         factor = float(np.clip(SMALL / image.shape[0], 1, 4))
@@ -73,7 +80,18 @@ def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
         keypoints = (detector.keypoints[:, ::-1] + 0.5) / factor
         features.append((keypoints, detector.descriptors))
     pairs = match_descriptors(features[0][1], features[1][1], max_ratio=0.75, cross_check=True)
-    return np.stack([features[side][0][pairs[:, side]] for side in (0, 1)], axis=1)
+    points = np.stack([features[side][0][pairs[:, side]] for side in (0, 1)], axis=1)
+    return points[off_outline(a, points[:, 0]) & off_outline(b, points[:, 1])]
+
+
+def off_outline(image: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the points (N, 2), in pixels, lie on the object and not at its outline."""
+    solid = np.isfinite(image)
+    if solid.all():
+        return np.ones(len(points), dtype=bool)
+    column, row = np.minimum(points.astype(int), [image.shape[1] - 1, image.shape[0] - 1]).T
+    inside: NDArray[np.bool_] = distance_transform_edt(solid)[row, column] > OUTLINE
+    return inside
 
 
 def fundamental(scene: Scene, a: int, b: int) -> NDArray[np.float64]:

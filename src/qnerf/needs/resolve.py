@@ -35,10 +35,14 @@ def resolve(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     decided = resolved["needs"] = dict(resolved.get("needs") or {})
     measured = Measured(scene)
     for option in asked(config):
+        if value_of(resolved, option) != AUTO:  # the component that its group was found to need has no such option
+            continue
         if option not in decided:
             decision = RULES[option](measured, resolved)
             because = {name: number for name, number in decision.because.items() if math.isfinite(number)}
             decided[option] = {"value": decision.value, **because}
+        elif not isinstance(decided[option], Mapping) or "value" not in decided[option]:
+            raise ValueError(f"needs.{option}: expected a group with the key value, got {decided[option]!r}")
         replace(resolved, option, decided[option])
     return resolved
 
@@ -53,7 +57,8 @@ def value_of(config: Mapping[str, Any], option: str) -> Any:
 def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> None:
     """Sets a dotted option to what was decided.
 
-    A component's name leaves those of the group's options that the component has, and fills in one that was measured.
+    A component's name leaves those of the group's options that the component has, and fills in what was measured of
+    those that are not set.
     An option of the hash tables is set where the encoder repeats it, too.
     """
     group, _, key = option.rpartition(".")
@@ -61,6 +66,6 @@ def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> 
     node[key] = decided["value"]
     if key == "name":
         known = COMPONENTS[group].options(node["name"])
-        config[group] = {k: v for k, v in {**node, **decided}.items() if k == "name" or k in known}
+        config[group] = {k: v for k, v in {**decided, **node}.items() if k == "name" or k in known}
     if group == "hash" and config["encoder"].get(key) == AUTO:
         config["encoder"][key] = node[key]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from qnerf.contraction import CONTRACTIONS, Box
 from qnerf.needs import detail, exposure, poses, space
 from qnerf.scenes import Scene
 
@@ -128,7 +129,7 @@ def appearance(of: Measured, config: Config) -> Decision:
     return Decision(EMBEDDING if of.exposure > EXPOSURE else 0, {"exposure_spread": of.exposure, "limit": EXPOSURE})
 
 
-OFF = 1.0  # pixels that the given poses may explain matches worse than the best ones
+OFF = 0.15  # pixels that the given poses may explain matches worse than the best ones; true poses stay below 0.06
 
 
 @rule("cameras.name")
@@ -145,24 +146,30 @@ SPARE = 2.0  # cells for each that the sampling theorem asks for: interpolation 
 
 def unit_resolution(of: Measured, config: Config) -> float:
     """Cells an axis of the unit cube for the finest detail of the images."""
-    node = config["contraction"]
-    side = 2 * node.get("half_extent", 1.0) if node["name"] == "box" else 4.0  # world units along the cube
+    contraction = CONTRACTIONS.build(**config["contraction"])
+    side = 2 * contraction.half_extent if isinstance(contraction, Box) else 4.0  # world units along the cube
     return SPARE * side * of.cells_per_world_unit
+
+
+def given(config: Config, key: str) -> int:
+    """An option of the hash tables that was set by hand or decided before."""
+    value = config["hash"][key]
+    if type(value) is not int or value < 1:
+        raise ValueError(f"hash.{key} must be a whole number of at least 1, got {value!r}")
+    return value
 
 
 @rule("hash.max_resolution")
 def max_resolution(of: Measured, config: Config) -> Decision:
-    needed = unit_resolution(of, config)
-    least = config["hash"]["min_resolution"]
+    least, needed = given(config, "min_resolution"), unit_resolution(of, config)
     because = {"cells_per_world_unit": of.cells_per_world_unit}
-    return Decision(min(FINEST, max(least, 16 * math.ceil(needed / 16))), because)
+    return Decision(max(least, min(FINEST, 16 * math.ceil(needed / 16))), because)
 
 
 @rule("hash.levels")
 def levels(of: Measured, config: Config) -> Decision:
-    table = config["hash"]
-    ratio = table["max_resolution"] / table["min_resolution"]
-    return Decision(1 + math.ceil(math.log(ratio) / math.log(GROWTH)), {"growth": GROWTH})
+    growth = given(config, "max_resolution") / given(config, "min_resolution")
+    return Decision(1 + math.ceil(math.log(max(growth, 1)) / math.log(GROWTH)), {"growth": GROWTH})
 
 
 ENTRIES_PER_VALUE = 0.5  # numbers in the tables for each observed colour value
@@ -170,8 +177,7 @@ ENTRIES_PER_VALUE = 0.5  # numbers in the tables for each observed colour value
 
 @rule("hash.log2_table_size")
 def log2_table_size(of: Measured, config: Config) -> Decision:
-    table = config["hash"]
-    entries = ENTRIES_PER_VALUE * of.observed / (table["levels"] * table["features"])
+    entries = ENTRIES_PER_VALUE * of.observed / (given(config, "levels") * given(config, "features"))
     return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"observed_values": float(of.observed)})
 
 
@@ -188,4 +194,4 @@ def bands(of: Measured, config: Config) -> Decision:
 
 @rule("gate.name")
 def gate(of: Measured, config: Config) -> Decision:
-    return Decision("threshold" if config["color"]["name"] != "mlp" else "none")
+    return Decision("merge")

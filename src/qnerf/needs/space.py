@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from qnerf.contraction import CONTRACTIONS
-from qnerf.hull import hull
+from qnerf.hull import carved
 from qnerf.rays import camera_rays
 from qnerf.scenes import Scene
-from qnerf.visibility import count_cameras, visible
+from qnerf.visibility import cell_centres, count_cameras
 
 CELLS = 48  # an axis of the grids here
 MOST_CAMERAS = 4
@@ -21,14 +21,18 @@ MARGIN = 0.1  # kept in front of the nearest thing and behind the farthest
 
 def box_half_extent(scene: Scene) -> float | None:
     """Half the side of the cube around the origin that holds what silhouettes leave of the space that half of the
-    training cameras see; None without alpha, or where that reaches the border of a cube twice that of the cameras.
+    training cameras see, in world units.
+
+    None without alpha, with a lens distortion, and where nothing is left or what is left reaches the border of a cube
+    twice that of the cameras.
     """
-    if scene.images.shape[-1] != 4:
+    if scene.images.shape[-1] != 4 or bool(scene.cameras.distortion.any()):
         return None
     box = CONTRACTIONS.build("box", half_extent=2.0)
-    seen = visible(box, scene.cameras, scene.train, len(scene.train), CELLS)
-    cells = (hull(box, scene, CELLS) & seen).nonzero()
-    if bool(((cells == 0) | (cells == CELLS - 1)).any()):
+    half = max(1, len(scene.train) // 2)
+    counts = count_cameras(box.inverse(cell_centres(CELLS)), scene.cameras, scene.train, most=half)
+    cells = (carved(box, scene, CELLS) & (counts >= half).view(CELLS, CELLS, CELLS)).nonzero()
+    if len(cells) == 0 or bool(((cells == 0) | (cells == CELLS - 1)).any()):
         return None
     corners = torch.stack([cells, cells + 1]).to(torch.float64) / CELLS
     return math.ceil(100 * float((4 * corners - 2).abs().max())) / 100

@@ -1,0 +1,76 @@
+"""A run's settings, seed aside: which columns they are, and which of them act in it.
+
+The width of an MLP does not act where the head is a circuit, nor a circuit's options where it is an MLP. A sweep over
+the circuits of both heads trains each classical field once a circuit; with one seed, such runs must not count as two.
+"""
+
+import pandas as pd
+
+LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
+QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth")}
+"""Head -> the fields in which it is a circuit."""
+
+_SCALARS = ("experiment", "geo_features", "appearance")
+_RESULTS = ("params", "time", "run", "needs")  # first parts of dotted names that are no configuration
+_SOURCES = ("qiren", "hash", "proposal")  # groups that act only through density.*, color.*, encoder.* and sampler.*
+# What is logged or checked decides no number; where a scene lies says nothing about what it is.
+_IRRELEVANT = (
+    "scene.path",
+    "numerics.check",
+    "train.log_every",
+    "train.eval_every",
+    "train.eval_views",
+    "train.checkpoint_every",
+    "train.chunk",
+)
+
+
+def configuration(frame: pd.DataFrame) -> list[str]:
+    """Columns of the flat configuration that decide a run's numbers, its seed aside."""
+    dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
+    return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _IRRELEVANT]
+
+
+def effective(runs: pd.DataFrame) -> pd.DataFrame:
+    """The settings that decide each run's numbers, as text; "" where a setting does not act in that run."""
+    keys = [key for key in configuration(runs) if key.split(".")[0] not in _SOURCES]
+    table = runs[keys].map(str)
+    for head, circuits in QUANTUM.items():
+        quantum = runs["field"].isin(circuits)
+        for key in keys:
+            if key.startswith(f"{head}.qiren."):
+                table.loc[~quantum, key] = ""
+            elif key in (f"{head}.layers", f"{head}.width"):
+                table.loc[quantum, key] = ""
+    return table
+
+
+def what_acts(runs: pd.DataFrame) -> pd.DataFrame:
+    """Scene, seed and everything that decides a run's numbers: runs that agree in all of it did the same."""
+    labels = acting(runs).filter(["scene_name", "seed", *LABELS])
+    return pd.concat([labels, effective(runs).add_prefix("setting ")], axis=1)
+
+
+def first_of_each(frame: pd.DataFrame) -> pd.Series:
+    """`run_id` of the first finished run that did the same, for runs that repeat it, else None."""
+    finished = frame[frame["state"] == "finished"]
+    if finished.empty:
+        return pd.Series(None, index=frame.index, dtype=object)
+    keys = what_acts(finished)
+    firsts = finished["run_id"].groupby([keys[name] for name in keys], dropna=False).transform("first")
+    return firsts.where(firsts != finished["run_id"]).reindex(frame.index).astype(object)
+
+
+def acting(runs: pd.DataFrame) -> pd.DataFrame:
+    """The runs without the settings that do not act in them: None there, and in the labels of such settings."""
+    settings = effective(runs)
+    table = runs.drop(columns=[name for name in configuration(runs) if name not in settings])
+    for name in settings:
+        idle = settings[name] == ""
+        if idle.any():
+            table[name] = table[name].astype(object).mask(idle, None)
+    if {"qiren", "field"} <= set(table):
+        table["qiren"] = table["qiren"].mask(table["field"] == "classical", None)
+    if {"hash", "encoder"} <= set(table):
+        table["hash"] = table["hash"].where(table["encoder"] == "hash", None)
+    return table

@@ -1,0 +1,79 @@
+"""How gradients vanish with wires and depth: `python -m benchmarks.plateaus`.
+
+The variance of d<Z_0>/d theta over random circuits, theta the angle of one RY in the middle of the circuit (arXiv:
+1803.11173): a circuit whose variance falls exponentially with its wires cannot be trained from random angles. Saved as
+benchmarks/results/plateaus.parquet, a row a description, start, number of wires and depth.
+"""
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from qnerf.quantum import adjoint
+from qnerf.quantum.circuit import ANSATZE
+from qnerf.quantum.initial import INITS
+from qnerf.quantum.program import THETA, compile_program
+
+RESULTS = Path(__file__).parent / "results" / "plateaus.parquet"
+WIRES = tuple(range(2, 13))
+DEPTHS = tuple(range(1, 9))
+
+
+def gradients(ansatz: str, init: str, wires: int, spectral: int, circuits: int) -> Tensor:
+    """d<Z_0>/d theta (circuits,) float64: random angles and one standard normal input each, the same for every call.
+
+    theta is wire 0's in the first sublayer of the block in the middle.
+    """
+    circuit = ANSATZE.build(ansatz, wires, spectral)
+    engine = adjoint.Engine(compile_program(circuit))
+    row = circuit.rows // 2
+    found = []
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(wires * 1000 + spectral)
+        for _ in range(circuits):
+            weights = INITS.get(init)(circuit).double().transpose(1, 2).contiguous().requires_grad_()
+            outputs = adjoint.evaluate(engine, torch.randn(1, wires, dtype=torch.float64), weights)
+            (gradient,) = torch.autograd.grad(outputs[0, 0], weights)
+            found.append(gradient[row, THETA, 0])
+    return torch.stack(found)
+
+
+def measure(wires: Sequence[int], depths: Sequence[int], circuits: int) -> pd.DataFrame:
+    """Columns ansatz, init, wires, S, circuits, variance, error (standard error of the variance)."""
+    rows = []
+    for init in INITS.names():
+        for spectral in depths:
+            for count in wires:
+                found = gradients("qiren", init, count, spectral, circuits)
+                squares = (found - found.mean()).square()
+                rows.append(
+                    {
+                        "ansatz": "qiren",
+                        "init": init,
+                        "wires": count,
+                        "S": spectral,
+                        "circuits": circuits,
+                        "variance": float(squares.mean()),
+                        "error": float(squares.std()) / math.sqrt(circuits),
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description="Variance of gradients against wires and depth.")
+    parser.add_argument("--circuits", type=int, default=300, help="random circuits a point (default: 300)")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="FILE")
+    options = parser.parse_args(arguments)
+    table = measure(WIRES, DEPTHS, options.circuits)
+    table.to_parquet(options.out, index=False)
+    print(table.pivot(index="wires", columns=["init", "S"], values="variance").to_string(float_format="{:.1e}".format))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,248 @@
+"""Speed against error, rung by rung: `python -m benchmarks.speed_error --store DIR [--scene nerfstudio:DIR ...]`.
+
+Two kinds of rungs, on each scene:
+
+- the same trained weights, computed otherwise: float64 and float32 on the plain PyTorch references, the compiled loops,
+  colours at the samples that matter alone, fewer samples. Their pictures are compared with those of the first rung;
+- trained anew: everything that a Nerfacto has (needs=full), the recipe, the gate, only what the scene needs
+  (needs=auto), smaller heads. Each with its seeds; the runs lie in the store, and finished ones are not done over.
+
+Step times are taken in turn in this one process, at the trained weights. Prints the tables and the paired differences
+of needs=auto from needs=full and of the gate from none, and saves benchmarks/results/speed_error.parquet.
+"""
+
+import argparse
+import os
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import numpy as np
+import pandas as pd
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from analysis import load, statistics
+from benchmarks.training import Plain, in_turn
+from qnerf import experiment
+from qnerf.evaluate import Evaluator, RenderedView
+from qnerf.launch import conf_folder
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+from qnerf.train import Trainer
+
+RESULTS = Path(__file__).parent / "results" / "speed_error.parquet"
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A step of the ladder: what it changes, whether the plain references compute it, whether one seed is enough."""
+
+    name: str
+    overrides: tuple[str, ...] = ()
+    plain: bool = False
+    single: bool = False
+
+    @property
+    def context(self) -> AbstractContextManager[None]:
+        return Plain() if self.plain else nullcontext()
+
+
+SAME_WEIGHTS = (
+    Rung("float64, plain PyTorch", ("numerics.dtype=float64",), plain=True),
+    Rung("float32, plain PyTorch", plain=True),
+    Rung("compiled loops"),
+    Rung("threshold 1e-3", ("gate=threshold",)),
+    Rung("threshold 1e-2", ("gate=threshold", "gate.least=1e-2")),
+    Rung("top 8", ("gate=top",)),
+    Rung("merge 16", ("gate=merge", "gate.parts=16")),
+    Rung("merge 8", ("gate=merge",)),
+    Rung("merge 4", ("gate=merge", "gate.parts=4")),
+    Rung("merge 8, half the proposals", ("gate=merge", "proposal.samples=[64,32]")),
+    Rung("merge 8, half of all samples", ("gate=merge", "proposal.samples=[64,32]", "proposal.final=16")),
+)
+TRAINED = (
+    Rung("full", ("needs=full",)),
+    Rung("recipe, no gate", ("gate=none",)),
+    Rung("recipe"),
+    Rung("auto", ("needs=auto",)),
+    Rung("auto, 1L1S", ("needs=auto", "qiren=1L1S"), single=True),
+    Rung("auto, MLP 3 x 64", ("needs=auto", "field=classical"), single=True),
+    Rung("auto, MLP 2 x 16", ("needs=auto", "field=classical", "color.layers=2", "color.width=16"), single=True),
+)
+CYCLE = 5  # steps from one in which the proposal networks learn to the next
+BASE = "recipe"  # whose weights the first kind of rungs share
+PAIRS = (("auto", "full"), ("auto", "recipe"), ("recipe", "recipe, no gate"))
+
+
+def scene_overrides(text: str) -> tuple[str, ...]:
+    """`poster` or `nerfstudio:DIR` as overrides."""
+    name, _, path = text.partition(":")
+    return (f"scene={name}", *([f"scene.path={path}"] if path else []))
+
+
+def configuration(overrides: tuple[str, ...]) -> dict[str, Any]:
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        config = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
+    assert isinstance(config, dict)
+    return {str(key): value for key, value in config.items() if key != "hydra"}
+
+
+@dataclass
+class Loaded:
+    """A configuration with a run's trained weights."""
+
+    trainer: Trainer
+    evaluator: Evaluator
+    parameters: int
+
+    @classmethod
+    def of(cls, config: dict[str, Any], run: Path) -> "Loaded":
+        _, settings, scene = experiment.prepare(config)
+        model = experiment.build_model(settings, scene)
+        table = experiment.ray_table(settings, scene)
+        watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+        checkpoint = torch.load(run / "checkpoint.pt", weights_only=True)
+        trainer = Trainer(model, table, settings, watch)
+        weights = {
+            name: value.to(settings.dtype) if value.is_floating_point() else value
+            for name, value in checkpoint["model"].items()
+        }
+        model.load_state_dict(weights)
+        trainer.step = checkpoint["step"]
+        evaluator = Evaluator(
+            scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
+        )
+        return cls(trainer, evaluator, sum(p.numel() for p in model.parameters()))
+
+    def views(self) -> list[RenderedView]:
+        return [self.evaluator.render(view, self.trainer.step) for view in self.evaluator.scene.eval]
+
+    def measured(self, views: list[RenderedView]) -> dict[str, float]:
+        rows = pd.DataFrame([self.evaluator.measure(view) for view in views])
+        found = {key: rows[key].astype(float).mean() for key in ("psnr", "ssim", "depth_error")}
+        return {key: float(value) for key, value in found.items()}
+
+
+def times(rungs: list[tuple[Rung, Loaded]], rounds: int) -> list[float]:
+    """Milliseconds of a training step of each: medians over `rounds` turns of five steps, in one of which the proposal
+    networks learn."""
+
+    def turn(one: Loaded) -> None:
+        for _ in range(CYCLE):
+            one.trainer.take_step(measure=False)
+
+    steps = [partial(turn, one) for _, one in rungs]
+    found = in_turn(steps, [rung.context for rung, _ in rungs], rounds, warm=1)
+    return [1e3 * median(each) / CYCLE for each in found]
+
+
+def same_weights(scene: tuple[str, ...], run: Path, common: tuple[str, ...], rounds: int) -> list[dict[str, Any]]:
+    """The rungs that share the run's weights; image errors are those of single colour values, root mean square."""
+    rows, reference, loaded = [], None, []
+    for rung in SAME_WEIGHTS:
+        one = Loaded.of(configuration((*scene, *common, *rung.overrides)), run)
+        with rung.context:
+            views = one.views()
+        pictures = torch.stack([view.color.double() for view in views])
+        reference = pictures if reference is None else reference
+        error = (pictures - reference).abs()
+        rows.append(
+            {"kind": "same weights", "rung": rung.name, "parameters": one.parameters, **one.measured(views)}
+            | {"image_error": float(error.square().mean().sqrt()), "image_error_max": float(error.max())}
+        )
+        loaded.append((rung, one))
+    for row, step in zip(rows, times(loaded, rounds), strict=True):
+        row["step_ms"] = step
+    return rows
+
+
+def trained(
+    scene: tuple[str, ...], store: str, common: tuple[str, ...], seeds: list[int], rounds: int
+) -> tuple[list[dict[str, Any]], Path]:
+    """The rungs that are trained, one row a seed; and the first seed's run of the base."""
+    rows, first, base = [], [], None
+    for rung in TRAINED:
+        for seed in seeds[:1] if rung.single else seeds:
+            config = configuration((*scene, *common, *rung.overrides, f"seed={seed}", f"store={store}"))
+            outcome = experiment.run(config, (*scene, *common, *rung.overrides))
+            if outcome.state != "finished":
+                raise ValueError(f"{outcome.run_id}: {outcome.message}")
+            keys = ("psnr", "ssim", "depth_error", "train_s")
+            row = {"kind": "trained", "rung": rung.name, "seed": seed, "run": str(outcome.path)}
+            rows.append(row | {key: outcome.summary[key] for key in keys})
+            rows[-1]["parameters"] = outcome.summary["params.total"]
+            print(f"{rung.name:<24} seed {seed}  {rows[-1]['psnr']:.2f} dB", flush=True)
+            if seed == seeds[0]:
+                first.append((rung, Loaded.of(config, outcome.path)))
+                base = outcome.path if rung.name == BASE else base
+    steps = dict(zip((rung.name for rung, _ in first), times(first, rounds), strict=True))
+    for row in rows:
+        row["step_ms"] = steps[str(row["rung"])]
+    assert base is not None
+    return rows, base
+
+
+def differences(store: str, table: pd.DataFrame) -> pd.DataFrame:
+    """Mean paired difference of PSNR with its interval, over seeds and held-out views, for each scene and pair."""
+    runs = load.runs(store)
+    rows = []
+    for scene, own in table[table["kind"] == "trained"].groupby("scene", sort=False):
+        for rung, reference in PAIRS:
+            one, two = (
+                statistics.evaluations(runs[runs["path"].isin(own.loc[own["rung"] == name, "run"])])
+                for name in (reference, rung)
+            )
+            found = statistics.bootstrap(statistics.paired(one, two))
+            steps, sizes = (own.groupby("rung", sort=False)[key].first() for key in ("step_ms", "parameters"))
+            rows.append(
+                {"scene": scene, "rung": rung, "against": reference}
+                | ({} if found is None else {"mean": found.mean, "low": found.low, "high": found.high})
+                | {"steps": steps[rung] / steps[reference], "parameters": sizes[rung] / sizes[reference]}
+            )
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--store", required=True, help="folder of the trained runs")
+    parser.add_argument("--scene", nargs="+", default=["poster"], help="poster, nerfstudio:DIR, blender:DIR")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--rounds", type=int, default=8, help="turns of five measured steps a rung")
+    parser.add_argument("--threads", type=int, default=2)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    common = ("field=qcolor", f"train.steps={options.steps}", "train.eval_every=500", f"threads={options.threads}")
+    tables = []
+    for text in options.scene:
+        scene = scene_overrides(text)
+        rows, base = trained(scene, options.store, common, options.seeds, options.rounds)
+        rows += same_weights(scene, base, (*common, "gate=none"), options.rounds)
+        name = Path(text.partition(":")[2] or text).name
+        tables.append(pd.DataFrame(rows).assign(scene=name, steps=options.steps))
+        print(summary(tables[-1]).to_string(index=False, float_format=lambda value: f"{value:.4g}"), flush=True)
+    table = pd.concat(tables, ignore_index=True).assign(threads=options.threads, load=os.getloadavg()[0])
+    RESULTS.parent.mkdir(exist_ok=True)
+    table.drop(columns="run").to_parquet(RESULTS, index=False)
+    print(differences(options.store, table).to_string(index=False, float_format=lambda value: f"{value:+.3f}"))
+    print(f"saved to {RESULTS}")
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """One row a rung: means over its seeds, and the standard deviation of PSNR."""
+    keys = ["step_ms", "train_s", "psnr", "ssim", "depth_error", "image_error", "image_error_max", "parameters"]
+    groups = table.groupby(["scene", "kind", "rung"], sort=False)
+    found = groups[[key for key in keys if key in table]].mean()
+    found.insert(2, "psnr_std", groups["psnr"].std())
+    return found.assign(seeds=groups.size()).reset_index().replace({np.nan: None})
+
+
+if __name__ == "__main__":
+    main()

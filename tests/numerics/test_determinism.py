@@ -1,0 +1,180 @@
+"""The same seed gives the same bits. One test a promise; where there is none, the docstring says why."""
+
+import hashlib
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from qnerf.config import settings_from
+from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.kernels.hashgrid import hash_encode
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+from qnerf.train import Trainer
+
+Config = dict[str, Any]
+Tiny = Callable[..., Config]
+EVERYTHING = ("field=qboth", "qiren=1L2S", "qiren.qubits=4", "cameras=se3", "appearance=2", "train.distortion=0.01")
+CHILD = """
+import json, sys
+import torch
+from test_determinism import digest, trained
+torch.set_num_threads(1)
+print(digest(trained(json.load(sys.stdin), 3).state()))
+"""
+
+
+def trainer(config: Config) -> Trainer:
+    settings = settings_from(config)
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+    return Trainer(model, ray_table(settings, scene), settings, watch)
+
+
+def trained(config: Config, steps: int) -> Trainer:
+    made = trainer(config)
+    for _ in range(steps):
+        made.take_step(measure=False)
+    return made
+
+
+def digest(state: dict[str, Any]) -> str:
+    """SHA-256 of all that the next step depends on."""
+    found = hashlib.sha256()
+
+    def visit(value: Any) -> None:
+        if isinstance(value, dict):
+            for key in sorted(value, key=str):
+                found.update(str(key).encode())
+                visit(value[key])
+        elif isinstance(value, (list, tuple)):
+            for item in value:
+                visit(item)
+        elif isinstance(value, Tensor):
+            found.update(value.contiguous().numpy().tobytes())
+        else:
+            found.update(repr(value).encode())
+
+    visit({key: value for key, value in state.items() if key not in ("step_seconds", "torch_random")})
+    return found.hexdigest()
+
+
+@pytest.fixture(autouse=True)
+def _threads_as_before() -> Iterator[None]:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_twice_in_one_process(tiny: Tiny, dtype: str) -> None:
+    config = tiny(*EVERYTHING, f"numerics.dtype={dtype}")
+    first = digest(trained(config, 3).state())
+    torch.rand(7)  # what else the process does with random numbers does not count
+    assert digest(trained(config, 3).state()) == first
+    assert digest(trained({**config, "seed": 1}, 3).state()) != first
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_in_a_fresh_process(tiny: Tiny) -> None:
+    """With the same number of threads on the same machine: instruction sets and libraries choose the order of sums."""
+    config = tiny(*EVERYTHING)
+    path = os.pathsep.join([os.path.dirname(__file__), *filter(None, sys.path)])
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "7"}
+    child = subprocess.run(
+        [sys.executable, "-c", CHILD], input=json.dumps(config), capture_output=True, text=True, env=environment
+    )
+    assert child.returncode == 0, child.stderr
+    assert child.stdout.split()[-1] == digest(trained(config, 3).state())
+
+
+def on_threads(count: int, compute: Callable[[], list[Tensor]]) -> list[Tensor]:
+    torch.set_num_threads(count)
+    return compute()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("method", ["statevector", "lightcone"])
+def test_circuits_on_1_and_2_threads(method: str, dtype: torch.dtype) -> None:
+    """The compiled engines sum over samples in 32 fixed parts. Those in plain PyTorch promise nothing."""
+    torch.manual_seed(0)
+    layer = QuantumLayer(6, 1, method=method, backend="compiled").to(dtype)
+    x = torch.randn(3001, 6, dtype=dtype, requires_grad=True)
+
+    def compute() -> list[Tensor]:
+        y = layer(x)
+        return [y, *torch.autograd.grad(y, [x, *layer.parameters()], torch.ones_like(y))]
+
+    assert all(torch.equal(a, b) for a, b in zip(on_threads(1, compute), on_threads(2, compute), strict=True))
+
+
+def test_hash_tables_on_1_and_2_threads() -> None:
+    """Each compiled loop owns what it writes: entries that many points share are added up in the points' order."""
+    torch.manual_seed(0)
+    points = torch.rand(20_000, 3)
+    table = torch.rand(4, 2**8, 2, requires_grad=True)
+    resolutions = torch.tensor([4, 8, 16, 32])
+
+    def compute() -> list[Tensor]:
+        features = hash_encode(points, table, resolutions, True)
+        return [features, *torch.autograd.grad(features, [table], torch.ones_like(features))]
+
+    assert all(torch.equal(a, b) for a, b in zip(on_threads(1, compute), on_threads(2, compute), strict=True))
+
+
+def test_batches_and_samples_on_1_and_2_threads(tiny: Tiny) -> None:
+    """What is drawn, and how the networks of the first step place the samples."""
+    taken = trainer(tiny("field=qcolor", "train.rays=512"))
+
+    def compute() -> list[Tensor]:
+        drawn = torch.Generator().manual_seed(3)
+        rays, colors = taken.table.batch(512, drawn, taken.model.cameras)
+        sampled = taken.model.sampler(rays, taken.model.field.density, generator=drawn, step=20)
+        return [rays.directions, colors, sampled.samples.edges]
+
+    assert all(torch.equal(a, b) for a, b in zip(on_threads(1, compute), on_threads(2, compute), strict=True))
+
+
+def test_whole_steps_on_1_and_2_threads_agree_as_long_as_no_gradient_is_rounding_alone(tiny: Tiny) -> None:
+    """No promise of bits: PyTorch splits sums over rows (gradients of linear layers, means) among threads, and adds the
+    parts in another order. Adam divides by the size of the gradient, so where that is rounding alone (the biases of
+    geometry features, which a later normalisation cancels) its steps are of full length in any direction.
+    """
+    config = tiny("field=classical", "train.rays=512")
+    one, two = (on_threads(count, lambda: list(trained(config, 2).model.state_dict().values())) for count in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        assert (a.double() - b.double()).abs().max() <= 1e-6
+
+
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("at", [1, 9, 10, 12], ids=["first", "last early update", "interval grows", "annealed"])
+def test_through_a_resume(tiny: Tiny, at: int) -> None:
+    """At corners of the schedules too: the last of the first ten steps, in which the proposal networks learn each time,
+    the first after it, and the step at which the annealing ends. The optimiser's state goes through a file.
+    """
+    schedule = ("sampler.anneal_steps=12", "sampler.update_warmup=14", "train.steps=16")
+    config = tiny(*EVERYTHING, *schedule)
+    through = trained(config, 16).state()
+    file = io.BytesIO()
+    torch.save(trained(config, at).state(), file)
+    file.seek(0)
+    resumed = trainer(config)
+    resumed.load(torch.load(file, weights_only=True))
+    while resumed.step < 16:
+        resumed.take_step(measure=False)
+    assert digest(resumed.state()) == digest(through)

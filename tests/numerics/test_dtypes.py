@@ -1,0 +1,155 @@
+"""No float64 arises in a float32 step, nor the reverse, except where it is meant to: every PyTorch operation is seen.
+
+Compiled loops take and give arrays of one dtype (`kernels.compiled`); what they compute with inside is theirs.
+"""
+
+import linecache
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+import qnerf
+from qnerf.config import settings_from
+from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.quantum import QuantumLayer, lightcone, statevector
+from qnerf.quantum.circuit import ANSATZE
+from qnerf.quantum.program import compile_program
+from qnerf.timing import Stopwatch
+from qnerf.train import Trainer
+
+SOURCE = Path(qnerf.__file__).parent
+ON_PURPOSE = {
+    "encoders/frequency.py": "phases of up to 256 turns are reduced before they are rounded",
+    "quantum/adjoint.py": "angles become tables once a step",
+    "quantum/statevector.py": "angles become tables once a step; products that float32 would round",
+}
+"""Files in which a float32 step makes float64 tensors, and why."""
+
+
+class Watcher(TorchDispatchMode):
+    """Where floating tensors of more than one number arise that are not of `dtype`: file -> operations."""
+
+    def __init__(self, dtype: torch.dtype) -> None:
+        super().__init__()
+        self.known = {dtype, dtype.to_complex()}
+        self.found: dict[str, set[str]] = {}
+        self.seen = 0
+
+    def __torch_dispatch__(self, function: Any, types: Any, given: Any = (), options: Any = None) -> Any:
+        out = function(*given, **(options or {}))
+        for tensor in tree_leaves(out):
+            if isinstance(tensor, torch.Tensor) and (tensor.is_floating_point() or tensor.is_complex()):
+                self.seen += 1
+                if tensor.dtype not in self.known:
+                    self.found.setdefault(_place(), set()).add(f"{function}")
+        return out
+
+
+def _place() -> str:
+    """The innermost file of ours on the stack; in a backward pass, "backward"."""
+    frame = sys._getframe(2)
+    while frame is not None:
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(SOURCE):
+            name = path.relative_to(SOURCE).as_posix()
+            line = linecache.getline(frame.f_code.co_filename, frame.f_lineno)
+            return "backward" if name == "train.py" and ".backward()" in line else name
+        frame = frame.f_back
+    return "elsewhere"
+
+
+def stepped(config: dict[str, Any]) -> Watcher:
+    """A step in which the proposal networks learn, after one that fills the optimiser and the caches."""
+    settings = settings_from(config)
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+    trainer = Trainer(model, ray_table(settings, scene), settings, watch)
+    trainer.take_step(measure=False)
+    with Watcher(settings.dtype) as watcher:
+        trainer.take_step(measure=True)
+    assert watcher.seen > 300
+    return watcher
+
+
+STEPS = {
+    "all circuits": (["field=qboth", "qiren=1L2S", "qiren.qubits=4"], {"quantum/adjoint.py"}),
+    "polynomials": (["field=qboth", "qiren=1L1S", "qiren.qubits=3", "train.rays=64"], {"quantum/adjoint.py"}),
+    "in plain PyTorch": (["field=qboth", "qiren.qubits=3", "color.directions=sh"], {"quantum/statevector.py"}),
+    "no circuits": (["field=classical", "cameras=se3"], set()),
+    "frequencies": (["field=classical", "encoder=pe", "appearance=2"], {"encoders/frequency.py"}),
+    "random features": (
+        ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "gate=top"],
+        {"encoders/frequency.py", "quantum/adjoint.py"},
+    ),
+}
+"""Options, and the files of `ON_PURPOSE` that take part in a step."""
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_a_float32_step_makes_no_float64_but_on_purpose(
+    tiny: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    options, expected = STEPS[name]
+    if name == "in plain PyTorch":  # as on CUDA
+        build = QuantumLayer.__init__
+        monkeypatch.setattr(QuantumLayer, "__init__", lambda *a, **k: build(*a, **k | {"backend": "torch"}))
+    found = stepped(tiny(*options, "train.distortion=0.01")).found
+    backward = found.pop("backward", set())
+    assert set(found) == expected <= set(ON_PURPOSE)
+    assert not backward or expected  # only that of what went forward in float64
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_a_float64_step_makes_no_float32(tiny: Callable[..., dict[str, Any]], name: str) -> None:
+    assert stepped(tiny(*STEPS[name][0], "train.distortion=0.01", "numerics.dtype=float64")).found == {}
+
+
+def test_a_silent_float64_is_seen(tiny: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("qnerf.train.distortion", lambda samples, weights: weights.double().square().sum())
+    found = stepped(tiny(*STEPS["no circuits"][0], "train.distortion=0.01")).found
+    assert "aten.stack.default" in found["train.py"]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("ansatz", ANSATZE.names())
+def test_complex_numbers_of_the_reference_engine_stay_of_their_size(dtype: torch.dtype, ansatz: str) -> None:
+    """complex64 in float32: no amplitude is ever complex128."""
+    circuit = ANSATZE.build(ansatz, 3, 2)
+    generator = torch.Generator().manual_seed(0)
+    x = torch.randn(5, 3, generator=generator).to(dtype).requires_grad_()
+    w = torch.randn(circuit.rows, 3, 3, generator=generator).to(dtype).requires_grad_()
+    complexes: set[torch.dtype] = set()
+
+    class Amplitudes(TorchDispatchMode):
+        def __torch_dispatch__(self, function: Any, types: Any, given: Any = (), options: Any = None) -> Any:
+            out = function(*given, **(options or {}))
+            complexes.update(t.dtype for t in tree_leaves(out) if isinstance(t, torch.Tensor) and t.is_complex())
+            return out
+
+    program = compile_program(circuit)
+    with Amplitudes():
+        y = statevector.evaluate(program, x, w)
+        y.square().sum().backward()
+    assert y.dtype == x.grad.dtype == w.grad.dtype == dtype
+    assert complexes == {dtype.to_complex()}
+    assert statevector.final_state(program, x, w).dtype == dtype.to_complex()
+
+
+@pytest.mark.parametrize("method", ["statevector", "lightcone"])
+@pytest.mark.parametrize("backend", ["compiled", "torch"])
+def test_a_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s(method: str, backend: str) -> None:
+    layer = QuantumLayer(3, 1, method=method, backend=backend)
+    assert layer(torch.zeros(2, 3)).dtype == torch.float32
+    assert layer(torch.zeros(2, 3, dtype=torch.float64)).dtype == torch.float64
+    assert layer(torch.zeros(2, 3, dtype=torch.bfloat16)).dtype == torch.float32
+    assert layer.double()(torch.zeros(2, 3)).dtype == torch.float64
+    circuit = ANSATZE.build("qiren", 3, 1)
+    weights = torch.zeros(circuit.rows, 3, 3)
+    assert lightcone.coefficients(circuit, weights).dtype == torch.float32
