@@ -56,6 +56,20 @@ class Render:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Poses:
+    """Noise that is added to the training poses."""
+
+    rotation: float  # standard deviation of each component of a rotation vector, radians
+    translation: float  # of each coordinate, world units
+    seed: int
+
+    def __post_init__(self) -> None:
+        at_least("poses.rotation", self.rotation, 0)
+        at_least("poses.translation", self.translation, 0)
+        between("poses.seed", self.seed, 0, 2**63 - 1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Visibility:
     """Where density may be: cells of contracted space seen by at least `cameras` training cameras."""
 
@@ -137,6 +151,7 @@ class Settings:
     numerics: Numerics
     train: Train
     render: Render
+    poses: Poses
     visibility: Visibility
     occupancy: Occupancy
     stop: Stop
@@ -193,7 +208,7 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
     """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
     nodes = dict(config)
     sections = {"run": Run, "numerics": Numerics, "train": Train, "render": Render, "visibility": Visibility}
-    sections |= {"occupancy": Occupancy, "stop": Stop}
+    sections |= {"occupancy": Occupancy, "stop": Stop, "poses": Poses}
     for name, section in sections.items():
         nodes[name] = _build(name, section, nodes.get(name))
     return _build("config", Settings, nodes)

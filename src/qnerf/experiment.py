@@ -34,6 +34,7 @@ from qnerf.rays import RayTable
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.samplers import SAMPLERS
 from qnerf.scenes import SCENES, Scene
+from qnerf.scenes.disturbed import disturbed
 from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
 from qnerf.train import Trainer
 from qnerf.visibility import SpaceMask, visible
@@ -76,7 +77,7 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
     if not needs.asked(config):
         settings = settings_from(config)
         return dict(config), settings, build_scene(settings)
-    scene = component(SCENES, config["scene"])
+    scene = disturbed(component(SCENES, config["scene"]), **config["poses"])
     if begun and not config["run"]["force"]:
         config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
     resolved = needs.resolve(config, scene)
@@ -95,7 +96,7 @@ def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
 
 
 def build_scene(settings: Settings) -> Scene:
-    scene = component(SCENES, settings.scene)
+    scene = disturbed(component(SCENES, settings.scene), **vars(settings.poses))
     check_background(scene, settings)
     return scene
 

@@ -30,23 +30,22 @@ def hull(contraction: Contraction, scene: Scene, resolution: int) -> Tensor:
             f"visibility.alpha: the images of scene {scene.name} have a lens distortion, which silhouettes are not "
             "freed of; undistort them, or use visibility.alpha=false"
         )
-    left = carved(contraction, scene, resolution)
+    left = carved(scene, *spheres(contraction, resolution))
     if not bool(left.any()):
         raise ValueError(
             f"visibility.alpha: the silhouettes of scene {scene.name} leave no space at all; "
             "use visibility.alpha=false, or check poses and alpha"
         )
-    return left
+    return left.view(resolution, resolution, resolution)
 
 
-def carved(contraction: Contraction, scene: Scene, resolution: int) -> Tensor:
-    """`hull` of images that have alpha and no lens distortion; it may be false everywhere."""
-    points, radius = spheres(contraction, resolution)
+def carved(scene: Scene, points: Tensor, radius: Tensor) -> Tensor:
+    """Which spheres (N, 3), (N,), world units, no training view looks through (N,); maybe none."""
     left = torch.ones(len(points), dtype=torch.bool)
     for view in scene.train:
         index = left.nonzero()[:, 0]
         left[index] = ~looks_through(scene, view, points[index], radius[index])
-    return left.view(resolution, resolution, resolution)
+    return left
 
 
 def spheres(contraction: Contraction, resolution: int) -> tuple[Tensor, Tensor]:
@@ -60,11 +59,9 @@ def spheres(contraction: Contraction, resolution: int) -> tuple[Tensor, Tensor]:
     return points, radius
 
 
-def looks_through(scene: Scene, view: int, points: Tensor, radius: Tensor) -> Tensor:
-    """Whether the view sees nothing in spheres (N, 3), (N,), world units."""
-    solid = scene.images[view, :, :, 3].numpy() > 0
-    if solid.all():
-        return torch.zeros(len(points), dtype=torch.bool)
+def seen(scene: Scene, view: int, points: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Spheres (N, 3), (N,), world units, on a view's image: x, y and size in pixels, and whether they are wholly on it,
+    in front of the camera, each (N,)."""
     cameras = scene.cameras
     pose, focal = cameras.poses[view], torch.maximum(cameras.fx[view], cameras.fy[view])
     local = (points - pose[:, 3]) @ pose[:, :3]
@@ -74,10 +71,19 @@ def looks_through(scene: Scene, view: int, points: Tensor, radius: Tensor) -> Te
     # A step of length r moves a point at depth z by at most this; a sphere off the axis is seen as a longer ellipse.
     slant = torch.linalg.vector_norm(local, dim=-1) / depth
     size = focal * slant * radius / (depth - radius)
-    within = (x >= size) & (x <= cameras.width - size) & (y >= size) & (y <= cameras.height - size)
+    whole = (x >= size) & (x <= cameras.width - size) & (y >= size) & (y <= cameras.height - size)
+    return x, y, size, whole & (depth > radius)
+
+
+def looks_through(scene: Scene, view: int, points: Tensor, radius: Tensor) -> Tensor:
+    """Whether the view sees nothing in spheres (N, 3), (N,), world units."""
+    solid = scene.images[view, :, :, 3].numpy() > 0
+    if solid.all():
+        return torch.zeros(len(points), dtype=torch.bool)
+    x, y, size, whole = seen(scene, view, points, radius)
     # Where nothing is solid the nearest solid pixel is infinitely far.
     away = distance_transform_edt(~solid) if solid.any() else np.full(solid.shape, np.inf)
-    column = x.nan_to_num(0).clamp(0, cameras.width - 1).long()
-    row = y.nan_to_num(0).clamp(0, cameras.height - 1).long()
+    column = x.nan_to_num(0).clamp(0, solid.shape[1] - 1).long()
+    row = y.nan_to_num(0).clamp(0, solid.shape[0] - 1).long()
     clear = torch.from_numpy(away)[row, column] - MARGIN
-    return (depth > radius) & within & (clear > size)
+    return whole & (clear > size)

@@ -21,6 +21,7 @@ from qnerf.gate import Gated
 from qnerf.model import Model
 from qnerf.quantum import QuantumLayer
 from qnerf.rays import RayTable
+from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import replace
 from qnerf.samplers import SampledRays
 from qnerf.timing import Stopwatch
@@ -265,7 +266,7 @@ class CheckedTrainer(Trainer):
 def load(file: Path) -> dict[str, Any]:
     """What `CheckedTrainer` wrote. ValueError where the file is something else; nothing in it is run."""
     try:
-        content = torch.load(file, map_location="cpu", weights_only=True)
+        content = load_archive(file)
     except OSError:
         raise
     except Exception as error:  # whatever a file that is something else makes its readers raise

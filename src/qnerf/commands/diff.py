@@ -10,7 +10,7 @@ from rich.text import Text
 from qnerf.commands import add_store
 from qnerf.console_table import Column, print_table
 from qnerf.console_text import as_json, console
-from qnerf.identity import EXECUTION, flatten
+from qnerf.identity import flatten, is_execution
 from qnerf.printable import printable
 from qnerf.records import details, find
 from qnerf.records.details import Details
@@ -39,7 +39,7 @@ def compare(a: Details, b: Details) -> dict[str, Any]:
     """Keys configuration, execution, environment: name -> [value of A, of B] where they differ; results: of both runs,
     with the difference B - A where both are numbers."""
     config = differences(a.flat, b.flat)
-    execution = {key: pair for key, pair in config.items() if key.partition(".")[0] in EXECUTION}
+    execution = {key: pair for key, pair in config.items() if is_execution(key)}
     return {
         "a": str(a.path),
         "b": str(b.path),

@@ -15,9 +15,9 @@ import yaml  # type: ignore[import-untyped]
 from qnerf.identity import identity
 from qnerf.records import StoreError, read_config, read_status
 
-CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "scene.path")
+CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.check", "scene.path")
 """What may differ from the stored configuration: how it is executed, and where the same scene lies now."""
-GROUPS = ("encoder", "scene", "sampler", "cameras", "train")  # whose choice is named by <group>.name
+GROUPS = ("encoder", "scene", "sampler", "gate", "cameras", "train")  # whose choice is named by <group>.name
 
 
 def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[str]]:
@@ -28,6 +28,8 @@ def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
         ValueError: an override of what makes the run what it is; an option that is known no longer.
     """
     config = copy.deepcopy(read_config(run))
+    if isinstance(config.get("numerics"), str):  # before it was a group
+        config["numerics"] = {"dtype": config["numerics"]}
     filled = complete(config, todays_defaults(config), f"{run / 'config.yaml'}")
     config["store"] = str(run.parent)
     config["run"]["force"] = False  # the run may have been started with it, but is not to be thrown away now
@@ -58,6 +60,7 @@ def check_identity(run: Path, fingerprint: str) -> None:
 def complete(config: dict[str, Any], today: Mapping[str, Any], label: str) -> list[str]:
     """Adds to `config` what only `today` has; returns it as key=value. ValueError names what only `config` has."""
     missing, unknown = list(_only_in(today, config)), list(_only_in(config, today))
+    unknown = [path for path in unknown if path[0] != "needs"]  # what its scene was found to need
     if unknown:
         names = ", ".join(".".join(path) for path in unknown)
         raise ValueError(f"{label}: written by another version of qnerf; this one has no option {names}")

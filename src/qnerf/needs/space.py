@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from qnerf.contraction import CONTRACTIONS
-from qnerf.hull import carved
+from qnerf.hull import carved, seen, spheres
 from qnerf.rays import camera_rays
 from qnerf.scenes import Scene
-from qnerf.visibility import cell_centres, count_cameras
+from qnerf.visibility import count_cameras
 
 CELLS = 48  # an axis of the grids here
 MOST_CAMERAS = 4
@@ -21,7 +21,7 @@ MARGIN = 0.1  # kept in front of the nearest thing and behind the farthest
 
 def box_half_extent(scene: Scene) -> float | None:
     """Half the side of the cube around the origin that holds what silhouettes leave of the space that half of the
-    training cameras see, in world units.
+    training cameras wholly see, in world units.
 
     None without alpha, with a lens distortion, and where nothing is left or what is left reaches the border of a cube
     twice that of the cameras.
@@ -29,9 +29,10 @@ def box_half_extent(scene: Scene) -> float | None:
     if scene.images.shape[-1] != 4 or bool(scene.cameras.distortion.any()):
         return None
     box = CONTRACTIONS.build("box", half_extent=2.0)
-    half = max(1, len(scene.train) // 2)
-    counts = count_cameras(box.inverse(cell_centres(CELLS)), scene.cameras, scene.train, most=half)
-    cells = (carved(box, scene, CELLS) & (counts >= half).view(CELLS, CELLS, CELLS)).nonzero()
+    points, radius = spheres(box, CELLS)
+    views = torch.stack([seen(scene, view, points, radius)[-1] for view in scene.train]).sum(0)
+    held = carved(scene, points, radius) & (views >= max(1, len(scene.train) // 2))
+    cells = held.view(CELLS, CELLS, CELLS).nonzero()
     if len(cells) == 0 or bool(((cells == 0) | (cells == CELLS - 1)).any()):
         return None
     corners = torch.stack([cells, cells + 1]).to(torch.float64) / CELLS

@@ -39,7 +39,7 @@ class Checkpoints:
     def load(self) -> dict[str, Any] | None:
         for path in (self.current, self.previous):
             try:
-                return _load(path)
+                return load_archive(path)
             except FileNotFoundError:
                 continue
             except OSError as error:
@@ -57,7 +57,8 @@ class Checkpoints:
         return None
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_archive(path: Path) -> dict[str, Any]:
+    """The tensors that `torch.save` wrote; raises whatever a file that is something else makes its readers raise."""
     import torch
 
     with open_plain(path) as file:
@@ -78,7 +79,7 @@ def _load(path: Path) -> dict[str, Any]:
 def _prove(path: Path) -> None:
     """What cannot be read back should fail now, not when the run is resumed."""
     try:
-        _load(path)
+        load_archive(path)
     except pickle.UnpicklingError as error:
         raise ValueError(f"checkpoint: expected tensors and plain values only: {_line(error)}") from error
 
