@@ -51,6 +51,10 @@ class Outcome:
     message: str
 
 
+Measures = dict[str, float | str | None]
+"""Metric -> value; None where it cannot be had."""
+
+
 class Display:
     """What a run tells while it goes on. This one is silent; the command line has one that speaks."""
 
@@ -279,8 +283,10 @@ def _execute(
                 display.step(trainer.step, metrics)
             if done or (train.eval_every and trainer.step % train.eval_every == 0):
                 views = scene.eval if done else scene.eval[: train.eval_views or None]
-                measured = evaluate(evaluator, store, views, trainer.step, pictures=done)
-                store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in measured.items() if is_number(v)})
+                rows, measured = evaluate(evaluator, store, views, trainer.step, pictures=done)
+                # A curve is one of the same views from its first point to its last.
+                curve = means(rows[: train.eval_views or None])
+                store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
                 display.note(f"step {trainer.step}: held-out PSNR {measured['psnr']:.2f} dB")
     finally:
         display.end()
@@ -290,7 +296,7 @@ def _execute(
         return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
 
     if measured is None:  # killed between the last checkpoint and the end
-        measured = evaluate(evaluator, store, scene.eval, trainer.step, pictures=True)
+        _, measured = evaluate(evaluator, store, scene.eval, trainer.step, pictures=True)
     timings = {
         "train_s": trainer.seconds,
         "step_ms": median_ms(trainer.step_seconds),
@@ -304,8 +310,8 @@ def _execute(
 
 def evaluate(
     evaluator: Evaluator, store: Run, views: Sequence[int], step: int, *, pictures: bool
-) -> dict[str, float | str | None]:
-    """Measures the views, writes eval.parquet and, if asked, the pictures; returns the means over the views."""
+) -> tuple[list[Measures], Measures]:
+    """Measures the views, writes eval.parquet and, if asked, the pictures; returns each view's row, and the means."""
     start = time.perf_counter()
     rows = []
     for rendered, row in evaluator.views(list(views), step):
@@ -314,14 +320,20 @@ def evaluate(
             name = Path(str(row["image"])).with_suffix("").as_posix()
             store.save_image(clean(name), evaluator.picture(rendered))
     store.write_eval(rows)
-    measured: dict[str, float | str | None] = {}
-    for key in ("psnr", "ssim", "lpips", "depth_error", "depth_error_median"):
-        values = [value for row in rows if is_number(value := row[key])]
-        measured[key] = sum(values) / len(values) if values else None
+    measured = means(rows)
     measured["lpips_reason"] = next((row["lpips_reason"] for row in rows if row["lpips_reason"]), None)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
     store.write_summary(measured | {"steps": step})
-    return measured
+    return rows, measured
+
+
+def means(rows: Sequence[Measures]) -> Measures:
+    """Over the views, of each metric; None where no view has it."""
+    found: Measures = {}
+    for key in ("psnr", "ssim", "lpips", "depth_error", "depth_error_median"):
+        values = [value for row in rows if is_number(value := row[key])]
+        found[key] = sum(values) / len(values) if values else None
+    return found
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -119,4 +119,6 @@ class MergeGate(Gate):
         index = part[..., None].expand_as(geometry)
         sums = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
         sums = sums.scatter_add(1, index, shares[..., None] * geometry)
-        return Gated(merged, sums / merged.clamp(min=tiny)[..., None], merged > 0)
+        kept = merged > 0
+        kept[:, 0] |= ~kept.any(-1)  # a ray that is empty altogether
+        return Gated(merged, sums / merged.clamp(min=tiny)[..., None], kept)

@@ -25,7 +25,7 @@ def test_everything_is_decided_and_builds(world):
     config = composed("needs=auto")
     resolved = resolve(config, world)
     left = {name for name in autos(resolved) if not name.endswith("qiren.method")}
-    assert left == {"device"}
+    assert left == {"device", "needs.name"}
     settings_from(resolved)
     assert set(resolved["needs"]) == {"name", *asked(config)}
     for option in asked(config):
@@ -88,8 +88,7 @@ def test_a_component_gets_the_options_that_it_has():
     assert box["contraction"] == {"name": "box", "half_extent": box["needs"]["contraction.name"]["half_extent"]}
     assert unbounded["contraction"] == {"name": "linf"}
     assert unbounded["cameras"] == {"name": "fixed"}
-    assert resolve(composed("gate=auto", "gate.least=0.01"), BALL)["gate"] == {"name": "threshold", "least": 0.01}
-    assert resolve(composed("gate=auto", "field=classical"), BALL)["gate"] == {"name": "none"}
+    assert resolve(composed("gate=auto", "gate.parts=3"), BALL)["gate"] == {"name": "merge", "parts": 3}
 
 
 @pytest.mark.parametrize(("half", "expected"), [("0.7", 0.7), ("auto", None)])

@@ -17,7 +17,7 @@ from qnerf.probes import trained
 from qnerf.records import read_config
 from qnerf.train import Trainer
 
-BALL = ball(views=6, size=32, focal=29.0)
+BALL = ball(views=12, size=32, focal=22.0, radius=0.25)
 AUTO = ("needs=auto", "field=classical", "visibility.resolution=12", "hash.log2_table_size=8")
 
 
@@ -135,7 +135,11 @@ def test_unusual_scenes_train(auto, world, decisions):
     [
         (one_place(), (), "all cameras stand at the same point"),
         (OUTWARD, ("visibility.cameras=4",), r"visibility\.cameras: no cell is seen by 2 of 5 training cameras"),
-        (contradicting(), ("visibility.alpha=true",), r"leave no space at all; use visibility\.alpha=false"),
+        (
+            constant(0, channels=4, width=64, height=64, focal=45.0),
+            ("visibility.alpha=true", "contraction.name=box", "+contraction.half_extent=0.1"),
+            r"visibility\.alpha: the silhouettes .* leave no space at all; use visibility\.alpha=false",
+        ),
         (BALL, ("train.lr=auto",), "train: lr expects float, got 'auto'"),
         (BALL, ("needs=none", "train.lr=auto"), "train: lr expects float, got 'auto'"),
         (BALL, ("hash.min_resolution=auto",), r"hash\.min_resolution must be a whole number of at least 1, got 'auto'"),

@@ -73,10 +73,10 @@ def balls(of: Cameras, *spheres: tuple[tuple[float, float, float], float]) -> to
     return images
 
 
-def ball(views: int = 12, size: int = 64, focal: float = 58.0) -> Scene:
+def ball(views: int = 12, size: int = 64, focal: float = 58.0, radius: float = BALL) -> Scene:
     """A ball at the origin, in the middle of all images and well inside them."""
     of = cameras(ring(views), size, size, focal)
-    return scene(balls(of, ((0, 0, 0), BALL)), of)
+    return scene(balls(of, ((0, 0, 0), radius)), of)
 
 
 def texture(x: np.ndarray, y: np.ndarray, detail: float) -> np.ndarray:
