@@ -146,7 +146,7 @@ def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
     torch.testing.assert_close((merged[..., None] * features).sum(1), (share[..., None] * geometry).sum(1))
     filled = merged.sum(-1) > 0
     assert torch.equal(kept[filled], merged[filled] > 0)
-    assert bool(kept.any(-1).all())
+    assert int(kept.sum()) >= min(2, kept.numel())
 
 
 def test_merging_into_parts_no_larger_than_a_sample_is_no_merging():

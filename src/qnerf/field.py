@@ -9,6 +9,8 @@ from qnerf.contraction import Contraction
 from qnerf.encoders import Encoder
 from qnerf.visibility import SpaceMask
 
+LEAST = 2  # samples of a batch that heads are given at least: what a normalisation needs
+
 
 class Field(nn.Module):
     """A radiance field. Which kind of heads it was given, it does not ask.
@@ -49,11 +51,11 @@ class Field(nn.Module):
         self.mask: SpaceMask | None = None
         """Where density may be; None for everywhere."""
 
-    def geometry(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+    def geometry(self, points: Tensor, *, last: bool = True) -> tuple[Tensor, Tensor, Tensor | None]:
         """World points (R, K, 3) -> density (R, K) per world unit, features (R, K, G), samples evaluated (R, K).
 
-        With a mask those are the ones where density may be, and each ray's last, whose colour can stand for all that
-        lies behind; the others have density 0 and features 0. None: all.
+        With a mask those are the ones where density may be, and with `last` each ray's last, whose colour can stand for
+        all that lies behind; the others have density 0 and features 0. None: all.
         """
         shape = points.shape[:-1]
         unit = self.contraction(points)
@@ -62,7 +64,8 @@ class Field(nn.Module):
             return self._activated(raw[..., 0]), raw[..., 1:], None
         inside = self.mask(unit)
         evaluated = inside.clone()
-        evaluated[:, -1] = True
+        if last or int(inside.sum()) < LEAST:
+            evaluated[:, -1] = True
         chosen = evaluated.flatten().nonzero()[:, 0]
         raw = self.density_head(self.encoder(unit.reshape(-1, 3)[chosen]))
         density = spread(self._activated(raw[:, 0]), chosen, shape).masked_fill(~inside, 0)

@@ -23,7 +23,7 @@ class Gated(NamedTuple):
 
 class Gate(nn.Module):
     """Shares (R, K) of the samples in their rays' colours, at least 0, their geometry features (R, K, G), and which of
-    them were evaluated (R, K), at least one on each ray, None for all -> `Gated`.
+    them were evaluated (R, K), None for all -> `Gated`.
 
     It decides alike in training and evaluation, so that a head's normalisation sees the same kind of inputs in both.
     """
@@ -41,7 +41,7 @@ class NoGate(Gate):
 
 
 class SelectingGate(Gate):
-    """Some samples get a colour, one at least on each ray; they share what the others would have counted."""
+    """Some samples get a colour, at least one on each ray that has any; they share what the others would have had."""
 
     def select(self, shares: Tensor) -> Tensor:
         """Shares (R, K), -1 of a sample that was not evaluated -> which get a colour (R, K)."""
@@ -120,5 +120,6 @@ class MergeGate(Gate):
         sums = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
         sums = sums.scatter_add(1, index, shares[..., None] * geometry)
         kept = merged > 0
-        kept[:, 0] |= ~kept.any(-1)  # a ray that is empty altogether
+        if int(kept.sum()) < 2:  # all rays are empty; a normalisation needs two
+            kept[:, 0] = True
         return Gated(merged, sums / merged.clamp(min=tiny)[..., None], kept)

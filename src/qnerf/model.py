@@ -55,7 +55,8 @@ class Model(nn.Module):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
         samples = sampled.samples
         with watch.part("field"):
-            density, geometry, evaluated = self.field.geometry(rays.along(samples.mids))
+            points = rays.along(samples.mids)
+            density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
             weights = volume_weights(density, samples.deltas)
             gated = self.gate(shares(weights, background), geometry, evaluated)
             color = self.field.color(gated.geometry, rays.directions, rays.cameras, gated.kept)

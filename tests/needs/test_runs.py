@@ -18,7 +18,7 @@ from qnerf.records import read_config
 from qnerf.train import Trainer
 
 BALL = ball(views=12, size=32, focal=22.0, radius=0.25)
-AUTO = ("needs=auto", "field=classical", "visibility.resolution=12", "hash.log2_table_size=8")
+AUTO = ("needs=auto", "field=classical", "visibility.alpha=auto", "visibility.resolution=12", "hash.log2_table_size=8")
 
 
 @pytest.fixture
