@@ -72,22 +72,11 @@ def test_two_commands_that_mean_the_same_are_one_run(tiny):
 
 
 @pytest.mark.parametrize("stop_at", [1, 3, 5])
-def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, monkeypatch, stop_at):
+def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, run_until, stop_at):
     options = ["field=qboth", "cameras=so3xr3", "appearance=2", "train.steps=6", "train.eval_every=2"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
-
-    take_step = Trainer.take_step
-
-    def interrupted(self: Trainer, measure: bool) -> dict[str, float]:
-        if self.step == stop_at:
-            raise KeyboardInterrupt
-        return take_step(self, measure)
-
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    monkeypatch.setattr(Trainer, "take_step", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run(parts)
-    monkeypatch.setattr(Trainer, "take_step", take_step)
+    run_until(stop_at, parts)
     torch.rand(3)  # whatever the process did in between
     resumed = run(parts)
 

@@ -175,24 +175,13 @@ def logged(path) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("stop_at", [2, 5, 7])
-def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, monkeypatch, stop_at):
+def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, run_until, stop_at):
     """Interrupted before a look, just after one, and between two; killed, so that only the checkpoint is left."""
     options = ["field=classical", "train.steps=9", "visibility.resolution=8", "visibility.cameras=1"]
     options += ["occupancy.every=2", "occupancy.after=3", "occupancy.least=0.9", "density.initial=0.2"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
-
-    take_step = Trainer.take_step
-
-    def interrupted(self: Trainer, measure: bool) -> dict[str, float]:
-        if self.step == stop_at:
-            raise KeyboardInterrupt
-        return take_step(self, measure)
-
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "take_step", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run(parts)
+    run_until(stop_at, parts)
     torch.rand(3)
     resumed = run(parts)
     mine, others = (

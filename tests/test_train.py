@@ -126,21 +126,11 @@ def test_a_run_that_is_not_stopped_says_nothing(tiny):
 
 
 @pytest.mark.parametrize("stop_at", [1, 2, 3, 5])
-def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, monkeypatch, stop_at):
+def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, run_until, stop_at):
     options = [*STOP, "train.steps=12", "stop.patience=2", "stop.least=50"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
-    take_step = Trainer.take_step
-
-    def interrupted(self: Trainer, measure: bool) -> dict[str, float]:
-        if self.step == stop_at:
-            raise KeyboardInterrupt
-        return take_step(self, measure)
-
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "take_step", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run(parts)
+    run_until(stop_at, parts)
     resumed = run(parts)
     assert (resumed.summary["steps"], resumed.summary["stopped"]) == (6, "plateau")
     mine, others = (torch.load(found.path / "checkpoint.pt", weights_only=True) for found in (resumed, whole))

@@ -1,8 +1,13 @@
 """What the searches for worst inputs share."""
 
+import math
+
 import torch
 from hypothesis import strategies as st
 from torch import Tensor
+
+from benchmarks.accuracy import errors, exact
+from benchmarks.accuracy_cases import Case, bound_in
 
 TINY = torch.finfo(torch.float32).tiny
 """Least normal float32: below it numbers have few digits, and exp gives 0."""
@@ -18,3 +23,15 @@ def rounded(values: object) -> Tensor:
 def distance(found: Tensor, exact: Tensor) -> float:
     """Largest difference, in float64; NaN if there is one anywhere."""
     return float((found.detach().double() - exact.detach().double()).abs().amax()) if exact.numel() else 0.0
+
+
+def held(case: Case) -> None:
+    """Every variant that has bounds keeps them, in float32 and float64."""
+    expected = exact(case)
+    for dtype in case.dtypes:
+        for variant in case.variants:
+            forward, gradient = errors(case, variant, dtype, expected)
+            assert math.isfinite(forward), (variant, dtype)
+            if variant in case.bounded:
+                assert forward <= bound_in(dtype, case.bound), (variant, dtype)
+                assert case.gradient is None or gradient <= bound_in(dtype, case.gradient), (variant, dtype)

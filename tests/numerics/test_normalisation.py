@@ -4,12 +4,12 @@ import math
 
 import pytest
 import torch
+from hard import held
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from benchmarks.accuracy import errors, exact
-from benchmarks.accuracy_cases import EPS, bound_in
+from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.circuits import NORMALISED, cases, normalisation_plain
 from qnerf.heads import HEADS, HybridLayer
 from qnerf.quantum import QuantumLayer
@@ -43,13 +43,7 @@ def features(rows: int, offset: float = 0.0, spread: float = 1.0, seed: int = 0)
 @pytest.mark.parametrize("name", CASES)
 def test_normalised_values_and_gradients_keep_their_bounds(name: str) -> None:
     """Batch of 2, constant feature, huge offset with small variance, huge features."""
-    case = CASES[name]
-    expected = exact(case)
-    for variant in case.variants:
-        for dtype in case.dtypes:
-            forward, gradient = errors(case, variant, dtype, expected)
-            assert forward <= bound_in(dtype, case.bound), (variant, dtype)
-            assert gradient <= bound_in(dtype, case.gradient), (variant, dtype)
+    held(CASES[name])
 
 
 @pytest.mark.parametrize("rows", [0, 1])
