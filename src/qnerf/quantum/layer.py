@@ -35,8 +35,9 @@ class QuantumLayer(nn.Module):
     device, diff_method, shots, noise, seed    of method=pennylane, see `pennylane.make_node`
 
     Parameters: weights1 (S, 2, n, 3) and weights2 (2, n, 3), angles phi, theta, omega in radians, as in published QIREN
-    checkpoints. float32 and float64; an input of another precision is converted. At angles of up to 1e36 float32 outputs
-    are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32), and never beyond 1. NaN or infinite inputs give NaN.
+    checkpoints. float32 and float64; an input of another precision is converted. At angles of up to 1e36 rad, float32
+    outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32), and never beyond 1. NaN or infinite inputs give
+    NaN.
     ValueError for a wrong last dimension, integer inputs, wires outside 1..14, unknown names, or a lightcone that
     does not exist.
     """
