@@ -15,7 +15,6 @@ from qnerf.experiment import run
 from qnerf.needs.rules import RULES
 from qnerf.probes import trained
 from qnerf.records import read_config
-from qnerf.train import Trainer
 
 BALL = ball(views=12, size=32, focal=22.0, radius=0.25)
 AUTO = ("needs=auto", "field=classical", "visibility.alpha=auto", "visibility.resolution=12", "hash.log2_table_size=8")
@@ -63,19 +62,9 @@ def test_decisions_are_stored_and_loaded_without_measuring_again(auto, monkeypat
     assert loaded.model.field.mask is not None
 
 
-def test_a_resumed_run_keeps_its_decisions_and_a_finished_one_is_skipped(auto, monkeypatch):
+def test_a_resumed_run_keeps_its_decisions_and_a_finished_one_is_skipped(auto, run_until, monkeypatch):
     config = auto(BALL, "train.steps=4")
-    take_step = Trainer.take_step
-
-    def interrupted(self: Trainer, measure: bool) -> dict[str, float]:
-        if self.step == 2:
-            raise KeyboardInterrupt
-        return take_step(self, measure)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "take_step", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run(config)
+    run_until(2, config)
     with monkeypatch.context() as patch:
         refuse(patch)
         resumed = run(config)

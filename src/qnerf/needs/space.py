@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from qnerf.contraction import CONTRACTIONS
 from qnerf.hull import carved, seen, spheres
@@ -69,14 +68,9 @@ class Followed:
 
     def near(self, cameras: int) -> float | None:
         """The distance before which no ray passes space seen by so many cameras, less a tenth; None: from the start."""
-        first = self._first(self.counts >= max(cameras, 1))
-        return None if first is None or first <= float(self.distances[0]) else first * (1 - MARGIN)
-
-    def _first(self, reached: Tensor) -> float | None:
-        there = reached.any(-1)
-        if not bool(there.any()):
-            return None
-        return float(self.distances[reached[there].to(torch.int8).argmax(-1)].min())
+        reached = (self.counts >= max(cameras, 1)).any(0)
+        first = int(reached.to(torch.int8).argmax())
+        return float(self.distances[first]) * (1 - MARGIN) if first else None
 
 
 def hull_bounds(scene: Scene, half_extent: float) -> tuple[float, float]:
