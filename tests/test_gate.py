@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from qnerf.config import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
-from qnerf.gate import GATES
+from qnerf.gate import GATES, SMALL
 from qnerf.quantum import QuantumLayer
 from qnerf.render import render, shares, volume_weights
 from qnerf.timing import Stopwatch
@@ -163,3 +163,26 @@ def test_merging_follows_the_ray():
     merged, features, _ = GATES.build("merge", parts=2)(share, geometry)
     torch.testing.assert_close(merged, torch.tensor([[0.5, 0.5]], dtype=torch.float64))
     torch.testing.assert_close(features, torch.tensor([[[1.0], [4.0]]], dtype=torch.float64))
+
+
+def test_merging_into_parts_that_weigh_enough_has_the_derivatives_of_plain_means():
+    share = torch.tensor([[0.3, 0.2, 0.1, 0.4]], dtype=torch.float64, requires_grad=True)
+    geometry = torch.tensor([[[1.0], [2.0], [4.0], [8.0]]], dtype=torch.float64)
+    gate = GATES.build("merge", parts=2)
+    halves = torch.autograd.functional.jacobian(lambda s: gate(s, geometry).geometry, share)
+    plain = torch.autograd.functional.jacobian(
+        lambda s: (s * geometry[..., 0]).view(1, 2, 2).sum(-1) / s.view(1, 2, 2).sum(-1), share
+    )
+    torch.testing.assert_close(halves[..., 0, :, :], plain)
+
+
+@pytest.mark.parametrize("faint", [1e-6, 1e-20, 1e-38, 0.0])
+def test_a_part_that_weighs_next_to_nothing_has_bounded_derivatives(faint):
+    """Behind a normalisation its features get a gradient as large as everybody's."""
+    share = torch.tensor([[faint, faint / 2, 1.0, faint]], requires_grad=True)
+    geometry = torch.tensor([[[1.0], [-2.0], [4.0], [8.0]]], requires_grad=True)
+    merged = GATES.build("merge", parts=8)(share, geometry)
+    merged.geometry.sum().backward()
+    assert share.grad is not None and geometry.grad is not None
+    assert float(share.grad.abs().max()) <= 8 / (SMALL / 8)
+    assert float(geometry.grad.abs().max()) <= 1 + 1e-6

@@ -12,6 +12,8 @@ from qnerf.registry import Registry
 
 GATES: "Registry[Gate]" = Registry("gate")
 
+SMALL = 0.1
+
 
 class Gated(NamedTuple):
     """What gets a colour: M places on each ray."""
@@ -101,6 +103,11 @@ class MergeGate(Gate):
     part in which its middle falls. Where the features change little across a part, so does the colour, and nothing is
     left out.
 
+    How a sample's share s_i moves the mean m of its part, (g_i - m) / S, grows without bound where the part's share S
+    is small. A colour head alone gives such a part a gradient as small as S; a normalisation over the batch hands it
+    one as large as anybody's, which 1 / S would make the largest of all. Below `SMALL` of an equal part, S is taken as
+    that much in this derivative.
+
     Args:
         parts: of a ray, at least 1; 1 renders features first and colours once a ray.
     """
@@ -116,10 +123,13 @@ class MergeGate(Gate):
             middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
             part = (middle * self.parts).long().clamp_(0, self.parts - 1)
         merged = shares.new_zeros(len(shares), self.parts).scatter_add(1, part, shares)
-        index = part[..., None].expand_as(geometry)
-        sums = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
-        sums = sums.scatter_add(1, index, shares[..., None] * geometry)
+        own = merged.gather(1, part)  # (R, K) the share of each sample's part
+        with torch.no_grad():
+            weight = shares / own.clamp(min=tiny)
+        weight = weight + (shares - weight * own) / own.detach().clamp(min=SMALL / self.parts)
+        mean = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
+        mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
         kept = merged > 0
         if int(kept.sum()) < 2:  # all rays are empty; a normalisation needs two
             kept[:, 0] = True
-        return Gated(merged, sums / merged.clamp(min=tiny)[..., None], kept)
+        return Gated(merged, mean, kept)
