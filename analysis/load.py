@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from analysis import query
+from analysis import packed, query
 from qnerf.records import index
 
 
@@ -16,18 +16,22 @@ def runs(
     """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`; see
     `qnerf.records.index.load`. `scene_name` is the last part of scene.path, or the scene's name.
 
-    store: a folder, or a URL that fsspec reads, such as s3://bucket/runs; of those that run behind a URL it is known
-    only how old their heartbeat is. What was read is kept in an index: the next call reads only what has changed.
+    store: a folder of runs, or what `analysis.pack` made of one, or a URL that fsspec reads, such as s3://bucket/runs;
+    of those that run behind a URL it is known only how old their heartbeat is. What was read is kept in an index: the
+    next call reads only what has changed.
     filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
     {"field": "qcolor", "seed": [0, 1]}; see `analysis.query`.
 
     Raises:
         ValueError: no runs, none that the filter lets through (the line tells what there is), or no such column.
     """
-    frame = index.load(store, progress=progress)
-    if frame.empty:
-        raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
-    frame["scene_name"] = _scene_names(frame)
+    if packed.is_packed(store):
+        frame = packed.load(store)
+    else:
+        frame = index.load(store, progress=progress)
+        if frame.empty:
+            raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
+        frame["scene_name"] = _scene_names(frame)
     return frame if filter is None else query.select(frame, filter)
 
 

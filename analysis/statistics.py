@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from analysis import packed
 from qnerf.records import StoreError
 from qnerf.records.read import read_table
 
@@ -93,6 +94,9 @@ def method(level: float = LEVEL, resamples: int = RESAMPLES) -> str:
 def _views(path: str, metric: str) -> tuple[list[str], np.ndarray]:
     """Images and values; none where the file cannot tell."""
     try:
+        own = packed.views(path)
+        if own is not None:
+            return own["image"].tolist(), own[metric].to_numpy()
         table = read_table(Path(path) / "eval.parquet")
         return table["image"].to_pylist(), table[metric].to_numpy()
     except (StoreError, KeyError):

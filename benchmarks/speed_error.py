@@ -73,12 +73,18 @@ TRAINED = (
     Rung("recipe"),
     Rung("auto", ("needs=auto",)),
     Rung("auto, 1L1S", ("needs=auto", "qiren=1L1S"), single=True),
-    Rung("auto, MLP 3 x 64", ("needs=auto", "field=classical"), single=True),
+    Rung("full, MLP 3 x 64", ("needs=full", "field=classical")),
+    Rung("auto, MLP 3 x 64", ("needs=auto", "field=classical")),
     Rung("auto, MLP 2 x 16", ("needs=auto", "field=classical", "color.layers=2", "color.width=16"), single=True),
 )
 CYCLE = 5  # steps from one in which the proposal networks learn to the next
 BASE = "recipe"  # whose weights the first kind of rungs share
-PAIRS = (("auto", "full"), ("auto", "recipe"), ("recipe", "recipe, no gate"))
+PAIRS = (
+    ("auto", "full"),
+    ("auto, MLP 3 x 64", "full, MLP 3 x 64"),
+    ("auto", "recipe"),
+    ("recipe", "recipe, no gate"),
+)
 
 
 def scene_overrides(text: str) -> tuple[str, ...]:
@@ -219,7 +225,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    common = ("field=qcolor", f"train.steps={options.steps}", "train.eval_every=500", f"threads={options.threads}")
+    common = ("field=qcolor", f"train.steps={options.steps}", f"threads={options.threads}")
     tables = []
     for text in options.scene:
         scene = scene_overrides(text)

@@ -1,6 +1,7 @@
 """Every parameter count that the paper prints, from the real configuration."""
 
 import csv
+import re
 
 import pytest
 import torch
@@ -67,3 +68,11 @@ def test_heads_of_the_hsv_study():
     assert (count(built.density_head), count(built.color_head)) == (1200, 531)
     quantum = field("field=qdensity", "encoder=pe", "qiren=2L2S", "color.layers=3", "color.width=32")
     assert (count(quantum.density_head), count(quantum.color_head)) == (1166, 1859)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "conf" / "experiment").glob("*.yaml")), ids=lambda path: path.stem)
+def test_an_experiment_that_says_its_count_has_it(path):
+    said = re.search(r"^# .*: (\d+) parameters\.$", path.read_text(), re.MULTILINE)
+    if said:
+        built = field(f"experiment={path.stem}")
+        assert int(said[1]) in (count(built.color_head), count(built.density_head))

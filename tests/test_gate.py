@@ -183,6 +183,7 @@ def test_a_part_that_weighs_next_to_nothing_has_bounded_derivatives(faint):
     geometry = torch.tensor([[[1.0], [-2.0], [4.0], [8.0]]], requires_grad=True)
     merged = GATES.build("merge", parts=8)(share, geometry)
     merged.geometry.sum().backward()
-    assert share.grad is not None and geometry.grad is not None
+    assert share.grad is not None
+    assert geometry.grad is not None
     assert float(share.grad.abs().max()) <= 8 / (SMALL / 8)
     assert float(geometry.grad.abs().max()) <= 1 + 1e-6

@@ -75,3 +75,22 @@ def test_a_centred_head_starts_at_0_for_the_mean_of_its_inputs(sum_layers):
     features = torch.randn(1, 5, dtype=torch.float64).expand(64, -1)  # a constant is its own mean
     assert plain(features).abs().max() > 0.1
     torch.testing.assert_close(centred(features), torch.zeros(64, 3, dtype=torch.float64), atol=1e-5, rtol=0)
+
+
+def test_statistics_of_the_first_step_stay():
+    torch.manual_seed(0)
+    head = HEADS.build("qiren", 4, 2, qubits=3, statistics="first").double()
+    norm = head.hybrid[0].norm
+    first, second = torch.randn(64, 4, dtype=torch.float64), 5 + 3 * torch.randn(64, 4, dtype=torch.float64)
+    angles = norm(head.hybrid[0].linear(first))
+    torch.testing.assert_close(angles.mean(0), torch.zeros(3, dtype=torch.float64), atol=1e-12, rtol=0)
+    torch.testing.assert_close(angles.var(0, unbiased=False), torch.ones(3, dtype=torch.float64), atol=1e-3, rtol=0)
+    head(first)
+    values = head(second)
+    assert float(norm(head.hybrid[0].linear(second)).detach().mean(0).abs().max()) > 0.5  # not normalised anew
+    values.sum().backward()
+    assert float(head.hybrid[0].linear.bias.grad.abs().max()) > 0
+    torch.testing.assert_close(head.eval()(second), values)
+    again = HEADS.build("qiren", 4, 2, qubits=3, statistics="first").double()
+    again.load_state_dict(head.state_dict())
+    torch.testing.assert_close(again(second), values)

@@ -146,3 +146,28 @@ def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(
 def test_the_median_leaves_the_first_fifty_steps_out():
     assert median_ms([9.0] * 50 + [1.0, 2.0, 3.0]) == 2000
     assert median_ms([1.0, 3.0, 2.0]) == 2000
+
+
+def test_a_part_learns_at_its_own_rate(tiny):
+    frozen = trainer(tiny("train.rates.color=0", "train.rates.density=0.5"))
+    before = [p.detach().clone() for p in frozen.model.field.color_head.parameters()]
+    frozen.take_step(measure=False)
+    assert all(torch.equal(p, was) for p, was in zip(frozen.model.field.color_head.parameters(), before, strict=True))
+    rates = {group["name"]: group["lr"] for group in frozen.optimiser.param_groups}
+    assert rates["density"] == pytest.approx(rates["encoder"] / 2)
+
+
+@pytest.mark.parametrize("override", ["+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"])
+def test_a_bad_rate_is_one_line(tiny, override):
+    with pytest.raises(ValueError, match=r"train\.rates") as caught:
+        settings_from(tiny(override))
+    assert "\n" not in str(caught.value)
+
+
+def test_fine_levels_are_released_by_the_trainers_step(tiny):
+    one = trainer(tiny("encoder.release=50"))
+    one.take_step(measure=False)
+    assert one.model.field.encoder.step == 0
+    grad = one.model.field.encoder.table.grad
+    assert bool((grad[-1] == 0).all())
+    assert bool((grad[0] != 0).any())

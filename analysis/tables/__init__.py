@@ -3,7 +3,8 @@
 from analysis.tables.ablation import ablation, markdown
 from analysis.tables.needs import needs
 from analysis.tables.seeds import over_seeds
+from analysis.tables.stability import stability
 from analysis.tables.table import Table
 from analysis.tables.values import VALUES, Value
 
-__all__ = ["VALUES", "Table", "Value", "ablation", "markdown", "needs", "over_seeds"]
+__all__ = ["VALUES", "Table", "Value", "ablation", "markdown", "needs", "over_seeds", "stability"]

@@ -7,6 +7,7 @@ from analysis.paper import PAPER_TABLES
 from analysis.selection import conditions
 from analysis.tables.ablation import ablation
 from analysis.tables.needs import TOLERANCE, needs
+from analysis.tables.stability import stability
 from analysis.tables.values import VALUES
 
 DESCRIPTION = """\
@@ -19,6 +20,7 @@ EXAMPLES = """\
   python -m analysis.tables runs --rows field,qiren --filter scene_name=poster
   python -m analysis.tables runs --rows scene_name,field --baseline field=classical --format latex
   python -m analysis.tables runs --rows field,hash --needs --tolerance 0.5 --size step_ms
+  python -m analysis.tables runs --rows scene_name,field --stability
   python -m analysis.tables runs --paper rgb --filter scene_name=poster
 """
 
@@ -46,6 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
     )
     parser.add_argument(
+        "--stability", action="store_true", help="instead: the worst seed of each row, and how many fail"
+    )
+    parser.add_argument(
         "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
     )
     parser.add_argument(
@@ -62,6 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table = PAPER_TABLES[options.paper][1](frame)
     elif options.needs:
         table = needs(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
+    elif options.stability:
+        table = stability(frame, rows, metric=options.metric)
     else:
         baseline = conditions(options.baseline) if options.baseline else None
         values = options.values.split(",") if options.values else None

@@ -10,6 +10,7 @@ from qnerf.checks import at_least, between, one_of, positive
 from qnerf.registry import check_options
 
 BACKGROUNDS = ("last_sample", "white", "black", "random")
+PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")  # of the model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,7 @@ class Train:
     rays: int  # a step
     lr: float
     lr_final: float  # reached at the last step by exponential decay
+    rates: dict  # part of the model -> factor on the learning rate
     eps: float  # of Adam
     interlevel: float  # weight of the interlevel loss
     distortion: float  # weight of the distortion loss
@@ -37,6 +39,10 @@ class Train:
             at_least(f"train.{name}", getattr(self, name), 0)
         for name in ("lr", "lr_final", "eps"):
             positive(f"train.{name}", getattr(self, name))
+        if sorted(self.rates) != sorted(PARTS) or not all(type(rate) in (int, float) for rate in self.rates.values()):
+            raise ValueError(f"train.rates must give a number for each of {', '.join(PARTS)}, got {self.rates}")
+        for part, rate in self.rates.items():
+            at_least(f"train.rates.{part}", rate, 0)
 
 
 @dataclass(frozen=True, kw_only=True)

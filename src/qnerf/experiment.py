@@ -126,8 +126,9 @@ def build_field(settings: Settings, views: int) -> Field:
     contraction = component(CONTRACTIONS, settings.contraction)
     encoder = component(ENCODERS, settings.encoder, 3)
     density = build_head(settings.density, settings, encoder.out_dim, 1 + settings.geo_features)
-    degree = {"degree": settings.color["degree"]} if settings.color["directions"] == "sh" else {}
-    directions = DIRECTIONS.build(settings.color["directions"], **degree)
+    kind = settings.color["directions"]
+    options = {"sh": {"degree": settings.color["degree"]}, "raw": {"scale": settings.color["direction_scale"]}}
+    directions = DIRECTIONS.build(kind, **options.get(kind, {}))
     color_in = directions.out_dim + settings.geo_features + settings.appearance
     color = build_head(settings.color, settings, color_in, 3)
     activation = ACTIVATIONS.get(settings.density["activation"])

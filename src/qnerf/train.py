@@ -77,7 +77,7 @@ class Trainer:
         self.watch.begin(watch=measure)
         rate = learning_rate(self.step, self.train)
         for group in self.optimiser.param_groups:
-            group["lr"] = rate
+            group["lr"] = rate * self.train.rates.get(group["name"], 1.0)
         with self.watch.part("sampling"):
             mask = self.model.field.mask
             if isinstance(mask, Occupancy) and mask.due(self.step):

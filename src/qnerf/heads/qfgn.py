@@ -61,6 +61,7 @@ class QFGNHead(QirenHead):
         gain: float = 1.0,
         sum_layers: bool = False,
         input_scale: float = 1.0,
+        statistics: str = "batch",
         center: bool = False,
     ) -> None:
         at_least("features", features, 2)
@@ -81,10 +82,13 @@ class QFGNHead(QirenHead):
             gain=gain,
             sum_layers=sum_layers,
             input_scale=input_scale,
+            statistics=statistics,
             center=center,
         )
 
-    def hybrid_layer(self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float) -> nn.Module:
+    def hybrid_layer(
+        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: str
+    ) -> nn.Module:
         if index == 0:
             return FourierGaussianLayer(in_dim, wires, circuit, *self._fourier)
-        return super().hybrid_layer(index, in_dim, wires, circuit, input_scale)
+        return super().hybrid_layer(index, in_dim, wires, circuit, input_scale, statistics)

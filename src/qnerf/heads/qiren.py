@@ -3,9 +3,11 @@
 import torch
 from torch import Tensor, nn
 
-from qnerf.checks import at_least
+from qnerf.checks import at_least, one_of
 from qnerf.heads.base import HEADS
 from qnerf.quantum import QuantumLayer
+
+STATISTICS = ("batch", "first")
 
 
 class Normalisation(nn.BatchNorm1d):
@@ -13,13 +15,26 @@ class Normalisation(nn.BatchNorm1d):
 
     PyTorch's adds up the rows one by one: at 6,144 rows its mean is off by up to 6e-5 |mean|, and its variance, taken
     about that mean, by the square. Here the values are centred before.
+
+    Args:
+        wires: columns.
+        statistics: whose mean and variance. `batch`: those of each training step, and in evaluation their running
+            means; `first`: those of the first training step, ever after, in evaluation too.
     """
 
     momentum: float
     running_mean: Tensor
+    running_var: Tensor
     num_batches_tracked: Tensor
 
+    def __init__(self, wires: int, *, statistics: str = "batch") -> None:
+        super().__init__(wires)
+        one_of("statistics", statistics, STATISTICS)
+        self.statistics = statistics
+
     def forward(self, x: Tensor) -> Tensor:
+        if self.statistics == "first":
+            return self._forward_first(x)
         mean = x.detach().mean(0) if self.training else self.running_mean
         zero = torch.zeros_like(mean)  # in training it takes the running mean of what is centred already
         normalised = nn.functional.batch_norm(
@@ -30,6 +45,15 @@ class Normalisation(nn.BatchNorm1d):
             self.num_batches_tracked += 1
         return normalised
 
+    def _forward_first(self, x: Tensor) -> Tensor:
+        if self.training and not self.num_batches_tracked:
+            centred = x.detach() - x.detach().mean(0)
+            self.running_mean.copy_(x.detach().mean(0))
+            self.running_var.copy_(centred.square().mean(0))
+            self.num_batches_tracked += 1
+        scale = self.weight * (self.running_var + self.eps).rsqrt()
+        return (x - self.running_mean) * scale + self.bias
+
 
 class HybridLayer(nn.Module):
     """Linear -> batch normalisation -> circuit: (N, in_dim) -> (N, wires), values in [-1, 1].
@@ -39,10 +63,12 @@ class HybridLayer(nn.Module):
     rows, which have no variance.
     """
 
-    def __init__(self, in_dim: int, wires: int, circuit: QuantumLayer, *, input_scale: float = 1.0) -> None:
+    def __init__(
+        self, in_dim: int, wires: int, circuit: QuantumLayer, *, input_scale: float = 1.0, statistics: str = "batch"
+    ) -> None:
         super().__init__()
         self.linear = nn.Linear(in_dim, wires)
-        self.norm = Normalisation(wires)
+        self.norm = Normalisation(wires, statistics=statistics)
         self.circuit = circuit
         self.input_scale = input_scale
 
@@ -55,7 +81,7 @@ class HybridLayer(nn.Module):
         # The normalisation of a batch cancels the bias. What is left of its gradient is rounding, which Adam would make
         # whole steps of: the bias would walk at random, and the running statistics, which evaluation takes, behind it.
         bias: Tensor = self.linear.bias
-        if self.training:
+        if self.training and self.norm.statistics == "batch":
             bias = bias.detach() + 0 * bias  # a gradient of exactly 0
         angles = self.norm(nn.functional.linear(features, self.linear.weight, bias))
         if self.input_scale != 1.0:
@@ -79,6 +105,7 @@ class QirenHead(nn.Module):
             0.05 over their inputs, which starts a head almost constant.
         sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
         input_scale: factor on the normalised inputs, radians.
+        statistics: of the normalisation: of each step's `batch`, or of the `first` one ever after.
         center: the last linear map's bias starts where angles of 0 give 0. Measured values lie around a constant that a
             gain multiplies too: without this a density head starts as fog or as emptiness, a colour head saturated.
     """
@@ -97,6 +124,7 @@ class QirenHead(nn.Module):
         gain: float = 1.0,
         sum_layers: bool = False,
         input_scale: float = 1.0,
+        statistics: str = "batch",
         center: bool = False,
     ) -> None:
         super().__init__()
@@ -106,7 +134,8 @@ class QirenHead(nn.Module):
         self.hybrid = nn.ModuleList()
         for index in range(layers + 1):
             circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init)
-            self.hybrid.append(self.hybrid_layer(index, in_dim if index == 0 else qubits, qubits, circuit, input_scale))
+            layer_in = in_dim if index == 0 else qubits
+            self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(qubits, out_dim)
         if center:
             self.center()
@@ -119,9 +148,11 @@ class QirenHead(nn.Module):
         values = torch.stack(resting).sum(0) if self.sum_layers else resting[-1]
         self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
 
-    def hybrid_layer(self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float) -> nn.Module:
+    def hybrid_layer(
+        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: str
+    ) -> nn.Module:
         """The `index`-th layer; a head with other preprocessing overrides this."""
-        return HybridLayer(in_dim, wires, circuit, input_scale=input_scale)
+        return HybridLayer(in_dim, wires, circuit, input_scale=input_scale, statistics=statistics)
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

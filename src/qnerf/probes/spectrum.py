@@ -60,9 +60,10 @@ def table(trained: Trained) -> pd.DataFrame:
 def angles(layer: torch.nn.Module, wires: int) -> pd.DataFrame:
     """wire, angle_mean, angle_std (radians): of a hybrid layer's angles over the training samples.
 
-    The normalisation leaves mean 0 and variance 1, so that its own shift, scale and the layer's input_scale tell.
+    The normalisation leaves mean 0 and variance 1, so that its own shift, scale and the layer's input_scale tell; not
+    where its statistics are those of long ago.
     """
-    if not isinstance(layer, HybridLayer):
+    if not isinstance(layer, HybridLayer) or layer.norm.statistics != "batch":
         return pd.DataFrame({"wire": range(wires), "angle_mean": np.nan, "angle_std": np.nan})
     mean, std = (p.detach().double().cpu().numpy() * layer.input_scale for p in (layer.norm.bias, layer.norm.weight))
     return pd.DataFrame({"wire": range(wires), "angle_mean": mean, "angle_std": np.abs(std)})

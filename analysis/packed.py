@@ -1,0 +1,57 @@
+"""Runs packed into two small tables, so that the evidence for a result can be kept beside it: what every table here is
+made of, without pictures, curves and checkpoints. A packed folder is read like a store; `analysis.pack` makes one.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+
+import pandas as pd
+
+from qnerf.records import StoreError
+from qnerf.records.read import read_table
+
+RUNS, VIEWS = "runs.parquet", "views.parquet"
+_HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
+"""Columns that say where and how a run was done on somebody's machine."""
+
+
+def pack(runs: pd.DataFrame, folder: Path) -> int:
+    """Writes runs as `analysis.load.runs` gives them and their held-out views over what the folder has; returns how
+    many there are. What a scene is called is kept, where it lay is not.
+    """
+    chosen = runs.sort_values("run_id", ignore_index=True)
+    views = []
+    for name, path in zip(chosen["run_id"], chosen["path"], strict=True):
+        rows = read_table(Path(path) / "eval.parquet").to_pandas()
+        views.append(rows[["image", *rows.select_dtypes("number")]].assign(run_id=name))
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = chosen.drop(columns=[name for name in _HERE if name in chosen]).dropna(axis=1, how="all")
+    kept.to_parquet(folder / RUNS, index=False)
+    pd.concat(views, ignore_index=True).to_parquet(folder / VIEWS, index=False)
+    return len(chosen)
+
+
+def is_packed(folder: str | Path) -> bool:
+    return (Path(folder) / RUNS).is_file()
+
+
+def load(folder: str | Path) -> pd.DataFrame:
+    """The frame that `analysis.load.runs` gives of a packed folder; `path` is where the run would lie in it."""
+    frame = pd.read_parquet(Path(folder) / RUNS)
+    return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])
+
+
+def views(path: str | Path) -> pd.DataFrame | None:
+    """The held-out views of a run whose `path` lies in a packed folder; None where it does not."""
+    folder = Path(path).parent
+    if not is_packed(folder):
+        return None
+    own = _views(folder / VIEWS, (folder / VIEWS).stat().st_mtime_ns).get(Path(path).name)
+    if own is None:
+        raise StoreError(f"{path}: no such run in {folder / VIEWS}")
+    return own
+
+
+@lru_cache(maxsize=8)
+def _views(file: Path, _changed: int) -> dict[str, pd.DataFrame]:
+    return {str(name): rows for name, rows in pd.read_parquet(file).groupby("run_id", sort=False)}

@@ -1,0 +1,173 @@
+"""`python -m analysis.results docs/results --write docs/results.md`: the page of what was found out, one section a
+question, made from the runs that `python -m analysis.pack` keeps in a folder each."""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pandas as pd
+
+from analysis import command, load
+from analysis.paper import PAPER_TABLES
+from analysis.tables import Table, ablation, stability
+
+HEAD = """\
+# Results
+
+Every table is made by `python -m analysis.results docs/results --write docs/results.md` from the runs in
+`docs/results/`, one folder a question; `python -m analysis.tables docs/results/NAME --rows ...` makes others of them.
+PSNR and SSIM are those of held-out views, after the steps that a section names. {hardware}
+"""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A folder of `docs/results`: what was asked, which sweep answers it, and the table that shows it."""
+
+    title: str
+    commands: tuple[str, ...]
+    rows: tuple[str, ...]
+    baseline: Mapping[str, object] | None = None
+    values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density", "step_ms")
+    stable: bool = False
+    paper: tuple[str, ...] = field(default=())
+
+    def tables(self, frame: pd.DataFrame) -> list[Table]:
+        """Its tables over seeds: differences from the baseline, the seeds that failed, the paper's beside ours."""
+        values = [name for name in self.values if name in frame]
+        rows = [*self.rows]
+        made = [ablation(frame, rows, values=values, baseline=self.baseline, title="")]
+        if self.stable:
+            made.append(stability(frame, rows))
+        return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
+
+
+def sweep(name: str, *more: str) -> str:
+    return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
+
+
+QUESTIONS = {
+    "scenes": Question(
+        "What does a circuit head give on each scene?",
+        (sweep("scenes"),),
+        ("scene_name", "field"),
+        {"field": "classical"},
+    ),
+    "recipe": Question(
+        "What is each piece of the quick recipe worth to a quantum colour head?",
+        (sweep("recipe", "field=qcolor"),),
+        ("scene_name", "experiment"),
+        {"experiment": "quick_recipe"},
+        ("psnr", "ssim", "depth_error", "step_ms"),
+        stable=True,
+    ),
+    "recipe_density": Question(
+        "What is each piece worth to a quantum density head?",
+        (sweep("recipe", "field=qdensity"),),
+        ("scene_name", "experiment"),
+        {"experiment": "quick_recipe"},
+        ("psnr", "ssim", "depth_error", "step_ms"),
+        stable=True,
+    ),
+    "recipe_more": Question(
+        "Would more of it help? Pieces that the recipe does not have",
+        (sweep("recipe_more"),),
+        ("scene_name", "experiment"),
+        {"experiment": "quick_recipe"},
+        ("psnr", "ssim", "depth_error", "step_ms"),
+        stable=True,
+    ),
+    "seeds": Question(
+        "How often does a field collapse?",
+        (sweep("seeds"),),
+        ("scene_name", "field"),
+        values=("psnr", "ssim", "depth_error"),
+        stable=True,
+    ),
+    "small_heads": Question(
+        "Is a quantum colour head level with MLPs of its size?",
+        (sweep("small_heads"),),
+        ("scene_name", "color", "params.color"),
+        {"color": "1L2S"},
+        ("psnr", "ssim", "depth_error", "step_ms"),
+        stable=True,
+    ),
+    "rgb_depth": Question(
+        "Does a deep, narrow MLP collapse?",
+        (sweep("rgb_depth"),),
+        ("scene_name", "color"),
+        values=("psnr", "ssim", "depth_error", "params.color"),
+        stable=True,
+    ),
+    "rgb_table": Question(
+        "The paper's table of colour heads", (sweep("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)
+    ),
+    "both_table": Question(
+        "The paper's table of both heads", (sweep("both_table"),), ("scene_name", "density", "color"), paper=("both",)
+    ),
+    "hash_table": Question(
+        "The paper's hash tables",
+        (sweep("hash_table"),),
+        ("scene_name", "hash"),
+        values=("psnr", "ssim", "depth_error", "params.encoder", "step_ms"),
+        paper=("hash",),
+    ),
+    "density_pe": Question(
+        "Quantum and classical density on a positional encoding", (sweep("density_pe"),), ("scene_name", "density")
+    ),
+    "paper": Question(
+        "The paper's recipe, 30,000 steps",
+        ("python -m src.run -m train=paper field=classical,qcolor scene=poster",),
+        ("scene_name", "field"),
+        values=("psnr", "ssim", "depth_error", "step_ms", "train_s"),
+    ),
+}
+"""Folder -> question, in the order of the page."""
+
+
+def page(folder: Path, hardware: str) -> str:
+    """Markdown: a section a folder that is there. ValueError where none is, or one that no question knows."""
+    there = {path.parent.name for path in folder.glob("*/runs.parquet")}
+    unknown = sorted(there - set(QUESTIONS))
+    if not there or unknown:
+        known = ", ".join(QUESTIONS)
+        raise ValueError(
+            f"{folder}: expected folders of packed runs, among {known}; got {', '.join(unknown) or 'none'}"
+        )
+    parts = [HEAD.format(hardware=hardware).rstrip()]
+    for name, question in QUESTIONS.items():
+        if name in there:
+            parts += section(question, load.runs(folder / name))
+    return "\n\n".join(parts) + "\n"
+
+
+def section(question: Question, frame: pd.DataFrame) -> list[str]:
+    budgets = frame.groupby("train")["train.steps"].unique()
+    told = "; ".join(
+        f"`train={name}`, {', '.join(f'{n:,}' for n in sorted(steps))} steps" for name, steps in budgets.items()
+    )
+    seeds = ", ".join(map(str, sorted(frame["seed"].unique())))
+    commands = "\n".join(f"    {line}" for line in question.commands)
+    tables = [table.markdown() for table in question.tables(frame)]
+    return [f"## {question.title}", commands, f"{len(frame)} runs; {told}; seeds {seeds}.", *tables]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m analysis.results", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="folder of folders that `python -m analysis.pack` wrote")
+    parser.add_argument("--hardware", default="", help="a sentence that says on what machine the runs were done")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="the page; default: standard output")
+    options = parser.parse_args(arguments)
+    text = page(options.folder, options.hardware)
+    if options.write:
+        options.write.write_text(text)
+    else:
+        sys.stdout.write(text)
+
+
+if __name__ == "__main__":
+    command.run(main)

@@ -1,0 +1,52 @@
+import shutil
+
+import pandas as pd
+import pytest
+from stores import write_run
+
+from analysis import load, statistics
+from analysis.pack import main
+from analysis.tables import ablation
+
+
+@pytest.fixture
+def store(tmp_path):
+    folder = tmp_path / "runs"
+    for seed in (0, 1):
+        write_run(folder, "classical", seed, [24.0 + seed, 26.0])
+        write_run(folder, "qcolor", seed, [25.0 + seed, 26.5])
+    write_run(folder, "qcolor", 2, state="failed")
+    return folder
+
+
+def test_a_packed_store_gives_the_tables_of_the_store(store, tmp_path, capsys):
+    main([str(store), str(tmp_path / "packed")])
+    assert capsys.readouterr().out == f"4 runs in {tmp_path / 'packed'}, 1 unfinished left out\n"
+    finished = load.runs(store, "state=finished")
+    tables = [ablation(finished, ["field"], baseline={"field": "classical"}).markdown()]
+    shutil.rmtree(store)
+    packed = load.runs(tmp_path / "packed")
+    tables.append(ablation(packed, ["field"], baseline={"field": "classical"}).markdown())
+    assert tables[0] == tables[1]
+    assert "+0.75" in tables[1]
+    assert len(statistics.evaluations(packed)) == 8
+
+
+def test_a_packed_folder_names_no_machine(store, tmp_path):
+    main([str(store), str(tmp_path / "packed")])
+    for name in ("runs", "views"):
+        table = pd.read_parquet(tmp_path / "packed" / f"{name}.parquet")
+        assert str(tmp_path) not in table.astype(str).to_csv()
+
+
+def test_packing_again_reads_the_new_views(store, tmp_path):
+    packed = tmp_path / "packed"
+    main([str(store), str(packed), "--filter", "seed=0"])
+    assert len(statistics.evaluations(load.runs(packed))) == 4
+    main([str(store), str(packed)])
+    assert len(statistics.evaluations(load.runs(packed))) == 8
+
+
+def test_nothing_finished_is_one_line(store, tmp_path):
+    with pytest.raises(ValueError, match="none of 1 runs is finished"):
+        main([str(store), str(tmp_path / "packed"), "--filter", "state=failed"])

@@ -1,0 +1,49 @@
+import pytest
+from stores import write_run
+
+from analysis import load
+from analysis.tables import stability
+from analysis.tables.__main__ import main
+
+
+@pytest.fixture
+def store(tmp_path):
+    for seed, (classical, circuit) in enumerate([(25.0, 25.0), (25.4, 24.6), (25.2, 23.4), (14.0, 25.2)]):
+        write_run(tmp_path, "classical", seed, [classical])
+        write_run(tmp_path, "qcolor", seed, [circuit])
+    return tmp_path
+
+
+def test_slips_are_counted_below_the_rows_median_and_collapses_below_the_scenes_best(store):
+    data = stability(load.runs(store), ["field"]).data
+    assert data.loc["classical"].to_dict() == {
+        "median": 25.1,
+        "worst": 14.0,
+        "best": 25.4,
+        "n": 4,
+        "slipped": 1,
+        "collapsed": 1,
+    }
+    assert data.loc["qcolor", ["slipped", "collapsed"]].tolist() == [0, 0]
+
+
+def test_a_row_that_collapsed_as_a_whole_has_not_slipped(tmp_path):
+    for seed in (0, 1):
+        write_run(tmp_path, "classical", seed, [14.0])
+        write_run(tmp_path, "qcolor", seed, [25.0])
+        write_run(tmp_path, "classical", seed, [14.0], scene="chair")
+    data = stability(load.runs(tmp_path), ["scene_name", "field"]).data
+    assert data.loc[("poster", "classical"), ["slipped", "collapsed"]].tolist() == [0, 2]
+    assert data.loc[("chair", "classical"), "collapsed"] == 0
+
+
+def test_it_counts_decibels_alone(store):
+    with pytest.raises(ValueError, match="stability counts dB: expected psnr, got ssim"):
+        stability(load.runs(store), ["field"], metric="ssim")
+
+
+def test_the_command_prints_it(store, capsys):
+    main([str(store), "--rows", "field", "--stability"])
+    out = capsys.readouterr().out
+    assert "| classical | 22.40 ± 5.60 | 25.10 | 14.00 | 25.40 | 1 of 4 | 1 of 4 |" in out
+    assert "more than 1.5 dB below the row's median" in out
