@@ -40,7 +40,7 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
         for key in keys:
             if key.startswith(f"{head}.qiren."):
                 table.loc[~quantum, key] = ""
-            elif key in (f"{head}.layers", f"{head}.width"):
+            elif key in (f"{head}.layers", f"{head}.width", f"{head}.init"):
                 table.loc[quantum, key] = ""
     return table
 

@@ -94,3 +94,11 @@ def test_statistics_of_the_first_step_stay():
     again = HEADS.build("qiren", 4, 2, qubits=3, statistics="first").double()
     again.load_state_dict(head.state_dict())
     torch.testing.assert_close(again(second), values)
+
+
+@pytest.mark.parametrize(("init", "low", "high"), [("torch", 0.0, 0.05), ("he", 0.3, 10.0)])
+def test_how_much_a_deep_mlp_varies_at_the_start_is_its_initialisations(init, low, high):
+    torch.manual_seed(0)
+    features = torch.randn(500, 21)
+    spreads = [HEADS.build("mlp", 21, 3, layers=8, width=64, init=init)(features).std(0).mean() for _ in range(8)]
+    assert low < float(torch.stack(spreads).detach().median()) < high

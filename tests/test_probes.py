@@ -213,3 +213,27 @@ def test_only_finished_runs_are_probed(tmp_path):
     (tmp_path / "config.yaml").write_text("seed: 0")
     with pytest.raises(ValueError, match="expected a finished run, this one is interrupted"):
         load(tmp_path)
+
+
+def test_units_that_never_act_are_dead(tiny):
+    outcome = run(tiny("field=classical", "train.steps=2", "color.layers=4", "color.width=5"))
+    trained = load(outcome.path)
+    with torch.no_grad():
+        trained.model.field.color_head.net[2].bias[:3] = -1e6
+    table = PROBES["units"](trained)
+    rows = table[(table["head"] == "color") & (table["kind"] == "relu")].set_index(["when", "layer"])
+    assert rows.loc[("end", 1), "dead"] == pytest.approx(0.6)
+    assert rows.loc[("start", 1), "dead"] < 0.6
+    assert rows["units"].tolist() == [5] * 6
+    outputs = table[table["kind"] == "output"]
+    assert len(outputs) == 4
+    assert outputs["dead"].isna().all()
+    assert (outputs["std"] > 0).all()
+
+
+def test_units_of_circuits_are_their_measured_values(tiny):
+    table = PROBES["units"](load(run(tiny("field=qboth", *SMALL)).path))
+    circuits = table[table["kind"] == "circuit"]
+    assert len(circuits) == 8  # two heads of two circuits, before and after
+    assert circuits["std"].between(0, 1).all()
+    assert (circuits["units"] == 3).all()

@@ -37,7 +37,9 @@ def test_the_paper_recipe_is_the_papers(config):
     assert settings.visibility.cameras == 0
     head = settings.color["qiren"]
     assert (head["init"], head["gain"], head["sum_layers"], head["input_scale"]) == ("uniform", 1.0, False, 1.0)
-    assert head["center"] is False
+    assert (head["center"], head["statistics"]) == (False, "batch")
+    assert (settings.encoder["release"], settings.color["direction_scale"]) == (0, 1.0)
+    assert set(train.rates.values()) == {1.0}
     assert (settings.density["activation"], settings.contraction["name"]) == ("trunc_exp", "linf")
 
 

@@ -115,7 +115,7 @@ def check_background(scene: Scene, settings: Settings) -> None:
 
 def build_head(node: Mapping[str, Any], settings: Settings, in_dim: int, out_dim: int) -> torch.nn.Module:
     """The head that `node` (density or color) names, with that kind's options."""
-    options = {"mlp": {"layers": node["layers"], "width": node["width"]}, "qiren": node["qiren"]}
+    options = {"mlp": {name: node[name] for name in ("layers", "width", "init")}, "qiren": node["qiren"]}
     options["qfgn"] = {**node["qiren"], **settings.qfgn}
     HEADS.get(node["name"])
     return HEADS.build(node["name"], in_dim, out_dim, **options[node["name"]])

@@ -10,7 +10,7 @@ from qnerf.records import find, state
 if TYPE_CHECKING:
     from qnerf.probes import Trained
 
-PROBES = ("spectrum", "encoding", "rays")
+PROBES = ("spectrum", "encoding", "rays", "units")
 DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
 
 
@@ -18,7 +18,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measures a finished run further. As hardware would render its held-out views (finite shots, noisy gates): "
         "eval_hardware.parquet. By a probe of its model: spectrum.parquet (Fourier power of the circuits), "
-        "encoding.parquet (a slice of the encoders), rays.parquet (samples along a few rays)."
+        "encoding.parquet (a slice of the encoders), rays.parquet (samples along a few rays), "
+        "units.parquet (dead units and how much each layer's values vary, before training and after)."
     )
     add_run(parser)
     parser.add_argument(

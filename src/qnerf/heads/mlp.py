@@ -4,8 +4,10 @@ from itertools import pairwise
 
 from torch import Tensor, nn
 
-from qnerf.checks import at_least
+from qnerf.checks import at_least, one_of
 from qnerf.heads.base import HEADS
+
+INITS = ("torch", "he")
 
 
 @HEADS.register("mlp")
@@ -16,10 +18,13 @@ class MLPHead(nn.Module):
         in_dim, out_dim: features in and values out.
         layers: linear layers, at least 1.
         width: hidden units, at least 1.
+        init: of the weights. `torch`: PyTorch's, under which values vary less from layer to layer, by sqrt(6) each;
+            `he`: normal with variance 2 / inputs, biases 0 (arXiv:1502.01852), under which they keep their size.
     """
 
-    def __init__(self, in_dim: int, out_dim: int, *, layers: int = 2, width: int = 64) -> None:
+    def __init__(self, in_dim: int, out_dim: int, *, layers: int = 2, width: int = 64, init: str = "torch") -> None:
         super().__init__()
+        one_of("init", init, INITS)
         at_least("layers", layers, 1)
         at_least("width", width, 1)
         dims = [in_dim, *[width] * (layers - 1), out_dim]
@@ -27,6 +32,11 @@ class MLPHead(nn.Module):
         for before, after in pairwise(dims):
             steps += [nn.Linear(before, after), nn.ReLU(inplace=True)]
         self.net = nn.Sequential(*steps[:-1])
+        if init == "he":
+            for layer in self.net:
+                if isinstance(layer, nn.Linear):
+                    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+                    nn.init.zeros_(layer.bias)
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

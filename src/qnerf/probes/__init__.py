@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.probes import encoding, rays, spectrum
+from qnerf.probes import encoding, rays, spectrum, units
 from qnerf.probes.trained import Trained, load
 from qnerf.records.files import replace
 
@@ -13,6 +13,7 @@ PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
     "spectrum": spectrum.table,
     "encoding": encoding.table,
     "rays": rays.table,
+    "units": units.table,
 }
 
 

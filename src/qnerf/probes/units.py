@@ -1,0 +1,57 @@
+"""How alive heads are: which hidden units never act, and how much a head's values vary over the scene."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pandas as pd
+import torch
+from torch import Tensor, nn
+
+from qnerf.experiment import build_model, ray_table
+from qnerf.model import Model
+from qnerf.probes.trained import Trained
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+
+RAYS = 1024
+
+
+def table(trained: Trained) -> pd.DataFrame:
+    """One row for each layer of each head, before training and after, on 1,024 training rays.
+
+    Columns: when: start (the run's own seed) or end; head: density or color; layer: 0, 1, ...; kind: relu, circuit, or
+    output for the head's raw values; units; dead: share of ReLU units that are 0 on all samples, NaN for the others;
+    std: root mean square over the units of their standard deviation over the samples.
+    """
+    fresh = build_model(trained.settings, trained.scene)
+    parts = []
+    for when, model in (("start", fresh), ("end", trained.model)):
+        parts += [{"when": when, **row} for row in _measured(trained, model)]
+    return pd.DataFrame(parts).astype({"dead": "float64"})
+
+
+@torch.no_grad()
+def _measured(trained: Trained, model: Model) -> Iterator[dict[str, object]]:
+    """A fresh model is measured in training mode: its normalisations know no statistics yet."""
+    settings = trained.settings
+    table = ray_table(settings, trained.scene)
+    rays, _ = table.batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
+    seen: dict[nn.Module, list[Tensor]] = {}
+    with ExitStack() as hooks:
+        for head in (model.field.density_head, model.field.color_head):
+            for module in head.modules():
+                hook = module.register_forward_hook(
+                    lambda module, _, out: seen.setdefault(module, []).append(out.clone())
+                )
+                hooks.callback(hook.remove)
+        watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+        background = "white" if settings.render.background == "random" else settings.render.background
+        model(rays, background=background, step=trained.step, watch=watch)
+    for name, head in (("density", model.field.density_head), ("color", model.field.color_head)):
+        layers = [module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))]
+        for number, module in enumerate((*layers, head)):
+            values = torch.cat(seen[module]).double().reshape(-1, seen[module][0].shape[-1])
+            kind = "output" if module is head else "relu" if isinstance(module, nn.ReLU) else "circuit"
+            dead = float((values <= 0).all(0).double().mean()) if kind == "relu" else None
+            std = float(values.var(0, unbiased=False).mean().sqrt())
+            yield {"head": name, "layer": number, "kind": kind, "units": values.shape[-1], "dead": dead, "std": std}
