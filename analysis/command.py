@@ -21,7 +21,7 @@ def parser(name: str, description: str, examples: str) -> argparse.ArgumentParse
         epilog=f"examples:\n{examples}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    made.add_argument("store", help="folder of runs")
+    made.add_argument("store", help="folder of runs, or one that analysis.pack made")
     made.add_argument("--filter", metavar="TEXT", help=HELP)
     made.add_argument(
         "--format", choices=FORMATS, default="markdown", help="markdown (default), csv or latex (booktabs)"
@@ -42,8 +42,8 @@ def show(table: Table, form: str) -> None:
 
 
 def run(main: Callable[[Sequence[str] | None], None]) -> None:
-    """Calls `main`; a ValueError ends the process with its one line."""
+    """Calls `main`; a mistake or a file that cannot be read or written ends the process with one line."""
     try:
         main(None)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         sys.exit(f"error: {' '.join(str(error).split())}")

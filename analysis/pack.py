@@ -8,7 +8,7 @@ from analysis import command, packed
 from analysis.load import runs
 
 DESCRIPTION = """\
-Packs the finished runs of a store into two small tables, runs.parquet and views.parquet: what every table of
+Packs the runs of a store into two small tables, runs.parquet and views.parquet: what every table of
 analysis is made of. `python -m analysis.tables FOLDER` and the figures of runs then read that folder like a store.
 """
 
@@ -21,13 +21,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path, help="where the two tables go; what is there is replaced")
     parser.add_argument("--filter", metavar="TEXT", help=command.HELP)
     options = parser.parse_args(arguments)
+    if options.folder.resolve() == Path(options.store).resolve():
+        raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = runs(options.store, options.filter)
-    finished = frame[frame["state"] == "finished"]
-    if finished.empty:
-        raise ValueError(f"{options.store}: none of {len(frame)} runs is finished")
-    left = len(frame) - len(finished)
-    told = f", {left} unfinished left out" if left else ""
-    print(f"{packed.pack(finished, options.folder)} runs in {options.folder}{told}")
+    left = len(frame) - int((frame["state"] == "finished").sum())
+    if left == len(frame):
+        raise ValueError(f"{options.store}: none of {left} runs is finished")
+    told = f" finished, {left} not" if left else ""
+    print(f"{packed.pack(frame, options.folder)} runs{told}, in {options.folder}")
 
 
 if __name__ == "__main__":

@@ -16,19 +16,22 @@ _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "devi
 
 
 def pack(runs: pd.DataFrame, folder: Path) -> int:
-    """Writes runs as `analysis.load.runs` gives them and their held-out views over what the folder has; returns how
-    many there are. What a scene is called is kept, where it lay is not.
+    """Writes runs as `analysis.load.runs` gives them, and the held-out views of those that finished, over what the
+    folder has; returns how many finished. What a scene is called is kept, where it lay is not.
     """
     chosen = runs.sort_values("run_id", ignore_index=True)
-    views = []
-    for name, path in zip(chosen["run_id"], chosen["path"], strict=True):
-        rows = read_table(Path(path) / "eval.parquet").to_pandas()
-        views.append(rows[["image", *rows.select_dtypes("number")]].assign(run_id=name))
+    finished = chosen[chosen["state"] == "finished"]
+    parts = []
+    for name, path in zip(finished["run_id"], finished["path"], strict=True):
+        rows = views(path)
+        if rows is None:
+            rows = read_table(Path(path) / "eval.parquet").to_pandas()
+        parts.append(rows[["image", *rows.select_dtypes("number")]].assign(run_id=name))
     folder.mkdir(parents=True, exist_ok=True)
-    kept = chosen.drop(columns=[name for name in _HERE if name in chosen]).dropna(axis=1, how="all")
+    kept = chosen.drop(columns=[name for name in _HERE if name in chosen])
     kept.to_parquet(folder / RUNS, index=False)
-    pd.concat(views, ignore_index=True).to_parquet(folder / VIEWS, index=False)
-    return len(chosen)
+    pd.concat(parts, ignore_index=True).to_parquet(folder / VIEWS, index=False)
+    return len(finished)
 
 
 def is_packed(folder: str | Path) -> bool:

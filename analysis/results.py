@@ -4,7 +4,7 @@ question, made from the runs that `python -m analysis.pack` keeps in a folder ea
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -32,15 +32,14 @@ class Question:
     baseline: Mapping[str, object] | None = None
     values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density", "step_ms")
     stable: bool = False
-    paper: tuple[str, ...] = field(default=())
+    paper: tuple[str, ...] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
         """Its tables over seeds: differences from the baseline, the seeds that failed, the paper's beside ours."""
-        values = [name for name in self.values if name in frame]
-        rows = [*self.rows]
-        made = [ablation(frame, rows, values=values, baseline=self.baseline, title="")]
+        values = [name for name in self.values if name in frame and frame[name].notna().any()]
+        made = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
         if self.stable:
-            made.append(stability(frame, rows))
+            made.append(stability(frame, self.rows))
         return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
 
 
@@ -87,11 +86,11 @@ QUESTIONS = {
         stable=True,
     ),
     "small_heads": Question(
-        "Is a quantum colour head level with MLPs of its size?",
+        "Is a quantum colour head level with MLPs of at most 700 parameters?",
         (sweep("small_heads"),),
-        ("scene_name", "color", "params.color"),
+        ("scene_name", "color"),
         {"color": "1L2S"},
-        ("psnr", "ssim", "depth_error", "step_ms"),
+        ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
         stable=True,
     ),
     "rgb_depth": Question(
@@ -99,6 +98,13 @@ QUESTIONS = {
         (sweep("rgb_depth"),),
         ("scene_name", "color"),
         values=("psnr", "ssim", "depth_error", "params.color"),
+        stable=True,
+    ),
+    "deep": Question(
+        "Why does it?",
+        (sweep("deep"), "qnerf evaluate RUN units"),
+        ("scene_name", "color", "color.init"),
+        values=("psnr", "ssim", "depth_error"),
         stable=True,
     ),
     "rgb_table": Question(
@@ -127,8 +133,10 @@ QUESTIONS = {
 """Folder -> question, in the order of the page."""
 
 
-def page(folder: Path, hardware: str) -> str:
-    """Markdown: a section a folder that is there. ValueError where none is, or one that no question knows."""
+def page(folder: Path) -> str:
+    """Markdown: a section a folder that is there; hardware.txt says on what machine the runs were done. ValueError
+    where there is no such folder, or one that no question knows.
+    """
     there = {path.parent.name for path in folder.glob("*/runs.parquet")}
     unknown = sorted(there - set(QUESTIONS))
     if not there or unknown:
@@ -136,7 +144,8 @@ def page(folder: Path, hardware: str) -> str:
         raise ValueError(
             f"{folder}: expected folders of packed runs, among {known}; got {', '.join(unknown) or 'none'}"
         )
-    parts = [HEAD.format(hardware=hardware).rstrip()]
+    file = folder / "hardware.txt"
+    parts = [HEAD.format(hardware=file.read_text().strip() if file.is_file() else "").rstrip()]
     for name, question in QUESTIONS.items():
         if name in there:
             parts += section(question, load.runs(folder / name))
@@ -150,7 +159,7 @@ def section(question: Question, frame: pd.DataFrame) -> list[str]:
     )
     seeds = ", ".join(map(str, sorted(frame["seed"].unique())))
     commands = "\n".join(f"    {line}" for line in question.commands)
-    tables = [table.markdown() for table in question.tables(frame)]
+    tables = [f"**{table.title}**\n\n{table.markdown()}" for table in question.tables(frame)]
     return [f"## {question.title}", commands, f"{len(frame)} runs; {told}; seeds {seeds}.", *tables]
 
 
@@ -159,10 +168,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         prog="python -m analysis.results", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path, help="folder of folders that `python -m analysis.pack` wrote")
-    parser.add_argument("--hardware", default="", help="a sentence that says on what machine the runs were done")
     parser.add_argument("--write", type=Path, metavar="FILE", help="the page; default: standard output")
     options = parser.parse_args(arguments)
-    text = page(options.folder, options.hardware)
+    text = page(options.folder)
     if options.write:
         options.write.write_text(text)
     else:

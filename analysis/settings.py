@@ -42,6 +42,8 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
                 table.loc[~quantum, key] = ""
             elif key in (f"{head}.layers", f"{head}.width", f"{head}.init"):
                 table.loc[quantum, key] = ""
+    if {"color.directions", "color.direction_scale"} <= set(table):
+        table.loc[table["color.directions"] != "raw", "color.direction_scale"] = ""
     return table
 
 

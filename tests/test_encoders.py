@@ -326,31 +326,31 @@ def test_direction_components():
     assert torch.equal(DIRECTIONS.build("raw", scale=2.0)(directions), 2 * directions)
 
 
-@given(st.integers(1, 20), st.integers(0, 120), st.integers(0, 100))
-def test_release_opens_one_level_after_the_other(count, step, steps):
-    weights = released(count, step, steps)
-    if step >= steps:
+@given(st.integers(1, 20), st.floats(0, 1), st.floats(0, 1))
+def test_release_opens_one_level_after_the_other(count, progress, share):
+    weights = released(count, progress, share)
+    if progress >= share:
         assert weights is None
         return
     assert weights.shape == (count,)
     assert bool((weights.diff() <= 0).all())
     assert 0 <= float(weights.min()) <= float(weights.max()) <= 1
     assert bool((weights[: count // 2] == 1).all())
-    later = released(count, step + 1, steps)
+    later = released(count, progress + 0.01, share)
     assert later is None or bool((later >= weights).all())
 
 
 @pytest.mark.parametrize(("name", "options"), [("hash", TINY_HASH), ("pe", {"bands": 4, "include_input": True})])
 def test_released_features_are_the_encoders_times_their_weight(name, options):
     torch.manual_seed(0)
-    encoder = ENCODERS.build(name, 3, release=100, **options).double()
+    encoder = ENCODERS.build(name, 3, release=0.5, **options).double()
     points = torch.rand(6, 3, dtype=torch.float64)
     full = encoder(points)
     count = 3 if name == "hash" else 4
-    encoder.step = 40
-    weights = released(count, 40, 100).double()
+    encoder.progress = 0.2
+    weights = released(count, 0.2, 0.5).double()
     factor = weights.repeat_interleave(2) if name == "hash" else torch.cat([weights.repeat(6), torch.ones(3)])
     torch.testing.assert_close(encoder(points), full * factor)
     assert float(factor.min()) < 1
-    encoder.step = 100
+    encoder.progress = 0.5
     assert torch.equal(encoder(points), full)

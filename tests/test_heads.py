@@ -90,6 +90,7 @@ def test_statistics_of_the_first_step_stay():
     assert float(norm(head.hybrid[0].linear(second)).detach().mean(0).abs().max()) > 0.5  # not normalised anew
     values.sum().backward()
     assert float(head.hybrid[0].linear.bias.grad.abs().max()) > 0
+    assert head(second[:1]).shape == (1, 2)
     torch.testing.assert_close(head.eval()(second), values)
     again = HEADS.build("qiren", 4, 2, qubits=3, statistics="first").double()
     again.load_state_dict(head.state_dict())

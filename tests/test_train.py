@@ -166,10 +166,16 @@ def test_a_bad_rate_is_one_line(tiny, override):
     assert "\n" not in str(caught.value)
 
 
-def test_fine_levels_are_released_by_the_trainers_step(tiny):
-    one = trainer(tiny("encoder.release=50"))
+def test_fine_levels_are_released_while_training_goes_on(tiny):
+    one = trainer(tiny("encoder.release=1", "train.steps=4"))
     one.take_step(measure=False)
-    assert one.model.field.encoder.step == 0
+    assert one.model.field.encoder.progress == 0.25
+    state = one.state()
+    again = trainer(tiny("encoder.release=1", "train.steps=4"))
+    again.load(state)
+    assert again.model.field.encoder.progress == 0.25
+    one = trainer(tiny("encoder.release=1", "train.steps=4"))
+    one.take_step(measure=False)
     grad = one.model.field.encoder.table.grad
     assert bool((grad[-1] == 0).all())
     assert bool((grad[0] != 0).any())

@@ -10,7 +10,7 @@ from qnerf.checks import at_least, between, one_of, positive
 from qnerf.registry import check_options
 
 BACKGROUNDS = ("last_sample", "white", "black", "random")
-PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")  # of the model
+MODEL_PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,10 @@ class Train:
             at_least(f"train.{name}", getattr(self, name), 0)
         for name in ("lr", "lr_final", "eps"):
             positive(f"train.{name}", getattr(self, name))
-        if sorted(self.rates) != sorted(PARTS) or not all(type(rate) in (int, float) for rate in self.rates.values()):
-            raise ValueError(f"train.rates must give a number for each of {', '.join(PARTS)}, got {self.rates}")
+        if sorted(self.rates) != sorted(MODEL_PARTS) or not all(
+            type(rate) in (int, float) for rate in self.rates.values()
+        ):
+            raise ValueError(f"train.rates must give a number for each of {', '.join(MODEL_PARTS)}, got {self.rates}")
         for part, rate in self.rates.items():
             at_least(f"train.rates.{part}", rate, 0)
 

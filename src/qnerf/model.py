@@ -51,7 +51,6 @@ class Model(nn.Module):
         Also returns the samples (for the regularisers) and the colour (R, 3) behind the rays, where there is one of
         known colour: what a target with alpha has to be composited on.
         """
-        self.field.encoder.step = step
         with watch.part("sampling"):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
         samples = sampled.samples

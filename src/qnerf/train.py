@@ -52,7 +52,7 @@ class Trainer:
         self.train = settings.train
         self.background = settings.render.background
         self.watch = watch
-        self.step = 0
+        self._at(0)
         self.step_seconds: list[float] = []
         self.seconds = 0.0  # in training steps, over all resumptions
         stop = settings.stop
@@ -67,6 +67,10 @@ class Trainer:
             "samples": torch.Generator(device).manual_seed(settings.seed + 1),
         }
 
+    def _at(self, step: int) -> None:
+        self.step = step
+        self.model.field.encoder.progress = step / self.train.steps
+
     def take_step(self, measure: bool) -> dict[str, float]:
         """One optimisation step; its metrics if `measure`, else nothing.
 
@@ -77,7 +81,7 @@ class Trainer:
         self.watch.begin(watch=measure)
         rate = learning_rate(self.step, self.train)
         for group in self.optimiser.param_groups:
-            group["lr"] = rate * self.train.rates.get(group["name"], 1.0)
+            group["lr"] = rate * self.train.rates[group["name"]]
         with self.watch.part("sampling"):
             mask = self.model.field.mask
             if isinstance(mask, Occupancy) and mask.due(self.step):
@@ -97,7 +101,7 @@ class Trainer:
             loss.backward()
         with self.watch.part("optimiser"):
             self.optimiser.step()
-        self.step += 1
+        self._at(self.step + 1)
         seconds = self.watch.now() - start
         self.step_seconds.append(seconds)
         self.seconds += seconds
@@ -154,7 +158,7 @@ class Trainer:
     def load(self, state: dict[str, Any]) -> None:
         """Goes on from what `state` gave; ValueError where that was another model's."""
         try:
-            self.step = state["step"]
+            self._at(state["step"])
             self.model.load_state_dict(state["model"])
             self.optimiser.load_state_dict(state["optimiser"])
             for name, stream in self.streams.items():

@@ -6,6 +6,7 @@ from stores import write_run
 
 from analysis import load, statistics
 from analysis.pack import main
+from analysis.paper import PAPER_TABLES
 from analysis.tables import ablation
 
 
@@ -21,15 +22,16 @@ def store(tmp_path):
 
 def test_a_packed_store_gives_the_tables_of_the_store(store, tmp_path, capsys):
     main([str(store), str(tmp_path / "packed")])
-    assert capsys.readouterr().out == f"4 runs in {tmp_path / 'packed'}, 1 unfinished left out\n"
-    finished = load.runs(store, "state=finished")
-    tables = [ablation(finished, ["field"], baseline={"field": "classical"}).markdown()]
+    assert capsys.readouterr().out == f"4 runs finished, 1 not, in {tmp_path / 'packed'}\n"
+    tables = [ablation(load.runs(store), ["field"], baseline={"field": "classical"}).markdown()]
     shutil.rmtree(store)
     packed = load.runs(tmp_path / "packed")
     tables.append(ablation(packed, ["field"], baseline={"field": "classical"}).markdown())
     assert tables[0] == tables[1]
     assert "+0.75" in tables[1]
-    assert len(statistics.evaluations(packed)) == 8
+    assert "left out: 1 failed" in tables[1]
+    assert PAPER_TABLES["rgb"][1](packed).markdown().count("\n") > 10
+    assert len(statistics.evaluations(packed[packed["state"] == "finished"])) == 8
 
 
 def test_a_packed_folder_names_no_machine(store, tmp_path):
@@ -44,7 +46,18 @@ def test_packing_again_reads_the_new_views(store, tmp_path):
     main([str(store), str(packed), "--filter", "seed=0"])
     assert len(statistics.evaluations(load.runs(packed))) == 4
     main([str(store), str(packed)])
-    assert len(statistics.evaluations(load.runs(packed))) == 8
+    assert len(statistics.evaluations(load.runs(packed, "state=finished"))) == 8
+
+
+def test_a_packed_folder_can_be_packed_again(store, tmp_path):
+    main([str(store), str(tmp_path / "packed")])
+    main([str(tmp_path / "packed"), str(tmp_path / "part"), "--filter", "field=qcolor"])
+    assert len(statistics.evaluations(load.runs(tmp_path / "part", "state=finished"))) == 4
+
+
+def test_a_store_is_not_packed_into_itself(store):
+    with pytest.raises(ValueError, match="expected a folder of its own"):
+        main([str(store), str(store)])
 
 
 def test_nothing_finished_is_one_line(store, tmp_path):

@@ -1,9 +1,19 @@
+import itertools
+import shutil
+import tempfile
+from collections.abc import Iterator
+from typing import Any
+
 import pytest
 from conftest import ROOT
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 from stores import write_run
 
+from analysis import load
 from analysis.pack import main as pack
-from analysis.results import QUESTIONS, main, page
+from analysis.results import QUESTIONS, Question, main, page
+from qnerf.labels import labels
 
 
 @pytest.fixture
@@ -16,7 +26,8 @@ def folder(tmp_path):
 
 
 def test_the_page_has_a_section_a_folder(folder):
-    text = page(folder, "On a machine.")
+    (folder / "hardware.txt").write_text("On a machine.\n")
+    text = page(folder)
     assert "On a machine." in text
     assert text.count("\n## ") == 1
     assert "## What does a circuit head give on each scene?" in text
@@ -27,15 +38,15 @@ def test_the_page_has_a_section_a_folder(folder):
 
 def test_it_is_written_where_one_says(folder, tmp_path):
     main([str(folder), "--write", str(tmp_path / "page.md")])
-    assert (tmp_path / "page.md").read_text() == page(folder, "")
+    assert (tmp_path / "page.md").read_text() == page(folder)
 
 
 def test_a_folder_without_a_question_is_named(folder):
     (folder / "scenes").rename(folder / "nonsense")
     with pytest.raises(ValueError, match=r"expected folders of packed runs, among scenes, .* got nonsense"):
-        page(folder, "")
+        page(folder)
     with pytest.raises(ValueError, match="got none"):
-        page(folder / "empty", "")
+        page(folder / "empty")
 
 
 def test_every_command_of_a_question_names_a_sweep_that_is_there():
@@ -46,7 +57,36 @@ def test_every_command_of_a_question_names_a_sweep_that_is_there():
 
 
 def test_the_committed_page_is_made_from_the_committed_runs():
-    results = ROOT / "docs" / "results"
-    text = (ROOT / "docs" / "results.md").read_text()
-    hardware = text.split("that a section names.", 1)[1].split("\n\n", 1)[0].strip()
-    assert page(results, hardware) == text
+    docs = ROOT / "docs"
+    assert page(docs / "results") == (docs / "results.md").read_text()
+
+
+@pytest.mark.parametrize("name", sorted(QUESTIONS))
+def test_a_question_can_be_asked_of_its_sweep(name, tmp_path):
+    """The rows tell all that the sweep varies, and the baseline is one of them."""
+    question = QUESTIONS[name]
+    for number, (columns, config) in enumerate(jobs(question)):
+        for seed in (0, 1):
+            write_run(tmp_path, seed=seed, columns={"number": number, **columns}, config=config)
+    titles = [table.title for table in question.tables(load.runs(tmp_path))]
+    assert len(titles) == 1 + question.stable + len(question.paper)
+
+
+def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Labels and configuration of each job of the question's sweep, but for the seeds."""
+    words = question.commands[0].split()
+    overrides = [word for word in words[2:] if "=" in word]
+    with tempfile.TemporaryDirectory() as folder:
+        both = shutil.copytree(ROOT / "conf", f"{folder}/conf")
+        name = "config"
+        if "-cn" in words:
+            name = words[words.index("-cn") + 1]
+            shutil.copy(ROOT / "sweeps" / f"{name}.yaml", both)
+        with initialize_config_dir(both, version_base="1.3"):
+            swept = compose(name, return_hydra_config=True).hydra.sweeper.params or {}
+            choices = {key: str(values) for key, values in swept.items() if key != "seed"}
+            choices |= dict(override.split("=", 1) for override in overrides)
+            for values in itertools.product(*(text.split(",") for text in choices.values())):
+                job = [f"{key}={value}" for key, value in zip(choices, values, strict=True)]
+                config = OmegaConf.to_container(compose(name, job), resolve=True)
+                yield labels(config), {key: value for key, value in config.items() if key not in ("hydra", "seed")}

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor, nn
 
+from qnerf.checks import at_least
 from qnerf.registry import Registry
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
@@ -76,11 +77,12 @@ class RawDirections(Directions):
     """The directions themselves (..., in_dim), times `scale`.
 
     Args:
-        scale: factor.
+        scale: factor, at least 0.
     """
 
     def __init__(self, in_dim: int = 3, *, scale: float = 1.0) -> None:
         super().__init__()
+        at_least("scale", scale, 0)
         self.scale = scale
         self.out_dim = in_dim
 

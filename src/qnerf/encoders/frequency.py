@@ -9,7 +9,7 @@ import math
 import torch
 from torch import Tensor
 
-from qnerf.checks import at_least
+from qnerf.checks import at_least, between
 from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.encoders.release import released
 
@@ -29,7 +29,7 @@ class PositionalEncoding(Encoder):
         bands: number of frequencies f_b = 2^e_b, with e_b even from 0 to max_exponent.
         max_exponent: of the highest band; 8: 256 cycles across the unit cube.
         include_input: append the coordinates themselves.
-        release: steps until the highest band is there (`released`); 0: all from the beginning.
+        release: share of the training until the highest band is there (`released`); 0: all from the beginning.
 
     The order is coordinate by coordinate, low band first; sines, then cosines, then the input.
     """
@@ -41,11 +41,11 @@ class PositionalEncoding(Encoder):
         bands: int = 10,
         max_exponent: float = 8.0,
         include_input: bool = False,
-        release: int = 0,
+        release: float = 0.0,
     ) -> None:
         super().__init__(in_dim)
         at_least("bands", bands, 1)
-        at_least("release", release, 0)
+        between("release", release, 0, 1)
         self.release = release
         at_least("max_exponent", max_exponent, 0)
         self.include_input = include_input
@@ -56,7 +56,8 @@ class PositionalEncoding(Encoder):
     def forward(self, points: Tensor) -> Tensor:
         turns = points.to(torch.float64)[..., None] * self.frequencies.to(points.device)
         encoded = sin_cos_turns(turns.flatten(-2), points.dtype)
-        if self.step is not None and (weights := released(len(self.frequencies), self.step, self.release)) is not None:
+        weights = released(len(self.frequencies), self.progress, self.release)
+        if weights is not None:
             encoded = encoded * weights.to(encoded).repeat(2 * self.in_dim)
         return torch.cat((encoded, points), dim=-1) if self.include_input else encoded
 

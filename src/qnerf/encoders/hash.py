@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from qnerf.checks import at_least
+from qnerf.checks import at_least, between
 from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.encoders.release import released
 from qnerf.kernels.hashgrid import FINEST, hash_encode
@@ -40,7 +40,7 @@ class HashEncoder(Encoder):
         log2_table_size: log2 of the entries that one level may have.
         features: numbers an entry.
         dense: whether levels whose whole grid fits into their table are indexed directly, without collisions.
-        release: steps until the finest level is there (`released`); 0: all from the beginning.
+        release: share of the training until the finest level is there (`released`); 0: all from the beginning.
 
     The table (levels, 2^log2_table_size, features) starts as U(-1e-3, 1e-3), from `generator` (default: PyTorch's own).
     """
@@ -58,14 +58,14 @@ class HashEncoder(Encoder):
         log2_table_size: int = 15,
         features: int = 1,
         dense: bool = True,
-        release: int = 0,
+        release: float = 0.0,
     ) -> None:
         super().__init__(in_dim)
         if in_dim != 3:
             raise ValueError(f"encoder=hash: points must have 3 coordinates, got {in_dim}")
         at_least("levels", levels, 1)
         at_least("features", features, 1)
-        at_least("release", release, 0)
+        between("release", release, 0, 1)
         at_least("min_resolution", min_resolution, 1)
         if not min_resolution <= max_resolution <= FINEST:
             raise ValueError(
@@ -84,6 +84,7 @@ class HashEncoder(Encoder):
 
     def forward(self, points: Tensor) -> Tensor:
         encoded = hash_encode(points.reshape(-1, 3), self.table, self.resolutions, self.dense)
-        if self.step is not None and (weights := released(len(self.table), self.step, self.release)) is not None:
+        weights = released(len(self.table), self.progress, self.release)
+        if weights is not None:
             encoded = encoded * weights.to(encoded).repeat_interleave(self.table.shape[-1])
         return encoded.view(*points.shape[:-1], self.out_dim)

@@ -11,8 +11,8 @@ class Encoder(nn.Module):
 
     in_dim: int
     out_dim: int
-    step: int | None = None
-    """The training step, for those that change while training goes on; None: as when it has ended."""
+    progress: float = 1.0
+    """Of the training, 0 to 1, for those that change while it goes on."""
 
     def __init__(self, in_dim: int) -> None:
         super().__init__()

@@ -19,7 +19,7 @@ class Normalisation(nn.BatchNorm1d):
     Args:
         wires: columns.
         statistics: whose mean and variance. `batch`: those of each training step, and in evaluation their running
-            means; `first`: those of the first training step, ever after, in evaluation too.
+            means; `first`: those of the first batch that it sees in training, ever after, in evaluation too.
     """
 
     momentum: float
@@ -45,8 +45,13 @@ class Normalisation(nn.BatchNorm1d):
             self.num_batches_tracked += 1
         return normalised
 
+    @property
+    def known(self) -> bool:
+        """Whether the statistics are fixed already."""
+        return self.statistics == "first" and bool(self.num_batches_tracked)
+
     def _forward_first(self, x: Tensor) -> Tensor:
-        if self.training and not self.num_batches_tracked:
+        if self.training and not self.known:
             centred = x.detach() - x.detach().mean(0)
             self.running_mean.copy_(x.detach().mean(0))
             self.running_var.copy_(centred.square().mean(0))
@@ -56,11 +61,11 @@ class Normalisation(nn.BatchNorm1d):
 
 
 class HybridLayer(nn.Module):
-    """Linear -> batch normalisation -> circuit: (N, in_dim) -> (N, wires), values in [-1, 1].
+    """Linear -> normalisation -> circuit: (N, in_dim) -> (N, wires), values in [-1, 1].
 
-    The normalisation cancels the scale of the linear map, so a frequency scale has to come after it: `input_scale`
-    multiplies the normalised values, which are the circuit's angles in radians. ValueError in training on fewer than 2
-    rows, which have no variance.
+    The normalisation of each batch cancels the scale of the linear map, so a frequency scale has to come after it:
+    `input_scale` multiplies the normalised values, which are the circuit's angles in radians. ValueError where
+    statistics would be those of fewer than 2 rows, which have no variance.
     """
 
     def __init__(
@@ -73,7 +78,7 @@ class HybridLayer(nn.Module):
         self.input_scale = input_scale
 
     def forward(self, features: Tensor) -> Tensor:
-        if self.training and len(features) < 2:
+        if self.training and len(features) < 2 and not self.norm.known:
             raise ValueError(
                 f"a circuit head is normalised over the samples of a step: expected at least 2, got {len(features)}; "
                 "raise train.rays or the samples of a ray"
@@ -105,7 +110,7 @@ class QirenHead(nn.Module):
             0.05 over their inputs, which starts a head almost constant.
         sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
         input_scale: factor on the normalised inputs, radians.
-        statistics: of the normalisation: of each step's `batch`, or of the `first` one ever after.
+        statistics: of the normalisation: of each `batch`, or of the `first` one ever after.
         center: the last linear map's bias starts where angles of 0 give 0. Measured values lie around a constant that a
             gain multiplies too: without this a density head starts as fog or as emptiness, a colour head saturated.
     """

@@ -60,8 +60,8 @@ def table(trained: Trained) -> pd.DataFrame:
 def angles(layer: torch.nn.Module, wires: int) -> pd.DataFrame:
     """wire, angle_mean, angle_std (radians): of a hybrid layer's angles over the training samples.
 
-    The normalisation leaves mean 0 and variance 1, so that its own shift, scale and the layer's input_scale tell; not
-    where its statistics are those of long ago.
+    The normalisation leaves mean 0 and variance 1, so that its own shift, scale and the layer's input_scale tell; NaN
+    where the statistics are those of the first batch.
     """
     if not isinstance(layer, HybridLayer) or layer.norm.statistics != "batch":
         return pd.DataFrame({"wire": range(wires), "angle_mean": np.nan, "angle_std": np.nan})

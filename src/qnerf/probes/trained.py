@@ -44,4 +44,5 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
     with reporting(folder / "checkpoint.pt", "read"):
         checkpoint = torch.load(folder / "checkpoint.pt", map_location=settings.torch_device, weights_only=True)
     model.load_state_dict(checkpoint["model"])
+    model.field.encoder.progress = checkpoint["step"] / settings.train.steps
     return Trained(folder, settings, scene, model.eval(), checkpoint["step"])

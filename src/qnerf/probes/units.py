@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain
 
 import pandas as pd
 import torch
@@ -24,34 +25,38 @@ def table(trained: Trained) -> pd.DataFrame:
     std: root mean square over the units of their standard deviation over the samples.
     """
     fresh = build_model(trained.settings, trained.scene)
+    fresh.field.encoder.progress = 0.0
     parts = []
-    for when, model in (("start", fresh), ("end", trained.model)):
-        parts += [{"when": when, **row} for row in _measured(trained, model)]
+    for when, model, step in (("start", fresh, 0), ("end", trained.model, trained.step)):
+        parts += [{"when": when, **row} for row in _measured(trained, model, step)]
     return pd.DataFrame(parts).astype({"dead": "float64"})
 
 
 @torch.no_grad()
-def _measured(trained: Trained, model: Model) -> Iterator[dict[str, object]]:
+def _measured(trained: Trained, model: Model, step: int) -> Iterator[dict[str, object]]:
     """A fresh model is measured in training mode: its normalisations know no statistics yet."""
     settings = trained.settings
-    table = ray_table(settings, trained.scene)
-    rays, _ = table.batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
+    rays, _ = ray_table(settings, trained.scene).batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
     seen: dict[nn.Module, list[Tensor]] = {}
+    heads = {"density": model.field.density_head, "color": model.field.color_head}
+    layers = {
+        name: [*(module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))), head]
+        for name, head in heads.items()
+    }
+
+    def note(module: nn.Module, _: tuple[Tensor, ...], out: Tensor) -> None:
+        seen.setdefault(module, []).append(out.clone())  # the next layer may work in place
+
     with ExitStack() as hooks:
-        for head in (model.field.density_head, model.field.color_head):
-            for module in head.modules():
-                hook = module.register_forward_hook(
-                    lambda module, _, out: seen.setdefault(module, []).append(out.clone())
-                )
-                hooks.callback(hook.remove)
-        watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+        for module in chain(*layers.values()):
+            hooks.callback(module.register_forward_hook(note).remove)
         background = "white" if settings.render.background == "random" else settings.render.background
-        model(rays, background=background, step=trained.step, watch=watch)
-    for name, head in (("density", model.field.density_head), ("color", model.field.color_head)):
-        layers = [module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))]
-        for number, module in enumerate((*layers, head)):
+        watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+        model(rays, background=background, step=step, watch=watch)
+    for name, modules in layers.items():
+        for number, module in enumerate(modules):
             values = torch.cat(seen[module]).double().reshape(-1, seen[module][0].shape[-1])
-            kind = "output" if module is head else "relu" if isinstance(module, nn.ReLU) else "circuit"
+            kind = {nn.ReLU: "relu", QuantumLayer: "circuit"}.get(type(module), "output")
             dead = float((values <= 0).all(0).double().mean()) if kind == "relu" else None
             std = float(values.var(0, unbiased=False).mean().sqrt())
             yield {"head": name, "layer": number, "kind": kind, "units": values.shape[-1], "dead": dead, "std": std}
