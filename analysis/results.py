@@ -87,11 +87,21 @@ QUESTIONS = {
     ),
     "small_heads": Question(
         "Is a quantum colour head level with MLPs of at most 700 parameters?",
-        (sweep("small_heads"),),
-        ("scene_name", "color"),
+        (
+            sweep("small_heads"),
+            sweep("small_heads", "color.init=he", "experiment=rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13"),
+        ),
+        ("scene_name", "color", "color.init"),
         {"color": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
         stable=True,
+    ),
+    "start": Question(
+        "Does an MLP gain from a start in which its colours vary, as the recipe gives to circuits?",
+        (sweep("start"),),
+        ("scene_name", "color", "color.init"),
+        {"color.init": "torch"},
+        values=("psnr", "ssim", "depth_error"),
     ),
     "rgb_depth": Question(
         "Does a deep, narrow MLP collapse?",
