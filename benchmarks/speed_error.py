@@ -180,7 +180,7 @@ def trained(
             continue
         for seed in seeds[:1] if rung.single else seeds:
             # How it is computed is no part of a run's identity: the plain one needs a store of its own.
-            where = f"{store}/plain" if rung.plain else store
+            where = f"{store}-plain" if rung.plain else store
             config = configuration((*scene, *common, *rung.overrides, f"seed={seed}", f"store={where}"))
             with rung.context:
                 outcome = experiment.run(config, (*scene, *common, *rung.overrides))
