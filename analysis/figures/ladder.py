@@ -36,8 +36,8 @@ def speed_error_ladder(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure
     axes = figure.subplots(2, len(scenes), squeeze=False)
     for column, scene in enumerate(scenes):
         for row, (kind, value) in enumerate((("trained", "psnr"), ("same weights", "image_error"))):
-            shown = table[(table["scene"] == scene) & (table["kind"] == kind) & (table[value] > 0)]
-            _draw(axes[row, column], shown, value)
+            own = table[(table["kind"] == kind) & (table[value] > 0)]
+            _draw(axes[row, column], own[own["scene"] == scene], value, list(dict.fromkeys(own["rung"])))
         axes[0, column].set_title(scene)
         axes[1, column].set(yscale="log", xlabel="training step, ms")
     axes[0, 0].set_ylabel("PSNR of held-out views, dB")
@@ -51,8 +51,11 @@ def speed_error_ladder(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure
     return figure
 
 
-def _draw(ax: Axes, shown: pd.DataFrame, value: str) -> None:
-    for number, (_, rung) in enumerate(shown.iterrows()):
+def _draw(ax: Axes, shown: pd.DataFrame, value: str, rungs: list[str]) -> None:
+    """`rungs`: those of all scenes, which look alike in each."""
+    for _, rung in shown.iterrows():
+        number = rungs.index(rung["rung"])
+        lap = number // len(style.MARKERS)  # the second time round, with other colours
         error = rung["psnr_std"] if value == "psnr" else float("nan")
         shift = 0 if value == "psnr" else 3  # other colours for the other kind of rungs
         ax.errorbar(
@@ -60,7 +63,7 @@ def _draw(ax: Axes, shown: pd.DataFrame, value: str) -> None:
             rung[value],
             yerr=error if error == error else None,
             fmt=style.MARKERS[number % len(style.MARKERS)],
-            color=style.PALETTE[(number + shift) % len(style.PALETTE)],
+            color=style.PALETTE[(number + shift + 2 * lap) % len(style.PALETTE)],
             mfc="none" if value != "psnr" else None,
             label=rung["rung"],
         )

@@ -39,3 +39,15 @@ def test_the_figure_draws_what_was_trained_above_and_the_same_weights_below(resu
 def test_no_benchmark_is_one_line(tmp_path) -> None:
     with pytest.raises(ValueError, match=r"benchmarks\.speed_error"):
         ladder_points(tmp_path / "none.parquet")
+
+
+def test_a_rung_looks_the_same_in_every_scene(results: pd.DataFrame) -> None:
+    """Also where a scene lacks one that another has."""
+    results = results[~((results["scene"] == "chair") & (results["rung"] == "full"))]
+    figure = speed_error_ladder(results)
+    looks = {}
+    for ax in figure.axes[:2]:
+        for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
+            looks.setdefault(name, set()).add((handle.lines[0].get_marker(), handle.lines[0].get_color()))
+    assert len(looks["auto"]) == 1
+    assert looks["auto"] != looks["full"]
