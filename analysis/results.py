@@ -47,37 +47,27 @@ def sweep(name: str, *more: str) -> str:
     return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
 
 
+def pieces(title: str, command: str) -> Question:
+    """What experiments that change one piece of the quick recipe each are worth against it as it is."""
+    values = ("psnr", "ssim", "depth_error", "step_ms")
+    baseline = {"experiment": "quick_recipe"}
+    return Question(title, (command,), ("scene_name", "experiment"), baseline, values, stable=True)
+
+
+FOX = "scene=nerfstudio scene.path=DIR"  # the fox capture of instant-ngp at 36 x 64
+
 QUESTIONS = {
     "scenes": Question(
         "What does a circuit head give on each scene?",
-        (sweep("scenes"),),
+        (sweep("scenes"), sweep("scenes", FOX)),
         ("scene_name", "field"),
         {"field": "classical"},
     ),
-    "recipe": Question(
-        "What is each piece of the quick recipe worth to a quantum colour head?",
-        (sweep("recipe", "field=qcolor"),),
-        ("scene_name", "experiment"),
-        {"experiment": "quick_recipe"},
-        ("psnr", "ssim", "depth_error", "step_ms"),
-        stable=True,
+    "recipe": pieces(
+        "What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe", "field=qcolor")
     ),
-    "recipe_density": Question(
-        "What is each piece worth to a quantum density head?",
-        (sweep("recipe", "field=qdensity"),),
-        ("scene_name", "experiment"),
-        {"experiment": "quick_recipe"},
-        ("psnr", "ssim", "depth_error", "step_ms"),
-        stable=True,
-    ),
-    "recipe_more": Question(
-        "Would more of it help? Pieces that the recipe does not have",
-        (sweep("recipe_more"),),
-        ("scene_name", "experiment"),
-        {"experiment": "quick_recipe"},
-        ("psnr", "ssim", "depth_error", "step_ms"),
-        stable=True,
-    ),
+    "recipe_density": pieces("What is each piece worth to a quantum density head?", sweep("recipe", "field=qdensity")),
+    "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
     "seeds": Question(
         "How often does a field collapse?",
         (sweep("seeds"),),
@@ -98,7 +88,7 @@ QUESTIONS = {
     ),
     "start": Question(
         "Does an MLP gain from a start in which its colours vary, as the recipe gives to circuits?",
-        (sweep("start"),),
+        (sweep("start"), sweep("start", FOX)),
         ("scene_name", "color", "color.init"),
         {"color.init": "torch"},
         values=("psnr", "ssim", "depth_error"),
@@ -135,7 +125,10 @@ QUESTIONS = {
     ),
     "paper": Question(
         "The paper's recipe, 30,000 steps",
-        ("python -m src.run -m train=paper field=classical,qcolor scene=poster",),
+        (
+            "python -m src.run -m train=paper field=classical,qcolor scene=poster",
+            f"python -m src.run -m train=paper field=classical,qcolor {FOX}",
+        ),
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error", "step_ms", "train_s"),
     ),
