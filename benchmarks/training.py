@@ -35,8 +35,8 @@ from qnerf.train import Trainer
 
 RESULTS = Path(__file__).parent / "results" / "training.parquet"
 FIELDS = ("classical", "qcolor", "qdensity", "qboth")
-ENCODERS = ("hash", "pe")
-CIRCUITS = ("1L1S", "1L2S", "2L2S", "3L4S")
+ENCODERS = ("hash", "pe", "rff", "none")
+CIRCUITS = tuple(f"{layers}L{spectral}S" for layers in range(1, 5) for spectral in range(1, 5))
 NO_GATE = "gate=none"
 RATIOS = {  # name -> overrides above, overrides below, what is promised
     "plain references / compiled, classical C5": (
@@ -149,7 +149,7 @@ def machine() -> dict[str, float]:
 
 def profile(overrides: str, rounds: int, limits: dict[str, float]) -> dict[str, object]:
     of = trainer(overrides)
-    for _ in range(30):
+    for _ in range(15):
         of.take_step(measure=False)
     logged = pd.DataFrame([of.take_step(measure=True) for _ in range(rounds)])
     needed = work(of)
@@ -205,7 +205,7 @@ def evaluation(overrides: str, rounds: int) -> dict[str, object]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=40, help="measured steps a row (default 40)")
+    parser.add_argument("--rounds", type=int, default=40, help="measured steps a row and a ratio (default 40)")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument(
         "--only", choices=["steps", "ratios", "tables"], nargs="+", default=["steps", "ratios", "tables"]

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from qnerf.kernels import compiled
 from qnerf.kernels.jit import jit, run
+from qnerf.kernels.spare import spare
 
 PRIMES = (1, 2654435761, 805459861)
 CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]
@@ -108,9 +109,7 @@ class _HashEncode(torch.autograd.Function):
         common = (_flat(points), _flat(gradient), _flat(resolutions), ctx.dense, features)
         to_points = to_table = None
         if ctx.needs_input_grad[1]:
-            # Each level is zeroed by the thread that owns it. numpy asks for huge pages and PyTorch does not: a fresh
-            # 64 MB in small pages costs ten times the gradient itself.
-            to_table = torch.from_numpy(np.empty(table.shape, _flat(table).dtype))
+            to_table = spare(tuple(table.shape), _flat(table).dtype)  # each level is zeroed by the thread that owns it
             run(_table_gradient, levels, *common, _flat(to_table), grain=1)
         if ctx.needs_input_grad[0]:
             to_points = torch.empty(points.shape, dtype=points.dtype)
