@@ -17,7 +17,8 @@ SINGLE = np.dtype(np.float32)
 def test_memory_that_nothing_holds_is_handed_out_again():
     first = spare(SHAPE, SINGLE)
     place = first.data_ptr()
-    assert first.shape == SHAPE and first.dtype == torch.float32
+    assert first.shape == SHAPE
+    assert first.dtype == torch.float32
     del first
     gc.collect()
     assert spare(SHAPE, SINGLE).data_ptr() == place
@@ -35,7 +36,9 @@ def test_memory_that_anything_holds_is_not(hold):
 def test_sizes_and_dtypes_do_not_share():
     one, other = spare(SHAPE, SINGLE).fill_(1), spare(SHAPE, np.dtype(np.float64)).fill_(2)
     small = spare((2, 3), SINGLE).fill_(3)
-    assert one.unique().tolist() == [1] and other.unique().tolist() == [2] and small.unique().tolist() == [3]
+    assert one.unique().tolist() == [1]
+    assert other.unique().tolist() == [2]
+    assert small.unique().tolist() == [3]
 
 
 def test_gradients_of_large_tables_are_those_of_the_reference_step_after_step():
