@@ -8,8 +8,9 @@ from analysis import command, packed
 from analysis.load import runs
 
 DESCRIPTION = """\
-Packs the runs of a store into two small tables, runs.parquet and views.parquet: what every table of
-analysis is made of. `python -m analysis.tables FOLDER` and the figures of runs then read that folder like a store.
+Packs the runs of a store into small tables: runs.parquet, views.parquet, and units.parquet where runs were probed.
+They are what every table of analysis is made of; `python -m analysis.tables FOLDER` and the figures of runs read that
+folder like a store.
 """
 
 
@@ -18,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         prog="python -m analysis.pack", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("store", help="folder of runs")
-    parser.add_argument("folder", type=Path, help="where the two tables go; what is there is replaced")
+    parser.add_argument("folder", type=Path, help="where the tables go; what is there is replaced")
     parser.add_argument("--filter", metavar="TEXT", help=command.HELP)
     options = parser.parse_args(arguments)
     if options.folder.resolve() == Path(options.store).resolve():

@@ -11,7 +11,7 @@ import pandas as pd
 
 from analysis import command, load
 from analysis.paper import PAPER_TABLES
-from analysis.tables import Table, ablation, stability
+from analysis.tables import Table, ablation, stability, units
 
 HEAD = """\
 # Results
@@ -32,14 +32,18 @@ class Question:
     baseline: Mapping[str, object] | None = None
     values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density", "step_ms")
     stable: bool = False
+    alive: bool = False
     paper: tuple[str, ...] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """Its tables over seeds: differences from the baseline, the seeds that failed, the paper's beside ours."""
+        """Its tables over seeds: differences from the baseline, the seeds that failed, how alive colour heads are, the
+        paper's beside ours."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
         made = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
         if self.stable:
             made.append(stability(frame, self.rows))
+        if self.alive:
+            made.append(units(frame, self.rows))
         return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
 
 
@@ -102,10 +106,11 @@ QUESTIONS = {
     ),
     "deep": Question(
         "Why does it?",
-        (sweep("deep"), "qnerf evaluate RUN units"),
-        ("scene_name", "color", "color.init"),
+        (sweep("deep"), sweep("deep", "color.init=torch train.rates.color=0.1,3.0"), "qnerf evaluate RUN units"),
+        ("scene_name", "color", "color.init", "train.rates.color"),
         values=("psnr", "ssim", "depth_error"),
         stable=True,
+        alive=True,
     ),
     "rgb_table": Question(
         "The paper's table of colour heads", (sweep("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)

@@ -5,6 +5,7 @@ from analysis.tables.needs import needs
 from analysis.tables.seeds import over_seeds
 from analysis.tables.stability import stability
 from analysis.tables.table import Table
+from analysis.tables.units import units
 from analysis.tables.values import VALUES, Value
 
-__all__ = ["VALUES", "Table", "Value", "ablation", "markdown", "needs", "over_seeds", "stability"]
+__all__ = ["VALUES", "Table", "Value", "ablation", "markdown", "needs", "over_seeds", "stability", "units"]

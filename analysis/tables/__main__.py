@@ -8,6 +8,7 @@ from analysis.selection import conditions
 from analysis.tables.ablation import ablation
 from analysis.tables.needs import TOLERANCE, needs
 from analysis.tables.stability import stability
+from analysis.tables.units import units
 from analysis.tables.values import VALUES
 
 DESCRIPTION = """\
@@ -51,6 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--stability", action="store_true", help="instead: the worst seed of each row, and how many fail"
     )
     parser.add_argument(
+        "--units",
+        action="store_true",
+        help="instead: dead units and the spread of colours, of runs that `qnerf evaluate RUN units` probed",
+    )
+    parser.add_argument(
         "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
     )
     parser.add_argument(
@@ -71,6 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.metric != "psnr":
             raise ValueError(f"--stability counts dB of psnr, got --metric {options.metric}")
         table = stability(frame, rows)
+    elif options.units:
+        table = units(frame, rows)
     else:
         baseline = conditions(options.baseline) if options.baseline else None
         values = options.values.split(",") if options.values else None
