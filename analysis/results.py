@@ -60,6 +60,8 @@ def pieces(title: str, command: str) -> Question:
 
 FOX = "scene=nerfstudio scene.path=DIR"  # the fox capture of instant-ngp at 36 x 64
 
+SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
+
 QUESTIONS = {
     "scenes": Question(
         "What does a circuit head give on each scene?",
@@ -83,11 +85,27 @@ QUESTIONS = {
         "Is a quantum colour head level with MLPs of at most 700 parameters?",
         (
             sweep("small_heads"),
-            sweep("small_heads", "color.init=he", "experiment=rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13"),
+            sweep("small_heads", "color.init=he", f"experiment={SMALL_MLPS}"),
         ),
-        ("scene_name", "color", "color.init"),
+        ("scene_name", "color", "color.directions", "color.init"),
         {"color": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
+        stable=True,
+    ),
+    "control": Question(
+        "Is it the circuit, or what the circuit sees?",
+        (sweep("control"), sweep("control", "field=qcolor color.directions=raw")),
+        ("scene_name", "color", "color.directions"),
+        {"color": "3x64", "color.directions": "raw"},
+        ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
+        stable=True,
+    ),
+    "directions": Question(
+        "How loud may the view direction be?",
+        (sweep("directions"),),
+        ("scene_name", "color.direction_scale"),
+        {"color.direction_scale": "1"},
+        ("psnr", "ssim", "depth_error"),
         stable=True,
     ),
     "start": Question(
