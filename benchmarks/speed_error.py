@@ -229,9 +229,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--rounds", type=int, default=8, help="turns of five measured steps a rung")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--overrides", nargs="+", default=[], help="of the configuration, for all rungs")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    common = ("field=qcolor", f"train.steps={options.steps}", f"threads={options.threads}")
+    common = ("field=qcolor", f"train.steps={options.steps}", f"threads={options.threads}", *options.overrides)
     tables = []
     for text in options.scene:
         scene = scene_overrides(text)
