@@ -87,7 +87,7 @@ def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
         with initialize_config_dir(both, version_base="1.3"):
             swept = compose(name, return_hydra_config=True).hydra.sweeper.params or {}
             choices = {key: str(values) for key, values in swept.items() if key != "seed"}
-            choices |= dict(override.split("=", 1) for override in overrides)
+            choices |= dict(override.split("=", 1) for override in overrides if not override.startswith("seed="))
             for values in itertools.product(*(text.split(",") for text in choices.values())):
                 job = [f"{key}={value}" for key, value in zip(choices, values, strict=True)]
                 config = OmegaConf.to_container(compose(name, job), resolve=True)
