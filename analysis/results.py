@@ -115,13 +115,6 @@ QUESTIONS = {
         ("psnr", "ssim", "depth_error"),
         stable=True,
     ),
-    "start": Question(
-        "Does an MLP gain from a start in which its colours vary, as the recipe gives to circuits?",
-        (sweep("start"),),
-        ("scene_name", "color", "color.init"),
-        {"color.init": "torch"},
-        values=("psnr", "ssim", "depth_error"),
-    ),
     "rgb_depth": Question(
         "Does a deep, narrow MLP collapse?",
         (sweep("rgb_depth"),),
