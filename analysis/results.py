@@ -52,11 +52,10 @@ def sweep(name: str, *more: str) -> str:
     return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
 
 
-def pieces(title: str, command: str) -> Question:
-    """What experiments that change one piece of the quick recipe each are worth against it as it is."""
+def pieces(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
+    """What values of an option are worth against one of them; experiments change a piece of the quick recipe each."""
     values = ("psnr", "ssim", "depth_error", "step_ms")
-    baseline = {"experiment": "quick_recipe"}
-    return Question(title, (command,), ("scene_name", "experiment"), baseline, values, stable=True)
+    return Question(title, (command,), ("scene_name", key), {key: baseline}, values, stable=True)
 
 
 SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
@@ -99,21 +98,12 @@ QUESTIONS = {
         ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
         stable=True,
     ),
-    "directions": Question(
-        "How loud may the view direction be?",
-        (sweep("directions"),),
-        ("scene_name", "color.direction_scale"),
-        {"color.direction_scale": "1"},
-        ("psnr", "ssim", "depth_error"),
-        stable=True,
-    ),
-    "init": Question(
+    "directions": pieces("How loud may the view direction be?", sweep("directions"), "color.direction_scale", "1"),
+    "init": pieces(
         "How loud may a circuit's values be?",
-        (sweep("init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0"),),
-        ("scene_name", "color.qiren.gain"),
-        {"color.qiren.gain": "3"},
-        ("psnr", "ssim", "depth_error"),
-        stable=True,
+        sweep("init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0"),
+        "color.qiren.gain",
+        "3",
     ),
     "rgb_depth": Question(
         "How deep may a narrow MLP be?",
