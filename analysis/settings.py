@@ -12,7 +12,8 @@ QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth")}
 
 _SCALARS = ("experiment", "geo_features", "appearance")
 _RESULTS = ("params", "time", "run", "needs")  # first parts of dotted names that are no configuration
-_SOURCES = ("qiren", "hash", "proposal")  # groups that act only through density.*, color.*, encoder.* and sampler.*
+# Groups that act only through density.*, color.*, encoder.* and sampler.*; values that other settings are chosen from.
+_SOURCES = ("qiren.", "hash.", "proposal.", "density.initials.", "color.rates.")
 # What is logged or checked decides no number; where a scene lies says nothing about what it is.
 _IRRELEVANT = (
     "scene.path",
@@ -33,7 +34,7 @@ def configuration(frame: pd.DataFrame) -> list[str]:
 
 def effective(runs: pd.DataFrame) -> pd.DataFrame:
     """The settings that decide each run's numbers, as text; "" where a setting does not act in that run."""
-    keys = [key for key in configuration(runs) if key.split(".")[0] not in _SOURCES]
+    keys = [key for key in configuration(runs) if not key.startswith(_SOURCES)]
     table = runs[keys].map(str)
     for head, circuits in QUANTUM.items():
         quantum = runs["field"].isin(circuits)
