@@ -5,12 +5,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis import command, packed
+from analysis.figures import FIGURES
+from analysis.figures.__main__ import draw, known
 from analysis.load import runs
+from analysis.paper import PAPER_TABLES
 
 DESCRIPTION = """\
 Packs the runs of a store into small tables: runs.parquet, views.parquet, and units.parquet where runs were probed.
 They are what every table of analysis is made of; `python -m analysis.tables FOLDER` and the figures of runs read that
-folder like a store.
+folder like a store. What needs the runs' pictures, curves or probes is drawn at once: --figures, --paper.
 """
 
 
@@ -21,7 +24,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("store", help="folder of runs")
     parser.add_argument("folder", type=Path, help="where the tables go; what is there is replaced")
     parser.add_argument("--filter", metavar="TEXT", help=command.HELP)
+    parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"kept as PNG: {', '.join(FIGURES)}")
+    parser.add_argument("--paper", choices=PAPER_TABLES, help="a table of the paper beside ours, kept as Markdown")
     options = parser.parse_args(arguments)
+    known(options.figures)
     if options.folder.resolve() == Path(options.store).resolve():
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = runs(options.store, options.filter)
@@ -30,6 +36,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise ValueError(f"{options.store}: none of {left} runs is finished")
     told = f" finished, {left} not" if left else ""
     print(f"{packed.pack(frame, options.folder)} runs{told}, in {options.folder}")
+    if options.figures:
+        draw(frame, options.figures, options.folder, ["png"])
+    if options.paper:
+        title, table = PAPER_TABLES[options.paper]
+        (options.folder / f"{options.paper}.md").write_text(f"**{title}**\n\n{table(frame).markdown()}\n")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from analysis import command, load
+from analysis.figures import FIGURES
 from analysis.paper import PAPER_TABLES
 from analysis.tables import Table, ablation, stability, units
 
@@ -173,8 +174,23 @@ def page(folder: Path) -> str:
     parts = [HEAD.format(hardware=file.read_text().strip() if file.is_file() else "").rstrip()]
     for name, question in QUESTIONS.items():
         if name in there:
-            parts += section(question, load.runs(folder / name))
+            parts += section(question, load.runs(folder / name)) + kept(folder / name)
     return "\n\n".join(parts) + "\n"
+
+
+def kept(folder: Path) -> list[str]:
+    """What `analysis.pack` drew beside the tables: of the runs' pictures, curves and probes, which are not kept."""
+    tables = [file.read_text().strip() for file in sorted(folder.glob("*.md"))]
+    pictures = [
+        f"![{_title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"
+        for file in sorted(folder.glob("*.png"))
+    ]
+    return tables + pictures
+
+
+def _title(file: str) -> str:
+    """Of a figure's file, which ends with _<scene> where each scene has its own."""
+    return FIGURES[file if file in FIGURES else file.partition("_")[0]][0]
 
 
 def section(question: Question, frame: pd.DataFrame) -> list[str]:

@@ -61,12 +61,9 @@ def test_encoders_of_the_hash_table(row):
 
 
 def test_heads_of_the_hsv_study():
-    built = field(
-        "field=classical", "encoder=pe", "geo_features=11",
-        "density.layers=4", "density.width=12", "color.layers=3", "color.width=12",
-    )  # fmt: skip
-    assert (count(built.density_head), count(built.color_head)) == (1200, 531)
-    quantum = field("field=qdensity", "encoder=pe", "qiren=2L2S", "color.layers=3", "color.width=32")
+    classical = field("experiment=hsv_mlp")
+    assert (count(classical.density_head), count(classical.color_head)) == (1200, 531)
+    quantum = field("experiment=hsv_2L2S")
     assert (count(quantum.density_head), count(quantum.color_head)) == (1166, 1859)
 
 

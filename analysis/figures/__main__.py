@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+import pandas as pd
+
 from analysis.command import chosen, run
 from analysis.figures import FIGURES, save, scenes_of
 from analysis.query import HELP
@@ -22,27 +24,31 @@ def main(arguments: Sequence[str] | None) -> None:
     parser.add_argument("--filter", metavar="TEXT", help=HELP)
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
     parser.add_argument("--theme", default="light", choices=["light", "dark"])
-    draw(parser.parse_intermixed_args(arguments))
+    options = parser.parse_intermixed_args(arguments)
+    known(options.names)
+    draw(chosen(options), options.names, Path(options.out), options.formats.split(","), options.theme)
 
 
-def draw(options: argparse.Namespace) -> None:
-    """Writes what can be drawn. A figure that was asked for by name and cannot be is an error, others are told of."""
-    unknown = [name for name in options.names if name not in FIGURES]
+def known(names: Sequence[str]) -> None:
+    unknown = [name for name in names if name not in FIGURES]
     if unknown:
         raise ValueError(f"unknown figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
-    frame = chosen(options)
-    Path(options.out).mkdir(parents=True, exist_ok=True)
-    for name in options.names or FIGURES:
+
+
+def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], theme: str = "light") -> None:
+    """Writes what can be drawn. A figure that was asked for by name and cannot be is an error, others are told of."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in names or FIGURES:
         mistakes = {}
         shown = scenes_of(name, frame)
         for file, own in shown.items():
             try:
-                figure = FIGURES[name][1](own, theme=options.theme)
+                figure = FIGURES[name][1](own, theme=theme)
             except ValueError as error:
                 mistakes[file] = error
             else:
-                print(*save(figure, Path(options.out) / file, options.formats.split(",")))
-        if name in options.names and len(mistakes) == len(shown):
+                print(*save(figure, out / file, formats))
+        if name in names and len(mistakes) == len(shown):
             raise next(iter(mistakes.values()))
         for file, mistake in mistakes.items():
             print(f"{file}: not drawn: {mistake}")

@@ -3,10 +3,12 @@ import shutil
 import pandas as pd
 import pytest
 from stores import write_run
+from sweep import sweep
 
 from analysis import load, statistics
 from analysis.pack import main
 from analysis.paper import PAPER_TABLES
+from analysis.results import kept
 from analysis.tables import ablation
 
 
@@ -53,6 +55,20 @@ def test_a_packed_folder_can_be_packed_again(store, tmp_path):
     main([str(store), str(tmp_path / "packed")])
     main([str(tmp_path / "packed"), str(tmp_path / "part"), "--filter", "field=qcolor"])
     assert len(statistics.evaluations(load.runs(tmp_path / "part", "state=finished"))) == 4
+
+
+def test_what_needs_pictures_and_curves_is_drawn_of_the_store(tmp_path, tmp_path_factory):
+    trained = sweep(tmp_path_factory.getbasetemp())
+    folder = tmp_path / "results" / "scenes"
+    main([str(trained), str(folder), "--figures", "loss", "hsv", "--paper", "hsv", "--filter", "state=finished"])
+    assert {file.name for file in folder.iterdir()} == {
+        "runs.parquet", "views.parquet", "loss.png", "hsv.png", "hsv.md",
+    }  # fmt: skip
+    text = "\n".join(kept(folder))
+    assert "**HSV Output Analysis" in text
+    assert "![Training and evaluation loss](results/scenes/loss.png)" in text
+    with pytest.raises(ValueError, match="unknown figure 'nonsense'"):
+        main([str(trained), str(folder), "--figures", "nonsense"])
 
 
 def test_a_store_is_not_packed_into_itself(store):
