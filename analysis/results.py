@@ -20,7 +20,8 @@ HEAD = """\
 Every table is made by `python -m analysis.results docs/results --write docs/results.md` from the runs in
 `docs/results/`, one folder a question; `python -m analysis.tables docs/results/NAME --rows ...` makes others of them.
 PSNR and SSIM are those of held-out views, after the steps that a section names. Commands are those of `poster`;
-`fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. {hardware}
+`fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. Runs of a table were
+not all trained at the same time: how long a step takes, `python -m benchmarks.training` measures. {hardware}
 """
 
 
@@ -32,7 +33,7 @@ class Question:
     commands: tuple[str, ...]
     rows: tuple[str, ...]
     baseline: Mapping[str, object] | None = None
-    values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density", "step_ms")
+    values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density")
     stable: bool = False
     alive: bool = False
     paper: tuple[str, ...] = ()
@@ -55,8 +56,9 @@ def sweep(name: str, *more: str) -> str:
 
 def pieces(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
     """What values of an option are worth against one of them; experiments change a piece of the quick recipe each."""
-    values = ("psnr", "ssim", "depth_error", "step_ms")
-    return Question(title, (command,), ("scene_name", key), {key: baseline}, values, stable=True)
+    return Question(
+        title, (command,), ("scene_name", key), {key: baseline}, ("psnr", "ssim", "depth_error"), stable=True
+    )
 
 
 SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
@@ -68,10 +70,11 @@ QUESTIONS = {
         ("scene_name", "field"),
         {"field": "classical"},
     ),
-    "recipe": pieces(
-        "What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe", "field=qcolor")
+    "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe")),
+    "recipe_density": pieces(
+        "What is a sparse start worth to a quantum density head?",
+        sweep("recipe", "field=qdensity experiment=quick_recipe,dense_start"),
     ),
-    "recipe_density": pieces("What is each piece worth to a quantum density head?", sweep("recipe", "field=qdensity")),
     "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
     "seeds": Question(
         "How often does a field collapse?",
@@ -88,7 +91,7 @@ QUESTIONS = {
         ),
         ("scene_name", "color", "color.directions", "color.init"),
         {"color": "1L2S"},
-        ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
+        ("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
     "control": Question(
@@ -96,15 +99,65 @@ QUESTIONS = {
         (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.init=torch")),
         ("scene_name", "color", "color.directions", "color.init"),
         {"color": "3x64", "color.directions": "raw", "color.init": "he"},
-        ("psnr", "ssim", "depth_error", "params.color", "step_ms"),
+        ("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
-    "directions": pieces("How loud may the view direction be?", sweep("directions"), "color.direction_scale", "1"),
+    "rates": pieces(
+        "How fast may a colour circuit learn?",
+        sweep("seeds", "field=qcolor train.rates.color=0.33,1.0"),
+        "train.rates.color",
+        "1",
+    ),
+    "rates_mlp": pieces(
+        "And a colour MLP?",
+        sweep("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
+        "train.rates.color",
+        "1",
+    ),
+    "directions": pieces(
+        "How loud may the view direction be?",
+        sweep("directions", "train.rates.color=1.0"),
+        "color.direction_scale",
+        "1",
+    ),
     "init": pieces(
         "How loud may a circuit's values be?",
-        sweep("init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0"),
+        sweep(
+            "init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0 train.rates.color=1.0"
+        ),
         "color.qiren.gain",
         "3",
+    ),
+    "loss_curves": Question(
+        "How do training and held-out loss go?",
+        (sweep("loss_curves"), "python -m analysis.figures runs loss"),
+        ("scene_name", "field"),
+        values=("psnr", "ssim", "depth_error"),
+    ),
+    "sampling": Question(
+        "Where are rays to be sampled?",
+        (sweep("sampling"),),
+        ("scene_name", "field", "sampler"),
+        values=("psnr", "ssim", "depth_error"),
+    ),
+    "encoders": Question(
+        "What are points to be encoded by?",
+        (sweep("encoders"),),
+        ("scene_name", "field", "encoder"),
+        values=("psnr", "ssim", "depth_error", "params.encoder", "params.density"),
+    ),
+    "poses": Question(
+        "What does pose refinement make good?",
+        (sweep("poses"),),
+        ("scene_name", "field", "cameras", "poses.rotation"),
+        values=("psnr", "ssim", "depth_error"),
+    ),
+    "rgb_width": Question(
+        "How wide has an MLP of three layers to be?",
+        (sweep("rgb_width"),),
+        ("scene_name", "color"),
+        values=("psnr", "ssim", "depth_error", "params.color"),
+        stable=True,
     ),
     "rgb_depth": Question(
         "How deep may a narrow MLP be?",
@@ -131,15 +184,27 @@ QUESTIONS = {
         "The paper's hash tables",
         (sweep("hash_table"),),
         ("scene_name", "hash"),
-        values=("psnr", "ssim", "depth_error", "params.encoder", "step_ms"),
+        values=("psnr", "ssim", "depth_error", "params.encoder"),
         paper=("hash",),
+    ),
+    "pe_widths": Question(
+        "Which width does an MLP need on a positional encoding?",
+        (sweep("pe_widths"),),
+        ("scene_name", "density"),
+        values=("psnr", "ssim", "depth_error", "params.density"),
+    ),
+    "hsv": Question(
+        "The paper's colour study",
+        (sweep("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
+        ("scene_name", "field"),
+        values=("psnr", "ssim", "depth_error", "params.density", "params.color"),
     ),
     "density_pe": Question(
         "Is a quantum density head level with an MLP of its size on a positional encoding?",
         (sweep("density_pe"),),
         ("scene_name", "density"),
         {"density": "1L2S"},
-        ("psnr", "ssim", "depth_error", "params.density", "step_ms"),
+        ("psnr", "ssim", "depth_error", "params.density"),
         stable=True,
     ),
     "paper_short": Question(
@@ -147,7 +212,7 @@ QUESTIONS = {
         (sweep("scenes", "field=qboth train=quick,paper"),),
         ("scene_name", "train"),
         {"train": "paper"},
-        ("psnr", "ssim", "depth_error", "step_ms", "train_s"),
+        ("psnr", "ssim", "depth_error"),
     ),
     "paper": Question(
         "The paper's recipe, 30,000 steps",
