@@ -20,8 +20,9 @@ HEAD = """\
 Every table is made by `python -m analysis.results docs/results --write docs/results.md` from the runs in
 `docs/results/`, one folder a question; `python -m analysis.tables docs/results/NAME --rows ...` makes others of them.
 PSNR and SSIM are those of held-out views, after the steps that a section names. Commands are those of `poster`;
-`fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. Runs of a table were
-not all trained at the same time: how long a step takes, `python -m benchmarks.training` measures. {hardware}
+`fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. Runs of
+a table were not all trained at the same time: how long a step takes, `python -m benchmarks.training` measures.
+{hardware}
 """
 
 
