@@ -147,6 +147,7 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
         (["contraction.name=cube"], "known: box, l2, linf"),
         (["color.directions=quaternions"], "known: raw, sh"),
         (["color.name=transformer"], "known: mlp, qfgn, qiren"),
+        (["density.name=transformer"], "known: mlp, qfgn, qiren"),
         (["scene.path=/nowhere"], "/nowhere"),
         (["scene.downscale=0"], "downscale"),
         (["sampler.final=0"], "final must be at least 1, got 0"),
