@@ -6,7 +6,7 @@ from pathlib import Path
 
 from analysis import command, packed
 from analysis.figures import FIGURES
-from analysis.figures.__main__ import draw, known
+from analysis.figures.files import draw, known
 from analysis.load import runs
 from analysis.paper import PAPER_TABLES
 

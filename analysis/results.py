@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from analysis import command, load
-from analysis.figures import FIGURES
+from analysis.figures.files import title
 from analysis.paper import PAPER_TABLES
 from analysis.tables import Table, ablation, stability, units
 
@@ -22,7 +22,7 @@ Every table is made by `python -m analysis.results docs/results --write docs/res
 PSNR and SSIM are those of held-out views, after the steps that a section names. Commands are those of `poster`;
 `fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. Runs of
 a table were not all trained at the same time: how long a step takes, `python -m benchmarks.training` measures.
-{hardware}
+Figures are drawn of the store by `python -m analysis.pack runs docs/results/NAME --figures FIGURE`. {hardware}
 """
 
 
@@ -248,15 +248,10 @@ def kept(folder: Path) -> list[str]:
     """What `analysis.pack` drew beside the tables: of the runs' pictures, curves and probes, which are not kept."""
     tables = [file.read_text().strip() for file in sorted(folder.glob("*.md"))]
     pictures = [
-        f"![{_title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"
+        f"![{title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"
         for file in sorted(folder.glob("*.png"))
     ]
     return tables + pictures
-
-
-def _title(file: str) -> str:
-    """Of a figure's file, which ends with _<scene> where each scene has its own."""
-    return FIGURES[file if file in FIGURES else file.partition("_")[0]][0]
 
 
 def section(question: Question, frame: pd.DataFrame) -> list[str]:

@@ -4,10 +4,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from analysis.command import chosen, run
-from analysis.figures import FIGURES, save, scenes_of
+from analysis.figures import FIGURES
+from analysis.figures.files import draw, known
 from analysis.query import HELP
 from analysis.style import FORMATS
 
@@ -27,31 +26,6 @@ def main(arguments: Sequence[str] | None) -> None:
     options = parser.parse_intermixed_args(arguments)
     known(options.names)
     draw(chosen(options), options.names, Path(options.out), options.formats.split(","), options.theme)
-
-
-def known(names: Sequence[str]) -> None:
-    unknown = [name for name in names if name not in FIGURES]
-    if unknown:
-        raise ValueError(f"unknown figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
-
-
-def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], theme: str = "light") -> None:
-    """Writes what can be drawn. A figure that was asked for by name and cannot be is an error, others are told of."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name in names or FIGURES:
-        mistakes = {}
-        shown = scenes_of(name, frame)
-        for file, own in shown.items():
-            try:
-                figure = FIGURES[name][1](own, theme=theme)
-            except ValueError as error:
-                mistakes[file] = error
-            else:
-                print(*save(figure, out / file, formats))
-        if name in names and len(mistakes) == len(shown):
-            raise next(iter(mistakes.values()))
-        for file, mistake in mistakes.items():
-            print(f"{file}: not drawn: {mistake}")
 
 
 if __name__ == "__main__":
