@@ -11,9 +11,10 @@ from analysis.load import runs
 from analysis.paper import PAPER_TABLES
 
 DESCRIPTION = """\
-Packs the runs of a store into small tables: runs.parquet, views.parquet, and units.parquet where runs were probed.
-They are what every table of analysis is made of; `python -m analysis.tables FOLDER` and the figures of runs read that
-folder like a store. What needs the runs' pictures, curves or probes is drawn at once: --figures, --paper.
+Packs the runs of a store into small tables: runs.parquet, views.parquet, and where runs were probed units.parquet and
+eval_hardware.parquet. They are what every table of analysis is made of; `python -m analysis.tables FOLDER` and the
+figures of runs read that folder like a store. What needs the runs' pictures, curves or other probes is drawn at once:
+--figures, --paper.
 """
 
 

@@ -10,34 +10,37 @@ import pandas as pd
 from qnerf.records import StoreError
 from qnerf.records.read import read_table
 
-RUNS, VIEWS, UNITS = "runs.parquet", "views.parquet", "units.parquet"
+RUNS, VIEWS = "runs.parquet", "views.parquet"
+PROBES = ("units", "eval_hardware")
+"""Tables that `qnerf evaluate` leaves in a run's folder and that are small enough to keep."""
 _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
 """Columns that say where and how a run was done on somebody's machine."""
 
 
 def pack(runs: pd.DataFrame, folder: Path) -> int:
-    """Writes runs as `analysis.load.runs` gives them, and of those that finished the held-out views and what the probe
-    `units` found, over what the folder has; returns how many finished. What a scene is called is kept, where it lay is
-    not.
+    """Writes runs as `analysis.load.runs` gives them, and of those that finished the held-out views and what `PROBES`
+    found, over what the folder has; returns how many finished. What a scene is called is kept, where it lay is not.
     """
     chosen = runs.sort_values("run_id", ignore_index=True)
     finished = chosen[chosen["state"] == "finished"]
-    parts, probed = [], []
+    parts = []
+    probed: dict[str, list[pd.DataFrame]] = {probe: [] for probe in PROBES}
     for name, path in zip(finished["run_id"], finished["path"], strict=True):
         rows = views(path)
         if rows is None:
             rows = read_table(Path(path) / "eval.parquet").to_pandas()
         parts.append(rows[["image", *rows.select_dtypes("number")]].assign(run_id=name))
-        alive = units(path)
-        if alive is not None:
-            probed.append(alive.assign(run_id=name))
+        for probe, tables in probed.items():
+            if has(path, probe):
+                tables.append(found(path, probe).assign(run_id=name))
     folder.mkdir(parents=True, exist_ok=True)
     kept = chosen.drop(columns=[name for name in _HERE if name in chosen])
     kept.to_parquet(folder / RUNS, index=False)
     pd.concat(parts, ignore_index=True).to_parquet(folder / VIEWS, index=False)
-    (folder / UNITS).unlink(missing_ok=True)
-    if probed:
-        pd.concat(probed, ignore_index=True).to_parquet(folder / UNITS, index=False)
+    for probe, tables in probed.items():
+        (folder / f"{probe}.parquet").unlink(missing_ok=True)
+        if tables:
+            pd.concat(tables, ignore_index=True).to_parquet(folder / f"{probe}.parquet", index=False)
     return len(finished)
 
 
@@ -62,12 +65,21 @@ def views(path: str | Path) -> pd.DataFrame | None:
     return own
 
 
-def units(path: str | Path) -> pd.DataFrame | None:
-    """What `qnerf evaluate RUN units` found of a run, in a store or packed; None where it was not asked."""
+def has(path: str | Path, probe: str) -> bool:
+    """Whether `qnerf evaluate` left a table of that name for a run, in a store or packed."""
+    path = Path(path)
+    if not is_packed(path.parent):
+        return (path / f"{probe}.parquet").is_file()
+    kept = path.parent / f"{probe}.parquet"
+    return kept.is_file() and path.name in _of_runs(kept)
+
+
+def found(path: str | Path, probe: str) -> pd.DataFrame:
+    """That table; there has to be one."""
     path = Path(path)
     if is_packed(path.parent):
-        return _of_runs(path.parent / UNITS).get(path.name) if (path.parent / UNITS).is_file() else None
-    return pd.read_parquet(path / UNITS) if (path / UNITS).is_file() else None
+        return _of_runs(path.parent / f"{probe}.parquet")[path.name]
+    return read_table(path / f"{probe}.parquet").to_pandas()
 
 
 def _of_runs(file: Path) -> dict[str, pd.DataFrame]:

@@ -12,7 +12,7 @@ import pandas as pd
 from analysis import command, load
 from analysis.figures.files import title
 from analysis.paper import PAPER_TABLES
-from analysis.tables import Table, ablation, stability, units
+from analysis.tables import Table, ablation, hardware, stability, units
 
 HEAD = """\
 # Results
@@ -37,17 +37,20 @@ class Question:
     values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density")
     stable: bool = False
     alive: bool = False
+    measured: bool = False
     paper: tuple[str, ...] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """Its tables over seeds: differences from the baseline, the seeds that failed, how alive colour heads are, the
-        paper's beside ours."""
+        """Its tables over seeds: differences from the baseline, the seeds that failed, how alive colour heads are, what
+        hardware would render, the paper's beside ours."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
         made = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
         if self.stable:
             made.append(stability(frame, self.rows))
         if self.alive:
             made.append(units(frame, self.rows))
+        if self.measured:
+            made.append(hardware(frame, self.rows))
         return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
 
 
@@ -200,6 +203,12 @@ QUESTIONS = {
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error", "params.density", "params.color"),
     ),
+    "density_figure": Question(
+        "The paper's figure of quantum density heads on a positional encoding",
+        (sweep("density_figure"), "python -m analysis.figures runs capacity_density"),
+        ("scene_name", "density"),
+        values=("psnr", "ssim", "depth_error", "params.density"),
+    ),
     "density_pe": Question(
         "Is a quantum density head level with an MLP of its size on a positional encoding?",
         (sweep("density_pe"),),
@@ -207,6 +216,32 @@ QUESTIONS = {
         {"density": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.density"),
         stable=True,
+    ),
+    "ansatz": Question(
+        "Which circuit?",
+        (sweep("ansatz"),),
+        ("scene_name", "color.qiren.ansatz"),
+        {"color.qiren.ansatz": "qiren"},
+        ("psnr", "ssim", "depth_error"),
+        stable=True,
+    ),
+    "shots": Question(
+        "What do finite shots and noisy gates cost a trained circuit?",
+        (
+            sweep("shots"),
+            "qnerf evaluate RUN shots=100,1000,10000",
+            "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1",
+        ),
+        ("scene_name", "color"),
+        values=("psnr", "params.color"),
+        measured=True,
+    ),
+    "noise": Question(
+        "And two re-uploadings, on few enough qubits for exact noise?",
+        (sweep("noise"), "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1"),
+        ("scene_name", "color.qiren.qubits"),
+        values=("psnr", "params.color"),
+        measured=True,
     ),
     "paper_short": Question(
         "Both heads by the paper's recipe and by the quick one, 1,500 steps each",

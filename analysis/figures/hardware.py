@@ -6,9 +6,8 @@ from matplotlib.figure import Figure
 from analysis import style
 from analysis.figures import points
 from analysis.figures.probed import having, probed
+from analysis.hardware import FILE, means
 from analysis.selection import select
-
-FILE = "eval_hardware"
 
 
 def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
@@ -22,22 +21,11 @@ def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
     table = points.points(runs, ["psnr"])
     parts = []
     for _, row in table.iterrows():
-        each = pd.concat([_means(probed(runs["path"][index], FILE)) for index in row["runs"]])
+        each = pd.concat([means(probed(runs["path"][index], FILE)) for index in row["runs"]])
         groups = each.groupby(["shots", "noise", "p"])["psnr"]
         found = pd.DataFrame({"psnr": groups.mean(), "psnr_std": groups.std(), "n": groups.size()}).reset_index()
         parts.append(found.assign(scene_name=row["scene_name"], name=row["name"], field=row["field"], seeds=row["n"]))
     return pd.concat(parts, ignore_index=True)
-
-
-def _means(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mean PSNR over views and random seeds of each condition of one run."""
-    keys = ["shots", "noise", "p"]
-    conditions = rows[keys].drop_duplicates()
-    everywhere = rows.groupby("image").apply(lambda own: len(own[keys].drop_duplicates()), include_groups=False) == len(
-        conditions
-    )
-    kept = rows[rows["image"].isin(everywhere[everywhere].index)]
-    return kept.groupby(keys, as_index=False)["psnr"].mean()
 
 
 @style.styled

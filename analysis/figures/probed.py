@@ -4,20 +4,19 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.records.read import read_table
+from analysis import packed
 
 
 def probed(run: str | Path, name: str) -> pd.DataFrame:
     """A run's `<name>.parquet`. ValueError that says how to make one where there is none."""
-    path = Path(run) / f"{name}.parquet"
-    if not path.is_file():
+    if not packed.has(run, name):
         raise ValueError(f"{run}: has no {name}.parquet; `qnerf evaluate {Path(run).name} {_argument(name)}` writes it")
-    return read_table(path).to_pandas()
+    return packed.found(run, name)
 
 
 def having(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     """The runs with a `<name>.parquet`. ValueError where there is none."""
-    kept = frame[[(Path(path) / f"{name}.parquet").is_file() for path in frame["path"]]]
+    kept = frame[[packed.has(path, name) for path in frame["path"]]]
     if kept.empty:
         raise ValueError(
             f"none of {len(frame)} runs has {name}.parquet; `qnerf evaluate RUN {_argument(name)}` writes it"

@@ -6,6 +6,7 @@ from analysis import command
 from analysis.paper import PAPER_TABLES
 from analysis.selection import conditions
 from analysis.tables.ablation import ablation
+from analysis.tables.hardware import hardware
 from analysis.tables.needs import TOLERANCE, needs
 from analysis.tables.stability import stability
 from analysis.tables.units import units
@@ -57,6 +58,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="instead: dead units and the spread of colours, of runs that `qnerf evaluate RUN units` probed",
     )
     parser.add_argument(
+        "--hardware",
+        action="store_true",
+        help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf evaluate RUN shots=100` measured",
+    )
+    parser.add_argument(
         "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
     )
     parser.add_argument(
@@ -79,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table = stability(frame, rows)
     elif options.units:
         table = units(frame, rows)
+    elif options.hardware:
+        table = hardware(frame, rows)
     else:
         baseline = conditions(options.baseline) if options.baseline else None
         values = options.values.split(",") if options.values else None

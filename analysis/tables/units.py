@@ -48,9 +48,9 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
 
 def _measured(path: str, head: str) -> dict[str, float] | None:
     """Of one run: share of dead units and spread of the raw values, at the start and the end; None: not probed."""
-    table = packed.units(path)
-    if table is None:
+    if not packed.has(path, "units"):
         return None
+    table = packed.found(path, "units")
     found: dict[str, float] = {}
     for name, kind, column in (("dead", "relu", "dead"), ("spread", "output", "std")):
         for when in ("start", "end"):

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from conftest import TINY, composed, write_scene
 
-from analysis import circular, figures, hsv
+from analysis import circular, figures, hsv, packed
 from analysis.figures.__main__ import main
 from analysis.images import panels, pictures
 from analysis.load import runs
@@ -171,6 +171,13 @@ def test_psnr_under_hardware_conditions_is_the_mean_over_views_and_seeds(frame, 
     (dashed,) = [line for line in figure.axes[0].lines if line.get_linestyle() == "--"]
     exact = frame[frame["field"] == "qcolor"]["psnr"].mean()
     assert dashed.get_ydata()[0] == pytest.approx(exact, rel=1e-4)
+
+
+def test_packed_runs_draw_the_same(frame, tmp_path):
+    packed.pack(frame, tmp_path)
+    for draw in (figures.psnr_vs_shots, figures.psnr_vs_noise):
+        shown, again = (draw(runs).axes[0].containers[0][0] for runs in (frame, packed.load(tmp_path)))
+        np.testing.assert_array_equal(shown.get_xydata(), again.get_xydata())
 
 
 def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):

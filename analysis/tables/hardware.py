@@ -1,0 +1,50 @@
+"""Trained circuits as hardware would measure them, from what `qnerf evaluate RUN shots=... noise=...` measured."""
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from analysis import packed
+from analysis.hardware import CONDITION, FILE, means, told
+from analysis.selection import check_keys, label, refuse_mixtures, select
+from analysis.tables.table import Table
+from analysis.tables.values import shown
+
+
+def hardware(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
+    """PSNR (dB) of each condition, exact first, then by noise, its p and shots; means over views and seeds.
+
+    `(n = 2)` where fewer of the row's seeds were measured under a condition than under any. Raises ValueError as
+    `over_seeds` does, and where no run was measured.
+    """
+    check_keys(frame, rows)
+    selection = select(frame)
+    refuse_mixtures(selection.runs, rows)
+    measured = selection.runs[[packed.has(path, FILE) for path in selection.runs["path"]]]
+    if measured.empty:
+        raise ValueError("no run was measured: qnerf evaluate RUN shots=100,1000")
+    each = pd.concat(
+        [means(packed.found(run["path"], FILE)).assign(**run[list(rows)]) for _, run in measured.iterrows()]
+    )
+    exact_first = each.assign(noisy=each["noise"] != "none").sort_values(["noisy", "noise", "p", "shots"])
+    order = exact_first[CONDITION].drop_duplicates().itertuples(index=False)
+    columns = [told(*condition) for condition in order]
+    named = each.assign(condition=[told(*row) for row in each[CONDITION].itertuples(index=False)])
+    groups = named.groupby([*rows, "condition"], dropna=False)["psnr"]
+    data = groups.agg(["mean", "std", "count"]).unstack("condition").swaplevel(axis=1)
+    seeds = measured.groupby(list(rows), dropna=False).size()
+    text = pd.DataFrame({name: data.index.get_level_values(name).map(label) for name in data.index.names})
+    for column in columns:
+        cells = zip(*(data[column][part] for part in ("mean", "std", "count")), seeds, strict=True)
+        text[column] = [shown("psnr", mean, std, int(n) if n == n else 0, int(of)) for mean, std, n, of in cells]
+    text["seeds"] = seeds.astype(str).to_numpy()
+    data = pd.concat({column: data[column] for column in columns}, axis=1)
+    left = len(selection.runs) - len(measured)
+    notes = [
+        "PSNR, dB, of the trained circuits with each value from that many shots, or an error of that probability at "
+        "each gate",
+        *([f"left out: {left} not measured"] if left else []),
+        *filter(None, [selection.note]),
+    ]
+    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
+    return Table("On hardware", text, data, bold, tuple(notes))
