@@ -13,7 +13,7 @@ QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth")}
 _SCALARS = ("experiment", "geo_features", "appearance")
 _RESULTS = ("params", "time", "run", "needs")  # first parts of dotted names that are no configuration
 # Groups that act only through density.*, color.*, encoder.* and sampler.*; values that other settings are chosen from.
-_SOURCES = ("qiren.", "hash.", "proposal.", "density.initials.", "color.rates.")
+_SOURCES = ("qiren.", "hash.", "proposal.", "density.initials.", "density.rates.", "color.rates.")
 # What is logged or checked decides no number; where a scene lies says nothing about what it is.
 _IRRELEVANT = (
     "scene.path",
