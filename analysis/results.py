@@ -75,15 +75,12 @@ QUESTIONS = {
         {"field": "classical"},
     ),
     "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe")),
-    "recipe_density": pieces(
-        "What is a sparse start worth to a quantum density head?",
-        sweep("recipe", "field=qdensity experiment=quick_recipe,dense_start"),
-    ),
     "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
     "seeds": Question(
         "How often does a field collapse?",
-        (sweep("seeds", "field=classical,qcolor"),),
+        (sweep("seeds"),),
         ("scene_name", "field"),
+        {"field": "classical"},
         values=("psnr", "ssim", "depth_error"),
         stable=True,
     ),
@@ -117,6 +114,17 @@ QUESTIONS = {
         sweep("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
         "train.rates.color",
         "1",
+    ),
+    "rates_density": Question(
+        "And a density circuit, and how dense may it start?",
+        (
+            sweep("seeds", "field=qdensity seed=0,1,2 train.rates.density=0.33,1.0"),
+            sweep("seeds", "field=qdensity seed=0,1,2 train.rates.density=0.33,1.0 density.initial=1.0"),
+        ),
+        ("scene_name", "train.rates.density", "density.initial"),
+        {"train.rates.density": "0.33", "density.initial": "0.1"},
+        ("psnr", "ssim", "depth_error"),
+        stable=True,
     ),
     "directions": pieces(
         "How loud may the view direction be?",

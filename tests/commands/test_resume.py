@@ -206,6 +206,13 @@ def test_options_that_a_run_is_too_old_for_get_today_s_defaults(config, resume):
     assert records.runs(run.parent) == [run]
 
 
+def test_an_option_of_a_contraction_that_conf_does_not_spell_out_is_known(tiny, resume):
+    run = stopped(tiny("train.steps=6", "contraction.name=box", "+contraction.half_extent=2.0", "threads=1"))
+    code, said = resume(run)
+    assert code == 0, said
+    assert state(run) == "finished"
+
+
 def test_options_that_are_known_no_longer_are_named(config, resume):
     run = as_of(stopped(config), lambda config: (config.update(old=1), config["train"].update(older=2)))
     code, said = resume(run)

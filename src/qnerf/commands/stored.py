@@ -6,7 +6,7 @@ its identity is that of the configuration as stored.
 """
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,9 @@ def check_identity(run: Path, fingerprint: str) -> None:
 def complete(config: dict[str, Any], today: Mapping[str, Any], label: str) -> list[str]:
     """Adds to `config` what only `today` has; returns it as key=value. ValueError names what only `config` has."""
     missing, unknown = list(_only_in(today, config)), list(_only_in(config, today))
-    unknown = [path for path in unknown if path[0] != "needs"]  # what its scene was found to need
+    # conf/ spells out neither what a scene was found to need nor what only some contractions have.
+    also = {("contraction", option) for option in _contraction_options(config)}
+    unknown = [path for path in unknown if path[0] != "needs" and path not in also]
     if unknown:
         names = ", ".join(".".join(path) for path in unknown)
         raise ValueError(f"{label}: written by another version of qnerf; this one has no option {names}")
@@ -72,6 +74,13 @@ def complete(config: dict[str, Any], today: Mapping[str, Any], label: str) -> li
         node[last] = copy.deepcopy(source[last])
         filled.append(f"{'.'.join([*groups, last])}={source[last]}")
     return filled
+
+
+def _contraction_options(config: Mapping[str, Any]) -> Collection[str]:
+    from qnerf.contraction import CONTRACTIONS
+
+    name = config.get("contraction", {}).get("name")
+    return CONTRACTIONS.options(name) if name in CONTRACTIONS.names() else ()
 
 
 def _only_in(one: Mapping[str, Any], other: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
