@@ -51,3 +51,13 @@ def test_noise_that_would_take_hours_is_refused(tiny):
     path = run(tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=12")).path
     with pytest.raises(ValueError, match=r"about .* hours for 1 views; noise is quick for runs with qiren\.spectral=1"):
         evaluate_hardware(load(path), grid([], "depolarizing", [0.01], 0))
+
+
+def test_hours_are_of_the_samples_that_circuits_see(tiny):
+    hours = []
+    for parts in (1, 4):
+        path = run(tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=14", "gate=merge", f"gate.parts={parts}")).path
+        with pytest.raises(ValueError, match="about") as refused:
+            evaluate_hardware(load(path), grid([], "depolarizing", [0.01], 0))
+        hours.append(int(str(refused.value).split("about ")[1].split(" hours")[0].replace(",", "")))
+    assert 3 * hours[0] < hours[1] < 4.1 * hours[0]  # where visibility closes a part, it is not evaluated

@@ -2,10 +2,12 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, fields
 
 import pandas as pd
 import torch
+from torch import Tensor
 
 from qnerf.checks import at_least
 from qnerf.evaluate import Evaluator
@@ -19,7 +21,8 @@ from qnerf.timing import Stopwatch
 
 FILE = "eval_hardware.parquet"
 CHANNELS = tuple(field.name for field in fields(Noise))
-DENSITY_SECONDS = 8e-6  # per entry of a sample's density matrix, S = 2, one core
+DENSITY_SECONDS = 3e-7  # per wire and entry of a sample's density matrix, one core; to a factor of 3, 4 to 8 wires
+RAYS = 64  # from which the samples of a view are counted
 KEYS = ["shots", "noise", "p", "seed"]
 """What tells the rows of one image apart: shots (0: exact), channel ("none": no noise), its probability, seed."""
 
@@ -52,13 +55,18 @@ def grid(shots: Sequence[int], noise: str, p: Sequence[float], seed: int) -> lis
 
 def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
     """ValueError where exact noise would take hours: with S > 1 every sample has a density matrix of 4^n entries."""
-    view = evaluator.scene.eval[0]
-    ray = evaluator.table.view(view)[:1]
-    with torch.no_grad():
-        rendering, _, _ = evaluator.model.eval()(ray, background=evaluator.background, step=0, watch=evaluator.watch)
-    samples = views * evaluator.table.pixels * rendering.weights.shape[1]
-    layers = [module for module in evaluator.model.modules() if isinstance(module, QuantumLayer)]
-    hours = samples * sum(4**layer.wires * DENSITY_SECONDS for layer in layers if layer.spectral > 1) / 3600
+    layers = [m for m in evaluator.model.modules() if isinstance(m, QuantumLayer) and m.spectral > 1]
+    rows: list[float] = []  # wires times entries of each sample that a circuit sees
+
+    def note(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
+        rows.append(len(inputs[0]) * layer.wires * 4.0**layer.wires)
+
+    rays = evaluator.table.view(evaluator.scene.eval[0])[:RAYS]
+    with ExitStack() as hooks, torch.no_grad():
+        for layer in layers:
+            hooks.callback(layer.register_forward_pre_hook(note).remove)
+        evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
+    hours = sum(rows) / len(rays) * views * evaluator.table.pixels * DENSITY_SECONDS / 3600
     if hours > 1:
         raise ValueError(
             f"noise: circuits with spectral > 1 need a density matrix a sample: about {hours:,.0f} hours "
