@@ -22,7 +22,8 @@ Every table is made by `python -m analysis.results docs/results --write docs/res
 PSNR and SSIM are those of held-out views, after the steps that a section names. Commands are those of `poster`;
 `fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. Runs of
 a table were not all trained at the same time: how long a step takes, `python -m benchmarks.training` measures.
-Figures are drawn of the store by `python -m analysis.pack runs docs/results/NAME --figures FIGURE`. {hardware}
+Commands with `density.init=torch` are of `train=quick` before its density MLPs started by He's rule. Figures are drawn
+of the store by `python -m analysis.pack runs docs/results/NAME --figures FIGURE`. {hardware}
 """
 
 
@@ -58,10 +59,31 @@ def sweep(name: str, *more: str) -> str:
     return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
 
 
+def before(name: str, *more: str) -> str:
+    """A sweep that was run when density MLPs of the quick recipe started as PyTorch starts them."""
+    return sweep(name, *more, "density.init=torch")
+
+
 def pieces(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
     """What values of an option are worth against one of them; experiments change a piece of the quick recipe each."""
     return Question(
         title, (command,), ("scene_name", key), {key: baseline}, ("psnr", "ssim", "depth_error"), stable=True
+    )
+
+
+def density_start(title: str, field: str, rate: str, initial: str) -> Question:
+    """What the rate and the start of a density head are worth, against those of the quick recipe."""
+    seeds = f"field={field} seed=0,1,2"
+    return Question(
+        title,
+        (
+            before("seeds", f"{seeds} train.rates.density=0.33,1.0"),
+            before("seeds", f"{seeds} density.initial=0.1,1.0"),
+        ),
+        ("scene_name", "train.rates.density", "density.initial"),
+        {"train.rates.density": rate, "density.initial": initial},
+        ("psnr", "ssim", "depth_error"),
+        stable=True,
     )
 
 
@@ -74,8 +96,20 @@ QUESTIONS = {
         ("scene_name", "field"),
         {"field": "classical"},
     ),
-    "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe")),
-    "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
+    "start": pieces(
+        "How may a density MLP start, below a colour circuit?",
+        sweep("seeds", "field=qcolor density.init=torch,he"),
+        "density.init",
+        "torch",
+    ),
+    "start_mlp": pieces(
+        "And below a colour MLP?",
+        sweep("seeds", "field=classical density.init=torch,he"),
+        "density.init",
+        "torch",
+    ),
+    "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", before("recipe")),
+    "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", before("recipe_more")),
     "seeds": Question(
         "How often does a field collapse?",
         (sweep("seeds"),),
@@ -87,8 +121,8 @@ QUESTIONS = {
     "small_heads": Question(
         "Is a quantum colour head level with MLPs of at most 700 parameters?",
         (
-            sweep("small_heads"),
-            sweep("small_heads", "color.init=he", f"experiment={SMALL_MLPS}"),
+            before("small_heads"),
+            before("small_heads", "color.init=he", f"experiment={SMALL_MLPS}"),
         ),
         ("scene_name", "color", "color.directions", "color.init"),
         {"color": "1L2S"},
@@ -97,44 +131,47 @@ QUESTIONS = {
     ),
     "control": Question(
         "Is it the circuit, or what the recipe gives it?",
-        (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.init=torch")),
+        (before("control"), before("control", "field=qcolor color.directions=raw color.init=torch")),
         ("scene_name", "color", "color.directions", "color.init"),
         {"color": "3x64", "color.directions": "raw", "color.init": "he"},
         ("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
+    "control_density": Question(
+        "And a circuit for density?",
+        (
+            sweep("control_density"),
+            sweep("control_density", "field=classical density.init=he color.init=he color.directions=raw"),
+            sweep("control_density", "field=qdensity,qboth density.init=torch"),
+        ),
+        ("scene_name", "field", "density.init", "color.init"),
+        {"field": "classical", "density.init": "he", "color.init": "torch"},
+        ("psnr", "ssim", "depth_error"),
+        stable=True,
+    ),
     "rates": pieces(
         "How fast may a colour circuit learn?",
-        sweep("seeds", "field=qcolor train.rates.color=0.33,1.0"),
+        before("seeds", "field=qcolor train.rates.color=0.33,1.0"),
         "train.rates.color",
         "1",
     ),
     "rates_mlp": pieces(
         "And a colour MLP?",
-        sweep("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
+        before("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
         "train.rates.color",
         "1",
     ),
-    "rates_density": Question(
-        "And a density circuit, and how dense may it start?",
-        (
-            sweep("seeds", "field=qdensity seed=0,1,2 train.rates.density=0.33,1.0"),
-            sweep("seeds", "field=qdensity seed=0,1,2 train.rates.density=0.33,1.0 density.initial=1.0"),
-        ),
-        ("scene_name", "train.rates.density", "density.initial"),
-        {"train.rates.density": "0.33", "density.initial": "0.1"},
-        ("psnr", "ssim", "depth_error"),
-        stable=True,
-    ),
+    "rates_density": density_start("And a density circuit, and how dense may it start?", "qdensity", "0.33", "0.1"),
+    "rates_density_mlp": density_start("And a density MLP?", "classical", "1", "1"),
     "directions": pieces(
         "How loud may the view direction be?",
-        sweep("directions", "train.rates.color=1.0"),
+        before("directions", "train.rates.color=1.0"),
         "color.direction_scale",
         "1",
     ),
     "init": pieces(
         "How loud may a circuit's values be?",
-        sweep(
+        before(
             "init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0 train.rates.color=1.0"
         ),
         "color.qiren.gain",
@@ -142,72 +179,76 @@ QUESTIONS = {
     ),
     "loss_curves": Question(
         "How do training and held-out loss go?",
-        (sweep("loss_curves"), "python -m analysis.figures runs loss"),
+        (before("loss_curves"), "python -m analysis.figures runs loss"),
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error"),
     ),
     "sampling": Question(
         "Where are rays to be sampled?",
-        (sweep("sampling"),),
+        (before("sampling"),),
         ("scene_name", "field", "sampler"),
         values=("psnr", "ssim", "depth_error"),
     ),
     "encoders": Question(
         "What are points to be encoded by?",
-        (sweep("encoders"),),
+        (before("encoders"),),
         ("scene_name", "field", "encoder"),
         values=("psnr", "ssim", "depth_error", "params.encoder", "params.density"),
     ),
     "poses": Question(
         "What does pose refinement make good?",
-        (sweep("poses"),),
+        (before("poses"),),
         ("scene_name", "field", "cameras", "poses.rotation"),
         values=("psnr", "ssim", "depth_error"),
     ),
     "rgb_width": Question(
         "How wide has an MLP of three layers to be?",
-        (sweep("rgb_width"),),
+        (before("rgb_width"),),
         ("scene_name", "color"),
         values=("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
     "rgb_depth": Question(
         "How deep may a narrow MLP be?",
-        (sweep("rgb_depth"),),
+        (before("rgb_depth"),),
         ("scene_name", "color"),
         values=("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
     "deep": Question(
         "Why does a deep, narrow MLP collapse?",
-        (sweep("deep"), "qnerf evaluate RUN units"),
-        ("scene_name", "color", "color.init"),
+        (
+            before("deep"),
+            before("deep", "color.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
+            "qnerf evaluate RUN units",
+        ),
+        ("scene_name", "color", "color.init", "train.rates.color"),
         values=("psnr", "ssim", "depth_error"),
         stable=True,
         alive=True,
     ),
     "rgb_table": Question(
-        "The paper's table of colour heads", (sweep("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)
+        "The paper's table of colour heads", (before("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)
     ),
     "both_table": Question(
         "The paper's table of both heads", (sweep("both_table"),), ("scene_name", "density", "color"), paper=("both",)
     ),
     "hash_table": Question(
         "The paper's hash tables",
-        (sweep("hash_table"),),
+        (before("hash_table"),),
         ("scene_name", "hash"),
         values=("psnr", "ssim", "depth_error", "params.encoder"),
         paper=("hash",),
     ),
     "pe_widths": Question(
         "Which width does an MLP need on a positional encoding?",
-        (sweep("pe_widths"),),
+        (before("pe_widths"),),
         ("scene_name", "density"),
         values=("psnr", "ssim", "depth_error", "params.density"),
     ),
     "hsv": Question(
         "The paper's colour study",
-        (sweep("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
+        (before("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error", "params.density", "params.color"),
     ),
@@ -219,7 +260,7 @@ QUESTIONS = {
     ),
     "density_pe": Question(
         "Is a quantum density head level with an MLP of its size on a positional encoding?",
-        (sweep("density_pe"),),
+        (before("density_pe"),),
         ("scene_name", "density"),
         {"density": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.density"),
@@ -227,7 +268,7 @@ QUESTIONS = {
     ),
     "ansatz": Question(
         "Which circuit?",
-        (sweep("ansatz"),),
+        (before("ansatz"),),
         ("scene_name", "color.qiren.ansatz"),
         {"color.qiren.ansatz": "qiren"},
         ("psnr", "ssim", "depth_error"),
@@ -236,7 +277,7 @@ QUESTIONS = {
     "shots": Question(
         "What do finite shots and noisy gates cost a trained circuit?",
         (
-            sweep("shots"),
+            before("shots"),
             "qnerf evaluate RUN shots=100,1000,10000",
             "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1",
         ),
@@ -246,7 +287,7 @@ QUESTIONS = {
     ),
     "noise": Question(
         "And two re-uploadings, on few enough qubits for exact noise?",
-        (sweep("noise"), "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1"),
+        (before("noise"), "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1"),
         ("scene_name", "color.qiren.qubits"),
         values=("psnr", "params.color"),
         measured=True,

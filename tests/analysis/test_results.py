@@ -69,7 +69,7 @@ def test_a_question_can_be_asked_of_its_sweep(name, tmp_path):
     for number, (columns, config) in enumerate(jobs(question)):
         for seed in (0, 1):
             write_run(tmp_path, seed=seed, columns={"number": number, **columns}, config=config)
-    question = dataclasses.replace(question, alive=False)  # what is probed is no part of the sweep
+    question = dataclasses.replace(question, alive=False, measured=False)  # what is probed is no part of the sweep
     titles = [table.title for table in question.tables(load.runs(tmp_path))]
     assert len(titles) == 1 + question.stable + len(question.paper)
 
