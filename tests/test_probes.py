@@ -219,7 +219,7 @@ def test_units_that_never_act_are_dead(tiny):
     outcome = run(tiny("field=classical", "train.steps=2", "color.layers=4", "color.width=5"))
     trained = load(outcome.path)
     with torch.no_grad():
-        trained.model.field.color_head.net[2].bias[:3] = -1e6
+        trained.model.field.color_head.net[2].bias.copy_(torch.tensor([-1e6, -1e6, -1e6, 1e6, 1e6]))
     table = PROBES["units"](trained)
     rows = table[(table["head"] == "color") & (table["kind"] == "relu")].set_index(["when", "layer"])
     assert rows.loc[("end", 1), "dead"] == pytest.approx(0.6)

@@ -88,7 +88,15 @@ def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
             swept = compose(name, return_hydra_config=True).hydra.sweeper.params or {}
             choices = {key: str(values) for key, values in swept.items() if key != "seed"}
             choices |= dict(override.split("=", 1) for override in overrides if not override.startswith("seed="))
-            for values in itertools.product(*(text.split(",") for text in choices.values())):
+            for values in itertools.product(*(some(key, text.split(","), question) for key, text in choices.items())):
                 job = [f"{key}={value}" for key, value in zip(choices, values, strict=True)]
                 config = OmegaConf.to_container(compose(name, job), resolve=True)
                 yield labels(config), {key: value for key, value in config.items() if key not in ("hydra", "seed")}
+
+
+def some(key: str, values: list[str], question: Question) -> list[str]:
+    """Every experiment, which may be anything; of an option two values, which show whether a row tells it."""
+    if key == "experiment":
+        return values
+    base = str((question.baseline or {}).get(key, values[0]))
+    return [value for value in values if value in (base, f"{base}.0", *values[:2])]
