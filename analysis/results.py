@@ -185,7 +185,7 @@ QUESTIONS = {
     ),
     "sampling": Question(
         "Where are rays to be sampled?",
-        (before("sampling"),),
+        (sweep("sampling"),),
         ("scene_name", "field", "sampler"),
         values=("psnr", "ssim", "depth_error"),
     ),
@@ -260,15 +260,18 @@ QUESTIONS = {
     ),
     "density_pe": Question(
         "Is a quantum density head level with an MLP of its size on a positional encoding?",
-        (before("density_pe"),),
-        ("scene_name", "density"),
+        (
+            sweep("density_pe", "experiment=pe_1L2S,pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8"),
+            sweep("density_pe", "experiment=pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8 density.init=he"),
+        ),
+        ("scene_name", "density", "density.init"),
         {"density": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.density"),
         stable=True,
     ),
     "ansatz": Question(
         "Which circuit?",
-        (before("ansatz"),),
+        (sweep("ansatz", "seed=0"),),
         ("scene_name", "color.qiren.ansatz"),
         {"color.qiren.ansatz": "qiren"},
         ("psnr", "ssim", "depth_error"),
