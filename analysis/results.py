@@ -78,7 +78,7 @@ def density_start(title: str, field: str, rate: str, initial: str) -> Question:
         title,
         (
             before("seeds", f"{seeds} train.rates.density=0.33,1.0"),
-            before("seeds", f"{seeds} density.initial=0.1,1.0"),
+            before("seeds", f"{seeds} train.rates.density=1.0 density.initial=0.1,1.0"),
         ),
         ("scene_name", "train.rates.density", "density.initial"),
         {"train.rates.density": rate, "density.initial": initial},
@@ -248,7 +248,11 @@ QUESTIONS = {
     ),
     "hsv": Question(
         "The paper's colour study",
-        (before("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
+        (
+            before("hsv", "density.qiren.sum_layers=true"),
+            "python -m analysis.tables runs --paper hsv",
+            "python -m analysis.figures runs hsv",
+        ),
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error", "params.density", "params.color"),
     ),
