@@ -34,7 +34,18 @@ def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
     """The runs of `frame`, one a row as `load.runs` gives them, that finished with a finite `metric`.
 
     One that repeats another in seed and every setting that acts is left out; settings that do not act are None.
-    ValueError where there is none: it says how many runs there are, in which states, and which metrics they have.
+    ValueError as `finite` raises it.
+    """
+    kept, left = finite(frame, metric)
+    again = what_acts(kept).duplicated()
+    left["repeating another"] = int(again.sum())
+    return Selection(acting(kept[~again]), {reason: count for reason, count in left.items() if count})
+
+
+def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, int]]:
+    """The runs that finished with a finite `metric`, and how many did not, by reason.
+
+    ValueError where none did: it says how many runs there are, in which states, and which metrics they have.
     """
     states = frame["state"].fillna("unknown").value_counts()
     finished = frame[frame["state"] == "finished"]
@@ -50,9 +61,7 @@ def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
         raise ValueError(f"none of {len(finished)} finished runs has {metric}{why}; have: {_listed(finished)}")
     left = states.drop("finished").to_dict()
     left |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
-    again = what_acts(kept).duplicated()
-    left["repeating another"] = int(again.sum())
-    return Selection(acting(kept[~again]), {reason: count for reason, count in left.items() if count})
+    return kept, left
 
 
 def measured(runs: pd.DataFrame) -> list[str]:

@@ -38,11 +38,8 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
     table = runs[keys].map(str)
     for head, circuits in QUANTUM.items():
         quantum = runs["field"].isin(circuits)
-        for key in keys:
-            if key.startswith(f"{head}.qiren."):
-                table.loc[~quantum, key] = ""
-            elif key in (f"{head}.layers", f"{head}.width", f"{head}.init"):
-                table.loc[quantum, key] = ""
+        table.loc[~quantum, [key for key in keys if key.startswith(f"{head}.qiren.")]] = ""
+        table.loc[quantum, [key for key in keys if key in (f"{head}.layers", f"{head}.width", f"{head}.init")]] = ""
     if {"color.directions", "color.direction_scale"} <= set(table):
         table.loc[table["color.directions"] != "raw", "color.direction_scale"] = ""
     return table
@@ -50,8 +47,9 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
 
 def what_acts(runs: pd.DataFrame) -> pd.DataFrame:
     """Scene, seed and everything that decides a run's numbers: runs that agree in all of it did the same."""
-    labels = acting(runs).filter(["scene_name", "seed", *LABELS])
-    return pd.concat([labels, effective(runs).add_prefix("setting ")], axis=1)
+    settings = effective(runs)
+    labels = _without_idle(runs, settings).filter(["scene_name", "seed", *LABELS])
+    return pd.concat([labels, settings.add_prefix("setting ")], axis=1)
 
 
 def first_of_each(frame: pd.DataFrame) -> pd.Series:
@@ -66,7 +64,10 @@ def first_of_each(frame: pd.DataFrame) -> pd.Series:
 
 def acting(runs: pd.DataFrame) -> pd.DataFrame:
     """The runs without the settings that do not act in them: None there, and in the labels of such settings."""
-    settings = effective(runs)
+    return _without_idle(runs, effective(runs))
+
+
+def _without_idle(runs: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
     table = runs.drop(columns=[name for name in configuration(runs) if name not in settings])
     for name in settings:
         idle = settings[name] == ""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis.selection import check_keys, refuse_mixtures, select
+from analysis.selection import check_keys, finite, refuse_mixtures, select
 from analysis.tables.values import VALUES
 
 
@@ -28,7 +28,7 @@ def values_of(runs: pd.DataFrame, metric: str, asked: Sequence[str] | None) -> l
     if asked is None:
         return [name for name in dict.fromkeys([*VALUES, metric]) if name in runs.columns and _is_given(name, runs)]
     for name in asked:
-        select(runs, name)  # refuses what is not there
+        finite(runs, name)  # refuses what is not there
     return list(dict.fromkeys(asked))
 
 
