@@ -1,5 +1,6 @@
 """The index on disk: damaged, of another format, where none may be written, refreshed by several at once."""
 
+import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -40,6 +41,19 @@ def test_a_damaged_index_counts_as_none(tmp_path: Path, how: str) -> None:
     pd.testing.assert_frame_equal(index.load(store), expected)
     for path in written:
         assert kept.Kept.load([store / ".index"], path.name).keys == ["a", "b"]
+
+
+@pytest.mark.usefixtures("settled")
+def test_what_a_killed_writer_left_goes_and_what_somebody_writes_stays(tmp_path: Path) -> None:
+    write(tmp_path, "a", psnr=1.0)
+    (tmp_path / ".index").mkdir()
+    left, written = (tmp_path / ".index" / f".{SUMMARY}.index.{nonce}.tmp" for nonce in ("0a", "0b"))
+    for path in (left, written):
+        path.touch()
+    os.utime(left, (0, 0))
+    index.load(tmp_path)
+    assert not left.exists()
+    assert written.exists()
 
 
 @pytest.mark.usefixtures("settled")

@@ -6,6 +6,7 @@ import os
 import secrets
 import shutil
 import stat
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -159,10 +160,12 @@ def keep_copy(path: Path, name: Path) -> None:
     temporary.unlink(missing_ok=True)  # it stays where both are links to one file already
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Temporary files of a writer that was killed."""
+def remove_leftovers(folder: Path, *, age_s: float = 0.0) -> None:
+    """Temporary files of a writer that was killed. age_s: only those so old, where others may be writing."""
     for path in folder.glob(".*.tmp"):
         with contextlib.suppress(OSError):
+            if age_s and time.time() - path.lstat().st_mtime < age_s:
+                continue
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:

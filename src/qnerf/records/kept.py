@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from qnerf.records.files import StoreError, read_bytes, replace
+from qnerf.records.files import StoreError, read_bytes, remove_leftovers, replace
 from qnerf.records.shapes import KEY, SCHEMA, STAMP, Rows, Shape, physicals
 
 FORMAT = 1
@@ -19,6 +19,8 @@ FORMAT = 1
 
 _METADATA = b"qnerf.index"
 _MOST_BYTES = 2**31
+_LEFT_S = 3600.0
+"""Nobody writes an index for so long: a temporary file of that age is of somebody who was killed."""
 
 
 class Kept:
@@ -71,6 +73,7 @@ def save(rows: Rows, folders: Sequence[Path], name: str) -> None:
             if folder.is_symlink():  # what lies where it leads is not ours to replace
                 continue
             replace(folder / name, _checksum(content) + content, durable=False)
+            remove_leftovers(folder, age_s=_LEFT_S)
             return
 
 
