@@ -120,10 +120,7 @@ QUESTIONS = {
     ),
     "small_heads": Question(
         "Is a quantum colour head level with MLPs of at most 700 parameters?",
-        (
-            before("small_heads"),
-            before("small_heads", "color.init=he", f"experiment={SMALL_MLPS}"),
-        ),
+        (sweep("small_heads"), sweep("small_heads", "color.init=he", f"experiment={SMALL_MLPS}")),
         ("scene_name", "color", "color.directions", "color.init"),
         {"color": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.color"),
@@ -185,13 +182,13 @@ QUESTIONS = {
     ),
     "sampling": Question(
         "Where are rays to be sampled?",
-        (sweep("sampling"),),
+        (sweep("sampling"), "qnerf evaluate RUN rays", "python -m analysis.figures runs sampling"),
         ("scene_name", "field", "sampler"),
         values=("psnr", "ssim", "depth_error"),
     ),
     "encoders": Question(
         "What are points to be encoded by?",
-        (before("encoders"),),
+        (sweep("encoders"), "qnerf evaluate RUN encoding", "python -m analysis.figures runs encodings"),
         ("scene_name", "field", "encoder"),
         values=("psnr", "ssim", "depth_error", "params.encoder", "params.density"),
     ),
@@ -242,7 +239,7 @@ QUESTIONS = {
     ),
     "pe_widths": Question(
         "Which width does an MLP need on a positional encoding?",
-        (before("pe_widths"),),
+        (sweep("pe_widths"),),
         ("scene_name", "density"),
         values=("psnr", "ssim", "depth_error", "params.density"),
     ),
