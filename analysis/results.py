@@ -200,17 +200,15 @@ QUESTIONS = {
     ),
     "rgb_width": Question(
         "How wide has an MLP of three layers to be?",
-        (before("rgb_width"),),
+        (sweep("rgb_width", "seed=0"), "python -m analysis.figures runs width"),
         ("scene_name", "color"),
         values=("psnr", "ssim", "depth_error", "params.color"),
-        stable=True,
     ),
     "rgb_depth": Question(
         "How deep may a narrow MLP be?",
-        (before("rgb_depth"),),
+        (sweep("rgb_depth", "seed=0"), "python -m analysis.figures runs depth"),
         ("scene_name", "color"),
         values=("psnr", "ssim", "depth_error", "params.color"),
-        stable=True,
     ),
     "deep": Question(
         "Why does a deep, narrow MLP collapse?",
@@ -246,7 +244,7 @@ QUESTIONS = {
     "hsv": Question(
         "The paper's colour study",
         (
-            before("hsv", "density.qiren.sum_layers=true"),
+            sweep("hsv"),
             "python -m analysis.tables runs --paper hsv",
             "python -m analysis.figures runs hsv",
         ),
@@ -276,7 +274,6 @@ QUESTIONS = {
         ("scene_name", "color.qiren.ansatz"),
         {"color.qiren.ansatz": "qiren"},
         ("psnr", "ssim", "depth_error"),
-        stable=True,
     ),
     "shots": Question(
         "What do finite shots and noisy gates cost a trained circuit?",
