@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from qnerf.quantum import adjoint, hardware, lightcone, pennylane, statevector
+from qnerf.quantum import adjoint, lightcone, measurement, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, check_wires
 from qnerf.quantum.initial import INITS
 from qnerf.quantum.plan import Plan, make_plan
@@ -26,8 +26,7 @@ class QuantumLayer(nn.Module):
     wires      n, 1..14
     spectral   S, encodings of the input (data re-uploadings), at least 1
     method     auto: the cheaper exact engine for the batch at hand (`plan` tells which); lightcone: trigonometric
-    polynomials;
-               statevector: simulation; pennylane: a PennyLane device
+               polynomials; statevector: simulation; pennylane: a PennyLane device
     ansatz     a name in `circuit.ANSATZE`; ansatz_options are its keyword-only parameters
     init       a name in `initial.INITS`; drawn from torch's global generator
     backend    compiled: CPU code with its own backward; torch: plain PyTorch, any device, differentiable twice; auto:
@@ -72,7 +71,7 @@ class QuantumLayer(nn.Module):
         self.circuit: Circuit = ANSATZE.build(ansatz, wires, spectral, **(ansatz_options or {}))
         self.program = compile_program(self.circuit)
         self.method, self.backend = method, backend
-        self.conditions: hardware.Conditions | None = None
+        self.conditions: measurement.Conditions | None = None
         self._node: Callable[[Tensor, Tensor], Tensor] | None = None
         if method == "pennylane":
             self._node = pennylane.make_node(
@@ -135,7 +134,7 @@ class QuantumLayer(nn.Module):
         given = self.conditions
         if given is not None:
             exact = self._exact(x, weights) if given.needs_exact else None
-            return hardware.measure(self.circuit, x, weights, exact, given)
+            return measurement.measure(self.circuit, x, weights, exact, given)
         return self._exact(x, weights)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
