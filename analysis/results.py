@@ -223,7 +223,7 @@ QUESTIONS = {
         alive=True,
     ),
     "rgb_table": Question(
-        "The paper's table of colour heads", (before("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)
+        "The paper's table of colour heads", (sweep("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)
     ),
     "both_table": Question(
         "The paper's table of both heads", (sweep("both_table"),), ("scene_name", "density", "color"), paper=("both",)
