@@ -194,7 +194,7 @@ QUESTIONS = {
     ),
     "poses": Question(
         "What does pose refinement make good?",
-        (before("poses"),),
+        (sweep("poses"),),
         ("scene_name", "field", "cameras", "poses.rotation"),
         values=("psnr", "ssim", "depth_error"),
     ),
@@ -253,7 +253,7 @@ QUESTIONS = {
     ),
     "density_figure": Question(
         "The paper's figure of quantum density heads on a positional encoding",
-        (sweep("density_figure"), "python -m analysis.figures runs capacity_density"),
+        (sweep("density_figure", "density.qiren.layers=1"), "python -m analysis.figures runs capacity_density"),
         ("scene_name", "density"),
         values=("psnr", "ssim", "depth_error", "params.density"),
     ),
