@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 COLUMN, PAGE = 3.35, 6.9  # inches
 
@@ -101,9 +101,13 @@ def series(number: int) -> dict[str, str]:
 
 
 def plain_ticks(ax: Axes) -> None:
-    """Ticks of a logarithmic x axis as plain numbers (2k, 50k, 1M), at 1, 2 and 5 where it spans few decades."""
+    """Ticks of a logarithmic x axis as plain numbers (2k, 50k, 1M): at 1, 2 and 5 where it spans few decades, at equal
+    steps where less than half a one.
+    """
     low, high = ax.get_xlim()
-    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if math.log10(high / low) < 2 else (1,)))
+    decades = math.log10(high / low)
+    steps = MaxNLocator(5) if decades < 0.5 else LogLocator(subs=(1, 2, 5) if decades < 2 else (1,))
+    ax.xaxis.set_major_locator(steps)
     ax.xaxis.set_major_formatter(FuncFormatter(_plain))
     ax.xaxis.set_minor_formatter(NullFormatter())
 

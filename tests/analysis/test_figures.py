@@ -283,3 +283,12 @@ def test_colours_of_a_palette_differ_in_lightness_or_marker():
     looks = [tuple(style.series(number).values()) for number in range(8)]
     assert len(set(looks)) == 8
     assert len({marker for _, marker in looks}) == 8
+
+
+def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():
+    ax = style.new(style.COLUMN, 2).subplots()
+    ax.set(xscale="log", xlim=(800, 1400))
+    style.plain_ticks(ax)
+    shown = [tick for tick in ax.get_xticks() if 800 <= tick <= 1400]
+    assert len(shown) >= 3
+    assert np.allclose(np.diff(shown), shown[1] - shown[0])
