@@ -176,7 +176,7 @@ QUESTIONS = {
     ),
     "loss_curves": Question(
         "How do training and held-out loss go?",
-        (before("loss_curves"), "python -m analysis.figures runs loss"),
+        (sweep("loss_curves"), "python -m analysis.figures runs loss"),
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error"),
     ),
@@ -230,7 +230,7 @@ QUESTIONS = {
     ),
     "hash_table": Question(
         "The paper's hash tables",
-        (before("hash_table"),),
+        (sweep("hash_table"),),
         ("scene_name", "hash"),
         values=("psnr", "ssim", "depth_error", "params.encoder"),
         paper=("hash",),
