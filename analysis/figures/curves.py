@@ -55,7 +55,7 @@ def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
         ax.set(title=scene, xlabel="optimisation step", yscale="log")
     axes[0].set_ylabel("mean squared colour error")
     style.legend(figure, columns=1 if len(axes) == 1 else 2)
-    lines = "solid: training; dashed: held out, 10^(-PSNR/10), on the way of the first views alone"
+    lines = "solid: training; dashed: held out, 10^(-PSNR/10), of the first train.eval_views views"
     style.footnote(figure, lines, points.seeds(table, "bands"), note, select(frame).note)
     return figure
 
@@ -88,7 +88,7 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
         ax.set(title=scene, xlabel="training time, s")
     axes[0].set_ylabel("held-out PSNR, dB")
     style.legend(figure, columns=1 if len(axes) == 1 else 2)
-    views = "on the way of the first views alone, at the end of all"
+    views = "of the first train.eval_views views"
     style.footnote(figure, views, points.seeds(table), note, select(frame).note)
     return figure
 
