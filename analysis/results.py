@@ -214,7 +214,6 @@ QUESTIONS = {
         "Why does a deep, narrow MLP collapse?",
         (
             before("deep"),
-            before("deep", "color.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
             "qnerf evaluate RUN units",
         ),
         ("scene_name", "color", "color.init", "train.rates.color"),
@@ -243,11 +242,7 @@ QUESTIONS = {
     ),
     "hsv": Question(
         "The paper's colour study",
-        (
-            sweep("hsv"),
-            "python -m analysis.tables runs --paper hsv",
-            "python -m analysis.figures runs hsv",
-        ),
+        (sweep("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
         ("scene_name", "field"),
         values=("psnr", "ssim", "depth_error", "params.density", "params.color"),
     ),

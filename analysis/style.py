@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 COLUMN, PAGE = 3.35, 6.9  # inches
 
@@ -106,8 +106,11 @@ def plain_ticks(ax: Axes) -> None:
     """
     low, high = ax.get_xlim()
     decades = math.log10(high / low)
-    steps = MaxNLocator(5) if decades < 0.5 else LogLocator(subs=(1, 2, 5) if decades < 2 else (1,))
-    ax.xaxis.set_major_locator(steps)
+    if decades < 0.5:
+        ax.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+        ax.xaxis.set_minor_locator(NullLocator())
+    else:
+        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2 else (1,)))
     ax.xaxis.set_major_formatter(FuncFormatter(_plain))
     ax.xaxis.set_minor_formatter(NullFormatter())
 
