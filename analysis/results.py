@@ -214,6 +214,7 @@ QUESTIONS = {
         "Why does a deep, narrow MLP collapse?",
         (
             before("deep"),
+            before("deep", "color.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
             "qnerf evaluate RUN units",
         ),
         ("scene_name", "color", "color.init", "train.rates.color"),
