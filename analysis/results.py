@@ -40,12 +40,14 @@ class Question:
     alive: bool = False
     measured: bool = False
     paper: tuple[str, ...] = ()
+    also: tuple[Mapping[str, object], ...] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """Its tables over seeds: differences from the baseline, the seeds that failed, how alive colour heads are, what
-        hardware would render, the paper's beside ours."""
+        """Its tables over seeds: differences from the baseline and from `also`, the seeds that failed, how alive colour
+        heads are, what hardware would render, the paper's beside ours."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
         made = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
+        made += [ablation(frame, self.rows, values=("psnr",), baseline=other) for other in self.also]
         if self.stable:
             made.append(stability(frame, self.rows))
         if self.alive:
@@ -84,6 +86,7 @@ def density_start(title: str, field: str, rate: str, initial: str) -> Question:
         {"train.rates.density": rate, "density.initial": initial},
         ("psnr", "ssim", "depth_error"),
         stable=True,
+        also=() if rate == "1" else ({"train.rates.density": "1", "density.initial": initial},),
     )
 
 
@@ -115,8 +118,9 @@ QUESTIONS = {
         (sweep("seeds", "field=classical,qdensity color.directions=raw color.init=he"), sweep("seeds")),
         ("scene_name", "field", "color.init"),
         {"field": "classical", "color.init": "he"},
-        values=("psnr", "ssim", "depth_error"),
+        ("psnr", "ssim", "depth_error"),
         stable=True,
+        also=({"field": "classical", "color.init": "torch"},),
     ),
     "small_heads": Question(
         "Is a quantum colour head level with MLPs of at most 700 parameters?",

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from PIL import Image
 
 # Examples are the same in every run; how long one takes is nobody's promise.
@@ -25,6 +25,7 @@ hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
 ROOT = Path(__file__).parents[1]
 CONF = ROOT / "conf"
+SWEEPS = ROOT / "sweeps"
 DATA = ROOT.parent / "shared" / "data"
 
 TINY = (
@@ -37,10 +38,20 @@ TINY = (
 """A proposal sampler small enough for a unit test."""
 
 
-def composed(*overrides: str) -> dict[str, Any]:
-    """The resolved configuration that these overrides give on the command line."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return OmegaConf.to_container(compose("config", list(overrides)), resolve=True)  # type: ignore[return-value]
+def composed(*overrides: str, sweep: str = "") -> dict[str, Any]:
+    """The resolved configuration that these overrides give on the command line, `-cd sweeps -cn sweep` where named."""
+    return OmegaConf.to_container(_compose(overrides, sweep), resolve=True)  # type: ignore[return-value]
+
+
+def swept(sweep: str) -> dict[str, str]:
+    """What a file of sweeps/ sweeps over: option -> its values as the command line would give them."""
+    return {key: str(values) for key, values in _compose((), sweep, hydra=True).hydra.sweeper.params.items()}
+
+
+def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictConfig:
+    search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
+    with initialize_config_dir(str(SWEEPS if sweep else CONF), version_base="1.3"):
+        return compose(sweep or "config", [*overrides, *search], return_hydra_config=hydra)
 
 
 @pytest.fixture

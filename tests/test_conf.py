@@ -1,13 +1,10 @@
 """Every choice of every group composes, builds and takes two steps; conf/ and the registries name the same things."""
 
 import json
-import shutil
 
 import pytest
-from conftest import CONF, TINY, composed, write_scene
-from hydra import compose, initialize_config_dir
+from conftest import CONF, SWEEPS, TINY, composed, swept, write_scene
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import OmegaConf
 
 from qnerf.cameras import CAMERAS
 from qnerf.config import settings_from
@@ -113,21 +110,15 @@ def test_every_experiment_trains(tiny, name):
     assert finished(tiny(f"experiment={name}"))["experiment"] == name
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in (CONF.parent / "sweeps").glob("*.yaml")))
-def test_every_job_of_every_sweep_is_a_configuration(name, tmp_path):
+@pytest.mark.parametrize("name", sorted(path.stem for path in SWEEPS.glob("*.yaml")))
+def test_every_job_of_every_sweep_is_a_configuration(name):
     """Composed as `-cd sweeps -cn name` composes it, with each value of each parameter, and checked."""
-    both = tmp_path / "conf"
-    shutil.copytree(CONF, both)
-    shutil.copy(CONF.parent / "sweeps" / f"{name}.yaml", both)
-    with initialize_config_dir(str(both), version_base="1.3"):
-        parameters = compose(name, return_hydra_config=True).hydra.sweeper.params
-        assert parameters
-        for key, values in parameters.items():
-            sweep = OverridesParser.create().parse_override(f"{key}={values}")
-            jobs = list(sweep.sweep_string_iterator()) if sweep.is_sweep_override() else [values]
-            for value in jobs:
-                config = OmegaConf.to_container(compose(name, [f"{key}={value}", "budget=smoke"]), resolve=True)
-                assert settings_from(config).train.steps == 100
+    parameters = swept(name)
+    assert parameters
+    for key, values in parameters.items():
+        parsed = OverridesParser.create().parse_override(f"{key}={values}")
+        for value in parsed.sweep_string_iterator() if parsed.is_sweep_override() else [values]:
+            assert settings_from(composed(f"{key}={value}", "budget=smoke", sweep=name)).train.steps == 100
 
 
 @pytest.mark.parametrize("contraction", CONTRACTIONS.names())

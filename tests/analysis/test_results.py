@@ -1,14 +1,10 @@
 import dataclasses
 import itertools
-import shutil
-import tempfile
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import ROOT
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from conftest import ROOT, composed, swept
 from stores import write_run
 
 from analysis import load
@@ -71,27 +67,22 @@ def test_a_question_can_be_asked_of_its_sweep(name, tmp_path):
             write_run(tmp_path, seed=seed, columns={"number": number, **columns}, config=config)
     question = dataclasses.replace(question, alive=False, measured=False)  # what is probed is no part of the sweep
     titles = [table.title for table in question.tables(load.runs(tmp_path))]
-    assert len(titles) == 1 + question.stable + len(question.paper)
+    assert len(titles) == 1 + len(question.also) + question.stable + len(question.paper)
 
 
 def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Labels and configuration of each job of the question's sweep, but for the seeds."""
-    words = question.commands[0].split()
-    overrides = [word for word in words[2:] if "=" in word]
-    with tempfile.TemporaryDirectory() as folder:
-        both = shutil.copytree(ROOT / "conf", f"{folder}/conf")
-        name = "config"
-        if "-cn" in words:
-            name = words[words.index("-cn") + 1]
-            shutil.copy(ROOT / "sweeps" / f"{name}.yaml", both)
-        with initialize_config_dir(both, version_base="1.3"):
-            swept = compose(name, return_hydra_config=True).hydra.sweeper.params or {}
-            choices = {key: str(values) for key, values in swept.items() if key != "seed"}
-            choices |= dict(override.split("=", 1) for override in overrides if not override.startswith("seed="))
-            for values in itertools.product(*(some(key, text.split(","), question) for key, text in choices.items())):
-                job = [f"{key}={value}" for key, value in zip(choices, values, strict=True)]
-                config = OmegaConf.to_container(compose(name, job), resolve=True)
-                yield labels(config), {key: value for key, value in config.items() if key not in ("hydra", "seed")}
+    """Labels and configuration of each job of the question's sweeps, but for the seeds."""
+    for command in question.commands:
+        words = command.split()
+        if "src.run" not in words:
+            continue
+        sweep = words[words.index("-cn") + 1] if "-cn" in words else ""
+        choices = (swept(sweep) if sweep else {}) | dict(word.split("=", 1) for word in words if "=" in word)
+        choices.pop("seed", None)
+        for values in itertools.product(*(some(key, text.split(","), question) for key, text in choices.items())):
+            job = (f"{key}={value}" for key, value in zip(choices, values, strict=True))
+            config = composed(*job, sweep=sweep)
+            yield labels(config), {key: value for key, value in config.items() if key != "seed"}
 
 
 def some(key: str, values: list[str], question: Question) -> list[str]:
