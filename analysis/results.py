@@ -18,12 +18,13 @@ HEAD = """\
 # Results
 
 Every table is made by `python -m analysis.results docs/results --write docs/results.md` from the runs in
-`docs/results/`, one folder a question; `python -m analysis.tables docs/results/NAME --rows ...` makes others of them.
-PSNR and SSIM are those of held-out views, after the steps that a section names. Commands are those of `poster`;
-`fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with `scene=nerfstudio scene.path=DIR`. Runs of
-a table were not all trained at the same time: how long a step takes, `python -m benchmarks.training` measures.
-Commands with `density.init=torch` are of `train=quick` before its density MLPs started by He's rule. Figures are drawn
-of the store by `python -m analysis.pack runs docs/results/NAME --figures FIGURE`. {hardware}
+`docs/results/`, one folder a question; the last commands of a section make its tables alone, with other `--rows`
+other ones. PSNR and SSIM are those of held-out views, 5 of `fox_64` and 22 of `poster`, after the steps that a section
+names. Commands are those of `poster`; `fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with
+`scene=nerfstudio scene.path=DIR`. Runs of a table were not all trained at the same time: how long a step takes,
+`python -m benchmarks.training` measures. Commands with `density.init=torch` are of `train=quick` before its density
+MLPs started by He's rule. Figures are drawn of the store by `python -m analysis.pack runs docs/results/NAME --figures
+FIGURE`. {hardware}
 """
 
 
@@ -55,6 +56,13 @@ class Question:
         if self.measured:
             made.append(hardware(frame, self.rows))
         return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
+
+    def shown(self, name: str) -> list[str]:
+        """The commands that make its tables over seeds of the committed runs."""
+        made = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
+        baselines = [] if self.baseline is None else [self.baseline, *self.also]
+        told = [",".join(f"{key}={value}" for key, value in baseline.items()) for baseline in baselines]
+        return [f"{made} --baseline {one}" for one in told] or [made]
 
 
 def sweep(name: str, *more: str) -> str:
@@ -325,7 +333,7 @@ def page(folder: Path) -> str:
     parts = [HEAD.format(hardware=file.read_text().strip() if file.is_file() else "").rstrip()]
     for name, question in QUESTIONS.items():
         if name in there:
-            parts += section(question, load.runs(folder / name)) + kept(folder / name)
+            parts += section(name, question, load.runs(folder / name)) + kept(folder / name)
     return "\n\n".join(parts) + "\n"
 
 
@@ -339,13 +347,13 @@ def kept(folder: Path) -> list[str]:
     return tables + pictures
 
 
-def section(question: Question, frame: pd.DataFrame) -> list[str]:
+def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:
     budgets = frame.groupby("train")["train.steps"].unique()
     told = "; ".join(
         f"`train={name}`, {', '.join(f'{n:,}' for n in sorted(steps))} steps" for name, steps in budgets.items()
     )
     seeds = ", ".join(map(str, sorted(frame["seed"].unique())))
-    commands = "\n".join(f"    {line}" for line in question.commands)
+    commands = "\n".join(f"    {line}" for line in (*question.commands, *question.shown(name)))
     tables = [f"**{table.title}**\n\n{table.markdown()}" for table in question.tables(frame)]
     return [f"## {question.title}", commands, f"{len(frame)} runs; {told}; seeds {seeds}.", *tables]
 

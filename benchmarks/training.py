@@ -7,6 +7,8 @@ Prints, and saves as benchmarks/results/training.parquet:
 - the ratios that the project promises, both sides measured in turn in one run: the compiled loops against their plain
   PyTorch references, circuits against the classical head and against PennyLane, evaluation against training;
 - the hash tables C1 to C7, whose optimiser and gradient cost what their size costs; the paper's recipe.
+
+Rows that are not measured again stay in the file.
 """
 
 import argparse
@@ -38,6 +40,7 @@ FIELDS = ("classical", "qcolor", "qdensity", "qboth")
 ENCODERS = ("hash", "pe", "rff", "none")
 CIRCUITS = tuple(f"{layers}L{spectral}S" for layers in range(1, 5) for spectral in range(1, 5))
 NO_GATE = "gate=none"
+RAW = "field=classical color.directions=raw color.init=he"
 RATIOS = {  # name -> overrides above, overrides below, what is promised
     "plain references / compiled, classical C5": (
         f"field=classical {NO_GATE}",
@@ -56,6 +59,7 @@ RATIOS = {  # name -> overrides above, overrides below, what is promised
         f"{name} / classical, gate=merge": (f"field=qcolor qiren={name}", "field=classical", promised)
         for name, promised in (("1L1S", ""), ("1L2S", "at most 1.3"), ("3L4S", "at most 2.0"))
     },
+    **{f"{field} 1L2S / classical with raw directions, gate=merge": (f"field={field}", RAW, "") for field in FIELDS},
     **{
         f"PennyLane / qnerf, {name}, no gate": (
             f"field=qcolor qiren={name} qiren.method=pennylane {NO_GATE}",
@@ -203,6 +207,16 @@ def evaluation(overrides: str, rounds: int) -> dict[str, object]:
     return row | {"ratio": above / below, "promised": "at most 1"}
 
 
+def kept(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame`, and what the file has that was not measured again."""
+    if not RESULTS.exists():
+        return frame
+    old = pd.read_parquet(RESULTS)
+    key = ["name", "threads"]
+    again = old.set_index(key).index.isin(frame.set_index(key).index)
+    return pd.concat([old[~again], frame], ignore_index=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=40, help="measured steps a row and a ratio (default 40)")
@@ -239,7 +253,7 @@ def main() -> None:
     if "ms" in frame:
         print(frame[frame["kind"] == "step"][columns].round(2).to_string(index=False))
     RESULTS.parent.mkdir(exist_ok=True)
-    frame.to_parquet(RESULTS, index=False)
+    kept(frame).to_parquet(RESULTS, index=False)
     print(f"medians of {options.rounds}; saved to {RESULTS}")
 
 
