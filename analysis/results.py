@@ -157,6 +157,7 @@ QUESTIONS = {
         {"field": "classical", "density.init": "he", "color.init": "torch"},
         ("psnr", "ssim", "depth_error"),
         stable=True,
+        also=({"field": "classical", "density.init": "torch", "color.init": "torch"},),
     ),
     "rates": pieces(
         "How fast may a colour circuit learn?",
@@ -261,7 +262,7 @@ QUESTIONS = {
     ),
     "density_figure": Question(
         "The paper's figure of quantum density heads on a positional encoding",
-        (sweep("density_figure", "density.qiren.layers=1"), "python -m analysis.figures runs capacity_density"),
+        (sweep("density_figure"), "python -m analysis.figures runs capacity_density"),
         ("scene_name", "density"),
         values=("psnr", "ssim", "depth_error", "params.density"),
     ),
