@@ -23,7 +23,7 @@ def count(module: torch.nn.Module) -> int:
 
 
 def field(*overrides: str):
-    return build_field(settings_from(composed(*overrides)), views=1)
+    return build_field(settings_from(composed(*overrides)), views=1, trained=[0])
 
 
 def circuit(head: str, label: str) -> list[str]:

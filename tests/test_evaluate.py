@@ -57,6 +57,14 @@ def test_a_picture_has_four_panels_enlarged(make):
     np.testing.assert_array_equal(picture[::40, : 8 * 40 : 40], truth)
 
 
+def test_a_large_view_is_shaded_by_some_of_its_pixels(monkeypatch):
+    """`torch.quantile` takes 2^24 values at most."""
+    depth = torch.rand(64, 65, generator=torch.Generator().manual_seed(0)) + 1
+    whole = shade(depth)
+    monkeypatch.setattr("qnerf.evaluate.MOST", 1000)
+    torch.testing.assert_close(shade(depth), whole, rtol=0, atol=0.02)
+
+
 def test_near_depth_is_brighter_than_far():
     shaded = shade(torch.tensor([[1.0, 2.0, 1000.0]])).sum(-1)
     assert shaded[0, 0] > shaded[0, 1] > shaded[0, 2]

@@ -14,9 +14,8 @@ from qnerf.visibility import SpaceMask
 @pytest.fixture
 def field():
     torch.manual_seed(0)
-    return build_field(
-        settings_from(composed("field=qboth", "encoder=none", "appearance=2", "hash=C7")), views=4
-    ).eval()
+    settings = settings_from(composed("field=qboth", "encoder=none", "appearance=2", "hash=C7"))
+    return build_field(settings, views=4, trained=[0, 1, 3]).eval()
 
 
 @pytest.fixture
@@ -36,6 +35,13 @@ def test_shapes_and_ranges(field, points):
     torch.testing.assert_close(field.density(points), density)
 
 
+def test_a_look_at_the_density_leaves_what_a_head_knows_of_its_inputs(field, points):
+    before = {name: value.clone() for name, value in field.state_dict().items()}
+    field.train().density(points)
+    assert field.density_head.training
+    assert all(torch.equal(value, before[name]) for name, value in field.state_dict().items())
+
+
 def test_density_does_not_see_the_direction_and_colour_does(field, points):
     cameras = torch.zeros(5, dtype=torch.int64)
     density, color = field(points, DIRECTIONS, cameras)
@@ -51,11 +57,11 @@ def test_samples_do_not_depend_on_their_neighbours_in_evaluation(field, points):
     torch.testing.assert_close(alone[0, 0], color[2, 3])
 
 
-def test_a_view_without_an_embedding_gets_the_mean_of_all(field, points):
+def test_a_view_without_an_embedding_gets_the_mean_of_the_trained_ones(field, points):
     none = torch.full((5,), -1)
     _, unknown = field(points, DIRECTIONS, none)
     with torch.no_grad():
-        field.appearance.weight[:] = field.appearance.weight.mean(0)
+        field.appearance.weight[:] = field.appearance.weight[[0, 1, 3]].mean(0)
     _, mean = field(points, DIRECTIONS, torch.arange(5) % 4)
     torch.testing.assert_close(unknown, mean)
 
@@ -109,7 +115,7 @@ def test_a_masked_field_is_the_whole_one_times_the_mask(encoder, share):
     """An MLP field: circuit heads normalise by the samples that they get."""
     options = ["field=classical", f"encoder={encoder}", "appearance=2", "hash=C7", "density.initial=3"]
     torch.manual_seed(0)
-    field = build_field(settings_from(composed(*options)), views=4).double()
+    field = build_field(settings_from(composed(*options)), views=4, trained=[0, 1, 2]).double()
     with torch.no_grad():
         for parameter in field.encoder.parameters():
             parameter.uniform_(-1, 1)
@@ -161,6 +167,8 @@ def test_initial_scales_the_density(points):
     for initial in (1.0, 0.1):
         torch.manual_seed(0)
         fields.append(
-            build_field(settings_from(composed("encoder=none", f"density.initial={initial}")), views=1).eval()
+            build_field(
+                settings_from(composed("encoder=none", f"density.initial={initial}")), views=1, trained=[0]
+            ).eval()
         )
     torch.testing.assert_close(0.1 * fields[0].density(points), fields[1].density(points))

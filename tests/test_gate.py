@@ -40,6 +40,16 @@ def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, se
     assert torch.equal(gated.weights, full.weights)
 
 
+@pytest.mark.parametrize(("name", "options"), [("threshold", {"least": 0.3}), ("top", {"samples": 1}), ("merge", {})])
+def test_a_head_gets_two_samples_where_one_ray_alone_meets_something(name, options):
+    """As many as its normalisation needs."""
+    share, evaluated = torch.zeros(8, 5), torch.zeros(8, 5, dtype=torch.bool)
+    share[3, 2], evaluated[3, 1:3] = 1.0, True
+    kept = GATES.build(name, **options)(share, torch.zeros(8, 5, 1), evaluated).kept
+    assert kept is not None
+    assert int(kept.sum()) >= 2
+
+
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
 def test_top_keeps_the_largest_shares(seed, samples, most):

@@ -128,6 +128,18 @@ def test_a_run_that_is_not_stopped_says_nothing(tiny):
     assert run(tiny(*STOP, "train.steps=4")).summary["stopped"] is None
 
 
+def test_a_run_goes_on_on_another_kind_of_device(tiny):
+    """Whose random numbers have a state of another size: a CUDA generator's has 16 bytes."""
+    taken, other = trainer(tiny()), trainer(tiny())
+    taken.take_step(measure=False)
+    state = taken.state()
+    state["streams"]["samples"] = torch.zeros(16, dtype=torch.uint8)
+    other.load(state)
+    other.take_step(measure=False)
+    assert other.step == 2
+    assert other.finite()
+
+
 @pytest.mark.parametrize("stop_at", [1, 2, 3, 5])
 def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, run_until, stop_at):
     options = [*STOP, "train.steps=12", "stop.patience=2", "stop.least=50"]

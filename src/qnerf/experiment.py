@@ -121,8 +121,9 @@ def build_head(node: Mapping[str, Any], settings: Settings, in_dim: int, out_dim
     return HEADS.build(node["name"], in_dim, out_dim, **options[node["name"]])
 
 
-def build_field(settings: Settings, views: int) -> Field:
-    """Contraction, encoder, density head, colour head, in the order in which a point passes them."""
+def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field:
+    """Contraction, encoder, density head, colour head, in the order in which a point passes them; for that many views,
+    of which these are trained on."""
     contraction = component(CONTRACTIONS, settings.contraction)
     encoder = component(ENCODERS, settings.encoder, 3)
     density = build_head(settings.density, settings, encoder.out_dim, 1 + settings.geo_features)
@@ -135,7 +136,8 @@ def build_field(settings: Settings, views: int) -> Field:
     initial = settings.density["initial"]
     if not initial > 0:
         raise ValueError(f"density.initial must be above 0, got {initial}")
-    return Field(contraction, encoder, directions, density, color, activation, initial, views, settings.appearance)
+    appearance = settings.appearance
+    return Field(contraction, encoder, directions, density, color, activation, initial, views, trained, appearance)
 
 
 def build_model(settings: Settings, scene: Scene) -> Model:
@@ -144,7 +146,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
     previous = torch.get_default_dtype()
     torch.set_default_dtype(settings.dtype)
     try:
-        field = build_field(settings, scene.cameras.poses.shape[0])
+        field = build_field(settings, scene.cameras.poses.shape[0], scene.train)
         sampler = component(SAMPLERS, settings.sampler, field.contraction)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
         field.mask = sampler.mask = build_mask(settings, scene, field.contraction)

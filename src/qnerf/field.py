@@ -1,6 +1,6 @@
 """Points and view directions -> density and colour: contraction, encoder, density head, colour head."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -23,7 +23,8 @@ class Field(nn.Module):
         color: head (N, D + G + A) -> (N, 3): colour before the sigmoid.
         activation: raw density -> density >= 0.
         initial: density of a head that puts out 0 under `trunc_exp`, per world unit.
-        views: training views, for the appearance embedding.
+        views: of the scene, held-out ones as well, which are numbered alike.
+        trained: numbers of the training views, which learn an appearance.
         appearance: size A of the appearance embedding; 0 for none.
     """
 
@@ -37,6 +38,7 @@ class Field(nn.Module):
         activation: Callable[[Tensor], Tensor],
         initial: float,
         views: int,
+        trained: Sequence[int],
         appearance: int,
     ) -> None:
         super().__init__()
@@ -48,6 +50,8 @@ class Field(nn.Module):
         self.activation = activation
         self.initial = initial
         self.appearance = nn.Embedding(views, appearance) if appearance else None
+        self.trained: Tensor
+        self.register_buffer("trained", torch.tensor(trained), persistent=False)
         self.mask: SpaceMask | None = None
         """Where density may be; None for everywhere."""
 
@@ -76,8 +80,14 @@ class Field(nn.Module):
         return density if self.initial == 1.0 else density * self.initial
 
     def density(self, points: Tensor) -> Tensor:
-        """World points (R, K, 3) -> density (R, K) per world unit."""
-        return self.geometry(points)[0]
+        """World points (R, K, 3) -> density (R, K) per world unit, as in evaluation: what a normalisation learns of its
+        inputs, it learns of samples that are rendered."""
+        training = self.density_head.training
+        self.density_head.eval()
+        try:
+            return self.geometry(points, last=False)[0]
+        finally:
+            self.density_head.train(training)
 
     def density_anywhere(self, unit: Tensor) -> Tensor:
         """Unit-cube points (N, 3) -> density (N,) per world unit, also where the mask has none."""
@@ -86,13 +96,14 @@ class Field(nn.Module):
     def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, kept: Tensor | None = None) -> Tensor:
         """Geometry features (R, K, G), unit directions (R, 3), views (R,) -> colours (R, K, 3) in [0, 1].
 
-        A view of -1 is one without an embedding of its own: it gets the mean of all. `kept` (R, K): those to
-        evaluate; the others are black.
+        A view of -1 is one without an embedding of its own: it gets the mean of those that are trained. `kept` (R, K):
+        those to evaluate; the others are black.
         """
         per_ray = [self.directions(directions)]
         if self.appearance is not None:
             own = self.appearance(cameras.clamp(min=0))
-            per_ray.append(torch.where((cameras >= 0)[:, None], own, self.appearance.weight.mean(0)))
+            mean = self.appearance.weight[self.trained].mean(0)
+            per_ray.append(torch.where((cameras >= 0)[:, None], own, mean))
         rays, samples, size = geometry.shape
         ray_features = torch.cat(per_ray, dim=-1)
         if kept is None:

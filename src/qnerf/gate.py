@@ -12,6 +12,7 @@ from qnerf.registry import Registry
 
 GATES: "Registry[Gate]" = Registry("gate")
 
+LEAST = 2  # what a head is given at least, as a normalisation needs
 SMALL = 0.1
 
 
@@ -53,6 +54,8 @@ class SelectingGate(Gate):
         with torch.no_grad():
             ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
             kept = self.select(ranked) & (ranked >= 0)
+            if int(kept.sum()) < LEAST:  # nearly all rays are empty
+                kept = ranked >= 0
         left = shares * kept
         total = shares.sum(-1, keepdim=True)
         scale = total / left.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
@@ -130,6 +133,6 @@ class MergeGate(Gate):
         mean = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
         mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
         kept = merged > 0
-        if int(kept.sum()) < 2:  # all rays are empty; a normalisation needs two
+        if int(kept.sum()) < LEAST:  # all rays are empty
             kept[:, 0] = True
         return Gated(merged, mean, kept)

@@ -45,10 +45,8 @@ class NonFinite(Diverged):
         self.part, self.values = part, values.detach()
         wrong = ~torch.isfinite(self.values)
         index = tuple(wrong.nonzero()[0].tolist())
-        place = f"[{', '.join(map(str, index))}]"
-        self.told = (
-            f"{float(self.values[index])} in {part}: {int(wrong.sum())} of {wrong.numel()} values, first {place}"
-        )
+        many = f": {int(wrong.sum())} of {wrong.numel()} values, first [{', '.join(map(str, index))}]" if index else ""
+        self.told = f"{float(self.values[index])} in {part}{many}"
         self.ray: int | None = None
         if ray_of is not None and (len(wrong) == 1 or not bool(wrong.reshape(len(wrong), -1).any(1).all())):
             self.ray = ray_of(index[0])  # else every ray has it
@@ -115,7 +113,7 @@ class Checks:
         look("encoder", features, self._ray_of_point)
 
     def _weights(self, shares: Tensor, *_: object) -> None:
-        look("weights", shares, int)
+        look("shares", shares, int)
 
     def _chosen(self, gated: Gated, *_: object) -> None:
         look("gate (shares)", gated.shares, int)

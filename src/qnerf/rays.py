@@ -146,7 +146,7 @@ class RayTable:
         """At most `rays` of the training pixels kept apart, evenly spread: their rays and colours."""
         assert self.apart, "no pixels are kept apart"
         kept = torch.arange(self.apart - 1, len(self.train) * self.pixels, self.apart)
-        chosen = torch.linspace(0, len(kept) - 1, min(rays, len(kept))).long()
+        chosen = torch.linspace(0, len(kept) - 1, min(rays, len(kept)), dtype=torch.float64).long()
         return self._drawn(kept[chosen], refinement)
 
     def _drawn(self, drawn: Tensor, refinement: Refinement | None) -> tuple[Rays, Tensor]:

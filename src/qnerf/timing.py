@@ -18,7 +18,8 @@ PARTS = ("sampling", "field", "quantum", "render", "backward", "optimiser")
 
 
 class Stopwatch:
-    """Adds up the seconds of a step's parts; `quantum` is the circuits' share of `field`.
+    """Adds up the seconds of a step's parts; `quantum` is the circuits' share of them, of `field` above
+    all.
 
     On a CUDA device a part is timed to its completion, which serialises host and device: only the steps for which
     `begin` was asked to watch are measured.

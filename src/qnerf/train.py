@@ -162,7 +162,11 @@ class Trainer:
             self.model.load_state_dict(state["model"])
             self.optimiser.load_state_dict(state["optimiser"])
             for name, stream in self.streams.items():
-                stream.set_state(state["streams"][name].cpu())
+                given = state["streams"][name].cpu()
+                if len(given) == len(stream.get_state()):
+                    stream.set_state(given)
+                else:  # of another kind of device, whose random numbers are others anyway
+                    stream.manual_seed(stream.initial_seed() + self.step)
             torch.set_rng_state(state["torch_random"].cpu())
             self.plateau.load(state["plateau"])
             self.step_seconds = state["step_seconds"].tolist()

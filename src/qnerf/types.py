@@ -10,9 +10,8 @@ World units are those of the normalised scene: oriented, centred, the largest ab
 Depth is distance along the ray's unit direction, in world units. Colours are in [0, 1], sRGB-encoded as in the images.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 
@@ -32,15 +31,9 @@ class Rays:
     def __getitem__(self, index: slice | Tensor) -> "Rays":
         return Rays(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
-    def to(self, device: torch.device | str) -> "Rays":
-        return Rays(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
-
     def along(self, distance: Tensor) -> Tensor:
         """Points at `distance` (R, K) along each ray: (R, K, 3)."""
         return self.origins[:, None, :] + self.directions[:, None, :] * distance[..., None]
-
-    def moved(self, origins: Tensor, directions: Tensor) -> "Rays":
-        return replace(self, origins=origins, directions=directions)
 
 
 @dataclass(frozen=True)

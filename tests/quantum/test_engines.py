@@ -198,9 +198,10 @@ def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> 
     assert_same(results(torch_engine(circuit), circuit, batch=23), whole, 1e-14, 1e-13)
 
 
+@pytest.mark.parametrize("ansatz", ANSATZE.names())
 @pytest.mark.parametrize("engine", [torch_engine, compiled_engine, cone_engine, cone_reference])
-def test_an_empty_batch_has_zero_gradients(engine: Callable[[Circuit], Function]) -> None:
-    circuit = ANSATZE.build("qiren", 3, 1)
+def test_an_empty_batch_has_zero_gradients(engine: Callable[[Circuit], Function], ansatz: str) -> None:
+    circuit = ANSATZE.build(ansatz, 3, 1)
     x = torch.zeros(0, 3, dtype=torch.float64, requires_grad=True)
     w = torch.ones(circuit.rows, 3, 3, dtype=torch.float64, requires_grad=True)
     y = engine(circuit)(x, w)

@@ -66,6 +66,13 @@ def test_finite_shots_have_the_statistics_of_measuring_all_wires(joint: bool) ->
     assert torch.equal(layer(x)[0].detach(), exact)  # the conditions end with the block
 
 
+@pytest.mark.parametrize("given", [{"shots": 10}, {"shots": 10, "joint": False}, {"noise": Noise(depolarizing=0.1)}])
+def test_no_samples_are_measured_as_none(given: dict[str, Any]) -> None:
+    layer = QuantumLayer(3, 1)
+    with hardware.conditions(layer, **given):
+        assert layer(torch.zeros(0, 3)).shape == (0, 3)
+
+
 def test_shots_follow_the_seed_and_keep_nan() -> None:
     torch.manual_seed(0)
     layer = QuantumLayer(2, 1)

@@ -59,6 +59,16 @@ def test_auto_picks_by_cost() -> None:
     assert QuantumLayer(8, 2, backend="torch").plan().backend == "torch"
 
 
+def test_a_grid_too_large_to_interpolate_on_is_one_line() -> None:
+    """Small cones that few wires share a colour in: 19,683 points for 243 coefficients."""
+    options = {"ranges": (1, 1), "observable": "X"}
+    plan = QuantumLayer(9, 1, ansatz_options=options).plan(100)
+    assert plan.method == "statevector"
+    assert "interpolation grid of 19,683 points" in plan.others["lightcone"]
+    with pytest.raises(ValueError, match="choose method=statevector or auto"):
+        QuantumLayer(9, 1, method="lightcone", ansatz_options=options)
+
+
 @pytest.mark.parametrize("name", INITS.names())
 def test_initial_angles_follow_the_seed(name: str) -> None:
     torch.manual_seed(5)

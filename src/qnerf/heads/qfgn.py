@@ -24,7 +24,7 @@ class FourierGaussianLayer(nn.Module):
     ) -> None:
         super().__init__()
         self.register_buffer("frequencies", torch.randn(features // 2, in_dim) * scale)
-        self.linear = nn.Linear(features // 2 * 2, wires)
+        self.linear = nn.Linear(features, wires)
         self.circuit = circuit
         self.gamma = gamma
 
@@ -42,6 +42,8 @@ class QFGNHead(QirenHead):
         features: Fourier features, cosines and sines together; even, at least 2.
         scale: standard deviation of the fixed frequencies, radians per input unit, above 0.
         gamma: shape of the Gaussian weighting, at least 0.
+
+    That layer normalises nothing: `input_scale` and `statistics` are those of the layers behind it.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from math import gcd, lcm
 
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler
 
-MAX_COEFFICIENTS = 1024  # of one output: beyond that a state vector is cheaper and an interpolation grid too large
+MAX_COEFFICIENTS = 1024  # of one output: beyond that a state vector is cheaper
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Cones:
 
 
 class TooLarge(ValueError):
-    """The circuit has no light cone small enough to be worth a polynomial."""
+    """The circuit has no light cones small enough to be worth a polynomial."""
 
 
 @lru_cache(maxsize=256)

@@ -164,4 +164,4 @@ def _direct(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tenso
             for step in _steps(operation, n, part, weights, channels, False):
                 rho = step(rho)
         out.append((rho.reshape(4**n, -1).T @ flat).real.expand(len(part), -1))
-    return torch.cat(out) if out else x.new_zeros(0, len(circuit.observables))
+    return torch.cat(out)

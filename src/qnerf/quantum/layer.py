@@ -34,9 +34,9 @@ class QuantumLayer(nn.Module):
     device, diff_method, shots, noise, seed    of method=pennylane, see `pennylane.make_node`
 
     Parameters: weights1 (S, 2, n, 3) and weights2 (2, n, 3), angles phi, theta, omega in radians, as in published QIREN
-    checkpoints. float32 and float64; an input of another precision is converted. At angles of up to 1e36 rad, float32
-    outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32), and never beyond 1. NaN or infinite inputs give
-    NaN.
+    checkpoints; 2 are the ansatz's sublayers. float32 and float64; an input of another precision is converted. At
+    angles of up to 1e36 rad, float32 outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32), and never
+    beyond 1. NaN or infinite inputs give NaN.
     ValueError for a wrong last dimension, integer inputs, wires outside 1..14, unknown names, or a lightcone that
     does not exist.
     """
@@ -113,7 +113,7 @@ class QuantumLayer(nn.Module):
         if key not in self._plans:
             if len(self._plans) > 1000:
                 self._plans.clear()
-            self._plans[key] = make_plan(self.circuit, self.program, self.method, batch, device, dtype, compiled)
+            self._plans[key] = make_plan(self.circuit, self.program, self.method, batch, dtype, compiled)
         return self._plans[key]
 
     def forward(self, x: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ treated.
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
-from math import pi
+from math import pi, prod
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,12 @@ from torch import Tensor
 from qnerf.kernels.jit import run
 from qnerf.quantum import polynomial, statevector
 from qnerf.quantum.adjoint import PARTS, Engine, blocked, flat_weights, numpy_dtype, trigonometry, unblocked, waves
-from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.cones import Cones, find_cones
+from qnerf.quantum.circuit import Circuit, readable_bytes
+from qnerf.quantum.cones import Cones, TooLarge, find_cones
 from qnerf.quantum.program import compile_program
 from qnerf.quantum.simd import lanes
+
+MAX_ENTRIES = 2**22  # of the interpolation matrix: 32 MiB
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Interpolation:
 
 @lru_cache(maxsize=64)
 def interpolation(circuit: Circuit) -> Interpolation:
-    """The grid of a circuit. ValueError where the cones are too large."""
+    """The grid of a circuit. TooLarge where cones or grid are."""
     found = find_cones(circuit)
     n = circuit.wires
     degree = [0] * n
@@ -52,12 +54,17 @@ def interpolation(circuit: Circuit) -> Interpolation:
     colour = _colours(found, n)
     colours = max(colour, default=-1) + 1
     sizes = [max(2 * degree[wire] + 1 for wire in range(n) if colour[wire] == c) for c in range(colours)]
+    most = max(cone.coefficients for cone in found.cones)
+    if (entries := len(found.cones) * most * prod(sizes)) > MAX_ENTRIES:
+        raise TooLarge(
+            f"lightcone: ansatz {circuit.name} with {n} wires has an interpolation grid of {prod(sizes):,} points"
+            f" and {readable_bytes(8 * entries)}; choose method=statevector or auto"
+        )
     grid = np.stack(np.meshgrid(*(np.arange(size) for size in sizes), indexing="ij"), -1).reshape(-1, colours)
     bases = np.array([base or 1.0 for base in found.bases])
     turns = np.array(sizes)[colour] if colours else np.ones(n)
     points = (grid[:, colour] if colours else np.zeros((1, n))) * 2 * pi / turns / bases
     most_wires = max(len(cone.wires) for cone in found.cones)
-    most = max(cone.coefficients for cone in found.cones)
     matrix = np.zeros((len(found.cones), most, len(points)))
     wires = np.zeros((len(found.cones), max(most_wires, 1)), dtype=np.int64)
     counts = np.ones_like(wires)

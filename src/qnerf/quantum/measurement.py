@@ -62,8 +62,7 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, 
         assert exact is not None
         return exact
     if given.joint and not given.noisy:
-        parts = [_joint(circuit, part, weights, given) for part in x.split(CHUNK)]
-        return torch.cat(parts) if parts else x.new_zeros(0, len(circuit.observables))
+        return torch.cat([_joint(circuit, part, weights, given) for part in x.split(CHUNK)])
     assert exact is not None
     return binomial(exact, given.shots, given.random)
 
@@ -80,6 +79,8 @@ def _joint(circuit: Circuit, x: Tensor, weights: Tensor, given: Conditions) -> T
     program = compile_program(circuit)
     assert given.shots is not None
     chances = statevector.probabilities(program, x.double(), weights.double()).cpu().numpy()
+    if not len(chances):
+        return x.new_zeros(0, len(circuit.observables))
     counts = multinomial(given.shots, np.nan_to_num(chances), given.random)
     means = counts @ parities(program.words, program.wires).T / given.shots
     means[np.isnan(chances).any(1)] = np.nan

@@ -7,11 +7,12 @@ it wins from some batch size on; with large cones it never does.
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import torch
 
 from qnerf.quantum.circuit import Circuit, readable_bytes
-from qnerf.quantum.cones import find_cones
+from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import interpolation
 from qnerf.quantum.program import Permute, Phase, Program
 from qnerf.quantum.simd import VECTOR_BYTES
@@ -45,8 +46,8 @@ class Plan:
         )
 
 
-def statevector_operations(program: Program) -> tuple[int, int]:
-    """Multiply-adds a sample: forward, and forward + backward of the compiled engine."""
+def statevector_operations(program: Program) -> int:
+    """Multiply-adds a sample, forward + backward of the compiled engine."""
     n = program.wires
     size = 2**n
     forward, pull = 4 * size, 0  # the input's phases
@@ -65,69 +66,55 @@ def statevector_operations(program: Program) -> tuple[int, int]:
             pull += (each + 2) * n * size
     measure = (n + 5) * size if program.local else (len(program.words) + 2) * size
     pull += (2 * n + 4) * size if program.local else (2 * len(program.words) + 2) * size
-    return forward + measure, 2 * forward + measure + pull
+    return 2 * forward + measure + pull
 
 
-def lightcone_operations(circuit: Circuit) -> tuple[int, int]:
-    """Multiply-adds a sample: forward, and forward + backward. ValueError where the cones are too large."""
+@lru_cache(maxsize=256)
+def lightcone_operations(circuit: Circuit) -> tuple[int, int] | str:
+    """Multiply-adds a sample, forward + backward, and circuits a step; or, where cones are too large, how large."""
+    try:
+        grid = interpolation(circuit)
+    except TooLarge as error:
+        return str(error)
     forward = backward = 0
-    for cone in find_cones(circuit).cones:
+    for cone in grid.cones.cones:
         terms = cone.coefficients
         for degree in reversed(cone.degrees):
             forward += terms
             backward += 4 * terms
             terms //= 2 * degree + 1
-    grid = interpolation(circuit)
-    basis = 8 * grid.most * circuit.wires
-    return forward + basis, 2 * (forward + basis) + backward
+    return 2 * (forward + 8 * grid.most * circuit.wires) + backward, len(grid.points)
 
 
-def make_plan(
-    circuit: Circuit,
-    program: Program,
-    method: str,
-    batch: int,
-    device: torch.device,
-    dtype: torch.dtype,
-    compiled: bool,
-) -> Plan:
-    """The engine for a batch. ValueError if `method` is lightcone and the circuit has no small light cones."""
-    others: dict[str, str] = {}
+def make_plan(circuit: Circuit, program: Program, method: str, batch: int, dtype: torch.dtype, compiled: bool) -> Plan:
+    """The engine for a batch. TooLarge if `method` is lightcone and the circuit has no small light cones."""
     item = torch.finfo(dtype).bits // 8
     threads = torch.get_num_threads()
     backend = "compiled" if compiled else "torch"
-    state_forward, state = statevector_operations(program)
-    del state_forward
-    points = 0
-    cone = None
-    try:
-        cone = lightcone_operations(circuit)[1]
-        points = len(interpolation(circuit).points)
-    except ValueError as error:
-        if method == "lightcone":
-            raise
-        others["lightcone"] = str(error)
     rate = RATE * threads
 
     def seconds(operations: int, once: int) -> float:
         return OVERHEAD + (operations * batch * item + once * 8) / rate if compiled else float("nan")
 
-    once = points * state
-    by_cone = cone is not None and cone * batch * item + once * 8 < state * batch * item
-    if method == "lightcone" or (method == "auto" and by_cone):
-        assert cone is not None
-        others["statevector"] = f"{state:,} operations a sample, none once a step"
-        grid = interpolation(circuit)
-        memory = 8 * grid.matrix.size + item * batch * 2 * (2 * grid.most + 1) * circuit.wires
-        reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
-        return Plan("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason, others)
-    if cone is not None:
-        others["lightcone"] = f"{cone:,} operations a sample, but {once:,} once a step"
-    size = 2**circuit.wires
+    state = statevector_operations(program)
+    found = lightcone_operations(circuit)
+    if isinstance(found, str):
+        if method == "lightcone":
+            raise TooLarge(found)
+        why = found
+    else:
+        cone, once = found[0], found[1] * state
+        if method == "lightcone" or (method == "auto" and cone * batch * item + once * 8 < state * batch * item):
+            others = {"statevector": f"{state:,} operations a sample, none once a step"}
+            grid = interpolation(circuit)
+            memory = 8 * grid.matrix.size + item * batch * 2 * (2 * grid.most + 1) * circuit.wires
+            reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
+            return Plan("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason, others)
+        why = f"{cone:,} operations a sample, but {once:,} once a step"
     if compiled:
         kept = 2 * (len(program.steps) + 2) + 10
-        memory = threads * kept * size * VECTOR_BYTES + item * batch * 4 * circuit.wires
+        memory = threads * kept * 2**circuit.wires * VECTOR_BYTES + item * batch * 4 * circuit.wires
     else:
         memory = TAPE_BYTES
-    reason = "asked for" if method == "statevector" else others.get("lightcone", "")
-    return Plan("statevector", backend, batch, state, 0, memory, seconds(state, 0), reason, others)
+    reason = "asked for" if method == "statevector" else why
+    return Plan("statevector", backend, batch, state, 0, memory, seconds(state, 0), reason, {"lightcone": why})

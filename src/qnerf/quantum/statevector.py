@@ -115,7 +115,7 @@ def _diagonal(step: Phase, x: Tensor, weights: Tensor) -> Tensor:
 
 
 def _turn(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
-    if cosine.shape[1] > 1:
+    if cosine.shape[1] != 1:
         return _turn_each(state, cosine, sine)
     pairs = torch.view_as_real(state.contiguous())
     for first in range(0, len(cosine), GROUP):
@@ -134,7 +134,7 @@ def _turn_each(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     state = state.expand(-1, cosine.shape[1])
     shape = state.shape
     for wire in range(len(cosine)):
-        view = state.reshape(2**wire, 2, -1, shape[1])
+        view = state.reshape(2**wire, 2, shape[0] >> wire + 1, shape[1])
         zero, one = view[:, 0], view[:, 1]
         c, s = cosine[wire], sine[wire]
         state = torch.stack([c * zero - s * one, s * zero + c * one], dim=1).reshape(shape)
