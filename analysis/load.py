@@ -32,6 +32,9 @@ def runs(
         if frame.empty:
             raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
         frame["scene_name"] = _scene_names(frame)
+        if "scene.fingerprint" in frame:  # runs from before it was recorded are taken to be of the scene of that name
+            known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
+            frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
     return frame if filter is None else query.select(frame, filter)
 
 

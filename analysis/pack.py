@@ -6,7 +6,7 @@ from pathlib import Path
 
 from analysis import command, packed
 from analysis.figures import FIGURES
-from analysis.figures.files import draw, known
+from analysis.figures.files import draw, known, title
 from analysis.load import runs
 from analysis.paper import PAPER_TABLES
 
@@ -36,12 +36,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if left == len(frame):
         raise ValueError(f"{options.store}: none of {left} runs is finished")
     told = f" finished, {left} not" if left else ""
+    for file in [*options.folder.glob("*.png"), *options.folder.glob("*.md")]:
+        if title(file.stem) != file.stem or file.stem in PAPER_TABLES:
+            file.unlink()  # drawn of the runs that were there
     print(f"{packed.pack(frame, options.folder)} runs{told}, in {options.folder}")
     if options.figures:
         draw(frame, options.figures, options.folder, ["png"])
     if options.paper:
-        title, table = PAPER_TABLES[options.paper]
-        (options.folder / f"{options.paper}.md").write_text(f"**{title}**\n\n{table(frame).markdown()}\n")
+        heading, table = PAPER_TABLES[options.paper]
+        (options.folder / f"{options.paper}.md").write_text(f"**{heading}**\n\n{table(frame).markdown()}\n")
 
 
 if __name__ == "__main__":

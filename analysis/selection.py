@@ -159,7 +159,12 @@ def _listed(runs: pd.DataFrame) -> str:
 
 
 def _plain(value: object) -> str:
-    return label(value).lower()  # true and True, null and none
+    """true and True, null and none, 10 and 10.0 are the same."""
+    text = label(value).lower()
+    try:
+        return label(float(text))
+    except ValueError:
+        return text
 
 
 def _number(key: str, value: object) -> float:

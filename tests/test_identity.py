@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qnerf.identity import EXECUTION, clean, flatten, identity, plain, run_id
+from qnerf.identity import EXECUTION, clean, flatten, identity, picture_names, plain, run_id
 
 CONFIG = {
     "seed": 0,
@@ -87,6 +87,18 @@ def test_run_id_is_a_plain_folder_name(slug: str) -> None:
 )
 def test_clean(slug: str, expected: str) -> None:
     assert clean(slug) == expected
+
+
+@pytest.mark.parametrize(
+    ("images", "expected"),
+    [
+        (["images/1.png", "images/2.jpg"], ["images-1", "images-2"]),
+        (["猫.png", "狗.png", "c.png"], ["run.0", "run.1", "c"]),
+        (["x" * 90 + "a", "x" * 90 + "b"], ["x" * 80 + ".0", "x" * 80 + ".1"]),
+    ],
+)
+def test_pictures_have_names_of_their_own(images: list[str], expected: list[str]) -> None:
+    assert picture_names(images) == expected
 
 
 def test_flatten() -> None:

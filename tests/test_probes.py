@@ -197,6 +197,9 @@ def test_the_command_knows_every_probe():
         (["ray"], "unknown probe 'ray'; known: spectrum, encoding, rays"),
         (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
         (["spectrum"], "has no circuit, both of its heads are MLPs"),
+        (["views=-1"], "views expects one number of at least 0, got '-1'"),
+        (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
+        (["noise=thermal"], "noise=thermal expects its probabilities as well, such as p=0.001,0.01"),
     ],
 )
 def test_a_mistake_is_one_line(tiny, monkeypatch, capsys, arguments, message):
@@ -205,6 +208,24 @@ def test_a_mistake_is_one_line(tiny, monkeypatch, capsys, arguments, message):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"PK no archive", None], ids=["empty", "garbage", "cut"])
+def test_a_damaged_checkpoint_is_one_line(tiny, monkeypatch, capsys, content):
+    path = run(tiny("field=classical")).path / "checkpoint.pt"
+    path.write_bytes(path.read_bytes()[:1000] if content is None else content)
+    assert command(monkeypatch, str(path.parent), "rays") == 2
+    error = capsys.readouterr().err
+    assert "checkpoint.pt: expected the checkpoint of this run, got " in error
+    assert error.count("\n") == 1
+
+
+def test_a_scene_that_has_changed_is_not_measured(tiny, tiny_scene, monkeypatch, capsys):
+    path = run(tiny("field=classical")).path
+    (tiny_scene / "images" / "000.png").write_bytes((tiny_scene / "images" / "001.png").read_bytes())
+    assert command(monkeypatch, str(path), "rays") == 2
+    assert "the scene's contents are not those that the run was started with" in capsys.readouterr().err
+    assert not (path / "rays.parquet").exists()
 
 
 def test_only_finished_runs_are_probed(tmp_path):

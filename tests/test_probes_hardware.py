@@ -26,6 +26,18 @@ def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(tin
     pd.testing.assert_frame_equal(pd.read_parquet(path / "eval_hardware.parquet"), again)
 
 
+def test_rows_of_another_command_meanwhile_stay(tiny):
+    path = run(tiny("field=qcolor", *SMALL)).path
+    meanwhile = []
+
+    def tell(_: str) -> None:
+        if not meanwhile:
+            meanwhile.append(evaluate_hardware(load(path), [Condition(shots=7)]))
+
+    table = evaluate_hardware(load(path), [Condition(), Condition(shots=4)], tell=tell)
+    assert sorted(table["shots"].unique()) == [0, 4, 7]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

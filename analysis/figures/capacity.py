@@ -86,7 +86,8 @@ def hash_configurations(frame: pd.DataFrame) -> Figure:
     norm = _ssim_norm(table)
     for ax, scene in zip(axes, names, strict=True):
         families = table[table["scene_name"] == scene].groupby("line")
-        for marker, dashes, (line, family) in zip(style.MARKERS, style.LINES * 2, families, strict=False):
+        for number, (line, family) in enumerate(families):
+            marker, dashes = style.MARKERS[number % len(style.MARKERS)], style.LINES[number % len(style.LINES)]
             family = family.sort_values("params")
             ax.plot(family["params"], family["psnr"], dashes, color=style.ink(), alpha=0.4, lw=0.8, label=line)
             _scatter(ax, family, norm, marker)

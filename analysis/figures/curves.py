@@ -19,11 +19,12 @@ def loss_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
     Columns scene_name, name, split (train | eval), step, mse (geometric mean over seeds), mse_low and mse_high (one
     standard deviation of its logarithm; NaN for one seed), n. The training error is the mean over up to `BINS` equal
     spans of steps, each at its last one. The evaluation's is 10^(-PSNR / 10): a geometric mean over held-out views.
+    Steps that not all seeds came to are left out.
     """
     table, _ = points.best(select(frame).runs, ["psnr"], most)
     parts = []
     for _, row in table.iterrows():
-        train = [_binned(metrics(path, "train/mse")) for path in _paths(frame, row)]
+        train = _binned([metrics(path, "train/mse") for path in _paths(frame, row)])
         for logged in train:
             logged["value"] = -10 * np.log10(logged["value"])
         for split, logged in (("train", train), ("eval", [metrics(path, "eval/psnr") for path in _paths(frame, row)])):
@@ -97,14 +98,21 @@ def _paths(frame: pd.DataFrame, row: pd.Series) -> list[str]:
     return [frame["path"][index] for index in row["runs"]]
 
 
-def _binned(logged: pd.DataFrame) -> pd.DataFrame:
-    """Mean value over up to `BINS` spans of equally many logged rows, at the last step of each."""
-    span = -(-len(logged) // BINS)
-    return logged.groupby(np.arange(len(logged)) // span).agg({"step": "last", "time_s": "last", "value": "mean"})
+def _binned(logged: list[pd.DataFrame]) -> list[pd.DataFrame]:
+    """Of each seed the mean value over up to `BINS` spans of steps, the same for all, at the last step of each."""
+    steps = np.unique(np.concatenate([rows["step"] for rows in logged]))
+    ends = steps[::-1][:: -(-len(steps) // BINS)][::-1]
+    binned = []
+    for rows in logged:
+        end = ends[np.searchsorted(ends, rows["step"])]
+        binned.append(rows.assign(step=end).groupby("step", as_index=False).agg({"time_s": "last", "value": "mean"}))
+    return binned
 
 
 def _over_seeds(logged: list[pd.DataFrame], columns: list[str]) -> pd.DataFrame:
-    groups = pd.concat(logged).groupby("step")
+    """At the steps that all seeds came to."""
+    rows = pd.concat(logged)
+    groups = rows[rows.groupby("step")["step"].transform("size") == len(logged)].groupby("step")
     table = pd.DataFrame({"n": groups.size()})
     for column in columns:
         table[column], table[f"{column}_std"] = groups[column].mean(), groups[column].std()

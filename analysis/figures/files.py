@@ -35,5 +35,7 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
 
 
 def title(file: str) -> str:
-    """Of the figure in a file that `draw` wrote, whose name ends with _<scene> where each scene has its own."""
-    return FIGURES[file if file in FIGURES else file.partition("_")[0]][0]
+    """Of the figure in a file that `draw` wrote, whose name ends with _<scene> where each scene has its own; of another
+    file its name."""
+    name = file if file in FIGURES else file.partition("_")[0]
+    return FIGURES[name][0] if name in FIGURES else file

@@ -76,7 +76,7 @@ def _settings(table: pd.DataFrame, runs: pd.DataFrame, apart: Sequence[str]) -> 
 
 
 def seeds(table: pd.DataFrame, drawn: str = "bars") -> str:
-    """What the bars or bands mean: `mean ± standard deviation of n = 2-3 seeds`, or `n = 1`."""
+    """What the bars or bands mean: `bars: ± standard deviation over seeds, n = 2 to 3`, or `n = 1 seed: no bars`."""
     low, high = table["n"].min(), table["n"].max()
     if high == 1:
         return f"n = 1 seed: no {drawn}"

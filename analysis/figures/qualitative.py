@@ -1,7 +1,6 @@
 """Held-out views of chosen runs side by side: truth, render, error, depth."""
 
 import textwrap
-from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -11,7 +10,7 @@ from analysis.figures import points
 from analysis.images import panels, pictures
 from analysis.selection import select
 from analysis.statistics import evaluations
-from qnerf.identity import clean
+from qnerf.identity import picture_names
 
 TITLES = ("truth", "render", "error x 4", "depth")
 
@@ -33,8 +32,9 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
     The `views` first held-out views that all runs of a scene have pictures of; ValueError where they have none.
     """
     rows = []
-    measured = evaluations(chosen).set_index(["path", "image"])["value"]
-    measured.index = measured.index.map(lambda key: (key[0], clean(Path(key[1]).with_suffix("").as_posix())))
+    measured = evaluations(chosen)
+    measured["image"] = measured.groupby("path")["image"].transform(lambda images: picture_names(list(images)))
+    measured = measured.set_index(["path", "image"])["value"]
     for scene, runs in chosen.groupby("scene_name"):
         stored = {path: pictures(path) for path in runs["path"]}
         common = sorted(set.intersection(*(set(names) for names in stored.values())))[:views]

@@ -121,6 +121,8 @@ def no_pictures(drawn: pictures.Pictures, asked: bool) -> str:
         return ""
     if asked:
         return "Left out by --no-images."
+    if drawn.left_out:
+        return f"The pictures of {drawn.left_out:,} runs were left out: more than --max-images allows."
     damaged = f"; {len(drawn.problems)} are damaged, the first {drawn.problems[0]}" if drawn.problems else ""
     return (
         f"No run has pictures in images/{damaged}: training writes them at its end, `qnerf run run.force=true` again."

@@ -12,10 +12,6 @@ class Value:
     form: str
     better: Literal["max", "min"] | None = None
 
-    @property
-    def best(self) -> str:
-        return {"max": "highest", "min": "lowest"}[self.better] if self.better else ""
-
 
 VALUES = {
     "psnr": Value("PSNR, dB", "{:.2f}", "max"),

@@ -7,28 +7,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
-from rich.tree import Tree
 
+from qnerf.console_text import tree
 from qnerf.experiment import Display, Outcome
 
 
 def print_config(console: Console, config: Mapping[str, Any]) -> None:
     """The resolved configuration as a tree."""
-    tree = Tree("configuration", guide_style="dim")
-    _grow(tree, config)
-    console.print(tree)
-
-
-def _grow(tree: Tree, node: Mapping[str, Any]) -> None:
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            _grow(tree.add(f"[bold]{key}[/bold]"), value)
-        else:
-            tree.add(f"{key}: [cyan]{_escape(value)}[/cyan]")
-
-
-def _escape(value: Any) -> str:
-    return str(value).replace("[", r"\[")
+    console.print(tree("configuration", config))
 
 
 class LiveDisplay(Display):
@@ -81,7 +67,8 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2))
     views = f"{summary['eval_views']:.0f} held-out views"
     table.add_row("PSNR", f"{summary['psnr']:.2f} dB", views)
-    table.add_row("SSIM", f"{summary['ssim']:.3f}", "")
+    if summary.get("ssim") is not None:  # there is none of views below 3 pixels
+        table.add_row("SSIM", f"{summary['ssim']:.3f}", "")
     if summary.get("lpips") is not None:
         table.add_row("LPIPS", f"{summary['lpips']:.4f}", "")
     if summary.get("depth_error") is not None:

@@ -5,10 +5,12 @@ import math
 import numbers
 import sys
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
+from rich.tree import Tree
 
 from qnerf.printable import printable
 
@@ -25,6 +27,17 @@ def console() -> Console:
 def styled(value: object, style: str = "", limit: int | None = None) -> Text:
     """`printable(value)` in a style."""
     return Text(printable(value, limit), style)
+
+
+def tree(title: str, node: Mapping[str, Any]) -> Tree:
+    """A nested configuration."""
+    grown = Tree(Text(title, "bold"), guide_style="dim")
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            grown.add(tree(printable(key), value))
+        else:
+            grown.add(Text.assemble(f"{printable(key)}: ", (printable(value), "cyan")))
+    return grown
 
 
 def missing(value: Any) -> bool:

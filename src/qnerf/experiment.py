@@ -23,7 +23,7 @@ from qnerf.field import Field
 from qnerf.gate import GATES
 from qnerf.heads import HEADS
 from qnerf.hull import hull
-from qnerf.identity import clean, run_id
+from qnerf.identity import picture_names, run_id
 from qnerf.labels import labels, slug
 from qnerf.model import Model
 from qnerf.numerics import FILE as NONFINITE
@@ -241,7 +241,7 @@ def run(
 
     name = name or run_id(slug(config), config, scene.fingerprint)
     config = dict(config) | {"needs": resolved["needs"]}
-    columns = labels(resolved) | parameter_counts(model) | {"steps": 0}
+    columns = labels(resolved) | parameter_counts(model) | {"scene.fingerprint": scene.fingerprint, "steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
@@ -317,11 +317,11 @@ def evaluate(
     """Measures the views, writes eval.parquet and, if asked, the pictures; returns each view's row, and the means."""
     start = time.perf_counter()
     rows = []
-    for rendered, row in evaluator.views(list(views), step):
+    names = picture_names([evaluator.scene.names[view] for view in views])
+    for name, (rendered, row) in zip(names, evaluator.views(list(views), step), strict=True):
         rows.append(row)
         if pictures:
-            name = Path(str(row["image"])).with_suffix("").as_posix()
-            store.save_image(clean(name), evaluator.picture(rendered))
+            store.save_image(name, evaluator.picture(rendered))
     store.write_eval(rows)
     measured = means(rows)
     measured["lpips_reason"] = next((row["lpips_reason"] for row in rows if row["lpips_reason"]), None)

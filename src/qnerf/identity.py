@@ -4,8 +4,8 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping
-from pathlib import PurePath
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,12 @@ def clean(slug: str) -> str:
     """Letters, digits, dot, underscore and dash only, at most `SLUG_LENGTH`, starting with a letter or digit."""
     text = re.sub(r"[^A-Za-z0-9._-]+", "-", slug)
     return text.lstrip("._-")[:SLUG_LENGTH].rstrip("._-") or "run"
+
+
+def picture_names(images: Sequence[str]) -> list[str]:
+    """Names of the pictures of held-out images, all different: `clean`, with its number where several were the same."""
+    names = [clean(PurePosixPath(image).with_suffix("").as_posix()) for image in images]
+    return [name if names.count(name) == 1 else f"{name}.{number}" for number, name in enumerate(names)]
 
 
 def flatten(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -165,10 +165,19 @@ def test_loss_curves_are_geometric_means_over_seeds(frame):
 
 def test_long_training_curves_are_means_of_spans():
     logged = pd.DataFrame({"step": np.arange(1, 1001), "time_s": 0.0, "value": np.arange(1000.0)})
-    binned = figures.curves._binned(logged)
+    binned, shorter = figures.curves._binned([logged, logged[:510]])
     assert len(binned) == figures.curves.BINS
     assert binned["step"].iloc[0] == 20
     assert binned["value"].iloc[0] == np.arange(20).mean()
+    assert shorter["step"].tolist() == binned["step"][:26].tolist()
+
+
+def test_a_curve_ends_where_the_first_of_its_seeds_does():
+    """With `stop.every` seeds end at steps of their own; the mean of fewer would jump there."""
+    seeds = [pd.DataFrame({"step": [2, 4, last], "value": [1.0, 2.0, 3.0 * last]}) for last in (5, 6)]
+    table = figures.curves._over_seeds(seeds, ["value"])
+    assert table["step"].tolist() == [2, 4]
+    assert table["n"].tolist() == [2, 2]
 
 
 def test_psnr_against_time_ends_at_the_run_s_own_numbers(frame):

@@ -2,8 +2,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from stores import write_run
 
 from analysis import load
+from analysis.tables import ablation
 from qnerf.records import RunStore, read_metrics
 
 
@@ -28,6 +30,16 @@ def test_one_row_a_run(store: Path) -> None:
     assert frame["scene_name"].tolist() == ["poster", "fox", "fox"]
     assert frame["path"].tolist() == [str(store / name) for name in ("r0", "r1", "r2")]
     pd.testing.assert_frame_equal(load.runs(str(store)), frame)
+
+
+def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    """By their contents: folders may be called the same. Runs from before that was recorded count as the first."""
+    for seed, fingerprint in ((0, "a"), (1, "a"), (2, None)):
+        write_run(tmp_path, seed=seed, columns={"scene.fingerprint": fingerprint} if fingerprint else {})
+    assert set(load.runs(tmp_path)["scene.fingerprint"]) == {"a"}
+    write_run(tmp_path, seed=3, columns={"scene.fingerprint": "b"})
+    with pytest.raises(ValueError, match=r"mixes runs of different scene\.fingerprint \(a, b\)"):
+        ablation(load.runs(tmp_path), ["scene_name"])
 
 
 def test_runs_of_a_filter(store: Path) -> None:

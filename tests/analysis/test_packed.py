@@ -51,6 +51,15 @@ def test_packing_again_reads_the_new_views(store, tmp_path):
     assert len(statistics.evaluations(load.runs(packed, "state=finished"))) == 8
 
 
+def test_figures_of_other_runs_go_and_files_of_others_stay(store, tmp_path):
+    packed = tmp_path / "packed"
+    packed.mkdir()
+    for name in ("loss.png", "capacity_density.png", "spectrum_poster.png", "rgb.md", "notes.md", "photo.png"):
+        (packed / name).write_text("")
+    main([str(store), str(packed)])
+    assert sorted(path.name for path in packed.iterdir() if path.suffix != ".parquet") == ["notes.md", "photo.png"]
+
+
 def test_a_packed_folder_can_be_packed_again(store, tmp_path):
     main([str(store), str(tmp_path / "packed")])
     main([str(tmp_path / "packed"), str(tmp_path / "part"), "--filter", "field=qcolor"])

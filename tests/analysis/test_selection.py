@@ -10,6 +10,7 @@ FRAME = pd.DataFrame(
         "experiment": [None, "no_gain", None],
         "encoder.dense": [True, False, True],
         "train.lr": [0.01, 0.001, 0.01],
+        "color.qiren.gain": [None, 10.0, "auto"],
         "psnr": [20.0, 21.0, None],
         "lpips": [None, None, None],
         "lpips_reason": ["no weights"] * 3,
@@ -26,6 +27,8 @@ FRAME = pd.DataFrame(
         ("encoder.dense=true", [0, 2]),
         ("train.lr=1e-2", [0, 2]),
         ("seed=1", [1]),
+        ("color.qiren.gain=10.0", [1]),
+        ("color.qiren.gain=10", [1]),
     ],
 )
 def test_conditions_choose_by_value(text, seeds):

@@ -126,6 +126,8 @@ def test_the_second_run_can_be_kept(run, reproduce, tmp_path):
     (again,) = records.runs(tmp_path / "again")
     assert again.name == run.name
     assert records.state(again) == "finished"
+    change_metrics(again, lambda rows: scaled(rows, "train/loss", 3, 1.001))
+    assert reproduce(run, "--keep", tmp_path / "again")[0] == 0, "what was kept before is no second run"
     code, said = reproduce(run, "--keep", run.parent)
     assert code == 2
     assert "is the store of the run itself" in said

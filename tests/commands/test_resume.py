@@ -222,6 +222,15 @@ def test_options_that_are_known_no_longer_are_named(config, resume):
     assert len(losses(run)) == 4
 
 
+@pytest.mark.parametrize(("key", "value"), [("run", 3), ("contraction", None), ("train", [1])])
+def test_a_group_that_is_none_is_one_line(config, resume, key, value):
+    run = stopped(config)
+    edit(run, lambda config: config.update({key: value}))
+    code, said = resume(run)
+    assert code == 2
+    assert f"expected options of {key}, got {value!r}" in said
+
+
 def test_a_run_of_a_newer_store_is_read_and_not_written(config, resume):
     run = stopped(config)
     status = json.loads((run / "status.json").read_text())

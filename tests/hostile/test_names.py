@@ -6,7 +6,7 @@ import pytest
 from spoiled import CONFIG, interrupted, store
 
 from qnerf import records
-from qnerf.records import find
+from qnerf.records import find, index
 
 NAMES = [
     "-rf",
@@ -29,6 +29,15 @@ def test_every_folder_is_found_and_read(tmp_path: Path, name: str) -> None:
     assert find(name, tmp_path / "runs") == run
     assert records.state(run) == "interrupted"
     assert len(records.read_metrics(run)) == 10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_table_of_runs_has_every_folder_whose_name_is_unicode(tmp_path: Path, name: str) -> None:
+    interrupted(tmp_path).rename(tmp_path / "runs" / name)
+    (tmp_path / "runs" / "other").mkdir()
+    (tmp_path / "runs" / "other" / "config.yaml").write_text("seed: 0\n")
+    expected = ["other"] if name == "\udcff" else sorted([name, "other"])
+    assert index.load(tmp_path / "runs")["run_id"].tolist() == expected
 
 
 @pytest.mark.parametrize("name", NAMES)

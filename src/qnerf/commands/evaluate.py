@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from qnerf.commands import add_run
-from qnerf.commands.stored import stored
+from qnerf.commands.stored import check_identity, stored
 from qnerf.records import find, state
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def main(options: argparse.Namespace) -> None:
     from qnerf.probes import load, probe
 
     trained = load(run, stored(run)[0] if state(run) == "finished" else None)
+    check_identity(run, trained.scene.fingerprint)
     for name in names:
         print(probe(trained, name))
     if conditions is not None:
@@ -59,9 +60,12 @@ def _conditions(settings: list[str]) -> tuple[list[Any], int]:
     """What the options ask for, and how many views."""
     from qnerf.probes.hardware import grid
 
-    values = DEFAULTS | dict(option.split("=", 1) for option in settings)
+    given = dict(option.split("=", 1) for option in settings)
+    values = DEFAULTS | given
     shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
-    (views,), (seed,) = _numbers(int, "views", values["views"]), _numbers(int, "seed", values["seed"])
+    views, seed = _one("views", values["views"]), _one("seed", values["seed"])
+    if "noise" in given and not p:
+        raise ValueError(f"noise={values['noise']} expects its probabilities as well, such as p=0.001,0.01")
     return grid(shots, values["noise"], p, seed), views
 
 
@@ -70,6 +74,13 @@ def _measure(trained: "Trained", conditions: list[Any], views: int) -> None:
 
     evaluate_hardware(trained, conditions, views=views, tell=print)
     print(f"rows in {trained.folder / FILE}")
+
+
+def _one(name: str, text: str) -> int:
+    numbers = _numbers(int, name, text)
+    if len(numbers) != 1 or numbers[0] < 0:
+        raise ValueError(f"{name} expects one number of at least 0, got {text!r}")
+    return int(numbers[0])
 
 
 def _numbers(kind: type, name: str, text: str) -> list[Any]:

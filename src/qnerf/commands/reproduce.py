@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qnerf.commands import add_run
-from qnerf.commands.stored import stored
+from qnerf.commands.stored import check_identity, stored
 from qnerf.console_table import Column, print_table
 from qnerf.console_text import console
 from qnerf.printable import printable
@@ -58,7 +58,9 @@ def main(options: argparse.Namespace) -> int:
     from qnerf.reproduce import compare, environment_differences, recorded_threads
     from qnerf.train import Diverged
 
+    check_identity(run, experiment.prepare(config)[2].fingerprint)
     config["threads"] = recorded_threads(run) or config["threads"]
+    config["run"]["force"] = True  # --keep may have kept one already
     display = LiveDisplay(console(), live=config["run"]["progress"])
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")

@@ -8,11 +8,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
-from rich.tree import Tree
 
 from qnerf.commands import add_run
 from qnerf.console_table import Column, print_table
-from qnerf.console_text import STATE_STYLES, age, as_json, console, count, duration, number, size, styled
+from qnerf.console_text import STATE_STYLES, age, as_json, console, count, duration, number, size, styled, tree
 from qnerf.printable import printable
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
@@ -69,7 +68,7 @@ def show(out: Console, run: Details, config: bool = False) -> None:
     _views(out, run)
     if config:
         out.print()
-        out.print(_tree("configuration", run.config))
+        out.print(tree("configuration", run.config))
     _environment(out, run)
     _section(out, "files", str(run.path))
     for name, held in files(run.path).items():
@@ -167,16 +166,6 @@ def files(run: Path) -> dict[str, int]:
         held = [item.lstat().st_size for item in (path.iterdir() if inside else [path])]
         found[f"{path.name}/ ({len(held)})" if inside else path.name] = sum(held)
     return found
-
-
-def _tree(title: str, node: Mapping[str, Any]) -> Tree:
-    tree = Tree(Text(title, "bold"), guide_style="dim")
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            tree.add(_tree(printable(key), value))
-        else:
-            tree.add(Text.assemble(f"{printable(key)}: ", (printable(value), "cyan")))
-    return tree
 
 
 def _section(out: Console, title: str, more: str = "") -> None:

@@ -53,12 +53,15 @@ def check_identity(run: Path, fingerprint: str) -> None:
     edited = f"{run / 'config.yaml'} is not the configuration that the run was started with"
     moved = f"scene.path={path}: the scene's contents are not those that the run was started with"
     if known is None:
-        raise StoreError(f"{run}: cannot go on: either {edited}, or {moved}")
-    raise StoreError(f"{run}: cannot go on: {moved if known == identity(config) else edited}")
+        raise StoreError(f"{run}: either {edited}, or {moved}")
+    raise StoreError(f"{run}: {moved if known == identity(config) else edited}")
 
 
 def complete(config: dict[str, Any], today: Mapping[str, Any], label: str) -> list[str]:
     """Adds to `config` what only `today` has; returns it as key=value. ValueError names what only `config` has."""
+    for key in config.keys() & today.keys():
+        if isinstance(today[key], Mapping) and not isinstance(config[key], Mapping):
+            raise ValueError(f"{label}: expected options of {key}, got {config[key]!r}")
     missing, unknown = list(_only_in(today, config)), list(_only_in(config, today))
     # conf/ spells out neither what a scene was found to need nor what only some contractions have.
     also = {("contraction", option) for option in _contraction_options(config)}

@@ -110,7 +110,7 @@ def evaluate_hardware(
     if any(condition.noise != "none" for condition in asked):
         check_noise_feasible(evaluator, views or len(scene.eval))
     path = folder / FILE
-    table = pd.read_parquet(path) if path.exists() else pd.DataFrame()
+    table = pd.DataFrame()
     for condition in asked:
         noise = Noise(**{condition.noise: condition.p}) if condition.noise != "none" else None
         rows = []
@@ -118,8 +118,8 @@ def evaluate_hardware(
             for _, row in evaluator.views(scene.eval[: views or None], trained.step):
                 rows.append(row | vars(condition))
         new = pd.DataFrame(rows).astype({"lpips": "float64", "depth_error": "float64", "depth_error_median": "float64"})
-        # Written after each condition: what was computed stays, whatever comes.
-        table = pd.concat([table, new]) if len(table) else new
+        # Read and written after each condition: what was computed stays, here and by another command meanwhile.
+        table = pd.concat([pd.read_parquet(path), new]) if path.exists() else new
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())
         shots = f"{condition.shots} shots" if condition.shots else "exact"

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from qnerf.config import Settings
 from qnerf.experiment import build_model, prepare
 from qnerf.model import Model
 from qnerf.records import read_config, state
+from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import reporting
 from qnerf.scenes import Scene
 
@@ -32,7 +31,7 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
     config: the run's configuration where the stored one is older than this version; None: as stored.
 
     Raises:
-        ValueError: not a finished run, or its scene cannot be read.
+        ValueError: not a finished run, or its scene or checkpoint cannot be read.
     """
     folder = Path(run)
     if not (folder / "config.yaml").is_file():
@@ -41,8 +40,15 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
         raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
     _, settings, scene = prepare(read_config(folder) if config is None else config)
     model = build_model(settings, scene)
-    with reporting(folder / "checkpoint.pt", "read"):
-        checkpoint = torch.load(folder / "checkpoint.pt", map_location=settings.torch_device, weights_only=True)
-    model.load_state_dict(checkpoint["model"])
-    model.field.encoder.progress = checkpoint["step"] / settings.train.steps
-    return Trained(folder, settings, scene, model.eval(), checkpoint["step"])
+    path = folder / "checkpoint.pt"
+    with reporting(path, "read"):
+        try:
+            checkpoint = load_archive(path)
+            model.load_state_dict(checkpoint["model"])
+            step = int(checkpoint["step"])
+        except OSError:
+            raise
+        except Exception as error:  # whatever a damaged archive makes its readers raise
+            raise ValueError(f"{path}: expected the checkpoint of this run, got {type(error).__name__}") from error
+    model.field.encoder.progress = step / settings.train.steps
+    return Trained(folder, settings, scene, model.eval(), step)

@@ -64,14 +64,15 @@ class Folder:
     def scan(self) -> Stamps:
         try:
             with os.scandir(self.root) as entries:
-                names = sorted(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
+                found = (entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
+                names = sorted(name for name in found if name.isascii() or _is_unicode(name))
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
             raise StoreError(f"{self.root}: cannot read: {error.strerror or error}") from error
         settled = settled_before()
-        found = {name: _stamps(f"{self.root}/{name}", settled) for name in names}
-        return {name: stamps for name, stamps in found.items() if stamps is not None}
+        stamps = {name: _stamps(f"{self.root}/{name}", settled) for name in names}
+        return {name: stamp for name, stamp in stamps.items() if stamp is not None}
 
     def read(self, file: str, runs: Sequence[str]) -> Iterator[bytes | StoreError | None]:
         for run in runs:
@@ -119,6 +120,11 @@ def _stamps(folder: str, settled: float) -> dict[str, str] | None:
     if SUMMARY in stamps or STATUS in stamps or os.path.lexists(f"{folder}/config.yaml"):
         return stamps
     return None
+
+
+def _is_unicode(name: str) -> bool:
+    """Not so in another encoding, which no table can hold; qnerf's own names are ASCII."""
+    return not any("\ud800" <= character <= "\udfff" for character in name)
 
 
 def cached_index(store: str) -> list[Path]:

@@ -81,10 +81,6 @@ class Rows:
         keys: list[str] = self.table[KEY].to_pylist()
         return keys
 
-    def names(self) -> list[str]:
-        """Of all values that some row has, in the order of the rows."""
-        return list(self._kinds())
-
     def columns(self, names: Collection[str] | None = None) -> dict[str, pa.ChunkedArray]:
         """One column a name, by default all: of the one kind that its values have; of float64 where they are whole
         and other numbers; else of text. All null, of Arrow's null type, where no row has a value.

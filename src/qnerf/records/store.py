@@ -162,6 +162,8 @@ class RunStore:
             os.rename(held.directory, trash)
         except OSError as error:
             shutil.rmtree(made.directory, ignore_errors=True)
+            with contextlib.suppress(StoreError):
+                held.release()
             raise StoreError(f"{held.directory}: cannot be done over: {error.strerror or error}") from error
         try:
             return self._enter(made, held.directory)

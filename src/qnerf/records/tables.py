@@ -95,7 +95,9 @@ def _array(name: str, values: list[Any], kind: pa.DataType) -> pa.Array:
         if not fits:
             raise ValueError(f"{name}: expected a number, got {value!r}")
     if pa.types.is_string(kind):
-        values = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+        texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+        # What is no Unicode, such as a file's name in another encoding, is shown with question marks.
+        values = [text if text is None else text.encode(errors="replace").decode() for text in texts]
     elif pa.types.is_integer(kind):
         values = [None if value is None else int(value) for value in values]
     elif pa.types.is_floating(kind):
