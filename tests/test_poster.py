@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from qnerf.cache import cache_folder
 from qnerf.rays import RayTable, project
 from qnerf.scenes import SCENES, Scene, poster
 from qnerf.scenes.atlas import Atlas
@@ -149,12 +150,12 @@ def test_a_cache_that_cannot_be_written_is_no_error(scene, tmp_path, monkeypatch
 
 def test_where_the_cache_lies(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    assert poster.cache_folder() == tmp_path / "cache"
+    assert cache_folder() == tmp_path / "cache"
     monkeypatch.delenv("QNERF_CACHE")
-    assert poster.cache_folder() == tmp_path / "xdg" / "qnerf"
+    assert cache_folder() == tmp_path / "xdg" / "qnerf"
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert poster.cache_folder() == tmp_path / ".cache" / "qnerf"
+    assert cache_folder() == tmp_path / ".cache" / "qnerf"
 
 
 def test_options_change_the_scene_and_its_fingerprint(scene):

@@ -1,7 +1,6 @@
 """`python -m analysis.report STORE --out report`: see `--help`."""
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 import qnerf
+from analysis import command
 from analysis.load import runs
 from analysis.query import HELP
 from analysis.report import content, curves, page, parts, pictures
@@ -103,7 +103,7 @@ def gathered(frame: pd.DataFrame, options: argparse.Namespace, told: Told) -> di
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
-        "pictures": {"note": drawn.note, "absent": content.no_pictures(drawn, options.no_images)},
+        "pictures": {"note": drawn.note, "absent": content.no_pictures(drawn, not most)},
         "plots": {"absent": content.no_plots(frame)},
         "curves": {"absent": content.no_curves(logged)},
         "parts": sections,
@@ -128,7 +128,4 @@ SECTIONS = (
 )
 
 if __name__ == "__main__":
-    try:
-        main()
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {' '.join(str(error).split())}")
+    command.run(main)

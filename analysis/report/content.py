@@ -120,7 +120,7 @@ def no_pictures(drawn: pictures.Pictures, asked: bool) -> str:
     if drawn.files:
         return ""
     if asked:
-        return "Left out by --no-images."
+        return "Left out by --no-images or --max-images 0."
     if drawn.left_out:
         return f"The pictures of {drawn.left_out:,} runs were left out: more than --max-images allows."
     damaged = f"; {len(drawn.problems)} are damaged, the first {drawn.problems[0]}" if drawn.problems else ""

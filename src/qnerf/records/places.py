@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import pandas as pd
 
+from qnerf.cache import cache_folder
 from qnerf.records.files import StoreError, read_bytes
 from qnerf.records.read import read_metrics, state
 
@@ -128,11 +129,8 @@ def _is_unicode(name: str) -> bool:
 
 
 def cached_index(store: str) -> list[Path]:
-    """The folder for a store's index among the user's own: in $QNERF_CACHE, else $XDG_CACHE_HOME/qnerf, else
-    ~/.cache/qnerf; empty where there is no home."""
-    own, base = os.environ.get("QNERF_CACHE"), os.environ.get("XDG_CACHE_HOME")
-    try:
-        folder = Path(own).expanduser() if own else Path(base or "~/.cache").expanduser() / "qnerf"
-    except RuntimeError:
+    """The folder for a store's index among the user's own; empty where there is none."""
+    folder = cache_folder()
+    if folder is None:
         return []
     return [folder / "index" / hashlib.sha256(store.encode(errors="surrogateescape")).hexdigest()[:20]]

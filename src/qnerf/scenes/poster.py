@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from qnerf.cache import cache_folder
 from qnerf.scenes.base import LEAST_VIEWS, SCENES, Scene, digest, split_views
 from qnerf.scenes.images import MOST_SCENE_BYTES
 from qnerf.scenes.normalise import normalise
@@ -124,14 +125,6 @@ def render_views(*, views: int, width: int, height: int, supersample: int, seed:
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
         images, depths = zip(*pool.map(one, range(views)), strict=True)
     return {"images": np.stack(images), "depth": np.stack(depths), "poses": poses}
-
-
-def cache_folder() -> Path | None:
-    """Where the pictures are kept; None where there is no home to keep them in."""
-    own, base = os.environ.get("QNERF_CACHE"), os.environ.get("XDG_CACHE_HOME")
-    with contextlib.suppress(RuntimeError):  # no home folder
-        return Path(own).expanduser() if own else Path(base or "~/.cache").expanduser() / "qnerf"
-    return None
 
 
 def _cached(options: Mapping[str, int]) -> dict[str, NDArray]:
