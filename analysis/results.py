@@ -119,8 +119,12 @@ QUESTIONS = {
         "density.init",
         "torch",
     ),
-    "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", before("recipe")),
-    "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", before("recipe_more")),
+    "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe")),
+    "recipe_density": pieces(
+        "And to one for density?",
+        sweep("recipe", "field=qdensity experiment=quick_recipe,no_gain,no_center,no_sum,uniform_angles,full_scale"),
+    ),
+    "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
     "seeds": Question(
         "How often does a field collapse? Colour MLPs as Nerfacto's, and with raw directions and He's start",
         (sweep("seeds", "field=classical,qdensity color.directions=raw color.init=he"), sweep("seeds")),
@@ -140,7 +144,7 @@ QUESTIONS = {
     ),
     "control": Question(
         "Is it the circuit, or what the recipe gives it?",
-        (before("control"), before("control", "field=qcolor color.directions=raw color.init=torch")),
+        (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.init=torch")),
         ("scene_name", "color", "color.directions", "color.init"),
         {"color": "3x64", "color.directions": "raw", "color.init": "he"},
         ("psnr", "ssim", "depth_error", "params.color"),
@@ -161,7 +165,7 @@ QUESTIONS = {
     ),
     "rates": pieces(
         "How fast may a colour circuit learn?",
-        before("seeds", "field=qcolor train.rates.color=0.33,1.0"),
+        sweep("seeds", "field=qcolor train.rates.color=0.33,1.0"),
         "train.rates.color",
         "1",
     ),
@@ -277,9 +281,26 @@ QUESTIONS = {
         ("psnr", "ssim", "depth_error", "params.density"),
         stable=True,
     ),
+    "density_sum": pieces(
+        "Does it help there to read the sum of all circuits?",
+        sweep("density_pe", "experiment=pe_1L2S density.qiren.sum_layers=false,true"),
+        "density.qiren.sum_layers",
+        "false",
+    ),
+    "density_rate": Question(
+        "And do deep ones end as fog at a third of the learning rate, too?",
+        (
+            sweep(
+                "density_figure",
+                "density.qiren.layers=2,4 density.qiren.spectral=5,6 density.rates.qiren=0.33",
+            ),
+        ),
+        ("scene_name", "density", "train.rates.density"),
+        values=("psnr", "ssim", "depth_error"),
+    ),
     "ansatz": Question(
         "Which circuit?",
-        (sweep("ansatz", "seed=0"),),
+        (sweep("ansatz", "qiren.ansatz=qiren,ry"), sweep("ansatz", "seed=0")),
         ("scene_name", "color.qiren.ansatz"),
         {"color.qiren.ansatz": "qiren"},
         ("psnr", "ssim", "depth_error"),
