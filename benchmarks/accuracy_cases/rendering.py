@@ -57,7 +57,9 @@ class SmallField(nn.Module):
         density = HEADS.build("mlp", encoding.out_dim, 6, layers=2, width=64)
         color = HEADS.build("mlp", sh.out_dim + 5, 3, layers=3, width=64)
         contraction = CONTRACTIONS.build("linf")
-        self.field = Field(contraction, encoding, sh, density, color, trunc_exp, 1.0, views=1, appearance=0)
+        self.field = Field(
+            contraction, encoding, sh, density, color, trunc_exp, 1.0, views=1, trained=[0], appearance=0
+        )
         self.origins = nn.Parameter(torch.rand(rays, 3) - 0.5)
         self.directions = nn.Parameter(nn.functional.normalize(torch.randn(rays, 3), dim=-1))
 
