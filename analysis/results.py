@@ -270,6 +270,17 @@ QUESTIONS = {
         ("scene_name", "density"),
         values=("psnr", "ssim", "depth_error", "params.density"),
     ),
+    "density_rate": Question(
+        "Two of them end empty. Does a third of the learning rate save them?",
+        (
+            sweep(
+                "density_figure",
+                "density.qiren.layers=2,4 density.qiren.spectral=5,6 density.rates.qiren=0.33",
+            ),
+        ),
+        ("scene_name", "density", "train.rates.density"),
+        values=("psnr", "ssim", "depth_error"),
+    ),
     "density_pe": Question(
         "Is a quantum density head level with an MLP of its size on a positional encoding?",
         (
@@ -286,17 +297,6 @@ QUESTIONS = {
         sweep("density_pe", "experiment=pe_1L2S density.qiren.sum_layers=false,true"),
         "density.qiren.sum_layers",
         "false",
-    ),
-    "density_rate": Question(
-        "And do deep ones end as fog at a third of the learning rate, too?",
-        (
-            sweep(
-                "density_figure",
-                "density.qiren.layers=2,4 density.qiren.spectral=5,6 density.rates.qiren=0.33",
-            ),
-        ),
-        ("scene_name", "density", "train.rates.density"),
-        values=("psnr", "ssim", "depth_error"),
     ),
     "ansatz": Question(
         "Which circuit?",
