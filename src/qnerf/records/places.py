@@ -66,7 +66,7 @@ class Folder:
         try:
             with os.scandir(self.root) as entries:
                 found = (entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir())
-                names = sorted(name for name in found if name.isascii() or _is_unicode(name))
+                names = sorted(name for name in found if _is_unicode(name))
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
