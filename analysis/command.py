@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import pandas as pd
 
-from analysis.load import runs
-from analysis.query import HELP
-from analysis.tables.table import Table
+from .load import runs
+from .query import HELP
+from .tables.table import Table
 
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
 

@@ -8,10 +8,10 @@ import pandas as pd
 from matplotlib.colors import rgb_to_hsv
 from scipy.stats import ks_2samp, wasserstein_distance
 
-from analysis import circular, command
-from analysis.images import panels, pictures
-from analysis.selection import conditions, refuse_mixtures, refuse_scenes, select, where
-from analysis.tables.table import Table
+from . import circular, command
+from .images import panels, pictures
+from .selection import conditions, refuse_mixtures, refuse_scenes, select, where
+from .tables.table import Table
 
 SOURCES = ("truth", "classical", "quantum")
 CHANNELS = ("hue", "saturation", "value")

@@ -6,8 +6,9 @@ from typing import Any
 
 import pandas as pd
 
-from analysis import packed, query
 from qnerf.records import index
+
+from . import packed, query
 
 
 def runs(

@@ -4,11 +4,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis import command, packed
-from analysis.figures import FIGURES
-from analysis.figures.files import draw, known, title
-from analysis.load import runs
-from analysis.paper import PAPER_TABLES
+from . import command, packed
+from .figures import FIGURES
+from .figures.files import draw, known, title
+from .load import runs
+from .paper import PAPER_TABLES
 
 DESCRIPTION = """\
 Packs the runs of a store into small tables: runs.parquet, views.parquet, and where runs were probed units.parquet and

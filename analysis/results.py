@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis import command, load
-from analysis.figures.files import title
-from analysis.paper import PAPER_TABLES
-from analysis.tables import Table, ablation, hardware, stability, units
+from . import command, load
+from .figures.files import title
+from .paper import PAPER_TABLES
+from .tables import Table, ablation, hardware, stability, units
 
 HEAD = """\
 # Results

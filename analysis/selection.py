@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from analysis.settings import LABELS, acting, configuration, effective, what_acts
+from .settings import LABELS, acting, configuration, effective, what_acts
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from analysis import packed
 from qnerf.records import StoreError
 from qnerf.records.read import read_table
+
+from . import packed
 
 PER_VIEW = ("psnr", "ssim", "lpips", "depth_error", "depth_error_median")
 """Metrics that eval.parquet has for each held-out image."""

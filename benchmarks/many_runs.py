@@ -18,11 +18,11 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from qnerf.environment import capture
-from qnerf.identity import run_id
-from qnerf.labels import labels, slug
-from qnerf.launch import conf_folder
+from qnerf.cli.launch import conf_folder
+from qnerf.config.identity import run_id
+from qnerf.config.labels import labels, slug
 from qnerf.records import Run, RunStore
+from qnerf.records.environment import capture
 from qnerf.timing import PARTS
 
 LOGS = 20  # times that a run logs `METRICS`

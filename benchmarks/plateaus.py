@@ -14,10 +14,10 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from qnerf.quantum import adjoint
 from qnerf.quantum.circuit import ANSATZE
-from qnerf.quantum.initial import INITS
-from qnerf.quantum.program import THETA, compile_program
+from qnerf.quantum.compiled import engine as compiled
+from qnerf.quantum.initial_angles import INITS
+from qnerf.quantum.normal_form import THETA, compile_program
 
 RESULTS = Path(__file__).parent / "results" / "plateaus.parquet"
 WIRES = tuple(range(2, 13))
@@ -30,14 +30,14 @@ def gradients(ansatz: str, init: str, wires: int, spectral: int, circuits: int) 
     theta is wire 0's in the first sublayer of the block in the middle.
     """
     circuit = ANSATZE.build(ansatz, wires, spectral)
-    engine = adjoint.Engine(compile_program(circuit))
+    engine = compiled.Engine(compile_program(circuit))
     row = circuit.rows // 2
     found = []
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(wires * 1000 + spectral)
         for _ in range(circuits):
             weights = INITS.get(init)(circuit).double().transpose(1, 2).contiguous().requires_grad_()
-            outputs = adjoint.evaluate(engine, torch.randn(1, wires, dtype=torch.float64), weights)
+            outputs = compiled.evaluate(engine, torch.randn(1, wires, dtype=torch.float64), weights)
             (gradient,) = torch.autograd.grad(outputs[0, 0], weights)
             found.append(gradient[row, THETA, 0])
     return torch.stack(found)

@@ -23,8 +23,9 @@ import pandas as pd
 import torch
 
 from benchmarks.peers.circuits import PEERS, pennylane_torch
-from qnerf.quantum import adjoint, lightcone, statevector
+from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
+from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.layer import QuantumLayer
 
 RESULTS = Path(__file__).parent / "results"
@@ -77,9 +78,9 @@ def engine_step(name: str, data: Arrays, spectral: int) -> Callable[[], tuple[to
             return y.detach(), x.grad, torch.cat([layer.weights1.grad.flatten(0, 1), layer.weights2.grad])
 
         return whole
-    program_engine = adjoint.Engine(QuantumLayer(wires, spectral).program)
+    program_engine = compiled.Engine(QuantumLayer(wires, spectral).program)
     functions: dict[str, Callable[[torch.Tensor, torch.Tensor], torch.Tensor]] = {
-        "statevector": lambda x, w: adjoint.evaluate(program_engine, x, w),
+        "statevector": lambda x, w: compiled.evaluate(program_engine, x, w),
         "statevector torch": lambda x, w: statevector.evaluate(program_engine.program, x, w),
         "lightcone torch": lambda x, w: lightcone.evaluate_reference(circuit, x, w),
     }

@@ -31,11 +31,11 @@ from omegaconf import OmegaConf
 from analysis import load, statistics
 from benchmarks.training import Plain, in_turn
 from qnerf import experiment
-from qnerf.evaluate import Evaluator, RenderedView
-from qnerf.launch import conf_folder
+from qnerf.cli.launch import conf_folder
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
-from qnerf.train import Trainer
+from qnerf.training.evaluation import Evaluator, RenderedView
+from qnerf.training.trainer import Trainer
 
 RESULTS = Path(__file__).parent / "results" / "speed_error.parquet"
 

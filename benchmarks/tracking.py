@@ -87,7 +87,7 @@ def listing(options: argparse.Namespace) -> Iterator[Measured]:
 
 def first_screen(store: str) -> None:
     """The whole command, from its start."""
-    command = [sys.executable, "-c", "from qnerf.cli import main; main()", "runs", "--store", store]
+    command = [sys.executable, "-c", "from qnerf.cli.main import main; main()", "runs", "--store", store]
     command += ["--limit", str(SCREEN)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) >= SCREEN, done.stdout

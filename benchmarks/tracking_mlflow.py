@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from qnerf.identity import flatten
+from qnerf.config.identity import flatten
 from qnerf.records import index, read_config
 
 ROOT = Path(__file__).parents[1]

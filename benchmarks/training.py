@@ -28,12 +28,12 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from qnerf import experiment, kernels
+from qnerf.cli.launch import conf_folder
 from qnerf.encoders import HashEncoder
-from qnerf.evaluate import Evaluator
-from qnerf.launch import conf_folder
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import PARTS, Stopwatch
-from qnerf.train import Trainer
+from qnerf.training.evaluation import Evaluator
+from qnerf.training.trainer import Trainer
 
 RESULTS = Path(__file__).parent / "results" / "training.parquet"
 FIELDS = ("classical", "qcolor", "qdensity", "qboth")

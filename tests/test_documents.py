@@ -6,11 +6,11 @@ import re
 from collections.abc import Iterator
 
 import pytest
-from conftest import ROOT, composed, swept
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
-from qnerf.config import settings_from
+from qnerf.config.settings import settings_from
+from tests.helpers.configs import ROOT, composed, swept
 
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 HEADERS = [*sorted((ROOT / "conf").rglob("*.yaml")), *sorted((ROOT / "sweeps").glob("*.yaml"))]

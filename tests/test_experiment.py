@@ -12,7 +12,7 @@ from PIL import Image
 from qnerf import experiment
 from qnerf.experiment import run
 from qnerf.records import read_metrics, read_status, state
-from qnerf.train import Diverged, Trainer
+from qnerf.training.trainer import Diverged, Trainer
 
 REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
@@ -161,7 +161,7 @@ def test_a_mistake_is_one_line_and_writes_nothing(tiny, tmp_path, overrides, mes
 
 
 def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
-    from conftest import write_scene
+    from tests.helpers.scenes import write_scene
 
     folder = write_scene(tmp_path / "rgba", channels=4)
     with pytest.raises(ValueError, match=r"use render\.background=white"):

@@ -10,21 +10,21 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis.figures.accuracy import accuracy_points, accuracy_vs_speed
-from analysis.figures.capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
-from analysis.figures.colors import hsv_boxes, hsv_histograms, hsv_samples, hsv_study
-from analysis.figures.curves import loss_curves, loss_points, psnr_vs_time, time_points
-from analysis.figures.encodings import encoding_channels, encoding_slices
-from analysis.figures.hardware import hardware_points, psnr_vs_noise, psnr_vs_shots
-from analysis.figures.ladder import ladder_points, speed_error_ladder
-from analysis.figures.pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
-from analysis.figures.plateaus import barren_plateaus, plateau_points
-from analysis.figures.probed import best_of
-from analysis.figures.qualitative import qualitative_grid, qualitative_panels, typical
-from analysis.figures.sampling import ray_samples, sampling_strategies
-from analysis.figures.shape import psnr_vs_depth, psnr_vs_width, shape_points
-from analysis.figures.spectrum import fourier_spectrum, spectrum_points
-from analysis.style import save
+from ..style import save
+from .accuracy import accuracy_points, accuracy_vs_speed
+from .capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
+from .colors import hsv_boxes, hsv_histograms, hsv_samples, hsv_study
+from .curves import loss_curves, loss_points, psnr_vs_time, time_points
+from .encodings import encoding_channels, encoding_slices
+from .hardware import hardware_points, psnr_vs_noise, psnr_vs_shots
+from .ladder import ladder_points, speed_error_ladder
+from .pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
+from .plateaus import barren_plateaus, plateau_points
+from .probed import best_of
+from .qualitative import qualitative_grid, qualitative_panels, typical
+from .sampling import ray_samples, sampling_strategies
+from .shape import psnr_vs_depth, psnr_vs_width, shape_points
+from .spectrum import fourier_spectrum, spectrum_points
 
 
 def _of_best(draw: Callable[..., Figure], probe: str) -> Callable[..., Figure]:

@@ -4,11 +4,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.command import chosen, run
-from analysis.figures import FIGURES
-from analysis.figures.files import draw, known
-from analysis.query import HELP
-from analysis.style import FORMATS
+from ..command import chosen, run
+from ..query import HELP
+from ..style import FORMATS
+from . import FIGURES
+from .files import draw, known
 
 
 def main(arguments: Sequence[str] | None) -> None:

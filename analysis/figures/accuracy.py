@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import style
+from .. import style
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "accuracy.parquet"
 LEAST = 1e-17

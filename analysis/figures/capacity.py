@@ -7,10 +7,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures import points
-from analysis.selection import select
-from analysis.settings import QUANTUM
+from .. import style
+from ..selection import select
+from ..settings import QUANTUM
+from . import points
 
 PARTS = {
     "heads": ("params.density", "params.color"),

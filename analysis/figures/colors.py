@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import circular, hsv, style
-from analysis.figures import points
-from analysis.selection import select, where
+from .. import circular, hsv, style
+from ..selection import select, where
+from . import points
 
 EDGES = {
     "hue": np.linspace(0, 1, 61),

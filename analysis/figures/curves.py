@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures import points
-from analysis.load import metrics
-from analysis.selection import select
+from .. import style
+from ..load import metrics
+from ..selection import select
+from . import points
 
 MOST = 6  # configurations in one panel
 BINS = 50  # points of a training curve

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures.probed import probed
+from .. import style
+from .probed import probed
 
 CHANNELS = 8
 NAMES = {

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis.figures import FIGURES, save, scenes_of
+from . import FIGURES, save, scenes_of
 
 
 def known(names: Sequence[str]) -> None:

@@ -3,11 +3,11 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures import points
-from analysis.figures.probed import having, probed
-from analysis.hardware import FILE, means
-from analysis.selection import select
+from .. import style
+from ..hardware import FILE, means
+from ..selection import select
+from . import points
+from .probed import having, probed
 
 
 def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:

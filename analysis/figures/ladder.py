@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis import style
+from .. import style
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "speed_error.parquet"
 

@@ -6,9 +6,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from analysis import style
-from analysis.figures import points
-from analysis.selection import select
+from .. import style
+from ..selection import select
+from . import points
 
 TIMES = {"step_ms": "median time of a step, ms", "train_s": "training time, s"}
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "quantum.parquet"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis.settings import LABELS, effective
+from ..settings import LABELS, effective
 
 _NAMING = ("field", "encoder", "hash", "density", "color", "sampler", "cameras", "train", "steps")
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis import packed
+from .. import packed
 
 
 def probed(run: str | Path, name: str) -> pd.DataFrame:

@@ -5,12 +5,13 @@ import textwrap
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures import points
-from analysis.images import panels, pictures
-from analysis.selection import select
-from analysis.statistics import evaluations
-from qnerf.identity import picture_names
+from qnerf.config.identity import picture_names
+
+from .. import style
+from ..images import panels, pictures
+from ..selection import select
+from ..statistics import evaluations
+from . import points
 
 TITLES = ("truth", "render", "error x 4", "depth")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures.probed import probed
+from .. import style
+from .probed import probed
 
 
 def ray_samples(run: str | Path, ray: int = 0) -> pd.DataFrame:

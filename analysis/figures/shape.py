@@ -3,9 +3,9 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures import points
-from analysis.selection import check_keys, select
+from .. import style
+from ..selection import check_keys, select
+from . import points
 
 _MEASURES = {"depth": {"mlp": "layers", "qiren": "qiren.layers"}, "width": {"mlp": "width", "qiren": "qiren.qubits"}}
 _AXES = {

@@ -7,8 +7,8 @@ import pandas as pd
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from analysis import style
-from analysis.figures.probed import probed
+from .. import style
+from .probed import probed
 
 LEAST = 1e-4  # smallest share with a colour of its own
 

@@ -1,7 +1,7 @@
 """The numbers that the Q-NeRF paper (arXiv:2512.12683) prints, beside those of our runs of the same architectures."""
 
-from analysis.paper.joined import SETTING
-from analysis.paper.tables import (
+from .joined import SETTING
+from .tables import (
     PAPER_TABLES,
     hash_encoding_configurations,
     hsv_tests,

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from analysis.selection import label, refuse_mixtures, select
-from analysis.tables.seeds import aggregate
-from analysis.tables.table import Table
-from analysis.tables.values import shown, value
+from ..selection import label, refuse_mixtures, select
+from ..tables.seeds import aggregate
+from ..tables.table import Table
+from ..tables.values import shown, value
 
 SETTING = "paper: one run and one seed a row, nerfstudio's poster capture at 36 x 64, 30,000 steps"
 _SAID = ("scene_name", "encoder", "hash", "train", "train.steps", "train.rays")

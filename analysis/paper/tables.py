@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 
 import pandas as pd
 
-from analysis import hsv
-from analysis.paper.joined import SETTING, joined, printed, side_by_side
-from analysis.selection import label, select
-from analysis.tables.table import Table
+from .. import hsv
+from ..selection import label, select
+from ..tables.table import Table
+from .joined import SETTING, joined, printed, side_by_side
 
 
 def rgb_predictors(frame: pd.DataFrame) -> Table:

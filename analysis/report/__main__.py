@@ -11,10 +11,11 @@ from rich.console import Console
 from rich.progress import Progress
 
 import qnerf
-from analysis import command
-from analysis.load import runs
-from analysis.query import HELP
-from analysis.report import content, curves, page, parts, pictures
+
+from .. import command
+from ..load import runs
+from ..query import HELP
+from . import content, curves, page, parts, pictures
 
 DESCRIPTION = """\
 Writes one self-contained HTML page about a store of runs: the table of runs, interactive plots, curves, pictures and

@@ -8,14 +8,15 @@ import numpy as np
 import pandas as pd
 
 import qnerf
-from analysis import style
-from analysis.figures import points
-from analysis.report import curves, pictures
-from analysis.report.columns import packed
-from analysis.report.versions import versions
-from analysis.selection import select
-from analysis.settings import LABELS, first_of_each
-from analysis.tables.values import VALUES, value
+
+from .. import style
+from ..figures import points
+from ..selection import select
+from ..settings import LABELS, first_of_each
+from ..tables.values import VALUES, value
+from . import curves, pictures
+from .columns import packed
+from .versions import versions
 
 SHOWN = (
     "run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed", "psnr", "ssim", "lpips",

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.load import metrics
-from analysis.report.columns import rounded_all
+from ..load import metrics
+from .columns import rounded_all
 
 KEYS = {
     "eval/psnr": "held-out PSNR, dB",

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from analysis.figures import FIGURES, save, scenes_of
-from analysis.style import settings
+from ..figures import FIGURES, save, scenes_of
+from ..style import settings
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
 MOST_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 
 import pandas as pd
 
-from analysis import hsv
-from analysis.figures import FIGURES, colors
-from analysis.paper import PAPER_TABLES
-from analysis.report.figures import Drawn, draw
-from analysis.report.tables import ShownTable, attempt, over_seeds, what_the_scene_needs
-from analysis.tables import Table
-from analysis.tables.needs import TOLERANCE
+from .. import hsv
+from ..figures import FIGURES, colors
+from ..paper import PAPER_TABLES
+from ..tables import Table
+from ..tables.needs import TOLERANCE
+from .figures import Drawn, draw
+from .tables import ShownTable, attempt, over_seeds, what_the_scene_needs
 
 PAPER_FIGURES = (
     "capacity", "capacity_color", "capacity_density", "depth", "width", "density_width", "hash", "loss", "qualitative",

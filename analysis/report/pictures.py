@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from analysis.images import Panels, panels, pictures
+from ..images import Panels, panels, pictures
 
 MOST_VIEWS = 1000
 MOST_BYTES = 20 * 2**20

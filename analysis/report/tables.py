@@ -6,10 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from analysis.figures import points
-from analysis.selection import select
-from analysis.settings import LABELS, configuration
-from analysis.tables import Table, ablation, needs
+from ..figures import points
+from ..selection import select
+from ..settings import LABELS, configuration
+from ..tables import Table, ablation, needs
 
 MOST_ERROR = 600  # characters of an error that may list every column
 MOST_ROWS = 30  # configurations of a scene in the ablation table

@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 
-from analysis import command
-from analysis.paper import PAPER_TABLES
-from analysis.selection import conditions
-from analysis.tables.ablation import ablation
-from analysis.tables.hardware import hardware
-from analysis.tables.needs import TOLERANCE, needs
-from analysis.tables.stability import stability
-from analysis.tables.units import units
-from analysis.tables.values import VALUES
+from .. import command
+from ..paper import PAPER_TABLES
+from ..selection import conditions
+from .ablation import ablation
+from .hardware import hardware
+from .needs import TOLERANCE, needs
+from .stability import stability
+from .units import units
+from .values import VALUES
 
 DESCRIPTION = """\
 Tables over seeds from a folder of runs. A row is a group of finished runs that differ in their seed alone: mean ±

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from analysis.selection import SCENES, check_keys, label, refuse_mixtures, select
-from analysis.tables.differences import against, interval, pairs
-from analysis.tables.seeds import aggregate, values_of
-from analysis.tables.table import Table
-from analysis.tables.values import shown, value
+from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from .differences import against, interval, pairs
+from .seeds import aggregate, values_of
+from .table import Table
+from .values import shown, value
 
 
 def ablation(

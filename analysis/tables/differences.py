@@ -5,9 +5,9 @@ from typing import Any
 
 import pandas as pd
 
-from analysis import statistics
-from analysis.selection import SCENES, label, where
-from analysis.statistics import Difference
+from .. import statistics
+from ..selection import SCENES, label, where
+from ..statistics import Difference
 
 _COLUMNS = ["mean", "low", "high", "seeds", "views"]
 

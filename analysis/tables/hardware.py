@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis import packed
-from analysis.hardware import CONDITION, FILE, means, told
-from analysis.selection import check_keys, label, refuse_mixtures, select
-from analysis.tables.table import Table
-from analysis.tables.values import shown
+from .. import packed
+from ..hardware import CONDITION, FILE, means, told
+from ..selection import check_keys, label, refuse_mixtures, select
+from .table import Table
+from .values import shown
 
 
 def hardware(frame: pd.DataFrame, rows: Sequence[str]) -> Table:

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from analysis import statistics
-from analysis.selection import SCENES, check_keys, label, refuse_mixtures, select
-from analysis.tables.seeds import aggregate
-from analysis.tables.table import Table
-from analysis.tables.values import shown, value
+from .. import statistics
+from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from .seeds import aggregate
+from .table import Table
+from .values import shown, value
 
 TOLERANCE = 0.5  # dB
 

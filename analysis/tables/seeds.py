@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis.selection import check_keys, finite, refuse_mixtures, select
-from analysis.tables.values import VALUES
+from ..selection import check_keys, finite, refuse_mixtures, select
+from .values import VALUES
 
 
 def over_seeds(

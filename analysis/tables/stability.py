@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis.selection import SCENES, check_keys, label, refuse_mixtures, select
-from analysis.tables.table import Table
-from analysis.tables.values import shown, value
+from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from .table import Table
+from .values import shown, value
 
 SLIP, COLLAPSE = 1.5, 5.0  # dB
 

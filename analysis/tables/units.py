@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from analysis import packed
-from analysis.selection import check_keys, label, refuse_mixtures, select
-from analysis.tables.table import Table
-from analysis.tables.values import shown, value
+from .. import packed
+from ..selection import check_keys, label, refuse_mixtures, select
+from .table import Table
+from .values import shown, value
 
 
 def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> Table:

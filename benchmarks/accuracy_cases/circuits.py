@@ -9,9 +9,10 @@ from torch.func import functional_call
 
 from benchmarks.accuracy_cases import ACCEPTED_GRADIENT, EPS, Case, Function, rounded
 from qnerf.heads.qiren import Normalisation
-from qnerf.quantum import adjoint, lightcone, statevector
+from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
-from qnerf.quantum.program import compile_program
+from qnerf.quantum.compiled import engine as compiled
+from qnerf.quantum.normal_form import compile_program
 
 CIRCUIT_GRADIENTS = 1e-5
 """Of the inputs and of the weights, each relative to its largest, up to S = 6; beyond, and at 14 wires, where gradients
@@ -47,7 +48,7 @@ def engines(circuit: Circuit) -> dict[str, Function]:
     program = compile_program(circuit)
     functions: dict[str, Function] = {
         "plain": partial(statevector.evaluate, program),
-        "statevector": partial(adjoint.evaluate, adjoint.Engine(program)),
+        "statevector": partial(compiled.evaluate, compiled.Engine(program)),
     }
     try:
         cone = lightcone.LightCone(circuit)

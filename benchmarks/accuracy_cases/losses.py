@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, Case, Function, fast_and_plain, rounded
-from qnerf.losses import distortion, interlevel
+from qnerf.training.losses import distortion, interlevel
 from qnerf.types import Samples
 
 LOSSES = 4 * EPS

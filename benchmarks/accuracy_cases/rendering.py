@@ -13,12 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.accuracy_cases import EPS, Case, Function, fast_and_plain, rounded
-from qnerf.activations import trunc_exp
-from qnerf.contraction import CONTRACTIONS
 from qnerf.encoders import DIRECTIONS, ENCODERS
-from qnerf.field import Field
+from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.heads import HEADS
-from qnerf.render import render, volume_weights, volume_weights_reference
+from qnerf.model.activations import trunc_exp
+from qnerf.model.field import Field
+from qnerf.rendering.render import render, volume_weights, volume_weights_reference
 from qnerf.types import Samples
 
 WEIGHTS = 16 * EPS

@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, Case, Function, fast_and_plain, only, rounded
-from qnerf.pdf import sample_edges
-from qnerf.spacing import SPACINGS
+from qnerf.rendering.pdf import sample_edges
+from qnerf.rendering.spacing import SPACINGS
 
 SPACED = 24 * EPS
 """Of each distance, relative to itself. The longest chain is geometric's: s ln(far / near) <= 21 has a rounding of half

@@ -11,33 +11,33 @@ from typing import Any, TypeGuard
 
 import torch
 
-from qnerf import needs
-from qnerf.activations import ACTIVATIONS
-from qnerf.cameras import CAMERAS
-from qnerf.config import Settings, settings_from
-from qnerf.contraction import CONTRACTIONS, Contraction
+from qnerf import auto
+from qnerf.config.identity import picture_names, run_id
+from qnerf.config.labels import labels, slug
+from qnerf.config.settings import Settings, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
-from qnerf.environment import capture, dirty_diff
-from qnerf.evaluate import Evaluator
-from qnerf.field import Field
-from qnerf.gate import GATES
+from qnerf.geometry.contraction import CONTRACTIONS, Contraction
+from qnerf.geometry.hull import hull
+from qnerf.geometry.pose_refinement import CAMERAS
+from qnerf.geometry.rays import RayTable
+from qnerf.geometry.visibility import SpaceMask, visible
 from qnerf.heads import HEADS
-from qnerf.hull import hull
-from qnerf.identity import picture_names, run_id
-from qnerf.labels import labels, slug
-from qnerf.model import Model
-from qnerf.numerics import FILE as NONFINITE
-from qnerf.numerics import CheckedTrainer, Origin
-from qnerf.occupancy import Occupancy
+from qnerf.model.activations import ACTIVATIONS
+from qnerf.model.field import Field
+from qnerf.model.model import Model
+from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
-from qnerf.rays import RayTable
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
-from qnerf.samplers import SAMPLERS
+from qnerf.records.environment import capture, dirty_diff
+from qnerf.rendering.samplers import SAMPLERS
+from qnerf.rendering.shading import GATES
 from qnerf.scenes import SCENES, Scene
-from qnerf.scenes.disturbed import disturbed
+from qnerf.scenes.pose_noise import disturbed
 from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
-from qnerf.train import Trainer
-from qnerf.visibility import SpaceMask, visible
+from qnerf.training.evaluation import Evaluator
+from qnerf.training.finite_checks import FILE as NONFINITE
+from qnerf.training.finite_checks import CheckedTrainer, Origin
+from qnerf.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,13 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
 
     `begun`: what a run of this configuration that is in its store already was found to need is not measured again.
     """
-    if not needs.asked(config):
+    if not auto.asked(config):
         settings = settings_from(config)
         return dict(config), settings, build_scene(settings)
     scene = disturbed(component(SCENES, config["scene"]), **config["poses"])
     if begun and not config["run"]["force"]:
         config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
-    resolved = needs.resolve(config, scene)
+    resolved = auto.resolve(config, scene)
     settings = settings_from(resolved)
     check_background(scene, settings)
     return resolved, settings, scene

@@ -9,8 +9,8 @@ from analysis import figures
 from benchmarks.plateaus import gradients, measure
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import ANSATZE
-from qnerf.quantum.initial import INITS
-from qnerf.quantum.program import compile_program
+from qnerf.quantum.initial_angles import INITS
+from qnerf.quantum.normal_form import compile_program
 
 
 @pytest.fixture(scope="module")

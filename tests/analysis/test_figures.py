@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import TINY, composed, write_scene
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -12,6 +11,8 @@ from analysis import figures, style
 from analysis.figures import points
 from analysis.load import metrics, runs
 from qnerf.experiment import run
+from tests.helpers.configs import TINY, composed
+from tests.helpers.scenes import write_scene
 
 SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu")
 GRID = (

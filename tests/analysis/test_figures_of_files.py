@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import TINY, composed, write_scene
 
 from analysis import circular, figures, hsv, packed
 from analysis.figures.__main__ import main
@@ -11,7 +10,9 @@ from analysis.images import panels, pictures
 from analysis.load import runs
 from qnerf.experiment import run
 from qnerf.probes import PROBES, load, probe
-from qnerf.probes.hardware import evaluate_hardware, grid
+from qnerf.probes.shots_and_noise import evaluate_hardware, grid
+from tests.helpers.configs import TINY, composed
+from tests.helpers.scenes import write_scene
 
 SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu", "hash=C7")
 

@@ -2,12 +2,12 @@ import shutil
 
 import pandas as pd
 import pytest
-from stores import write_run
 
 from analysis import load
 from analysis.pack import main as pack
 from analysis.tables import hardware
 from analysis.tables.__main__ import main
+from tests.helpers.packed_stores import write_run
 
 
 def measured(shots, noise, p, psnr):

@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
-from stores import picture, write_run
 
 from analysis import hsv
 from analysis.images import enlargement, panels, pictures
 from analysis.load import runs
+from tests.helpers.packed_stores import picture, write_run
 
 RANDOM = np.random.default_rng(0)
 

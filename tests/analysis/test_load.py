@@ -2,11 +2,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from stores import write_run
 
 from analysis import load
 from analysis.tables import ablation
 from qnerf.records import RunStore, read_metrics
+from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture

@@ -1,9 +1,9 @@
 import pytest
-from stores import write_run
 
 from analysis.load import runs
 from analysis.tables import needs
 from analysis.tables.__main__ import main
+from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture

@@ -1,8 +1,9 @@
 """The notebooks run from top to bottom on a small store of real runs, and are kept without what they printed."""
 
 import pytest
-from conftest import ROOT
-from sweep import sweep
+
+from tests.helpers.configs import ROOT
+from tests.helpers.sweep import sweep
 
 nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
 nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")

@@ -2,14 +2,14 @@ import shutil
 
 import pandas as pd
 import pytest
-from stores import write_run
-from sweep import sweep
 
 from analysis import load, statistics
 from analysis.pack import main
 from analysis.paper import PAPER_TABLES
 from analysis.results import kept
 from analysis.tables import ablation
+from tests.helpers.packed_stores import write_run
+from tests.helpers.sweep import sweep
 
 
 @pytest.fixture

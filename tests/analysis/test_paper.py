@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from stores import picture, write_run
 
 from analysis import hsv
 from analysis.load import runs
@@ -8,6 +7,7 @@ from analysis.paper import PAPER_TABLES, rgb_predictors
 from analysis.paper.joined import printed
 from analysis.paper.tables import HSV_FIELDS
 from analysis.tables.__main__ import main
+from tests.helpers.packed_stores import picture, write_run
 
 
 @pytest.fixture

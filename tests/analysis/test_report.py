@@ -10,12 +10,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from stores import picture, write_run
-from sweep import FIELDS, SEEDS, sweep
 
 import qnerf
 from analysis.images import panels, pictures
@@ -24,6 +21,9 @@ from analysis.report import columns, content, curves, figures, page, parts, tabl
 from analysis.report.__main__ import gathered, main, parser
 from analysis.report.pictures import Pictures, gather
 from analysis.tables import Table, over_seeds
+from tests.helpers.configs import ROOT
+from tests.helpers.packed_stores import picture, write_run
+from tests.helpers.sweep import FIELDS, SEEDS, sweep
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'`&amp;javascript:alert(3)"
 

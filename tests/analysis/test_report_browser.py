@@ -4,13 +4,13 @@ import json
 import shutil
 
 import pytest
-from stores import write_run
-from sweep import sweep
 
 from analysis.figures import capacity_points
 from analysis.load import runs
 from analysis.report.__main__ import main
 from analysis.report.content import prepared
+from tests.helpers.packed_stores import write_run
+from tests.helpers.sweep import sweep
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 from selenium.webdriver.common.by import By  # noqa: E402

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import ROOT, composed, swept
-from stores import write_run
 
 from analysis import load
 from analysis.pack import main as pack
 from analysis.results import QUESTIONS, Question, main, page
-from qnerf.labels import labels
+from qnerf.config.labels import labels
+from tests.helpers.configs import ROOT, composed, swept
+from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture

@@ -1,9 +1,9 @@
 import pytest
-from stores import write_run
 
 from analysis import load
 from analysis.tables import stability
 from analysis.tables.__main__ import main
+from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture

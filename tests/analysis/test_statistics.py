@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from stores import write_run
 
 from analysis.load import runs
 from analysis.statistics import bootstrap, evaluations, paired
+from tests.helpers.packed_stores import write_run
 
 DIFFERENCES = arrays(float, st.tuples(st.integers(1, 5), st.integers(1, 8)), elements=st.floats(-30, 30, width=32))
 

@@ -6,7 +6,6 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from stores import write_run
 
 from analysis.load import runs
 from analysis.tables import Table, ablation, markdown, over_seeds
@@ -14,6 +13,7 @@ from analysis.tables.__main__ import main
 from analysis.tables.ablation import best
 from analysis.tables.table import latex_escape, markdown_escape
 from qnerf.experiment import run
+from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture

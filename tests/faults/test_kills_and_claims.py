@@ -3,7 +3,6 @@
 import json
 import os
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -11,20 +10,14 @@ import pandas as pd
 import torch
 
 from qnerf import records
+from tests.helpers.jobs import STEPS, train
+from tests.helpers.processes import start
 
-HERE = Path(__file__).parent
 FULL = os.environ.get("QNERF_FAULTS") == "full"
 
 
 def jobs(*arguments: str) -> subprocess.Popen[str]:
-    path = os.pathsep.join([str(HERE.parents[1] / "src"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.Popen(
-        [sys.executable, str(HERE / "jobs.py"), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-    )
+    return start("jobs", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def finished(process: subprocess.Popen[str]) -> list[dict]:
@@ -58,11 +51,6 @@ def test_killed_at_random_moments(tmp_path: Path) -> None:
     assert polls > 10
     assert sum(line["killed"] for line in rounds) >= wanted
 
-    sys.path.insert(0, str(HERE))
-    try:
-        from jobs import STEPS, train
-    finally:
-        sys.path.remove(str(HERE))
     claim = records.RunStore(tmp_path / "reference").claim("reference", {"seed": 0})
     assert claim.run is not None
     train(claim.run, pace=0.0)

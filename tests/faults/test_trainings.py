@@ -9,7 +9,6 @@ import logging
 import os
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,12 +17,13 @@ from typing import Any
 import pandas as pd
 import pytest
 import torch
-from conftest import TINY, composed, write_scene
 
 from qnerf import experiment, records
 from qnerf.records import StoreError
+from tests.helpers import processes
+from tests.helpers.configs import TINY, composed
+from tests.helpers.scenes import write_scene
 
-HERE = Path(__file__).parent
 FULL = os.environ.get("QNERF_FAULTS") == "full"
 
 SHORT = [
@@ -42,14 +42,7 @@ def job(tmp_path: Path) -> Path:
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
-    path = os.pathsep.join([str(HERE.parents[1] / "src"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.Popen(
-        [sys.executable, str(HERE / "trainings.py"), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-    )
+    return processes.start("trainings", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def lines(process: subprocess.Popen[str]) -> list[dict[str, Any]]:

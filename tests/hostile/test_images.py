@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import write_scene
 from PIL import Image
 
 from qnerf.scenes import SCENES, images
+from tests.helpers.scenes import write_scene
 
 
 def chunk(kind: bytes, body: bytes) -> bytes:

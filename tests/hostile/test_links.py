@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from spoiled import CONFIG, interrupted, store
 
 from qnerf import records
 from qnerf.records import StoreError
+from tests.helpers.spoiled import CONFIG, interrupted, store
 
 READERS = {
     "config.yaml": records.read_config,

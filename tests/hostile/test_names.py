@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from spoiled import CONFIG, interrupted, store
 
 from qnerf import records
 from qnerf.records import find, index
+from tests.helpers.spoiled import CONFIG, interrupted, store
 
 NAMES = [
     "-rf",

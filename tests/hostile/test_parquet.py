@@ -6,10 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from spoiled import interrupted
 
 from qnerf import records
 from qnerf.records import StoreError
+from tests.helpers.spoiled import interrupted
 
 METRICS = {"step": [1], "time_s": [0.0], "key": ["a"], "value": [1.0]}
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 import torch
-from spoiled import interrupted, started, store
+
+from tests.helpers.spoiled import interrupted, started, store
 
 
 class Command:

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spoiled import CONFIG, interrupted, started, store
 
 from qnerf import records
 from qnerf.records import owner
+from tests.helpers.spoiled import CONFIG, interrupted, started, store
 
 plain = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import write_scene
 
 from qnerf.scenes import SCENES, transforms
+from tests.helpers.scenes import write_scene
 
 Build = Callable[[], Any]
 

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from spoiled import interrupted, store
 
 from qnerf import records
 from qnerf.records import StoreError
+from tests.helpers.spoiled import interrupted, store
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{chr(98 + i)}: &{chr(98 + i)} [{', '.join([f'*{chr(97 + i)}'] * 9)}]\n" for i in range(9)

@@ -4,11 +4,11 @@ import math
 
 import pandas as pd
 import pytest
-from hard import held, rounded
 
 from benchmarks.accuracy import beyond, measure, relative
 from benchmarks.accuracy_cases import every
 from benchmarks.accuracy_page import page
+from tests.helpers.hard_inputs import held, rounded
 
 CASES = every()
 

@@ -5,16 +5,17 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hard import held
 from hypothesis import example, given
 from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, Function
 from benchmarks.accuracy_cases.circuits import angles, cases, engines, output_error
-from qnerf.quantum import QuantumLayer, adjoint, statevector
+from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
-from qnerf.quantum.program import Angles, Program, Turn, compile_program
+from qnerf.quantum.compiled import engine as compiled_engine
+from qnerf.quantum.normal_form import Angles, Program, Turn, compile_program
+from tests.helpers.hard_inputs import held
 
 CASES = {case.name: case for case in cases() if case.part == "circuits"}
 ENGINES = ("plain", "statevector", "lightcone", "lightcone plain")
@@ -90,9 +91,9 @@ def test_norm_drift(spectral: int, dtype: torch.dtype) -> None:
     circuit = with_norm(ANSATZE.build("qiren", 6, spectral))
     bound = output_error(circuit) * torch.finfo(dtype).eps / EPS
     x, w = (t.to(dtype) for t in angles(circuit, inputs=3.0, weights=6.0, batch=16))
-    engine = adjoint.Engine(compile_program(circuit))
-    compiled = engine.bound(adjoint.flat_weights(w), adjoint.numpy_dtype(dtype))
-    trig = adjoint.trigonometry(adjoint.blocked(x.numpy(), compiled.width), engine.tape.scales)
+    engine = compiled_engine.Engine(compile_program(circuit))
+    compiled = engine.bound(compiled_engine.flat_weights(w), compiled_engine.numpy_dtype(dtype))
+    trig = compiled_engine.trigonometry(compiled_engine.blocked(x.numpy(), compiled.width), engine.tape.scales)
     norm, _ = compiled.forward(trig)
     assert abs(norm - 1).max() <= bound
     state = statevector.final_state(compile_program(circuit), x, w)

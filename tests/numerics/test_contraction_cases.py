@@ -2,14 +2,14 @@
 
 import pytest
 import torch
-from hard import rounded
 from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.geometry import CONTRACTED, CONTRACTION_GRADIENT
-from qnerf.contraction import ORDERS, contract, uncontract
+from qnerf.geometry.contraction import ORDERS, contract, uncontract
+from tests.helpers.hard_inputs import rounded
 
 BACK_AND_FORTH = 12 * EPS
 """Of contracted points in [-2, 2]^3: what the inverse loses far away, eps |x|^2, the contraction shrinks by |x|^2."""

@@ -13,12 +13,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from qnerf.config import settings_from
+from qnerf.config.settings import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.kernels.hashgrid import hash_encode
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
-from qnerf.train import Trainer
+from qnerf.training.trainer import Trainer
+from tests.helpers.configs import ROOT
 
 Config = dict[str, Any]
 Tiny = Callable[..., Config]
@@ -26,7 +27,7 @@ EVERYTHING = ("field=qboth", "qiren=1L2S", "qiren.qubits=4", "cameras=se3", "app
 CHILD = """
 import json, sys
 import torch
-from test_determinism import digest, trained
+from tests.numerics.test_determinism import digest, trained
 torch.set_num_threads(1)
 print(digest(trained(json.load(sys.stdin), 3).state()))
 """
@@ -94,7 +95,7 @@ def test_twice_in_one_process(tiny: Tiny, dtype: str) -> None:
 def test_in_a_fresh_process(tiny: Tiny) -> None:
     """With the same number of threads on the same machine: instruction sets and libraries choose the order of sums."""
     config = tiny(*EVERYTHING)
-    path = os.pathsep.join([os.path.dirname(__file__), *filter(None, sys.path)])
+    path = os.pathsep.join([str(ROOT), *filter(None, sys.path)])
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "7"}
     child = subprocess.run(
         [sys.executable, "-c", CHILD], input=json.dumps(config), capture_output=True, text=True, env=environment

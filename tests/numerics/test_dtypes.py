@@ -15,13 +15,13 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import qnerf
-from qnerf.config import settings_from
+from qnerf.config.settings import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
-from qnerf.quantum.program import compile_program
+from qnerf.quantum.normal_form import compile_program
 from qnerf.timing import Stopwatch
-from qnerf.train import Trainer
+from qnerf.training.trainer import Trainer
 
 SOURCE = Path(qnerf.__file__).parent
 ON_PURPOSE = {
@@ -112,7 +112,7 @@ def test_a_float64_step_makes_no_float32(tiny: Callable[..., dict[str, Any]], na
 
 
 def test_a_silent_float64_is_seen(tiny: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("qnerf.train.distortion", lambda samples, weights: weights.double().square().sum())
+    monkeypatch.setattr("qnerf.training.trainer.distortion", lambda samples, weights: weights.double().square().sum())
     found = stepped(tiny(*STEPS["no circuits"][0], "train.distortion=0.01")).found
     assert "aten.stack.default" in found["train.py"]
 

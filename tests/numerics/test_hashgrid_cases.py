@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-from hard import rounded, seeds
 from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
@@ -11,6 +10,7 @@ from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.encoding import FEATURES
 from qnerf.kernels import plain
 from qnerf.kernels.hashgrid import FINEST, hash_encode
+from tests.helpers.hard_inputs import rounded, seeds
 
 POINT_GRADIENTS = 32 * EPS
 """Relative to resolution times the largest upstream, with entries below 1: four differences of corners, whose sums may

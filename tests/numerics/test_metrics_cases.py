@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analysis import hsv
-from qnerf.metrics import depth_error, psnr, ssim
+from qnerf.training.image_metrics import depth_error, psnr, ssim
 
 SHADES = st.tuples(*[st.floats(0, 1, width=32)] * 3)
 

@@ -4,7 +4,6 @@ import math
 
 import pytest
 import torch
-from hard import held
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -13,6 +12,7 @@ from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.circuits import NORMALISED, cases, normalisation_plain
 from qnerf.heads import HEADS, HybridLayer
 from qnerf.quantum import QuantumLayer
+from tests.helpers.hard_inputs import held
 
 CASES = {case.name: case for case in cases() if case.part == "normalisation"}
 MOMENTUM = 0.1  # of the running statistics, a step

@@ -4,14 +4,14 @@ import math
 
 import pytest
 import torch
-from hard import rounded, seeds
 from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.geometry import MOTION, ROTATION
-from qnerf.cameras import CAMERAS, exp_se3, exp_so3, exp_so3xr3
+from qnerf.geometry.pose_refinement import CAMERAS, exp_se3, exp_so3, exp_so3xr3
+from tests.helpers.hard_inputs import rounded, seeds
 
 ANGLE_GRADIENTS = 1e-4
 """Relative to the largest derivative, up to a turn: what is asked for."""

@@ -6,16 +6,16 @@ import math
 import numpy as np
 import pytest
 import torch
-from hard import TINY, distance, rounded, seeds
 from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.rendering import PIXELS, WEIGHT_GRADIENTS, WEIGHTS, SmallField
-from qnerf.activations import trunc_exp
-from qnerf.render import BACKGROUNDS, render, volume_weights, volume_weights_reference
+from qnerf.model.activations import trunc_exp
+from qnerf.rendering.render import BACKGROUNDS, render, volume_weights, volume_weights_reference
 from qnerf.types import Samples
+from tests.helpers.hard_inputs import TINY, distance, rounded, seeds
 
 PARAMETER_GRADIENTS = 1e-4
 """Of a field's parameters, each tensor relative to its largest: what is asked for."""

@@ -6,19 +6,19 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from hard import rounded, seeds
 from hypothesis import given, target
 from hypothesis import strategies as st
 from scipy.stats import kstest
 from torch import Tensor
 
 from benchmarks.accuracy_cases.sampling import SPACED
-from qnerf.contraction import CONTRACTIONS
+from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.kernels import plain
-from qnerf.pdf import sample_edges, sample_edges_reference
-from qnerf.samplers import SAMPLERS, even_edges
-from qnerf.spacing import SPACINGS
+from qnerf.rendering.pdf import sample_edges, sample_edges_reference
+from qnerf.rendering.samplers import SAMPLERS, even_edges
+from qnerf.rendering.spacing import SPACINGS
 from qnerf.types import Rays
+from tests.helpers.hard_inputs import rounded, seeds
 
 LEAST = Fraction(1e-5)  # of all weights together: below, the histogram is filled up evenly
 SLACK = 2.0**-46

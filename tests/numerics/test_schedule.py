@@ -9,13 +9,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qnerf.config import Train, settings_from
-from qnerf.contraction import CONTRACTIONS
+from qnerf.config.settings import Train, settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.quantum import QuantumLayer
-from qnerf.samplers import SAMPLERS
+from qnerf.rendering.samplers import SAMPLERS
 from qnerf.timing import Stopwatch
-from qnerf.train import Trainer, learning_rate
+from qnerf.training.trainer import Trainer, learning_rate
 
 NETWORKS = {"samples": [4], "final": 2, "levels": 1, "max_resolutions": [16], "log2_table_size": 4}
 

@@ -5,7 +5,7 @@ import pytest
 
 from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, ring
 from qnerf.quantum.cones import TooLarge, find_cones
-from qnerf.quantum.program import Permute, Phase, Turn, compile_program, signs, sources
+from qnerf.quantum.normal_form import Permute, Phase, Turn, compile_program, signs, sources
 
 
 def test_qiren_is_strongly_entangling_layers_with_cz() -> None:

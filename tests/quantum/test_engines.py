@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from qnerf.quantum import adjoint, lightcone, statevector
+from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Operation, Rotations
+from qnerf.quantum.compiled import engine as compiled
+from qnerf.quantum.normal_form import compile_program
 from qnerf.quantum.pennylane import make_node
-from qnerf.quantum.program import compile_program
 
 Function = Callable[[Tensor, Tensor], Tensor]
 
@@ -22,8 +23,8 @@ def torch_engine(circuit: Circuit) -> Function:
 
 
 def compiled_engine(circuit: Circuit) -> Function:
-    engine = adjoint.Engine(compile_program(circuit))
-    return lambda x, w: adjoint.evaluate(engine, x, w)
+    engine = compiled.Engine(compile_program(circuit))
+    return lambda x, w: compiled.evaluate(engine, x, w)
 
 
 def cone_engine(circuit: Circuit) -> Function:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import qnerf
-from qnerf.quantum.initial import INITS
+from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.layer import QuantumLayer
 
 

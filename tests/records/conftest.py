@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from qnerf.records import RunStore, places
+from qnerf.records import RunStore
+from qnerf.records.index import locations
 
 
 @pytest.fixture
@@ -20,18 +21,18 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files count as settled from the moment that they are written."""
-    monkeypatch.setattr(places, "SETTLED", -3600.0)
+    monkeypatch.setattr(locations, "SETTLED", -3600.0)
 
 
 @pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """(file, run) of all that is read from now on."""
     seen: list[tuple[str, str]] = []
-    read = places.Folder.read
+    read = locations.Folder.read
 
-    def noted(place: places.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+    def noted(place: locations.Folder, file: str, runs: list[str]) -> Iterator[Any]:
         seen.extend((file, run) for run in runs)
         return read(place, file, runs)
 
-    monkeypatch.setattr(places.Folder, "read", noted)
+    monkeypatch.setattr(locations.Folder, "read", noted)
     return seen

@@ -10,8 +10,7 @@ import pytest
 
 from qnerf import records
 from qnerf.records import RunStore, StoreError
-
-from .stores import CONFIG, claimed
+from tests.helpers.stores import CONFIG, claimed
 
 
 def test_no_space(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,7 @@ import torch
 
 from qnerf import records
 from qnerf.records import RunStore
-
-from .stores import claimed
+from tests.helpers.stores import claimed
 
 
 def test_checkpoints_rotate(store_: RunStore) -> None:

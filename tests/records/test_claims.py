@@ -9,8 +9,7 @@ import torch
 
 from qnerf import records
 from qnerf.records import RunStore, annotations
-
-from .stores import CONFIG, claimed
+from tests.helpers.stores import CONFIG, claimed
 
 
 def test_context_manager_ends_the_run(store_: RunStore) -> None:

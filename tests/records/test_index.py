@@ -14,10 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from qnerf.records import RunStore, entries, index, places, row
-from qnerf.records.places import ANNOTATIONS, STATUS, SUMMARY
-
-from .summaries import CONFIG, anew, put, write
+from qnerf.records import RunStore, index, summary_row
+from qnerf.records.index import entries, locations
+from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
+from tests.helpers.summaries import CONFIG, anew, put, write
 
 
 def test_a_row_is_what_the_run_wrote(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_a_change_within_the_step_of_a_coarse_clock_is_seen(tmp_path: Path, monk
             st_mtime_ns=0, st_ctime_ns=0, st_ino=1,
         )  # fmt: skip
 
-    monkeypatch.setattr(places.os, "lstat", coarse)
+    monkeypatch.setattr(locations.os, "lstat", coarse)
     store = tmp_path / "runs"
     for psnr in (1.0, 2.0, 3.0):
         write(store, "a", psnr=psnr)
@@ -260,7 +260,7 @@ def test_progress_is_told_of_what_is_read(tmp_path: Path) -> None:
 
 def forged(names: list, types: list, values: list) -> bytes:
     """A summary whose footer says what its columns do not hold, with the right checksum."""
-    data = row.encode(pa.table({"psnr": [1.0]}))
+    data = summary_row.encode(pa.table({"psnr": [1.0]}))
     start = data.index(b'["qnerf.row"')
     end = data.index(b"]]", start) + 2
     entry = json.dumps(["qnerf.row", data[start + 14 : start + 22].decode(), names, types, values]).encode()
@@ -296,7 +296,7 @@ def test_types_that_a_run_does_not_write_are_read(tmp_path: Path) -> None:
     store = tmp_path / "runs"
     write(store, "a")
     small = pa.table({"int": pa.array([1], pa.int8()), "list": [[1, 2]], "day": pa.array([0], pa.date32())})
-    put(store / "a" / SUMMARY, row.encode(small.select(["int"])))
+    put(store / "a" / SUMMARY, summary_row.encode(small.select(["int"])))
     assert index.load(store)["int"].tolist() == [1]
     sink = pa.BufferOutputStream()
     pa.parquet.write_table(small, sink)
@@ -309,14 +309,14 @@ def test_a_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch:
     store = tmp_path / "runs"
     for name in "ab":
         write(store, name)
-    scan = places.Folder.scan
+    scan = locations.Folder.scan
 
-    def scan_then_remove(place: places.Folder) -> places.Stamps:
+    def scan_then_remove(place: locations.Folder) -> locations.Stamps:
         found = scan(place)
         shutil.rmtree(store / "a")
         return found
 
-    monkeypatch.setattr(places.Folder, "scan", scan_then_remove)
+    monkeypatch.setattr(locations.Folder, "scan", scan_then_remove)
     assert index.load(store)["run_id"].tolist() == ["b"]
 
 
@@ -332,14 +332,14 @@ def test_a_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     run.write_summary({"psnr": 1.0})
     index.load(store.root)
     run.status(step=5)
-    read = places.Folder.read
+    read = locations.Folder.read
 
-    def ending(place: places.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+    def ending(place: locations.Folder, file: str, runs: list[str]) -> Iterator[Any]:
         if file == late and not run._closed:
             run.finish({"psnr": 2.0})
         return read(place, file, runs)
 
-    monkeypatch.setattr(places.Folder, "read", ending)
+    monkeypatch.setattr(locations.Folder, "read", ending)
     (found,) = index.load(store.root)[["state", "psnr"]].to_dict("records")
     assert run._closed
     assert found in (
@@ -358,7 +358,7 @@ def test_what_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pyt
         raise PermissionError(13, "Permission denied")
 
     with monkeypatch.context() as context:
-        context.setattr(places, "read_bytes", broken)
+        context.setattr(locations, "read_bytes", broken)
         frame = index.load(store)
     assert frame["state"].tolist() == ["damaged"]
     assert frame["error"].tolist()[0].endswith("summary.parquet: cannot read: Permission denied")

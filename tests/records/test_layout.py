@@ -16,8 +16,7 @@ from PIL import Image
 
 from qnerf import records
 from qnerf.records import RunStore, store
-
-from .stores import CONFIG, claimed
+from tests.helpers.stores import CONFIG, claimed
 
 
 def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:

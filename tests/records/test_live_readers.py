@@ -1,7 +1,5 @@
 """The store read with pandas, pyarrow and DuckDB, and as one table, while another process writes it."""
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from qnerf.records import index
-
-from .writing_runs import RUNS, STEPS, VIEWS
-
-WRITER = Path(__file__).with_name("writing_runs.py")
+from tests.helpers.processes import start
+from tests.helpers.writing_runs import RUNS, STEPS, VIEWS
 
 
 def folders(store: Path) -> list[Path]:
@@ -56,7 +52,7 @@ def with_the_index(store: Path) -> pd.DataFrame:
 )
 def test_a_store_is_whole_at_every_moment(tmp_path: Path, read: Callable[[Path], pd.DataFrame]) -> None:
     store = tmp_path / "runs"
-    process = subprocess.Popen([sys.executable, str(WRITER), str(store)])
+    process = start("writing_runs", str(store))
     seen: list[int] = []
     try:
         while process.poll() is None:

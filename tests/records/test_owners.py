@@ -10,8 +10,7 @@ import pytest
 
 from qnerf import records
 from qnerf.records import Run, RunStore, StoreError, owner
-
-from .stores import CONFIG, claimed, vanish
+from tests.helpers.stores import CONFIG, claimed, vanish
 
 
 def test_a_living_owner_is_respected(store_: RunStore) -> None:

@@ -11,8 +11,9 @@ import fsspec
 import pandas as pd
 import pytest
 
-from qnerf.records import RunStore, StoreError, index, places, remote
-from qnerf.records.places import ANNOTATIONS, STATUS, SUMMARY
+from qnerf.records import RunStore, StoreError, index
+from qnerf.records.index import locations, remote
+from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
 
 CONFIG = {"seed": 0, "train": {"lr": 0.01, "steps": 10}}
 
@@ -105,7 +106,7 @@ def test_a_remote_store_reads_like_one_here(store: RunStore, url: str) -> None:
 def test_only_what_changed_is_fetched(
     store: RunStore, url: str, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(places, "SETTLED", -3600.0)
+    monkeypatch.setattr(locations, "SETTLED", -3600.0)
     upload(store, url)
     index.load(url)
     assert len(asked) == 7
@@ -146,7 +147,7 @@ def test_only_the_heartbeat_tells_whether_a_remote_run_lives(store: RunStore, ag
 def test_metrics_of_a_remote_run(store: RunStore, url: str) -> None:
     upload(store, url)
     run = remote.Remote(f"{url}/done")
-    pd.testing.assert_frame_equal(run.metrics(), places.Folder(store.root / "done").metrics())
+    pd.testing.assert_frame_equal(run.metrics(), locations.Folder(store.root / "done").metrics())
     system, root = files(url)
     system.pipe_file(f"{root}/done/metrics/notes.txt", b"not a part")
     assert len(run.metrics()) == 10
@@ -163,8 +164,8 @@ def test_there_may_be_no_remote_store(url: str) -> None:
 def test_a_storage_without_tags_is_told_by_its_times() -> None:
     now = time.time()
     assert remote._stamp({"size": 5, "mtime": now - 100}, now - 10) == f"5 {now - 100!r}"
-    assert remote._stamp({"size": 5, "mtime": now - 1}, now - 10) == places.UNSETTLED
-    assert remote._stamp({"size": 5}, now - 10) == places.UNSETTLED
+    assert remote._stamp({"size": 5, "mtime": now - 1}, now - 10) == locations.UNSETTLED
+    assert remote._stamp({"size": 5}, now - 10) == locations.UNSETTLED
     assert remote._stamp({"size": 5, "ETag": '"x"', "LastModified": now}, now - 10) == '5 "x"'
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from cluster import cluster, missing
-from conftest import ROOT, TINY, composed
 
 from qnerf.experiment import run
 from qnerf.records import read_metrics, read_summary, runs
+from tests.helpers.configs import ROOT, TINY, composed
+from tests.helpers.slurm_cluster import cluster, missing
 
 pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason='needs pip install "qnerf[slurm]"')
 pytestmark = pytest.mark.skipif(missing() is not None, reason=f"no Slurm cluster here: {missing()}")

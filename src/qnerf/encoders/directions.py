@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor, nn
 
-from qnerf.checks import at_least
-from qnerf.registry import Registry
+from qnerf.config.checks import at_least
+from qnerf.config.registry import Registry
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
 DEGREES = (1, 2, 3, 4)

@@ -9,9 +9,9 @@ import math
 import torch
 from torch import Tensor
 
-from qnerf.checks import at_least, between
+from qnerf.config.checks import at_least, between
+from qnerf.encoders.frequency_window import released
 from qnerf.encoders.registry import ENCODERS, Encoder
-from qnerf.encoders.release import released
 
 
 def sin_cos_turns(turns: Tensor, dtype: torch.dtype) -> Tensor:

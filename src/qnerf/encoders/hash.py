@@ -5,9 +5,9 @@ import math
 import torch
 from torch import Tensor, nn
 
-from qnerf.checks import at_least, between
+from qnerf.config.checks import at_least, between
+from qnerf.encoders.frequency_window import released
 from qnerf.encoders.registry import ENCODERS, Encoder
-from qnerf.encoders.release import released
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
 LARGEST = 30  # log2 of the entries of a level

@@ -2,8 +2,8 @@
 
 from torch import Tensor, nn
 
-from qnerf.checks import at_least
-from qnerf.registry import Registry
+from qnerf.config.checks import at_least
+from qnerf.config.registry import Registry
 
 
 class Encoder(nn.Module):

@@ -13,7 +13,7 @@ from mlflow.entities import Metric, Param, RunTag
 from mlflow.entities import Run as MlflowRun
 from mlflow.exceptions import MlflowException
 
-from qnerf.errors import one_line
+from qnerf.cli.errors import one_line
 from qnerf.export.content import Content
 
 METRICS, PARAMS = 1000, 100

@@ -2,6 +2,6 @@
 
 from torch import nn
 
-from qnerf.registry import Registry
+from qnerf.config.registry import Registry
 
 HEADS: Registry[nn.Module] = Registry("head")

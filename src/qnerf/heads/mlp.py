@@ -4,7 +4,7 @@ from itertools import pairwise
 
 from torch import Tensor, nn
 
-from qnerf.checks import at_least, one_of
+from qnerf.config.checks import at_least, one_of
 from qnerf.heads.base import HEADS
 
 INITS = ("torch", "he")

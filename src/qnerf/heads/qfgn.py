@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from qnerf.checks import at_least
+from qnerf.config.checks import at_least
 from qnerf.heads.base import HEADS
 from qnerf.heads.qiren import QirenHead
 from qnerf.quantum import QuantumLayer

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from qnerf.checks import at_least, one_of
+from qnerf.config.checks import at_least, one_of
 from qnerf.heads.base import HEADS
 from qnerf.quantum import QuantumLayer
 

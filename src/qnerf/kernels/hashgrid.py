@@ -22,8 +22,8 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import compiled
+from qnerf.kernels.buffer_pool import spare
 from qnerf.kernels.jit import jit, run
-from qnerf.kernels.spare import spare
 
 PRIMES = (1, 2654435761, 805459861)
 CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]

@@ -48,7 +48,7 @@ def _draw(start, stop, s, w, jitter, padding, least, out):  # type: ignore[no-un
 
 
 def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None, least: float) -> Tensor:
-    """`qnerf.pdf.sample_edges` of tensors that are `qnerf.kernels.compiled`."""
+    """`qnerf.rendering.pdf.sample_edges` of tensors that are `qnerf.kernels.compiled`."""
     out = torch.empty(s.shape[0], count, dtype=s.dtype)
     offset = torch.full((s.shape[0],), 0.5, dtype=s.dtype) if jitter is None else jitter[:, 0]
     arrays = (_array(s), _array(w), _array(offset))

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from qnerf.experiment import ray_table
 from qnerf.probes.trained import Trained
-from qnerf.render import volume_weights
-from qnerf.samplers import SAMPLERS
+from qnerf.rendering.render import volume_weights
+from qnerf.rendering.samplers import SAMPLERS
 from qnerf.types import Rays, Samples
 
 PLACES = ((0.5, 0.5), (0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))

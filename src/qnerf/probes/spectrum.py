@@ -20,10 +20,11 @@ import torch
 
 from qnerf.heads.qiren import HybridLayer, QirenHead
 from qnerf.probes.trained import Trained
-from qnerf.quantum import QuantumLayer, adjoint, statevector
+from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import Circuit, Encoding
+from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cones import Cone, TooLarge, find_cones
-from qnerf.quantum.program import compile_program
+from qnerf.quantum.normal_form import compile_program
 
 MOST_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
 CHUNK = 2**14  # samples a call of the engine
@@ -97,11 +98,11 @@ Values = Callable[[np.ndarray], np.ndarray]
 
 
 def _evaluator(layer: QuantumLayer) -> Values:
-    engine = adjoint.Engine(compile_program(layer.circuit))
+    engine = compiled.Engine(compile_program(layer.circuit))
     weights = statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
 
     def values(x: np.ndarray) -> np.ndarray:
-        parts = [adjoint.evaluate(engine, part, weights).numpy() for part in torch.from_numpy(x).split(CHUNK)]
+        parts = [compiled.evaluate(engine, part, weights).numpy() for part in torch.from_numpy(x).split(CHUNK)]
         return np.concatenate(parts)
 
     return values

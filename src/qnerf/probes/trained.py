@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from qnerf.config import Settings
+from qnerf.config.settings import Settings
 from qnerf.experiment import build_model, prepare
-from qnerf.model import Model
+from qnerf.model.model import Model
 from qnerf.records import read_config, state
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import reporting

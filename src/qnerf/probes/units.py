@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.experiment import build_model, ray_table
-from qnerf.model import Model
+from qnerf.model.model import Model
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch

@@ -12,7 +12,7 @@ that returns a `Circuit`:
 from dataclasses import dataclass
 from math import isfinite
 
-from qnerf.registry import Registry
+from qnerf.config.registry import Registry
 
 MAX_WIRES = 14
 GATES = ("CZ", "CNOT")

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations
 from qnerf.quantum.lightcone import interpolation, polynomials
+from qnerf.quantum.normal_form import signs
 from qnerf.quantum.pennylane import Noise
-from qnerf.quantum.program import signs
 
 CHUNK_BYTES = 2**27
 

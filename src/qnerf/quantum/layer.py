@@ -6,11 +6,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from qnerf.quantum import adjoint, lightcone, measurement, pennylane, statevector
+from qnerf.quantum import lightcone, measurement, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, check_wires
-from qnerf.quantum.initial import INITS
-from qnerf.quantum.plan import Plan, make_plan
-from qnerf.quantum.program import compile_program
+from qnerf.quantum.compiled import engine as compiled
+from qnerf.quantum.cost_model import Plan, make_plan
+from qnerf.quantum.initial_angles import INITS
+from qnerf.quantum.normal_form import compile_program
 
 METHODS = ("auto", "lightcone", "statevector", "pennylane")
 BACKENDS = ("auto", "compiled", "torch")
@@ -77,7 +78,7 @@ class QuantumLayer(nn.Module):
             self._node = pennylane.make_node(
                 self.circuit, device=device, diff_method=diff_method, shots=shots, noise=noise, seed=seed
             )
-        self._engine = adjoint.Engine(self.program)
+        self._engine = compiled.Engine(self.program)
         self._cone: lightcone.LightCone | None = None
         self._plans: dict[tuple[Any, ...], Plan] = {}
         if method == "lightcone":
@@ -149,7 +150,7 @@ class QuantumLayer(nn.Module):
             return lightcone.evaluate(self._cone, x, weights)
         if plan.backend == "torch":
             return statevector.evaluate(self.program, x, weights)
-        return adjoint.evaluate(self._engine, x, weights)
+        return compiled.evaluate(self._engine, x, weights)
 
 
 _PENNYLANE_DEFAULTS: dict[str, Any] = {

@@ -18,12 +18,22 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
-from qnerf.quantum import polynomial, statevector
-from qnerf.quantum.adjoint import PARTS, Engine, blocked, flat_weights, numpy_dtype, trigonometry, unblocked, waves
+from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
+from qnerf.quantum.compiled import polynomial
+from qnerf.quantum.compiled.engine import (
+    PARTS,
+    Engine,
+    blocked,
+    flat_weights,
+    numpy_dtype,
+    trigonometry,
+    unblocked,
+    waves,
+)
+from qnerf.quantum.compiled.simd import lanes
 from qnerf.quantum.cones import Cones, TooLarge, find_cones
-from qnerf.quantum.program import compile_program
-from qnerf.quantum.simd import lanes
+from qnerf.quantum.normal_form import compile_program
 
 MAX_ENTRIES = 2**22  # of the interpolation matrix: 32 MiB
 

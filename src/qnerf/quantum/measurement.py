@@ -8,8 +8,8 @@ from torch import Tensor
 
 from qnerf.quantum import density, statevector
 from qnerf.quantum.circuit import Circuit
+from qnerf.quantum.normal_form import compile_program, parities
 from qnerf.quantum.pennylane import Noise
-from qnerf.quantum.program import compile_program, parities
 
 CHUNK = 4096
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from qnerf.quantum.program import Angles, Permute, Phase, Program, Turn, parities, signs, sources
+from qnerf.quantum.normal_form import Angles, Permute, Phase, Program, Turn, parities, signs, sources
 
 GROUP = 4  # wires in one dense real matrix
 TAPE_BYTES = 2**28  # what autograd may keep of one chunk

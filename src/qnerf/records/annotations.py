@@ -14,9 +14,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from qnerf.printable import printable
 from qnerf.records import files, owner
 from qnerf.records.files import StoreError, reporting
+from qnerf.records.printable import printable
 
 FILE = "annotations.json"
 TAG_LENGTH = 64

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import pandas as pd
 
-from qnerf.identity import flatten
+from qnerf.config.identity import flatten
 from qnerf.records import annotations
 from qnerf.records.annotations import Annotations
 from qnerf.records.files import StoreError, read_bytes, read_record, reporting

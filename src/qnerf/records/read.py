@@ -15,7 +15,7 @@ import yaml  # type: ignore[import-untyped]
 
 from qnerf.records import owner
 from qnerf.records.files import StoreError, read_bytes, read_record, reporting
-from qnerf.records.tables import METRICS
+from qnerf.records.schemas import METRICS
 
 STATES = ("running", "finished", "interrupted", "failed")
 MOST_CONFIG_BYTES = 2**18

@@ -15,12 +15,12 @@ from typing import Any, Literal
 
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.identity import identity, plain
-from qnerf.records import owner, tables
+from qnerf.config.identity import identity, plain
+from qnerf.records import owner, schemas
 from qnerf.records.files import StoreError, read_bytes, remove_leftovers, replace, reporting
 from qnerf.records.owner import Held, Ownership, Process
 from qnerf.records.read import read_config, read_status, read_table, runs
-from qnerf.records.row import encode as encode_row
+from qnerf.records.summary_row import encode as encode_row
 from qnerf.records.writer import EMPTY_PART, FORMAT, Run
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
@@ -230,10 +230,10 @@ class _Content:
             if not (folder / "overrides.txt").exists():
                 put("overrides.txt", "".join(f"{line}\n" for line in self.overrides).encode())
             if not _readable(read_table, folder / "eval.parquet"):
-                put("eval.parquet", tables.encode(tables.evaluation([], 0)))
+                put("eval.parquet", schemas.encode(schemas.evaluation([], 0)))
             if not _readable(read_table, folder / "summary.parquet"):
                 row = self.columns | {"run_id": self.run_id, "state": "running"}
-                put("summary.parquet", encode_row(tables.summary(row, self.config)))
+                put("summary.parquet", encode_row(schemas.summary(row, self.config)))
             if not (folder / "metrics").is_dir():
                 temporary = folder / f".metrics.{secrets.token_hex(4)}.tmp"
                 temporary.mkdir()

@@ -24,18 +24,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from qnerf.identity import flatten, plain
-from qnerf.records import tables
+from qnerf.config.identity import flatten, plain
+from qnerf.records import schemas
 from qnerf.records.checkpoints import Checkpoints
 from qnerf.records.files import StoreError, keep_copy, open_plain, read_bytes, replace, reporting
+from qnerf.records.live_parquet import appended, encode, rewritten
 from qnerf.records.owner import HEARTBEAT, Ownership, Process
 from qnerf.records.read import MOST_TABLE_BYTES, read_config, read_part, read_status, read_summary
-from qnerf.records.row import encode as encode_row
-from qnerf.records.stable import appended, encode, rewritten
+from qnerf.records.summary_row import encode as encode_row
 
 FORMAT = 1  # of the store; a run of a newer one is read as far as it goes, and not written
 PART_ROWS = 65_536
-EMPTY_PART = tables.encode(tables.METRICS.empty_table())
+EMPTY_PART = schemas.encode(schemas.METRICS.empty_table())
 MOST_DIFF_BYTES = 2**26
 
 _log = logging.getLogger("qnerf")
@@ -63,7 +63,7 @@ class Run:
         self._status |= asdict(Process.current()) | {"state": "running", "claim": ownership.nonce, "error": None}
         self._status["format"] = FORMAT
         options = flatten(self.config)
-        self._results = {k: v for k, v in read_summary(self.dir).items() if k in tables.SUMMARY or k not in options}
+        self._results = {k: v for k, v in read_summary(self.dir).items() if k in schemas.SUMMARY or k not in options}
         step = self._status["step"]
         self._step = step if isinstance(step, int) else 0
         self._ready = not resumed  # for rows
@@ -162,7 +162,7 @@ class Run:
                 keep_copy(path, aside)
             self._write_part(int(path.stem[5:]), EMPTY_PART)
             self.warn(f"{error}; set aside as {aside.name}, its rows are missing from now on")
-            return tables.METRICS.empty_table()
+            return schemas.METRICS.empty_table()
 
     def _open_part(self, number: int, rows: int) -> None:
         """Further rows join part `number`, which has `rows` of them."""
@@ -191,7 +191,7 @@ class Run:
         Columns psnr, ssim, lpips, lpips_reason, depth_error are always there; further ones are float64 or text.
         """
         with self._io:
-            data = rewritten(self._eval_data, partial(encode, tables.evaluation(rows, self._step)))
+            data = rewritten(self._eval_data, partial(encode, schemas.evaluation(rows, self._step)))
             self._write("eval.parquet", data)
             self._eval_data = data
 
@@ -199,7 +199,7 @@ class Run:
         """Adds to the one row of summary.parquet; what was there under other names stays."""
         with self._io:
             self._results |= plain(results, "summary")
-            row = tables.summary(self._results | {"run_id": self.run_id}, self.config)
+            row = schemas.summary(self._results | {"run_id": self.run_id}, self.config)
             data = rewritten(self._summary_data, partial(encode_row, row))
             self._write("summary.parquet", data)
             self._summary_data = data
@@ -387,7 +387,7 @@ def _table(keys: Sequence[str], steps: array, times: array, indices: array, valu
     names = pa.DictionaryArray.from_arrays(pa.array(np.asarray(indices)), pa.array(keys, pa.string()))
     return pa.table(
         [pa.array(np.asarray(steps)), pa.array(np.asarray(times)), names, pa.array(np.asarray(values))],
-        tables.METRICS.names,
+        schemas.METRICS.names,
     )
 
 

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from qnerf.registry import Registry
+from qnerf.config.registry import Registry
 
 LEAST_VIEWS = 3
 

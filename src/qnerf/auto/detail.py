@@ -1,0 +1,57 @@
+"""How fine a grid the images ask for: their spectrum, and how many pixels a world unit takes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qnerf.auto.views import grey
+from qnerf.scenes import Scene
+
+WORTH = 1e-4  # mean squared error of 40 dB: what lies in frequencies beyond is not asked for
+VIEWS = 40  # measured, at most
+
+
+def finest_frequency(scene: Scene) -> float:
+    """Cycles a pixel, at most 1/2, above which the training images have less power than `WORTH`.
+
+    The mean over images of their power spectrum under a Hann window, whose loss of power is made good.
+    """
+    height, width = scene.cameras.height, scene.cameras.width
+    window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
+    power = np.zeros((height, width))
+    views = np.linspace(0, len(scene.train) - 1, min(VIEWS, len(scene.train))).astype(int)
+    for view in views:
+        image = np.nan_to_num(grey(scene, scene.train[view]), nan=1.0)
+        flat = (image - np.average(image, weights=window)) * window
+        power += np.abs(np.fft.fft2(flat)) ** 2 / (window**2).sum() / (height * width) / len(views)
+    radius = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :])
+    return float(above(radius.ravel(), power.ravel()))
+
+
+def above(radius: NDArray[np.float64], power: NDArray[np.float64]) -> float:
+    """The smallest radius beyond which the power adds up to no more than `WORTH`; at most 1/2."""
+    order = np.argsort(-radius)
+    beyond = np.cumsum(power[order])
+    within = int(np.searchsorted(beyond, WORTH))
+    return 0.0 if within == len(order) else min(0.5, float(radius[order][within]))
+
+
+def focus_distance(scene: Scene) -> float:
+    """Median distance, world units, of the training cameras from the point nearest to all their optical axes.
+
+    1 where there is no such point in front of most of them: cameras that look outward, or all the same way.
+    """
+    poses = scene.cameras.poses.numpy()[scene.train]
+    centres, axes = poses[:, :, 3], -poses[:, :, 2]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(0)
+    if np.linalg.cond(total) > 1e3:
+        return 1.0
+    point = np.linalg.solve(total, (across @ centres[..., None])[..., 0].sum(0))
+    along = ((point - centres) * axes).sum(-1)
+    return float(np.median(along)) if (along > 0).mean() > 0.5 else 1.0
+
+
+def cells_per_world_unit(scene: Scene) -> float:
+    """Two cells for each period of the finest frequency, at the distance that the cameras look at."""
+    focal = float(scene.cameras.fx[scene.train].median())
+    return 2 * finest_frequency(scene) * focal / focus_distance(scene)

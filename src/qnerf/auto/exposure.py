@@ -1,0 +1,79 @@
+"""Whether exposure or white balance differ between views."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qnerf.auto.views import grey, neighbours, subset
+from qnerf.scenes import Scene
+
+PAIRS = 30  # of neighbouring views, at most
+COARSE = 64  # pixels: views are compared at this height at most
+ALIKE = 0.6  # correlation above which two views show the same thing
+DARK, BRIGHT = 0.08, 0.92  # beyond, a pixel says nothing about exposure
+
+
+def exposure_spread(scene: Scene) -> float:
+    """Standard deviation over views of the logarithm of their brightness on the same surfaces; NaN: not to be told.
+
+    Neighbouring views are laid over each other by the shift that correlates them best, which no gain changes; the gain
+    of a pair is the median over pixels of the ratio of their values, and its spread is sqrt(2) times that of a view.
+    """
+    gains = [gain(coarse(grey(scene, a)), coarse(grey(scene, b))) for a, b in subset(neighbours(scene), PAIRS)]
+    known = np.array([value for value in gains if np.isfinite(value)])
+    if len(known) < 3:
+        return float("nan")
+    return float(np.sqrt(np.mean(known**2) / 2))
+
+
+def coarse(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The image made smaller by means over blocks, to at most `COARSE` rows or one column; NaN where one has a NaN."""
+    factor = min(-(-image.shape[0] // COARSE), image.shape[1])
+    rows, columns = (size // factor * factor for size in image.shape)
+    blocks = image[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
+    mean: NDArray[np.float64] = blocks.mean(axis=(1, 3))
+    return mean
+
+
+def gain(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """log of how much brighter `a` is than `b` (H, W), where they show the same; NaN where they do not."""
+    shift, correlation = best_shift(a, b)
+    if correlation < ALIKE:
+        return float("nan")
+    here, there = overlap(a, b, shift)
+    with np.errstate(invalid="ignore"):
+        clear = (here > DARK) & (here < BRIGHT) & (there > DARK) & (there < BRIGHT)
+    if clear.mean() < 0.05:
+        return float("nan")
+    return float(np.median(np.log(here[clear] / there[clear])))
+
+
+def best_shift(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[tuple[int, int], float]:
+    """Rows and columns, even, by which `b` lies best on `a`, a quarter of the image at most; and their correlation."""
+    height, width = a.shape
+    best = ((0, 0), -1.0)
+    for rows in range(-(height // 4), height // 4 + 1, 2):
+        for columns in range(-(width // 4), width // 4 + 1, 2):
+            here, there = overlap(a, b, (rows, columns))
+            value = correlation(here, there)
+            if value > best[1]:
+                best = ((rows, columns), value)
+    return best
+
+
+def overlap(
+    a: NDArray[np.float64], b: NDArray[np.float64], shift: tuple[int, int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The parts of `a` and of `b` that cover each other when `b` is moved by `shift`."""
+    here = [slice(max(0, move), size + min(0, move)) for move, size in zip(shift, a.shape, strict=True)]
+    there = [slice(max(0, -move), size + min(0, -move)) for move, size in zip(shift, a.shape, strict=True)]
+    return a[here[0], here[1]], b[there[0], there[1]]
+
+
+def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Pearson's, over the pixels that both have; -1 where there are few or one of them is constant."""
+    both = np.isfinite(a) & np.isfinite(b)
+    if both.mean() < 0.1:
+        return -1.0
+    x, y = a[both] - a[both].mean(), b[both] - b[both].mean()
+    scale = np.sqrt((x @ x) * (y @ y))
+    return float(x @ y / scale) if scale > 1e-12 else -1.0

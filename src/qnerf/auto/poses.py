@@ -1,0 +1,120 @@
+"""Whether the given poses are off, from what pairs of images show."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from skimage.feature import SIFT, match_descriptors
+from skimage.measure import ransac
+from skimage.transform import FundamentalMatrixTransform, rescale
+
+from qnerf.auto.views import grey, neighbours, subset
+from qnerf.scenes import Scene
+
+PAIRS = 8  # at most
+LEAST = 20  # matches that some pair of cameras explains, below which a pair of views is left out
+WITHIN = 1.0  # pixels from its epipolar line at which a match counts as explained
+OUTLINE = 2.0  # pixels from a transparent one within which a feature is left out
+SMALL = 256  # pixels: images are enlarged to this height for the features, never more than four times
+
+
+@dataclass(frozen=True)
+class Epipolar:
+    """How far matched features lie from the epipolar lines of the given poses, in pixels; NaN: too few matches."""
+
+    given: float  # median distance under the given poses
+    best: float  # under the pair of cameras that explains each pair of views best
+    pairs: int  # of views that had enough matches
+
+
+def epipolar_error(scene: Scene) -> Epipolar:
+    """Compares the given poses of neighbouring views with what their images say about each other.
+
+    Lens distortion is not undone, which adds to both figures alike.
+    """
+    found = [pair_error(scene, a, b) for a, b in subset(neighbours(scene), PAIRS)]
+    known = np.array([pair for pair in found if pair is not None]).reshape(-1, 2)
+    if len(known) == 0:
+        return Epipolar(float("nan"), float("nan"), 0)
+    given, best = np.median(known, axis=0)
+    return Epipolar(float(given), float(best), len(known))
+
+
+def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
+    """Median distances from epipolar lines: under the given poses, and under the best fundamental matrix; or None."""
+    points = matched(grey(scene, a), grey(scene, b))
+    if len(points) < LEAST:
+        return None
+    with warnings.catch_warnings(action="ignore"):  # that it finds nothing is told by what it returns
+        model, explained = ransac(
+            (points[:, 0], points[:, 1]),
+            FundamentalMatrixTransform,
+            min_samples=8,
+            residual_threshold=WITHIN,
+            max_trials=200,
+            rng=np.random.default_rng(0),
+        )
+    if not model or explained.sum() < LEAST:
+        return None
+    points = points[explained]
+    given, best = distances(fundamental(scene, a, b), points), distances(model.params, points)
+    return float(np.median(given)), float(np.median(best))
+
+
+def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Features that both images have: (N, 2, 2), which image, x and y in pixels.
+
+    None at a silhouette: an outline is another curve on the object in each view.
+    """
+    features = []
+    for image in (a, b):
+        factor = float(np.clip(SMALL / image.shape[0], 1, 4))
+        large = rescale(np.nan_to_num(image, nan=1.0), factor, order=3)
+        detector = SIFT(upsampling=1)
+        try:
+            detector.detect_and_extract(np.clip(large, 0, 1))
+        except RuntimeError:  # it found no features
+            return np.empty((0, 2, 2))
+        keypoints = (detector.keypoints[:, ::-1] + 0.5) / factor
+        features.append((keypoints, detector.descriptors))
+    pairs = match_descriptors(features[0][1], features[1][1], max_ratio=0.75, cross_check=True)
+    points = np.stack([features[side][0][pairs[:, side]] for side in (0, 1)], axis=1)
+    return points[off_outline(a, points[:, 0]) & off_outline(b, points[:, 1])]
+
+
+def off_outline(image: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the points (N, 2), in pixels, lie on the object and not at its outline."""
+    solid = np.isfinite(image)
+    if solid.all():
+        return np.ones(len(points), dtype=bool)
+    column, row = np.minimum(points.astype(int), [image.shape[1] - 1, image.shape[0] - 1]).T
+    inside: NDArray[np.bool_] = distance_transform_edt(solid)[row, column] > OUTLINE
+    return inside
+
+
+def fundamental(scene: Scene, a: int, b: int) -> NDArray[np.float64]:
+    """The matrix (3, 3) for which x_b^T F x_a = 0 at pixels of the same point, under the given poses."""
+    poses, intrinsics = scene.cameras.poses.numpy(), scene.cameras.intrinsics.numpy()
+    flip = np.diag([1.0, -1.0, -1.0])  # OpenGL's axes -> x right, y down, z forward
+    inverse = []
+    for view in (a, b):
+        fx, fy, cx, cy = intrinsics[view, :4]
+        inverse.append(np.array([[1 / fx, 0, -cx / fx], [0, 1 / fy, -cy / fy], [0, 0, 1]]))
+    turn_a, turn_b = poses[a, :, :3] @ flip, poses[b, :, :3] @ flip
+    turn = turn_b.T @ turn_a
+    x, y, z = turn_b.T @ (poses[a, :, 3] - poses[b, :, 3])
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    matrix: NDArray[np.float64] = inverse[1].T @ cross @ turn @ inverse[0]
+    return matrix
+
+
+def distances(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of each match (N, 2, 2) from its epipolar line, the mean of both images', in pixels: (N,)."""
+    first, second = (np.concatenate([points[:, side], np.ones((len(points), 1))], axis=1) for side in (0, 1))
+    in_second, in_first = first @ matrix.T, second @ matrix
+    algebraic = np.abs((second * in_second).sum(-1))
+    lengths = [np.maximum(np.linalg.norm(line[:, :2], axis=-1), 1e-12) for line in (in_second, in_first)]
+    mean: NDArray[np.float64] = 0.5 * (algebraic / lengths[0] + algebraic / lengths[1])
+    return mean

@@ -1,0 +1,71 @@
+"""The configuration with every `auto` replaced by what the scene needs."""
+
+import copy
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from qnerf.auto.rules import RULES, Measured
+from qnerf.config.registry import Registry
+from qnerf.geometry.contraction import CONTRACTIONS
+from qnerf.geometry.pose_refinement import CAMERAS
+from qnerf.rendering.shading import GATES
+from qnerf.scenes import Scene
+
+AUTO = "auto"
+COMPONENTS: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS, "gate": GATES}
+
+
+def asked(config: Mapping[str, Any]) -> list[str]:
+    """The options that are `auto` and have a rule, in the order in which the rules decide."""
+    return [option for option in RULES if value_of(config, option) == AUTO]
+
+
+def resolve(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    """Decides each option that is `auto` from the scene's training data alone; what is set stays as it is.
+
+    The decisions join the configuration's group `needs` with the numbers that they follow from:
+    needs.appearance.value, needs.appearance.exposure_spread. Options that are decided there already, as in the
+    configuration that a run stored, keep that value.
+
+    Raises:
+        ValueError: an option that cannot be decided on this scene.
+    """
+    resolved = copy.deepcopy(dict(config))
+    decided = resolved["needs"] = dict(resolved.get("needs") or {})
+    measured = Measured(scene)
+    for option in asked(config):
+        if value_of(resolved, option) != AUTO:  # the component that its group was found to need has no such option
+            continue
+        if option not in decided:
+            decision = RULES[option](measured, resolved)
+            because = {name: number for name, number in decision.because.items() if math.isfinite(number)}
+            decided[option] = {"value": decision.value, **because}
+        elif not isinstance(decided[option], Mapping) or "value" not in decided[option]:
+            raise ValueError(f"needs.{option}: expected a group with the key value, got {decided[option]!r}")
+        replace(resolved, option, decided[option])
+    return resolved
+
+
+def value_of(config: Mapping[str, Any], option: str) -> Any:
+    """The value of a dotted option; None where there is none."""
+    group, _, key = option.rpartition(".")
+    node = config.get(group) if group else config
+    return node.get(key) if isinstance(node, Mapping) else None
+
+
+def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> None:
+    """Sets a dotted option to what was decided.
+
+    A component's name leaves those of the group's options that the component has, and fills in what was measured of
+    those that are not set.
+    An option of the hash tables is set where the encoder repeats it, too.
+    """
+    group, _, key = option.rpartition(".")
+    node = config[group] if group else config
+    node[key] = decided["value"]
+    if key == "name":
+        known = COMPONENTS[group].options(node["name"])
+        config[group] = {k: v for k, v in {**decided, **node}.items() if k == "name" or k in known}
+    if group == "hash" and config["encoder"].get(key) == AUTO:
+        config["encoder"][key] = node[key]

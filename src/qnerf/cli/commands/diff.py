@@ -1,0 +1,117 @@
+"""`qnerf diff A B`: what differs between two runs."""
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from qnerf.cli.commands import add_store
+from qnerf.cli.table import Column, print_table
+from qnerf.cli.text import as_json, console
+from qnerf.config.identity import flatten, is_execution
+from qnerf.records import details, find
+from qnerf.records.details import Details
+from qnerf.records.printable import printable
+
+ABSENT = "-"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = "What differs between two runs: configuration, environment, and the results side by side."
+    for name in ("a", "b"):
+        parser.add_argument(name, metavar=name.upper(), help="a run's folder, its id, or a unique part of its id")
+    add_store(parser)
+    parser.add_argument("--json", action="store_true", help="the same as one object, numbers in full")
+
+
+def main(options: argparse.Namespace) -> None:
+    a, b = (details.read(find(name, options.store)) for name in (options.a, options.b))
+    found = compare(a, b)
+    if options.json:
+        print(as_json(found))
+        return
+    show(console(), a, b, found)
+
+
+def compare(a: Details, b: Details) -> dict[str, Any]:
+    """Keys configuration, execution, environment: name -> [value of A, of B] where they differ; results: of both runs,
+    with the difference B - A where both are numbers."""
+    config = differences(a.flat, b.flat)
+    execution = {key: pair for key, pair in config.items() if is_execution(key)}
+    return {
+        "a": str(a.path),
+        "b": str(b.path),
+        "state": [a.state, b.state],
+        "configuration": {key: pair for key, pair in config.items() if key not in execution},
+        "execution": execution,
+        "environment": differences(_environment(a), _environment(b)),
+        "results": results(a.results, b.results),
+    }
+
+
+def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Name -> [value in a, value in b]; None for a name that one does not have."""
+    names = list(dict.fromkeys([*a, *b]))
+    return {name: [a.get(name), b.get(name)] for name in names if a.get(name) != b.get(name)}
+
+
+def _environment(run: Details) -> dict[str, Any]:
+    """Without the command, of which the configuration is what came."""
+    return flatten({key: value for key, value in run.environment.items() if key != "command"})
+
+
+def results(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Name -> [A, B, B - A] for the numbers that either run has."""
+    names = [name for name in dict.fromkeys([*a, *b]) if _is_number(a.get(name)) or _is_number(b.get(name))]
+    found: dict[str, list[Any]] = {name: [a.get(name), b.get(name)] for name in names}
+    for pair in found.values():
+        pair.append(pair[1] - pair[0] if all(map(_is_number, pair)) else None)
+    return found
+
+
+def show(out: Console, a: Details, b: Details, found: Mapping[str, Any]) -> None:
+    for letter, run in (("A", a), ("B", b)):
+        out.print(Text.assemble((f"{letter}  ", "bold"), printable(run.run_id), f"  {run.state}"), soft_wrap=True)
+        for problem in run.problems:
+            out.print(Text(f"   {printable(problem)}", "red"), soft_wrap=True)
+    for name in ("configuration", "execution", "environment"):
+        if found[name]:
+            _section(out, name)
+            rows = [{"key": key, "a": pair[0], "b": pair[1]} for key, pair in found[name].items()]
+            print_table(out, [_text("key"), _text("a"), _text("b")], rows)
+        elif name != "execution":
+            out.print(f"\nno differences in {name}")
+    if not found["configuration"] and a.run_id != b.run_id and not (a.problems or b.problems):
+        out.print("the ids differ, so the scene's files do")
+    _section(out, "results")
+    rows = [
+        {"key": key, "a": values[0], "b": values[1], "b - a": values[2]} for key, values in found["results"].items()
+    ]
+    print_table(out, [_text("key"), *(_number(name) for name in ("a", "b", "b - a"))], rows)
+
+
+def _section(out: Console, title: str) -> None:
+    out.print(f"\n{title}", style="bold cyan")
+
+
+def _text(name: str) -> Column:
+    return Column(name, lambda row: ABSENT if row[name] is None else str(row[name]), limit=60)
+
+
+def _number(name: str) -> Column:
+    sign = "+" if name == "b - a" else ""
+
+    def cell(row: Mapping[str, Any]) -> str:
+        value = row[name]
+        if not _is_number(value):
+            return ABSENT if value is None else str(value)
+        whole = float(value).is_integer() and abs(value) < 1e15
+        return f"{int(value):{sign},}" if whole else f"{value:{sign}.4g}"
+
+    return Column(name, cell, right=True, style=lambda row: "dim" if row["b - a"] == 0 else "")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

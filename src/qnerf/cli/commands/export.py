@@ -1,0 +1,60 @@
+"""`qnerf export RUN... --to mlflow|tensorboard|csv`."""
+
+import argparse
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+from qnerf.cli.commands import add_store
+from qnerf.records import find
+from qnerf.records.printable import printable
+
+TARGETS = ("mlflow", "tensorboard", "csv")
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Copies runs to MLflow, TensorBoard or CSV files. Again, it brings the copies up to date."
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="a run's folder, its id, or a unique part of its id")
+    add_store(parser)
+    parser.add_argument("--to", required=True, choices=TARGETS)
+    parser.add_argument(
+        "--out", metavar="DIR", help="tensorboard, csv: a folder (default: exports/tensorboard, .../csv)"
+    )
+    parser.add_argument("--uri", help="mlflow: tracking server or database (default: MLflow's own)")
+    parser.add_argument("--experiment", metavar="NAME", help="mlflow: experiment to put the runs into (default: qnerf)")
+
+
+def main(options: argparse.Namespace) -> None:
+    target = options.to
+    if target == "mlflow" and options.out is not None:
+        raise ValueError("--out is for tensorboard and csv; mlflow takes --uri")
+    if target != "mlflow" and (options.uri or options.experiment) is not None:
+        raise ValueError(f"--uri and --experiment are for mlflow; {target} takes --out")
+    folders = [find(name, options.store) for name in options.runs]
+    exporter = _exporter(target)
+    from qnerf.export.content import read
+
+    for folder in folders:
+        content = read(folder)
+        if target == "mlflow":
+            made = exporter.export(content, options.uri, options.experiment or "qnerf")
+        else:
+            made = exporter.export(content, _out(options.out or f"exports/{target}", folder))
+        print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(made)}")
+    if target == "tensorboard":
+        print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
+
+
+def _exporter(target: str) -> ModuleType:
+    try:
+        return importlib.import_module(f"qnerf.export.to_{target}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] == "qnerf":
+            raise
+        raise ValueError(f'{target} is not installed here: pip install "qnerf[{target}]"') from error
+
+
+def _out(out: str, run: Path) -> Path:
+    if Path(out).resolve() == run.resolve().parent:
+        raise ValueError(f"{out}: holds the run itself; exports go into another folder")
+    return Path(out)

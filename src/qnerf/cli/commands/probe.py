@@ -1,0 +1,90 @@
+"""`qnerf evaluate RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf evaluate RUN rays`."""
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from qnerf.cli.commands import add_run
+from qnerf.cli.upgrade_config import check_identity, stored
+from qnerf.records import find, state
+
+if TYPE_CHECKING:
+    from qnerf.probes import Trained
+
+PROBES = ("spectrum", "encoding", "rays", "units")
+DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Measures a finished run further. As hardware would render its held-out views (finite shots, noisy gates): "
+        "eval_hardware.parquet. By a probe of its model: spectrum.parquet (Fourier power of the circuits), "
+        "encoding.parquet (a slice of the encoders), rays.parquet (samples along a few rays), "
+        "units.parquet (dead units and how much each layer's values vary, before training and after)."
+    )
+    add_run(parser)
+    parser.add_argument(
+        "options",
+        nargs="*",
+        metavar="PROBE | KEY=VALUE",
+        help=f"{' | '.join(PROBES)} | shots=100,1000 | noise=depolarizing p=0.001,0.01 | views=0 (0: all) | seed=0",
+    )
+
+
+def main(options: argparse.Namespace) -> None:
+    run = find(options.run, options.store)
+    names = [option for option in options.options if "=" not in option]
+    settings = [option for option in options.options if "=" in option]
+    _check(names, settings)
+    conditions = _conditions(settings) if settings or not names else None
+
+    from qnerf.probes import load, probe
+
+    trained = load(run, stored(run)[0] if state(run) == "finished" else None)
+    check_identity(run, trained.scene.fingerprint)
+    for name in names:
+        print(probe(trained, name))
+    if conditions is not None:
+        _measure(trained, *conditions)
+
+
+def _check(names: list[str], settings: list[str]) -> None:
+    for name in names:
+        if name not in PROBES:
+            raise ValueError(f"qnerf evaluate: unknown probe {name!r}; known: {', '.join(PROBES)}")
+    for key in (setting.partition("=")[0] for setting in settings):
+        if key not in DEFAULTS:
+            raise ValueError(f"qnerf evaluate: unknown option {key!r}; known: {', '.join(DEFAULTS)}")
+
+
+def _conditions(settings: list[str]) -> tuple[list[Any], int]:
+    """What the options ask for, and how many views."""
+    from qnerf.probes.shots_and_noise import grid
+
+    given = dict(option.split("=", 1) for option in settings)
+    values = DEFAULTS | given
+    shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
+    views, seed = _one("views", values["views"]), _one("seed", values["seed"])
+    if "noise" in given and not p:
+        raise ValueError(f"noise={values['noise']} expects its probabilities as well, such as p=0.001,0.01")
+    return grid(shots, values["noise"], p, seed), views
+
+
+def _measure(trained: "Trained", conditions: list[Any], views: int) -> None:
+    from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
+
+    evaluate_hardware(trained, conditions, views=views, tell=print)
+    print(f"rows in {trained.folder / FILE}")
+
+
+def _one(name: str, text: str) -> int:
+    numbers = _numbers(int, name, text)
+    if len(numbers) != 1 or numbers[0] < 0:
+        raise ValueError(f"{name} expects one number of at least 0, got {text!r}")
+    return int(numbers[0])
+
+
+def _numbers(kind: type, name: str, text: str) -> list[Any]:
+    try:
+        return [kind(part) for part in text.split(",") if part]
+    except ValueError:
+        raise ValueError(f"{name} expects numbers with commas between them, got {text!r}") from None

@@ -1,0 +1,52 @@
+"""`qnerf replay FILE [--scene DIR] [--device cpu]`."""
+
+import argparse
+from pathlib import Path
+
+from qnerf.cli.upgrade_config import complete, todays_defaults
+from qnerf.records.printable import printable
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Repeats the training step in which numerics.check=true found a value that is not finite. Exit code 1: one "
+        "occurs again; 0: none does; 2: the step cannot be repeated."
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="nonfinite.pt of the run's folder")
+    parser.add_argument("--scene", metavar="DIR", help="where the scene lies now (default: scene.path of the run)")
+    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], help="default: that of the run")
+
+
+def main(options: argparse.Namespace) -> int:
+    import torch
+
+    from qnerf import experiment
+    from qnerf.quantum import QuantumLayer
+    from qnerf.timing import Stopwatch
+    from qnerf.training import finite_checks
+
+    content = finite_checks.load(options.file)
+    config = content["config"]
+    complete(config, todays_defaults(config), str(options.file))
+    if options.scene is not None:
+        config["scene"]["path"] = options.scene
+    if options.device is not None:
+        config["device"] = options.device
+    _, settings, scene = experiment.prepare(config)
+    if settings.threads is not None:
+        torch.set_num_threads(settings.threads)
+    model = experiment.build_model(settings, scene)
+    table = finite_checks.Recorded(experiment.ray_table(settings, scene), content["rays"], content["colors"])
+    origin = finite_checks.Origin(scene.names, config, None)
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+    trainer = finite_checks.CheckedTrainer(model, table, settings, watch, origin)
+    trainer.load(content["state"])
+    print(printable(f"then: {content['told']}"))
+    try:
+        trainer.take_step(measure=False)
+    except finite_checks.NonFinite as found:
+        print(printable(f"now:  {found.told}"))
+        print("the same" if found.told == content["told"] else "not the same")
+        return 1
+    print("now:  every value is finite; it does not occur here")
+    return 0

@@ -1,0 +1,108 @@
+"""`qnerf reproduce RUN [--keep DIR] [--tolerance 1e-6]`."""
+
+import argparse
+import contextlib
+import dataclasses
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from qnerf.cli.commands import add_run
+from qnerf.cli.table import Column, print_table
+from qnerf.cli.text import console
+from qnerf.cli.upgrade_config import check_identity, stored
+from qnerf.records import find, state
+from qnerf.records.printable import printable
+
+if TYPE_CHECKING:
+    from qnerf.records.reproduction import Compared
+
+COLUMNS = (
+    Column("table", itemgetter("table")),
+    Column("name", itemgetter("name")),
+    Column("numbers", lambda row: f"{row['numbers']:,}", right=True),
+    Column("missing", lambda row: f"{row['missing']:,}", right=True),
+    Column("relative difference", lambda row: f"{row['largest']:.3g}", right=True),
+    Column("first at", itemgetter("first")),
+)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Runs a finished run again with its configuration, seed and threads, compares every number (clocks left out) "
+        "and says what differs in the environment. Exit code 1 where the numbers differ."
+    )
+    add_run(parser)
+    parser.add_argument("--keep", metavar="DIR", type=Path, help="store that keeps the second run (default: none)")
+    parser.add_argument(
+        "--tolerance",
+        metavar="X",
+        type=float,
+        default=0.0,
+        help="relative difference |a - b| / max(|a|, |b|) up to which numbers agree (default: 0, bit for bit)",
+    )
+
+
+def main(options: argparse.Namespace) -> int:
+    run = find(options.run, options.store).resolve()
+    if (now := state(run)) != "finished":
+        raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
+    if options.keep is not None and options.keep.resolve() == run.parent:
+        raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
+    config, filled = stored(run)
+
+    from qnerf import experiment
+    from qnerf.cli.display import LiveDisplay
+    from qnerf.records.reproduction import compare, environment_differences, recorded_threads
+    from qnerf.training.trainer import Diverged
+
+    check_identity(run, experiment.prepare(config)[2].fingerprint)
+    config["threads"] = recorded_threads(run) or config["threads"]
+    config["run"]["force"] = True  # --keep may have kept one already
+    display = LiveDisplay(console(), live=config["run"]["progress"])
+    if filled:
+        display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
+    with _store(options.keep) as store:
+        config["store"] = str(store)
+        try:
+            outcome = experiment.run(config, (), display)
+        except Diverged as error:
+            raise ValueError(str(error)) from error
+        if outcome.state != "finished":
+            display.note(outcome.message)
+            return 130 if outcome.state == "interrupted" else 1
+        compared = compare(run, outcome.path)
+        different = environment_differences(run, outcome.path)
+    return report(run, compared, different, options.tolerance)
+
+
+@contextlib.contextmanager
+def _store(keep: Path | None) -> Iterator[Path]:
+    if keep is not None:
+        yield keep
+        return
+    with tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as folder:
+        yield Path(folder)
+
+
+def report(
+    run: Path, compared: "Sequence[Compared]", different: Mapping[str, tuple[str, str]], tolerance: float
+) -> int:
+    """Prints what agrees, what does not, and what differs in the environment; the exit code."""
+    out = console()
+    wrong = [item for item in compared if not item.agrees(tolerance)]
+    numbers, largest = sum(item.numbers for item in compared), max((item.largest for item in compared), default=0.0)
+    if wrong:
+        print_table(out, COLUMNS, [dataclasses.asdict(item) for item in wrong])
+        print(f"{printable(run.name)}: not reproduced, {len(wrong)} of {len(compared)} names differ (above)")
+    else:
+        how = f"within {tolerance:g}; the largest relative difference is {largest:.3g}" if largest else "bit for bit"
+        print(f"{printable(run.name)}: reproduced, {numbers:,} numbers agree {how}")
+    if different:
+        rows = [{"name": name, "then": then, "now": now} for name, (then, now) in different.items()]
+        print_table(out, [Column(title, itemgetter(title), limit=60) for title in ("name", "then", "now")], rows)
+    elif wrong:
+        print("nothing that is recorded of the environment differs")
+    return 1 if wrong else 0

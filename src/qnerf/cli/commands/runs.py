@@ -1,0 +1,199 @@
+"""`qnerf runs [FILTER ...]`: the runs of a store, newest first."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+
+from qnerf.cli.commands import add_store
+from qnerf.cli.table import Column, Row, print_table
+from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing, number
+from qnerf.records import filters, index
+from qnerf.records.printable import ELLIPSIS, printable
+
+EPILOG = """filters, of which a run must meet all:
+  qcolor-hashC5              a part of the id
+  field=qcolor,qboth         a column has one of the values
+  state=failed  tag=good     so do states and tags
+  scene.path=*fox*           patterns with * and ?
+  'psnr>25'  'seed!=0'       numbers compare; quote them for the shell
+Columns are those of summary.parquet: results and the flat configuration (`qnerf runs --json --all-columns`)."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Lists the runs of a store, newest first."
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EPILOG
+    parser.add_argument("filters", nargs="*", metavar="FILTER", help="which runs; see below")
+    add_store(parser)
+    parser.add_argument("--sort", metavar="COLUMN", default="created", help="largest first, or text from a to z")
+    parser.add_argument("--reverse", action="store_true", help="the other way round")
+    parser.add_argument("--limit", type=int, metavar="N", help="first N runs; 0: all (default: what the screen holds)")
+    parser.add_argument("--columns", default="", metavar="A,B", help="further columns, such as seed,train.lr")
+    parser.add_argument("--all-columns", action="store_true", help="every column there is")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="one object a run, numbers in full")
+    form.add_argument("--ids", action="store_true", help="ids alone, one a line, for `xargs qnerf rm`")
+
+
+def main(options: argparse.Namespace) -> None:
+    if options.limit is not None and options.limit < 0:
+        raise ValueError(f"--limit expects 0 or more, got {options.limit}")
+    conditions = filters.parse(options.filters)
+    extra = [filters.column(name) for name in options.columns.split(",") if name]
+    sort = filters.column(options.sort)
+    everything = load(options.store, [*(condition.key for condition in conditions), sort, *extra], options.all_columns)
+    frame = arrange(filters.select(everything, conditions), sort, options.reverse) if len(everything) else everything
+    out = console()
+    if options.json:
+        print(as_json(records(limited(frame, options.limit))))
+    elif options.ids:
+        sys.stdout.writelines(f"{printable(name)}\n" for name in limited(frame, options.limit).get("run_id", ()))
+    elif frame.empty:
+        where = printable(options.store)
+        print(f"none of {len(everything):,} runs in {where} is that" if len(everything) else f"no runs in {where}")
+    else:
+        extra = [name for name in frame.columns if name not in NEEDED] if options.all_columns else extra
+        print_runs(out, frame, screen(out) if options.limit is None else options.limit, extra)
+
+
+def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> pd.DataFrame:
+    """The store's runs with the columns of the table and `further` ones, or with every column.
+
+    Raises:
+        ValueError: no run has one of the further columns; the line names similar ones.
+    """
+    with Reading() as reading:
+        frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])), progress=reading)
+    if len(frame) and (unknown := [name for name in further if name not in frame]):
+        filters.check_column(unknown[0], index.columns(store))
+    return frame
+
+
+class Reading:
+    """One line on a terminal's standard error while many runs are read for the first time; gone afterwards."""
+
+    MANY = 500
+
+    def __init__(self) -> None:
+        self.told = False
+
+    def __call__(self, file: str, number: int, total: int) -> None:
+        if total >= self.MANY and number % 100 == 0 and sys.stderr.isatty():
+            self._write(f"reading {file}: {number:,} of {total:,}")
+            self.told = True
+
+    def __enter__(self) -> "Reading":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.told:
+            self._write("")
+
+    def _write(self, text: str) -> None:
+        sys.stderr.write(f"\r\x1b[K{text}")
+        sys.stderr.flush()
+
+
+def arrange(frame: pd.DataFrame, sort: str = "created", reverse: bool = False) -> pd.DataFrame:
+    """Numbers largest first, text from a to z, runs without a value last."""
+    ascending = not pd.api.types.is_numeric_dtype(frame[sort])
+    return frame.sort_values(sort, ascending=ascending != reverse, kind="stable", na_position="last")
+
+
+def limited(frame: pd.DataFrame, limit: int | None) -> pd.DataFrame:
+    return frame.head(limit) if limit else frame
+
+
+def screen(out: Console) -> int:
+    """Runs that one screen holds beside the titles, the line below them and the next prompt; 0, all, when piped."""
+    return max(out.height - 4, 5) if out.is_terminal else 0
+
+
+def print_runs(out: Console, frame: pd.DataFrame, limit: int, extra: Sequence[str] = ()) -> None:
+    """The table; on a terminal with a line below that counts the states and what was left out."""
+    shown = records(limited(frame, limit))
+    print_table(out, columns(shown, extra), shown)
+    if out.is_terminal:
+        out.print(counts(frame, len(shown)), style="dim", soft_wrap=True)
+
+
+def counts(frame: pd.DataFrame, shown: int) -> str:
+    """`12 runs: 10 finished, 2 failed`, and how many of them are not shown."""
+    states = ", ".join(f"{n:,} {name}" for name, n in frame["state"].value_counts().items())
+    more = f"  {ELLIPSIS} {len(frame) - shown:,} more (--limit 0 shows all)" if len(frame) > shown else ""
+    return f"{count(len(frame))} runs: {states}{more}"
+
+
+def columns(rows: Sequence[Row], extra: Sequence[str] = ()) -> list[Column]:
+    """The usual columns and `extra`; tags and errors only where a run has some."""
+    usual = [*COLUMNS, *(Column(name, _cell(name), rank=2, right=_is_number(rows, name)) for name in extra)]
+    if any(row.get("tags") for row in rows):
+        usual.append(Column("tags", tags, rank=5, style=lambda row: "magenta"))
+    if any(not missing(row.get("error")) for row in rows):
+        usual.append(Column("error", _cell("error"), rank=6, style=lambda row: "red", least=16, limit=60))
+    return usual
+
+
+def records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """One dict a row, None where there is no value."""
+    rows = frame.to_dict("records")
+    return [{str(key): None if missing(value) else value for key, value in row.items()} for row in rows]
+
+
+def steps(row: Row) -> str:
+    """`1,500`, or `740/1,500` of a run that has not reached its end."""
+    step, last = row.get("step"), row.get("train.steps")
+    if missing(step):
+        return "-"
+    return count(step) if missing(last) or step == last else f"{count(step)}/{count(last)}"
+
+
+def tags(row: Row) -> str:
+    return ",".join(row.get("tags") or [])
+
+
+def qiren(row: Row) -> str:
+    """Only where a head is a circuit."""
+    return "-" if row.get("field") == "classical" else _cell("qiren")(row)
+
+
+def _cell(name: str) -> Callable[[Row], str]:
+    def cell(row: Row) -> str:
+        value = row.get(name)
+        return "-" if missing(value) else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+    return cell
+
+
+def _is_number(rows: Sequence[Row], name: str) -> bool:
+    return all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
+
+
+def _heads(row: Row) -> str:
+    heads = [row.get("params.density"), row.get("params.color")]
+    return count(sum(heads)) if all(isinstance(n, (int, float)) for n in heads) else "-"
+
+
+COLUMNS = (
+    Column("id", lambda row: row["run_id"], least=14, tail=13, limit=255),
+    Column("state", lambda row: row["state"], style=lambda row: STATE_STYLES.get(row["state"], "")),
+    Column("field", _cell("field"), rank=1),
+    Column("encoder", _cell("encoder"), rank=8),
+    Column("qiren", qiren, rank=3),
+    Column("params", lambda row: count(row.get("params.total")), rank=7, right=True),
+    Column("heads", _heads, rank=4, right=True),
+    Column("PSNR", lambda row: number(row.get("psnr")), right=True, style=lambda row: "bold"),
+    Column("steps", steps, right=True),
+    Column("time", lambda row: duration(row.get("train_s")), rank=4, right=True),
+    Column("age", lambda row: age(row.get("created")), rank=3, right=True),
+)
+"""`heads`: parameters of the density and colour heads, which is where the fields differ."""
+
+NEEDED = (
+    "run_id", "state", "error", "field", "encoder", "qiren", "params.total", "params.density", "params.color",
+    "psnr", "step", "train.steps", "train_s", "created", "tags", "path",
+)  # fmt: skip

@@ -1,0 +1,194 @@
+"""`qnerf show RUN`: everything about one run."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from qnerf.cli.commands import add_run
+from qnerf.cli.table import Column, print_table
+from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, number, size, styled, tree
+from qnerf.records import details, find
+from qnerf.records.annotations import NOTE_LENGTH
+from qnerf.records.details import Details
+from qnerf.records.printable import printable
+
+MEASURES = {
+    "psnr": ("PSNR", 2, " dB"),
+    "ssim": ("SSIM", 3, ""),
+    "lpips": ("LPIPS", 4, ""),
+    "depth_error": ("depth error", 3, ""),
+}
+"""Column of the summary and of eval.parquet -> its title, digits, unit."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Everything about one run: state, results, held-out views, environment, tags, note, files."
+    add_run(parser)
+    parser.add_argument("--config", action="store_true", help="the whole configuration too, as a tree")
+    parser.add_argument("--json", action="store_true", help="all of it as one object")
+
+
+def main(options: argparse.Namespace) -> None:
+    run = details.read(find(options.run, options.store))
+    if options.json:
+        print(as_json(as_object(run)))
+    else:
+        show(console(), run, options.config)
+
+
+def as_object(run: Details) -> dict[str, Any]:
+    """The run as plain values; `evaluation` is a list of rows, `files` holds bytes."""
+    return {
+        "run_id": run.run_id,
+        "path": str(run.path),
+        "state": run.state,
+        "error": run.error,
+        "problems": run.problems,
+        "step": run.step,
+        "tags": list(run.annotations.tags),
+        "note": run.annotations.note,
+        "results": run.results,
+        "evaluation": run.evaluation.to_dict("records"),
+        "overrides": run.overrides,
+        "config": run.config,
+        "environment": run.environment,
+        "status": run.status,
+        "files": files(run.path),
+    }
+
+
+def show(out: Console, run: Details, config: bool = False) -> None:
+    _head(out, run)
+    _results(out, run)
+    _views(out, run)
+    if config:
+        out.print()
+        out.print(tree("configuration", run.config))
+    _environment(out, run)
+    _section(out, "files", str(run.path))
+    for name, held in files(run.path).items():
+        out.print(Text(f"  {printable(name, 60):<28} {size(held):>9}"))
+
+
+def _head(out: Console, run: Details) -> None:
+    out.print(styled(run.run_id, "bold"), soft_wrap=True)
+    out.print(state_line(run), soft_wrap=True)
+    if run.error and run.state != "finished":
+        out.print(styled(run.error, "red", 2000), soft_wrap=True)
+    for problem in run.problems:
+        out.print(styled(problem, "red", 2000), soft_wrap=True)
+    if run.overrides:
+        _pair(out, "asked for", " ".join(run.overrides))
+    if run.annotations.tags:
+        _pair(out, "tags", ", ".join(run.annotations.tags), "magenta")
+    if run.annotations.note:
+        note = printable(run.annotations.note, NOTE_LENGTH, lines=True)
+        _pair(out, "note", note, lines=True)
+
+
+def state_line(run: Details) -> Text:
+    """`finished  1,500 of 1,500 steps  started 12m ago on HOST, process 12`"""
+    line = styled(run.state, STATE_STYLES.get(run.state, ""))
+    line.append(f"  {count(run.step)} of {count(run.steps)} steps")
+    if run.created is not None:
+        line.append(f"  started {age(run.created)} ago")
+    if run.state == "running":
+        line.append(printable(f" on {run.status.get('host')}, process {run.status.get('pid')}", 200))
+    return line
+
+
+def _results(out: Console, run: Details) -> None:
+    values = run.results
+    measured = [
+        f"{title} {number(values[key], digits)}{unit}"
+        for key, (title, digits, unit) in MEASURES.items()
+        if _has(values, key)
+    ]
+    parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
+    if not measured and not parts:
+        return
+    _section(out, "results")
+    if measured:
+        _pair(out, "held out", "   ".join(measured))
+    if parts:
+        listed = "   ".join(f"{name} {count(value)}" for name, value in parts.items() if value and name != "total")
+        _pair(out, "parameters", f"{count(parts.get('total'))}: {listed}")
+    if _has(values, "train_s"):
+        _pair(out, "training", f"{duration(values['train_s'])}   {number(values.get('step_ms'), 1)} ms a step, median")
+    times = {key[5:-3]: value for key, value in values.items() if key.startswith("time.") and key.endswith("_ms")}
+    if times:
+        _pair(out, "of a step", "   ".join(f"{name} {number(value, 1)}" for name, value in times.items()) + " ms")
+
+
+def _views(out: Console, run: Details) -> None:
+    views = run.evaluation
+    if not len(views) or "image" not in views:
+        return
+    _section(out, f"held-out views after step {count(views['step'].iloc[0])}" if "step" in views else "held-out views")
+    known = {key: form for key, form in MEASURES.items() if key in views and views[key].notna().any()}
+    columns = [Column("image", lambda row: str(row["image"]))]
+    columns += [_measure(key, *form[:2]) for key, form in known.items()]
+    print_table(out, columns, views.to_dict("records"))  # type: ignore[arg-type]
+
+
+def _measure(key: str, title: str, digits: int) -> Column:
+    return Column(title, lambda row: number(row[key], digits), right=True)
+
+
+def _environment(out: Console, run: Details) -> None:
+    found = run.environment
+    if not found:
+        return
+    _section(out, "environment")
+    git, cpu, gpu, threads = (_dict(found.get(name)) for name in ("git", "cpu", "gpu", "threads"))
+    if git.get("commit"):
+        _pair(out, "code", f"{git['commit']}{', with changes (dirty.diff)' if git.get('dirty') else ''}")
+    names = gpu.get("names")
+    machine = [found.get("host"), cpu.get("model"), f"cores {cpu.get('usable')}", f"threads {threads.get('torch')}"]
+    _pair(out, "machine", ", ".join(str(x) for x in [*machine, *(names if isinstance(names, list) else [])]))
+    packages = _dict(found.get("packages"))
+    versions = "  ".join(f"{name} {version}" for name, version in packages.items() if version)
+    _pair(out, "versions", f"python {found.get('python')}  {versions}")
+
+
+def files(run: Path) -> dict[str, int]:
+    """Name -> bytes of what the run's folder holds; a folder is the sum of its files. Hidden ones are left out."""
+    found = {}
+    for path in sorted(run.iterdir()):
+        if path.name.startswith("."):
+            continue
+        inside = path.is_dir() and not path.is_symlink()
+        held = [item.lstat().st_size for item in (path.iterdir() if inside else [path])]
+        found[f"{path.name}/ ({len(held)})" if inside else path.name] = sum(held)
+    return found
+
+
+def _section(out: Console, title: str, more: str = "") -> None:
+    out.print()
+    out.print(Text.assemble((title, "bold cyan"), f"  {printable(more)}" if more else ""), soft_wrap=True)
+
+
+def _pair(out: Console, name: str, text: str, style: str = "", lines: bool = False) -> None:
+    """A name and its text, which hangs beside it over as many lines as the terminal needs."""
+    shown = Text(text if lines else printable(text), style)
+    if not out.is_terminal:
+        out.print(Text(f"  {name:<10} {shown.plain}"), soft_wrap=True)
+        return
+    grid = Table.grid(padding=(0, 1, 0, 2), pad_edge=True, collapse_padding=False)
+    grid.add_column(width=10, style="dim")
+    grid.add_column(overflow="fold")
+    grid.add_row(name, shown)
+    out.print(grid)
+
+
+def _has(values: Mapping[str, Any], key: str) -> bool:
+    return number(values.get(key)) != "-"
+
+
+def _dict(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

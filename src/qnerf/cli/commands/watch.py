@@ -1,0 +1,145 @@
+"""`qnerf watch [RUN]`: one run, or the table of the store, while it trains."""
+
+import argparse
+import contextlib
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+from qnerf.cli.commands import add_store
+from qnerf.cli.commands import runs as listing
+from qnerf.cli.commands.show import state_line
+from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
+from qnerf.cli.table import plain_lines, table
+from qnerf.cli.text import console, count, duration, styled
+from qnerf.records import details, find, read_metrics
+from qnerf.records.details import Details
+from qnerf.records.printable import printable
+
+RECENT = 30  # logged steps over which the rate is measured
+BESIDE = 46  # characters beside a bar or curve
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Shows a run, or without RUN the store's newest runs, and refreshes until the run ends or Ctrl-C. "
+        "Without a terminal it prints once."
+    )
+    parser.add_argument("run", nargs="?", metavar="RUN", help="a run's folder, its id, or a unique part of its id")
+    add_store(parser)
+    parser.add_argument("--every", type=float, default=2.0, metavar="SECONDS", help="between refreshes (default: 2)")
+    parser.add_argument("--once", action="store_true", help="print once")
+
+
+def main(options: argparse.Namespace) -> None:
+    if options.every <= 0:
+        raise ValueError(f"--every expects more than 0 seconds, got {options.every:g}")
+    out = console()
+    if options.run is None:
+        frame = partial(store_frame, options.store, out)
+    else:
+        frame = partial(run_frame, find(options.run, options.store), out)
+    if options.once or not out.is_terminal:
+        out.print(frame()[0], soft_wrap=True)
+        return
+    with contextlib.suppress(KeyboardInterrupt):
+        follow(out, frame, options.every)
+
+
+Frame = Callable[[], tuple[RenderableType, bool]]
+"""Makes what is shown now, and says whether there is more to come."""
+
+
+def follow(out: Console, frame: Frame, every: float) -> None:
+    picture, goes_on = frame()
+    with Live(picture, console=out, auto_refresh=False) as live:
+        while goes_on:
+            time.sleep(every)
+            picture, goes_on = frame()
+            live.update(picture, refresh=True)
+
+
+def store_frame(store: str, out: Console) -> tuple[RenderableType, bool]:
+    """The newest runs that the screen holds; there is always more to come."""
+    found = listing.load(store)
+    if found.empty:
+        return Text(f"no runs in {printable(store)}"), True
+    found = listing.arrange(found)
+    rows = listing.records(listing.limited(found, listing.screen(out)))
+    columns = listing.columns(rows)
+    lines = table(columns, rows, out.width) if out.is_terminal else map(Text, plain_lines(columns, rows))
+    return Group(*lines, Text(listing.counts(found, len(rows)), "dim")), True
+
+
+def run_frame(folder: Path, out: Console) -> tuple[RenderableType, bool]:
+    """A run's progress, and whether it still runs."""
+    run = details.read(folder)
+    return Group(
+        *progress(run, read_metrics(folder), out.width, ascii_only=not _shows(out, BLOCKS))
+    ), run.state == "running"
+
+
+def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool = False) -> list[Text]:
+    """Lines: state, a bar with rate and time left, the curves of loss and PSNR, the held-out views so far."""
+    lines = [styled(run.run_id, "bold"), state_line(run)]
+    if run.error and run.state == "failed":
+        lines.append(styled(run.error, "red", 2000))
+    curves = dict(list(metrics.groupby("key", sort=False)))
+    loss = curves.get("train/loss")
+    if run.steps and run.state == "running":
+        lines.append(_bar(run, steps_per_second(loss) if loss is not None else None, width, ascii_only))
+    blocks = ASCII if ascii_only else BLOCKS
+    for key, (title, form, transform) in CURVES.items():
+        if key in curves:
+            values = curves[key]["value"].to_numpy()
+            drawn = sparkline(transform(values), max(width - BESIDE, 10), blocks)
+            last = f"{form.format(values[-1])} at step {count(curves[key]['step'].iloc[-1])}"
+            lines.append(Text.assemble((f"{title:<10}", "dim"), (drawn, "cyan"), f"  {last}"))
+    return lines
+
+
+def _log(values: np.ndarray) -> np.ndarray:
+    return np.log(np.where(values > 0, values, np.nan))
+
+
+CURVES: dict[str, tuple[str, str, Callable[[np.ndarray], np.ndarray]]] = {
+    "train/loss": ("loss, log", "{:.5f}", _log),
+    "train/psnr": ("PSNR", "{:.2f} dB", np.asarray),
+    "eval/psnr": ("held out", "{:.2f} dB", np.asarray),
+}
+"""Key of the metrics -> title, form of its last value, what is drawn of a value."""
+
+
+def steps_per_second(rows: pd.DataFrame) -> float | None:
+    """Rate over the last logged rows of one key; None where there are too few."""
+    recent = rows.tail(RECENT)
+    steps = recent["step"].iloc[-1] - recent["step"].iloc[0]
+    seconds = recent["time_s"].iloc[-1] - recent["time_s"].iloc[0]
+    return float(steps / seconds) if steps > 0 and seconds > 0 else None
+
+
+def _bar(run: Details, rate: float | None, width: int, ascii_only: bool) -> Text:
+    assert run.steps
+    share = min(run.step / run.steps, 1.0)
+    room = max(width - BESIDE, 10)
+    done = round(share * room)
+    full, empty = ("#", "-") if ascii_only else ("━", "─")
+    told = f"  {share:4.0%}"
+    if rate is not None:
+        told += f"  {rate:.1f} steps/s  {duration((run.steps - run.step) / rate)} left"
+    return Text.assemble(" " * 10, (full * done, "green"), (empty * (room - done), "dim"), told)
+
+
+def _shows(out: Console, text: str) -> bool:
+    try:
+        text.encode(out.encoding)
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -1,0 +1,236 @@
+"""Hydra's side: composes the configuration from conf/ and the command line, and hands each job to the library.
+
+The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them; what they have to tell the
+process that started the sweep goes through the sweep's folder.
+"""
+
+import importlib.util
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+import warnings
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
+from hydra.experimental.callback import Callback
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from qnerf.cli.errors import one_line
+from qnerf.cli.sweep import Sweep
+
+PLUGINS = {
+    "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
+    "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
+    "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+}
+"""Launchers that a plugin brings -> its module, and the extra that installs it."""
+
+STARTER = "QNERF_SWEEP_PID"  # variable: the process that started the jobs side by side, the parent of all
+RETRY = 10.0  # seconds between attempts to take over the run of a job that died
+PATIENCE = 300.0  # seconds of them: more than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
+
+# The plugins check conf/hydra/launcher against schemas of the same names; that this happens unasked is deprecated.
+warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
+
+_started: list[Sweep] = []  # by this process
+
+
+class SweepStart(Callback):
+    """What is done once, in the process that starts a sweep, before its first job."""
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        launcher = config.hydra.runtime.choices["hydra/launcher"]
+        _require(launcher)
+        sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
+        _started.append(sweep)
+        # Jobs compose their configuration anew from these overrides, and must come to this folder, not to their own.
+        quoted = str(sweep.folder).replace("'", "\\'")
+        with open_dict(config):
+            config.hydra.sweep.dir = str(sweep.folder)
+            config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
+        if launcher == "joblib":
+            os.environ[STARTER] = str(os.getpid())
+            _stop_together(sweep)
+        elif launcher == "submitit_slurm":
+            print(f"jobs go to Slurm, their output to {sweep.folder / 'jobs'}; Ctrl-C leaves them there", flush=True)
+
+
+def _require(launcher: str) -> None:
+    if launcher not in PLUGINS:
+        return
+    module, extra = PLUGINS[launcher]
+    if importlib.util.find_spec("hydra_plugins") is None or importlib.util.find_spec(module) is None:
+        print(f'error: hydra/launcher={launcher} needs a plugin: pip install "qnerf[{extra}]"', file=sys.stderr)
+        sys.exit(2)
+
+
+def _stop_together(sweep: Sweep) -> None:
+    """Ctrl-C and SIGTERM reach joblib's processes as the sweep's stop file, whatever they are doing; a second one ends
+    this process at once.
+
+    Left alone, joblib kills its processes, and a terminal's Ctrl-C interrupts them anywhere. They inherit what this
+    thread blocks, so another one has to be there to receive it.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        return
+    asked = {signal.SIGINT, signal.SIGTERM}
+
+    def stop(*_: Any) -> None:
+        if sweep.stopping():
+            os._exit(130)
+        sweep.stop()
+
+    def receive() -> None:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, asked)
+        threading.Event().wait()
+
+    for kind in asked:
+        signal.signal(kind, stop)
+    signal.pthread_sigmask(signal.SIG_BLOCK, asked)
+    threading.Thread(target=receive, name="qnerf-signals", daemon=True).start()
+
+
+class _Prefixed:
+    """Writes to `file` with `prefix` before every line, so that the lines of several processes can be told apart."""
+
+    def __init__(self, file: TextIO, prefix: str) -> None:
+        self.file = file
+        self.prefix = prefix
+
+    def write(self, text: str) -> None:
+        self.file.write("".join(self.prefix + line for line in text.splitlines(keepends=True)))
+
+    def flush(self) -> None:
+        self.file.flush()
+
+
+def job(composed: DictConfig) -> None:
+    """One job of a run or a sweep: from Hydra's configuration to the library, and its errors to one line."""
+    hydra_config = HydraConfig.get()
+    sweep = Sweep(hydra_config.sweep.dir) if hydra_config.mode == RunMode.MULTIRUN else None
+    side_by_side = sweep is not None and hydra_config.runtime.choices["hydra/launcher"] == "joblib"
+    prefix = f"{hydra_config.job.num} | " if side_by_side else ""
+    try:
+        if not _stopping(sweep):
+            _train(composed, prefix, sweep)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        known = _is_known(error)
+        if composed.run.debug or (sweep is None and not known):
+            raise
+        reason = one_line(error)
+        if not known:
+            traceback.print_exc()
+            reason = f"{type(error).__name__}: {reason}"
+        print(f"{prefix}error: {reason}", file=sys.stderr)
+        if sweep is None:
+            sys.exit(2)
+        sweep.fail(hydra_config.job.num, list(hydra_config.overrides.task), reason)
+    finally:
+        if _is_abandoned():
+            os._exit(1)  # joblib's process would wait for its next job
+
+
+def _stopping(sweep: Sweep | None) -> bool:
+    return sweep is not None and (sweep.stopping() or _is_abandoned())
+
+
+def _is_abandoned() -> bool:
+    """Whether this is one of joblib's processes, and the one that started the sweep is dead."""
+    return STARTER in os.environ and os.getpid() != int(os.environ[STARTER]) != os.getppid()
+
+
+def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
+    from qnerf.cli.display import LiveDisplay, print_config, print_outcome
+    from qnerf.experiment import run
+
+    config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
+    overrides = list(HydraConfig.get().overrides.task)
+    console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
+    if sweep is None:
+        print_config(console, config)
+    elif prefix:
+        console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
+    else:
+        console.rule(" ".join(overrides), align="left")
+    if config["threads"] is None and "SLURM_CPUS_PER_TASK" in os.environ:
+        config["threads"] = int(os.environ["SLURM_CPUS_PER_TASK"])
+    display = LiveDisplay(console, live=config["run"]["progress"])
+    stopping = partial(_stopping, sweep)
+    outcome = run(config, overrides, display, stopping)
+    # Slurm starts a job anew where a node has died; its run is the dead job's until the last heartbeat is old enough.
+    deadline = time.monotonic() + (PATIENCE if "SLURM_RESTART_COUNT" in os.environ else 0)
+    while outcome.state == "busy" and time.monotonic() < deadline:
+        display.note(f"{outcome.message}; waiting for its heartbeat to stop")
+        time.sleep(RETRY)
+        outcome = run(config, overrides, display, stopping)
+    print_outcome(console, outcome)
+    if outcome.state == "interrupted" and not prefix:
+        sys.exit(130)
+
+
+def _is_known(error: Exception) -> bool:
+    """Whether one line tells the user what to do; anything else is a mistake of ours, or a library's."""
+    from qnerf.training.trainer import Diverged
+
+    return isinstance(error, (ValueError, OSError, Diverged, OmegaConfBaseException))
+
+
+def _report(sweep: Sweep) -> int:
+    """After a sweep: what failed and why. The exit code: 130 when it was stopped, else 1 if anything failed."""
+    failures = sweep.failures()
+    if failures:
+        table = Table("job", "reason", title=f"{len(failures)} failed")
+        for overrides, reason in failures:
+            table.add_row(Text(overrides), Text(reason))
+        Console(stderr=True).print(table)
+    if sweep.stopping():
+        print("stopped; the same command goes on from the last checkpoints", file=sys.stderr)
+        return 130
+    return 1 if failures else 0
+
+
+def conf_folder() -> Path:
+    """conf/ beside src/ in a checkout, inside the package in an installed wheel."""
+    package = Path(__file__).parents[1]
+    return package / "conf" if (package / "conf").is_dir() else package.parents[1] / "conf"
+
+
+def run_command() -> None:
+    """Composes the configuration from conf/ and the command line, and runs it."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # what Hydra would print as a traceback comes through here
+    code: Any = 0
+    try:
+        hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")(job)()
+    except SystemExit as end:
+        code = end.code
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        code = 130
+    except CompactHydraException as error:
+        print(error, *([error.__cause__] if error.__cause__ else []), sep="\n", file=sys.stderr)
+        code = 1
+    except Exception as error:
+        if not _started:
+            raise
+        # A process killed for want of memory, a queue that refuses the job: the launcher's to tell.
+        print(f"error: the sweep ended early; the same command goes on with it: {one_line(error)}", file=sys.stderr)
+        code = 1
+    reported = [_report(sweep) for sweep in _started]
+    if code or any(reported):
+        sys.exit(code or max(reported))

@@ -1,0 +1,107 @@
+"""Tables: as wide as the terminal allows there, aligned plain text with nothing left out when piped."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console
+from rich.text import Text
+
+from qnerf.records.printable import ELLIPSIS, printable
+
+GAP = 2
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column; `cell` makes its text from a row, on which nothing is escaped yet.
+
+    rank: of the columns for which a terminal is too narrow the highest ranks go first; 0 never goes. least: width to
+    which the column may shrink before others go, all but the last `tail` characters of its text first.
+    """
+
+    title: str
+    cell: Callable[[Row], str]
+    rank: int = 0
+    right: bool = False
+    style: Callable[[Row], str] = lambda row: ""
+    least: int | None = None
+    tail: int = 0
+    limit: int = 40  # characters on a terminal
+
+
+def print_table(console: Console, columns: Sequence[Column], rows: Sequence[Row]) -> None:
+    if console.is_terminal:
+        for line in table(columns, rows, console.width):
+            console.print(line, no_wrap=True, overflow="ellipsis", crop=True)
+        return
+    console.file.writelines(f"{line}\n" for line in plain_lines(columns, rows))
+
+
+def plain_lines(columns: Sequence[Column], rows: Sequence[Row]) -> Iterator[str]:
+    """Aligned by spaces, for `awk`: no cell is empty or holds a space, and numbers have no commas."""
+    cells = [[_plain(column, column.title) for column in columns]]
+    cells += [[_plain(column, column.cell(row)) for column in columns] for row in rows]
+    widths = [max(cell_len(line[i]) for line in cells) for i in range(len(columns))]
+    for line in cells:
+        yield _align(columns, line, widths).rstrip()
+
+
+def _plain(column: Column, text: str) -> str:
+    return printable(text.replace(",", "") if column.right else text).replace(" ", "_") or "-"
+
+
+def table(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Text]:
+    """Lines of at most `width` characters, the titles first."""
+    cells = {c.title: [printable(c.cell(row), c.limit) or "-" for row in rows] for c in columns}
+    widths = {c.title: max(map(cell_len, [c.title, *cells[c.title]])) for c in columns}
+    columns, widths = fit(columns, widths, width)
+    lines = [Text((" " * GAP).join(_padded(c, c.title, widths[c.title]) for c in columns).rstrip(), "bold")]
+    for number, row in enumerate(rows):
+        line = Text()
+        for column in columns:
+            text = _padded(
+                column, shorten(cells[column.title][number], widths[column.title], column.tail), widths[column.title]
+            )
+            line.append(text, column.style(row))
+            line.append(" " * GAP)
+        line.rstrip()
+        lines.append(line)
+    return lines
+
+
+def fit(columns: Sequence[Column], widths: Mapping[str, int], width: int) -> tuple[list[Column], dict[str, int]]:
+    """The columns for which there is room, and their widths; shrinkable ones take what is left."""
+    columns = list(columns)
+    while True:
+        least = {c.title: min(widths[c.title], c.least or widths[c.title]) for c in columns}
+        room = width - sum(least.values()) - GAP * (len(columns) - 1)
+        last = max(columns, key=lambda c: c.rank)
+        if room >= 0 or last.rank == 0:
+            break
+        columns.remove(last)
+    for title, small in least.items():
+        grow = min(max(room, 0), widths[title] - small)
+        least[title] += grow
+        room -= grow
+    return columns, least
+
+
+def shorten(text: str, width: int, tail: int = 0) -> str:
+    """At most `width` characters: what goes is before the last `tail`, such as `s0-397bfb074c` of a run's id."""
+    if cell_len(text) <= width:
+        return text
+    tail = min(tail, width - 1)
+    return set_cell_size(text, width - 1 - tail) + ELLIPSIS + text[len(text) - tail :]
+
+
+def _align(columns: Sequence[Column], line: Sequence[str], widths: Sequence[int]) -> str:
+    return (" " * GAP).join(_padded(c, text, w) for c, text, w in zip(columns, line, widths, strict=True))
+
+
+def _padded(column: Column, text: str, width: int) -> str:
+    fill = " " * max(width - cell_len(text), 0)
+    return fill + text if column.right else text + fill

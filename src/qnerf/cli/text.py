@@ -1,0 +1,105 @@
+"""What the commands print: texts, numbers, times and sizes in one form everywhere."""
+
+import json
+import math
+import numbers
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+from rich.tree import Tree
+
+from qnerf.records.printable import printable
+
+STATE_STYLES = {"running": "cyan", "finished": "green", "interrupted": "yellow", "failed": "red", "damaged": "magenta"}
+
+
+def console() -> Console:
+    """Standard output; characters that its encoding lacks come out as escapes."""
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="backslashreplace")
+    return Console(highlight=False, markup=False, emoji=False)
+
+
+def styled(value: object, style: str = "", limit: int | None = None) -> Text:
+    """`printable(value)` in a style."""
+    return Text(printable(value, limit), style)
+
+
+def tree(title: str, node: Mapping[str, Any]) -> Tree:
+    """A nested configuration."""
+    grown = Tree(Text(title, "bold"), guide_style="dim")
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            grown.add(tree(printable(key), value))
+        else:
+            grown.add(Text.assemble(f"{printable(key)}: ", (printable(value), "cyan")))
+    return grown
+
+
+def missing(value: Any) -> bool:
+    """Whether there is no value: None or not a number."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+def _odd(value: Any) -> str | None:
+    """How to show what is no finite number: `-` for no value, anything else (a table may hold it) as text."""
+    if missing(value):
+        return "-"
+    return None if isinstance(value, numbers.Real) and math.isfinite(value) else str(value)
+
+
+def as_json(value: Any) -> str:
+    """JSON in ASCII, which is safe to print; null for what is not a finite number."""
+    return json.dumps(_finite(value), indent=1, default=str)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def number(value: Any, digits: int = 2) -> str:
+    """`23.91`; `-` where there is none."""
+    return _odd(value) or f"{value:.{digits}f}"
+
+
+def count(value: Any) -> str:
+    """`1,055,947`; `-` where there is none."""
+    return _odd(value) or f"{int(value):,}"
+
+
+def duration(seconds: Any) -> str:
+    """`4.2s`, `43s`, `1m53s`, `2h05m`, `3d04h`; `-` where there is none."""
+    if odd := _odd(seconds):
+        return odd
+    if seconds < 9.95:
+        return f"{max(seconds, 0):.1f}s"
+    whole = round(seconds)
+    for unit, small, size, least in (("d", "h", 86400, 3600), ("h", "m", 3600, 60), ("m", "s", 60, 1)):
+        if whole >= size:
+            return f"{whole // size}{unit}{whole % size // least:02}{small}"
+    return f"{whole}s"
+
+
+def age(moment: Any) -> str:
+    """Time since a Unix time as `43s`, `12m`, `5h`, `3d`; `-` where there is none."""
+    if odd := _odd(moment):
+        return odd
+    seconds = max(time.time() - moment, 0)
+    for unit, size in (("d", 86400), ("h", 3600), ("m", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds // size:.0f}{unit}"
+    return f"{seconds:.0f}s"
+
+
+def size(count: int) -> str:
+    """Bytes as `512 B`, `1.4 kB`, `12.7 MB`."""
+    power = min((len(str(count)) - 1) // 3, 4)
+    return f"{count / 1000**power:.1f} {'kMGT'[power - 1]}B" if power else f"{count} B"

@@ -1,0 +1,67 @@
+"""Sampler, field and pose refinement as one module: rays -> samples -> field -> render."""
+
+import torch
+from torch import Tensor, nn
+
+from qnerf.geometry.pose_refinement import Cameras
+from qnerf.model.field import Field
+from qnerf.rendering.render import render, shares, volume_weights
+from qnerf.rendering.samplers import SampledRays, Sampler
+from qnerf.rendering.shading import Gate
+from qnerf.timing import Stopwatch
+from qnerf.types import Rays, Rendering
+
+
+class Model(nn.Module):
+    """What is trained. `parts` groups its parameters as they are counted and optimised."""
+
+    def __init__(self, field: Field, sampler: Sampler, cameras: Cameras, gate: Gate) -> None:
+        super().__init__()
+        self.field = field
+        self.sampler = sampler
+        self.cameras = cameras
+        self.gate = gate
+
+    @property
+    def parts(self) -> dict[str, list[nn.Parameter]]:
+        modules = {
+            "encoder": self.field.encoder,
+            "density": self.field.density_head,
+            "color": self.field.color_head,
+            "sampler": self.sampler,
+            "cameras": self.cameras,
+        }
+        parts = {name: list(module.parameters()) for name, module in modules.items()}
+        if self.field.appearance is not None:
+            parts["appearance"] = list(self.field.appearance.parameters())
+        assert sum(map(len, parts.values())) == len(list(self.parameters())), "a parameter belongs to no part"
+        return parts
+
+    def forward(
+        self,
+        rays: Rays,
+        *,
+        background: str,
+        step: int,
+        watch: Stopwatch,
+        generator: torch.Generator | None = None,
+    ) -> tuple[Rendering, SampledRays, Tensor | None]:
+        """Renders R rays; `generator` None is deterministic evaluation (no jitter).
+
+        Also returns the samples (for the regularisers) and the colour (R, 3) behind the rays, where there is one of
+        known colour: what a target with alpha has to be composited on.
+        """
+        with watch.part("sampling"):
+            sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
+        samples = sampled.samples
+        with watch.part("field"):
+            points = rays.along(samples.mids)
+            density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
+            weights = volume_weights(density, samples.deltas)
+            gated = self.gate(shares(weights, background), geometry, evaluated)
+            color = self.field.color(gated.geometry, rays.directions, rays.cameras, gated.kept)
+        with watch.part("render"):
+            rendering, behind = render(
+                weights, color, samples, background=background, parts=gated.shares, generator=generator
+            )
+        return rendering, sampled, behind

@@ -1,0 +1,85 @@
+"""Where density is, learnt while training: space found empty is sampled no more."""
+
+import torch
+from torch import Tensor
+
+from qnerf.geometry.contraction import Contraction
+from qnerf.geometry.visibility import SpaceMask, cell_centres
+from qnerf.model.field import Field
+
+DECAY = 0.7  # of the opacity that was seen, from one look at a cell to the next
+CHUNK = 2**15  # cells looked at together
+INFINITE = 1e12  # world units
+STEP = 1e-6  # cells, of the difference that stands for a derivative
+
+
+class Occupancy(SpaceMask):
+    """A mask that closes where the field is empty (after Sec. 3.2, arXiv:2210.04847).
+
+    Every `every` steps the density at a random point of each allowed cell is looked at. What counts is the cell's
+    opacity, 1 - exp(-density x length of its shortest side): the largest seen, times 0.7 for every look since. The mask
+    is open where a cell, or one of the 26 around it, has at least `least`. Closed cells are looked at like all others
+    and open again when the field around them grows into them; a field that is empty everywhere closes nothing.
+
+    Args:
+        allowed: (n, n, n) bool over the unit cube: where density may be at all.
+        contraction: world points <-> the unit cube.
+        every: steps between looks.
+        after: steps before the first look; until then every allowed cell is open.
+        least: opacity, above 0 and below 1.
+    """
+
+    allowed: Tensor
+    cells: Tensor
+    sides: Tensor
+    opacity: Tensor
+
+    def __init__(self, allowed: Tensor, contraction: Contraction, *, every: int, after: int, least: float) -> None:
+        super().__init__(allowed)
+        self.every, self.after, self.least = every, after, least
+        n = allowed.shape[0]
+        cells = (allowed.flatten() & reachable(contraction, n)).nonzero()[:, 0]
+        sides = shortest_sides(contraction, n)[cells].to(torch.get_default_dtype())
+        self.register_buffer("cells", cells, persistent=False)
+        self.register_buffer("sides", sides, persistent=False)
+        self.register_buffer("allowed", allowed, persistent=False)
+        self.register_buffer("grid", allowed.clone())  # kept by a checkpoint; so is the opacity
+        self.register_buffer("opacity", torch.zeros_like(sides))
+
+    def due(self, step: int) -> bool:
+        """Whether this step begins with a look."""
+        return step >= self.after and (step - self.after) % self.every == 0
+
+    @torch.no_grad()
+    def look(self, field: Field, generator: torch.Generator) -> None:
+        """Opens and closes cells by the field's density, taken in evaluation mode; `generator` places the points."""
+        n = self.grid.shape[0]
+        corners = torch.stack([self.cells // (n * n), self.cells // n % n, self.cells % n], dim=-1)
+        inside = torch.rand(corners.shape, dtype=self.sides.dtype, device=generator.device, generator=generator)
+        points = (corners + inside.to(corners.device)) / n
+        training = field.training
+        field.eval()
+        density = torch.cat([field.density_anywhere(part) for part in points.split(CHUNK)])
+        field.train(training)
+        opacity = -torch.expm1(-density * self.sides)
+        self.opacity = torch.maximum(self.opacity * DECAY, opacity)
+        occupied = torch.zeros(n**3, device=self.grid.device)
+        occupied[self.cells] = (self.opacity >= self.least).to(occupied.dtype)
+        around = torch.nn.functional.max_pool3d(occupied.view(1, 1, n, n, n), 3, stride=1, padding=1)[0, 0] > 0
+        found = around & self.allowed
+        self.grid = found if bool(found.any()) else self.allowed.clone()
+
+
+def reachable(contraction: Contraction, n: int) -> Tensor:
+    """Whether some world point lies at a cell's centre (n^3,): none does in the corners around an l2 ball."""
+    return contraction.inverse(cell_centres(n)).abs().amax(-1) < INFINITE
+
+
+def shortest_sides(contraction: Contraction, n: int) -> Tensor:
+    """World length of the shortest of each cell's three sides, through its centre (n^3,), row by row.
+
+    By the derivative there: the outermost sides of a contracted cube end at infinity.
+    """
+    centres, steps = cell_centres(n), STEP / n * torch.eye(3, dtype=torch.float64)
+    moved = [contraction.inverse(centres + step) - contraction.inverse(centres - step) for step in steps]
+    return torch.stack([torch.linalg.vector_norm(each, dim=-1) for each in moved]).amin(0) / (2 * STEP)

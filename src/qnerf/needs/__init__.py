@@ -1,5 +1,0 @@
-"""What a scene needs: every option that is set to `auto` is decided from the training data alone, at the start."""
-
-from qnerf.needs.resolve import asked, resolve
-
-__all__ = ["asked", "resolve"]

@@ -1,0 +1,128 @@
+"""A trained run as hardware would render it: its circuits with finitely many shots, or with noisy gates."""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, fields
+
+import pandas as pd
+import torch
+from torch import Tensor
+
+from qnerf.config.checks import at_least
+from qnerf.experiment import ray_table
+from qnerf.probes.trained import Trained
+from qnerf.quantum import QuantumLayer
+from qnerf.quantum.hardware_conditions import conditions
+from qnerf.quantum.pennylane import Noise
+from qnerf.records.files import replace
+from qnerf.timing import Stopwatch
+from qnerf.training.evaluation import Evaluator
+
+FILE = "eval_hardware.parquet"
+CHANNELS = tuple(field.name for field in fields(Noise))
+DENSITY_SECONDS = 3e-7  # per wire and entry of a sample's density matrix, one core; to a factor of 3, 4 to 8 wires
+RAYS = 64  # from which the samples of a view are counted
+KEYS = ["shots", "noise", "p", "seed"]
+"""What tells the rows of one image apart: shots (0: exact), channel ("none": no noise), its probability, seed."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One way to measure: `shots` 0 is exact, `noise` "none" is noiseless."""
+
+    shots: int = 0
+    noise: str = "none"
+    p: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        at_least("shots", self.shots, 0)
+        if self.noise not in ("none", *CHANNELS):
+            raise ValueError(f"noise: unknown channel {self.noise!r}; known: {', '.join(CHANNELS)}")
+        if not 0 <= self.p <= 1:
+            raise ValueError(f"p must be a probability in [0, 1], got {self.p}")
+        if (self.noise == "none") != (self.p == 0):
+            raise ValueError(f"noise and p belong together, got noise={self.noise} p={self.p}")
+
+
+def grid(shots: Sequence[int], noise: str, p: Sequence[float], seed: int) -> list[Condition]:
+    """The exact rendering, then every number of shots with every probability of the channel."""
+    chosen = itertools.product(shots or [0], p or [0.0])
+    asked = [Condition(count, noise if chance else "none", chance, seed) for count, chance in chosen]
+    return list(dict.fromkeys([Condition(seed=seed), *asked]))
+
+
+def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
+    """ValueError where exact noise would take hours: with S > 1 every sample has a density matrix of 4^n entries."""
+    layers = [m for m in evaluator.model.modules() if isinstance(m, QuantumLayer) and m.spectral > 1]
+    rows: list[float] = []  # wires times entries of each sample that a circuit sees
+
+    def note(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
+        rows.append(len(inputs[0]) * layer.wires * 4.0**layer.wires)
+
+    rays = evaluator.table.view(evaluator.scene.eval[0])[:RAYS]
+    with ExitStack() as hooks, torch.no_grad():
+        for layer in layers:
+            hooks.callback(layer.register_forward_pre_hook(note).remove)
+        evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
+    hours = sum(rows) / len(rays) * views * evaluator.table.pixels * DENSITY_SECONDS / 3600
+    if hours > 1:
+        raise ValueError(
+            f"noise: circuits with spectral > 1 need a density matrix a sample: about {hours:,.0f} hours "
+            f"for {views} views; noise is quick for runs with qiren.spectral=1 or few qubits, shots for any"
+        )
+
+
+def evaluate_hardware(
+    trained: Trained,
+    asked: Iterable[Condition],
+    *,
+    views: int = 0,
+    tell: Callable[[str], None] = lambda line: None,
+) -> pd.DataFrame:
+    """Renders a finished run's held-out views under each condition and adds the rows to its eval_hardware.parquet.
+
+    Args:
+        trained: the run.
+        asked: conditions; rows of the same condition and image that are there already are replaced.
+        views: how many held-out views, the first ones; 0 for all.
+        tell: takes a line of progress.
+
+    Returns:
+        The whole table: image, psnr, ssim, lpips, lpips_reason, depth_error, depth_error_median, and `KEYS`.
+
+    Raises:
+        ValueError: the run has no circuit, or the noise would take hours.
+    """
+    folder, settings, scene, model = trained.folder, trained.settings, trained.scene, trained.model
+    if not any(isinstance(module, QuantumLayer) for module in model.modules()):
+        raise ValueError(f"{folder}: has no circuit to measure, both of its heads are MLPs")
+    evaluator = Evaluator(
+        scene,
+        ray_table(settings, scene),
+        model,
+        background=settings.render.background,
+        chunk=settings.train.chunk,
+        watch=Stopwatch(settings.torch_device, model, QuantumLayer),
+    )
+    asked = list(asked)
+    if any(condition.noise != "none" for condition in asked):
+        check_noise_feasible(evaluator, views or len(scene.eval))
+    path = folder / FILE
+    table = pd.DataFrame()
+    for condition in asked:
+        noise = Noise(**{condition.noise: condition.p}) if condition.noise != "none" else None
+        rows = []
+        with conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
+            for _, row in evaluator.views(scene.eval[: views or None], trained.step):
+                rows.append(row | vars(condition))
+        new = pd.DataFrame(rows).astype({"lpips": "float64", "depth_error": "float64", "depth_error_median": "float64"})
+        # Read and written after each condition: what was computed stays, here and by another command meanwhile.
+        table = pd.concat([pd.read_parquet(path), new]) if path.exists() else new
+        table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
+        replace(path, table.to_parquet())
+        shots = f"{condition.shots} shots" if condition.shots else "exact"
+        quality = f"PSNR {new['psnr'].mean():.2f} dB, SSIM {new['ssim'].mean():.3f}"
+        tell(f"{shots}, noise {condition.noise} {condition.p:g}: {quality}")
+    return table

@@ -1,0 +1,222 @@
+"""Compiled passes over the states of one block of samples: the inner loops of the state-vector engine.
+
+A block holds as many samples as fit one vector (`simd.lanes`), side by side. Amplitude b of the block is the vector at
+`base + b * W` of a flat array; real and imaginary parts lie in two regions of it. Up to about 10 wires everything stays
+in the first two cache levels from the first gate to the last.
+
+RY layers are applied as (1, -t; t, 1) with t = tan(angle / 2), |t| <= 1: two multiply-adds a pair instead of four
+operations. The missing cosines are factors of the diagonal before (`binding.bind`). Wire j is bit n - 1 - j.
+"""
+
+from typing import Any
+
+from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, store
+from qnerf.quantum.compiled.wire_blocks import flip_block, turn_block
+
+
+@inner
+def _turn(x: Any, source: int, target: int, outer: int, distance: int, width: int, tangents: Any) -> None:
+    keep_apart()
+    span = distance << len(tangents)
+    for h in range(outer):
+        for i in range(h * span, h * span + distance, width):
+            turn_block(x, source + i, target + i, distance, tangents)
+
+
+@inner
+def turn(x: Any, source: int, target: int, n: int, width: int, tangents: Any, forward: bool) -> None:
+    """(1, -t; t, 1) on every wire, from region `source` (real, imaginary part behind each other) to region `target`."""
+    keep_apart()
+    size = width << n
+    t = tangents if forward else -tangents
+    for part in range(0, 2 * size, size):
+        come, go = source + part, target + part
+        j = 0
+        while n - j >= 4:
+            four = (splat(t[j]), splat(t[j + 1]), splat(t[j + 2]), splat(t[j + 3]))
+            _turn(x, come, go, 1 << j, width << (n - j - 4), width, four)
+            come = go
+            j += 4
+        if n - j >= 2:
+            _turn(x, come, go, 1 << j, width << (n - j - 2), width, (splat(t[j]), splat(t[j + 1])))
+            come = go
+            j += 2
+        if n - j == 1:
+            _turn(x, come, go, 1 << j, width, width, (splat(t[j]),))
+
+
+@inner
+def turn_each(x: Any, source: int, target: int, n: int, width: int, cosines: int, sines: int, forward: bool) -> None:
+    """RY on every wire, with another angle in each lane: vectors of cos and sin of half the angle at those offsets."""
+    keep_apart()
+    size = width << n
+    sign = splat(x.dtype.type(1 if forward else -1))
+    for part in range(2):
+        come, go = source + part * size, target + part * size
+        for j in range(n):
+            c, s = load(x, cosines + j * width), sign * load(x, sines + j * width)
+            d = width << (n - j - 1)
+            for h in range(1 << j):
+                for i in range(h * 2 * d, h * 2 * d + d, width):
+                    a, b = load(x, come + i), load(x, come + i + d)
+                    store(x, go + i, c * a - s * b)
+                    store(x, go + i + d, s * a + c * b)
+            come = go
+
+
+@inner
+def products(x: Any, out: int, n: int, width: int, cosines: int, sines: int) -> None:
+    """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0, real parts then imaginary parts at
+    `out`.
+
+    The phase of a basis state with first bit 1 is the conjugate of the one with all bits flipped.
+    """
+    keep_apart()
+    half = (width << n) >> 1
+    store(x, out, load(x, cosines))
+    store(x, out + half, splat(x.dtype.type(0)) - load(x, sines))
+    for j in range(1, n):
+        c, s = load(x, cosines + j * width), load(x, sines + j * width)
+        for k in range((1 << (j - 1)) - 1, -1, -1):
+            a, b = load(x, out + k * width), load(x, out + half + k * width)
+            ac, bs, bc, asine = a * c, b * s, b * c, a * s
+            store(x, out + 2 * k * width, ac + bs)  # bit 0: times c - i s
+            store(x, out + half + 2 * k * width, bc - asine)
+            store(x, out + (2 * k + 1) * width, ac - bs)
+            store(x, out + half + (2 * k + 1) * width, bc + asine)
+
+
+@inner
+def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: int) -> None:
+    """The same state psi (2, 2^n) in every lane, times the input's phases unless `phases` is negative."""
+    keep_apart()
+    size = width << n
+    half = size >> 1
+    if phases < 0:
+        for b in range(1 << n):
+            store(x, target + b * width, splat(psi[0, b]))
+            store(x, target + size + b * width, splat(psi[1, b]))
+        return
+    flip = (1 << n) - 1
+    for k in range(1 << (n - 1)):
+        c, s = load(x, phases + k * width), load(x, phases + half + k * width)
+        b = k ^ mask
+        u, v = splat(psi[0, b]), splat(psi[1, b])
+        store(x, target + b * width, c * u - s * v)
+        store(x, target + size + b * width, c * v + s * u)
+        b = b ^ flip
+        u, v = splat(psi[0, b]), splat(psi[1, b])
+        store(x, target + b * width, c * u + s * v)
+        store(x, target + size + b * width, c * v - s * u)
+
+
+@inner
+def phase(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int) -> None:
+    """In place: times table (2, 2^n) and, unless `phases` is negative, the input's phases."""
+    keep_apart()
+    size = width << n
+    half = size >> 1
+    if phases < 0:
+        for b in range(1 << n):
+            u, v = splat(table[0, b]), splat(table[1, b])
+            r, i = load(x, target + b * width), load(x, target + size + b * width)
+            store(x, target + b * width, u * r - v * i)
+            store(x, target + size + b * width, u * i + v * r)
+        return
+    flip = (1 << n) - 1
+    for k in range(1 << (n - 1)):
+        c, s = load(x, phases + k * width), load(x, phases + half + k * width)
+        p = target + (k ^ mask) * width
+        u, v = splat(table[0, k ^ mask]), splat(table[1, k ^ mask])
+        r, i = load(x, p), load(x, p + size)
+        r, i = u * r - v * i, u * i + v * r
+        store(x, p, c * r - s * i)
+        store(x, p + size, c * i + s * r)
+        b = k ^ mask ^ flip
+        p = target + b * width
+        u, v = splat(table[0, b]), splat(table[1, b])
+        r, i = load(x, p), load(x, p + size)
+        r, i = u * r - v * i, u * i + v * r
+        store(x, p, c * r + s * i)
+        store(x, p + size, c * i - s * r)
+
+
+@inner
+def fold(x: Any, q: int, n: int, width: int, out: int) -> None:
+    """For each wire sum_b z_j(b) q_b, a vector at `out`; destroys q."""
+    keep_apart()
+    zero = splat(x.dtype.type(0))
+    for j in range(n):
+        half = width << (n - j - 1)
+        s0, s1, s2, s3 = zero, zero, zero, zero
+        i = q
+        while i + 3 * width < q + half:
+            a0, a1, a2, a3 = load(x, i), load(x, i + width), load(x, i + 2 * width), load(x, i + 3 * width)
+            k = i + half
+            b0, b1, b2, b3 = load(x, k), load(x, k + width), load(x, k + 2 * width), load(x, k + 3 * width)
+            s0, s1, s2, s3 = s0 + (a0 - b0), s1 + (a1 - b1), s2 + (a2 - b2), s3 + (a3 - b3)
+            store(x, i, a0 + b0)
+            store(x, i + width, a1 + b1)
+            store(x, i + 2 * width, a2 + b2)
+            store(x, i + 3 * width, a3 + b3)
+            i += 4 * width
+        while i < q + half:
+            a0, b0 = load(x, i), load(x, i + half)
+            s0 = s0 + (a0 - b0)
+            store(x, i, a0 + b0)
+            i += width
+        store(x, out + j * width, (s0 + s1) + (s2 + s3))
+
+
+@inner
+def squares(x: Any, state: int, n: int, width: int, q: int) -> None:
+    """Probabilities of the basis states."""
+    keep_apart()
+    size = width << n
+    for i in range(0, size, width):
+        r, s = load(x, state + i), load(x, state + size + i)
+        store(x, q + i, r * r + s * s)
+
+
+@inner
+def permute(x: Any, source: int, target: int, n: int, width: int, table: Any, forward: bool) -> None:
+    """target[b] = source[table[b]], or its inverse."""
+    keep_apart()
+    size = width << n
+    for b in range(1 << n):
+        a, c = b * width, table[b] * width
+        if not forward:
+            a, c = c, a
+        store(x, target + a, load(x, source + c))
+        store(x, target + size + a, load(x, source + size + c))
+
+
+@inner
+def _flips(x: Any, state: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int) -> None:
+    keep_apart()
+    real, imaginary = zeros, zeros
+    span = distance << (len(zeros) >> 1)
+    for h in range(outer):
+        for i in range(state + h * span, state + h * span + distance, width):
+            real = flip_block(x, i, distance, real)
+            imaginary = flip_block(x, i + size, distance, imaginary)
+    two = splat(x.dtype.type(2))
+    for j in range(len(zeros) >> 1):
+        value = (real[2 * j] + real[2 * j + 1]) + (imaginary[2 * j] + imaginary[2 * j + 1])
+        store(x, out + j * width, two * value)
+
+
+@inner
+def flips(x: Any, state: int, n: int, width: int, out: int) -> None:
+    """<X> of every wire, a vector at `out`."""
+    keep_apart()
+    size = width << n
+    zero = splat(x.dtype.type(0))
+    j = 0
+    while n - j >= 3:
+        six = (zero, zero, zero, zero, zero, zero)
+        _flips(x, state, 1 << j, width << (n - j - 3), size, width, six, out + j * width)
+        j += 3
+    while j < n:
+        _flips(x, state, 1 << j, width << (n - j - 1), size, width, (zero, zero), out + j * width)
+        j += 1

@@ -1,0 +1,175 @@
+"""Compiled evaluation of trigonometric polynomials and of their gradients, a vector of samples at a time."""
+
+from typing import Any
+
+import numpy as np
+
+from qnerf.kernels.jit import jit
+from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, start_of_line, store
+
+
+@inner
+def _basis(x: Any, at: int, n: int, width: int, most: int, trig: Any) -> None:
+    """For each wire 1, cos(a), sin(a), cos(2 a), sin(2 a), ... at `at`, and their derivatives by a behind all wires."""
+    keep_apart()
+    row = (2 * most + 1) * width
+    zero, one = splat(x.dtype.type(0)), splat(x.dtype.type(1))
+    for j in range(n):
+        value, slope = at + j * row, at + (n + j) * row
+        for i in range(width):
+            x[value + width + i] = trig[0, j, i]
+            x[value + 2 * width + i] = trig[1, j, i]
+        store(x, value, one)
+        store(x, slope, zero)
+        c, s = load(x, value + width), load(x, value + 2 * width)
+        u, v = c, s
+        for k in range(most):
+            if k > 0:
+                u, v = u * c - v * s, v * c + u * s
+            factor = splat(x.dtype.type(k + 1))
+            store(x, value + (2 * k + 1) * width, u)
+            store(x, value + (2 * k + 2) * width, v)
+            store(x, slope + (2 * k + 1) * width, zero - factor * v)
+            store(x, slope + (2 * k + 2) * width, factor * u)
+
+
+@inner
+def _contract(
+    x: Any, basis: int, row: int, width: int, coefficients: Any, wires: Any, sizes: Any, count: int, stages: int
+) -> int:
+    """Contracts the coefficients with the basis of the last wire, the one before, ...; every stage is kept at `stages`.
+
+    Returns where the value lies.
+    """
+    keep_apart()
+    if count == 0:
+        store(x, stages, splat(coefficients[0]))
+        return stages
+    total = 1
+    for w in range(count):
+        total *= sizes[w]
+    size = sizes[count - 1]
+    b = basis + wires[count - 1] * row
+    total //= size
+    for m in range(total):
+        value = splat(coefficients[m * size]) * load(x, b)
+        for k in range(1, size):
+            value = value + splat(coefficients[m * size + k]) * load(x, b + k * width)
+        store(x, stages + m * width, value)
+    here = stages
+    for w in range(count - 2, -1, -1):
+        size = sizes[w]
+        b = basis + wires[w] * row
+        after = here + total * width
+        total //= size
+        for m in range(total):
+            value = load(x, here + m * size * width)  # basis function 0 is 1
+            for k in range(1, size):
+                value = value + load(x, here + (m * size + k) * width) * load(x, b + k * width)
+            store(x, after + m * width, value)
+        here = after
+    return here
+
+
+@inner
+def _pull(
+    x: Any, basis: int, row: int, n: int, width: int, coefficients: Any, wires: Any, sizes: Any, count: int, stages:
+    int, end: int, g: int, duals: int, spare: int, sums: int, inputs: int,
+) -> None:  # fmt: skip
+    """The reverse of `_contract`: adds to the coefficients' sums and to the inputs, one vector each."""
+    keep_apart()
+    store(x, duals, load(x, g))
+    total, here = 1, end
+    for w in range(count):
+        size = sizes[w]
+        b = basis + wires[w] * row
+        slope = basis + (n + wires[w]) * row
+        change = load(x, inputs + wires[w] * width)
+        first = w == count - 1  # this stage read the coefficients themselves
+        before = here - total * size * width
+        for m in range(total):
+            dual = load(x, duals + m * width)
+            if first:
+                store(x, sums + m * size * width, load(x, sums + m * size * width) + dual)
+            else:
+                store(x, spare + m * size * width, dual)
+            for k in range(1, size):
+                i = (m * size + k) * width
+                f = load(x, b + k * width)
+                if first:
+                    value = splat(coefficients[m * size + k])
+                    store(x, sums + i, load(x, sums + i) + dual * f)
+                else:
+                    value = load(x, before + i)
+                    store(x, spare + i, dual * f)
+                change = change + (dual * value) * load(x, slope + k * width)
+        store(x, inputs + wires[w] * width, change)
+        duals, spare = spare, duals
+        here = before
+        total *= size
+    if count == 0:
+        store(x, sums, load(x, sums) + load(x, g))
+
+
+@jit
+def evaluate(
+    first: int, last: int, parts: int, trig: Any, width: int, most: int, coefficients: Any, wires: Any, sizes: Any,
+    counts: Any, out: Any,
+) -> None:  # fmt: skip
+    """trig (blocks, 2, n, W) -> out (blocks, outputs, W). coefficients (outputs, most coefficients), zero behind."""
+    blocks, n = trig.shape[0], trig.shape[2]
+    row = (2 * most + 1) * width
+    x = np.empty(2 * n * row + 2 * coefficients.shape[1] * width + 64, coefficients.dtype)
+    basis = start_of_line(x)
+    stages = basis + 2 * n * row
+    for block in range(blocks * first // parts, blocks * last // parts):
+        _basis(x, basis, n, width, most, trig[block])
+        for k in range(len(counts)):
+            end = _contract(x, basis, row, width, coefficients[k], wires[k], sizes[k], counts[k], stages)
+            for i in range(width):
+                out[block, k, i] = x[end + i]
+
+
+@jit
+def gradients(
+    first: int, last: int, parts: int, trig: Any, width: int, most: int, coefficients: Any, wires: Any, sizes: Any,
+    counts: Any, gradient: Any, inputs_out: Any, sums_out: Any,
+) -> None:  # fmt: skip
+    """Gradients of the inputs (blocks, n, W), in units of the base frequency, and of the coefficients of each part."""
+    blocks, n, most_coefficients = trig.shape[0], trig.shape[2], coefficients.shape[1]
+    row = (2 * most + 1) * width
+    outputs = len(counts)
+    x = np.zeros(2 * n * row + ((4 + outputs) * most_coefficients + n + 2) * width + 64, coefficients.dtype)
+    basis = start_of_line(x)
+    stages = basis + 2 * n * row
+    duals = stages + 2 * most_coefficients * width
+    spare = duals + most_coefficients * width
+    g = spare + most_coefficients * width
+    inputs = g + width
+    sums = inputs + n * width
+    zero = splat(coefficients.dtype.type(0))
+    for part in range(first, last):
+        for i in range(sums, sums + outputs * most_coefficients * width, width):
+            store(x, i, zero)
+        for block in range(blocks * part // parts, blocks * (part + 1) // parts):
+            _basis(x, basis, n, width, most, trig[block])
+            for i in range(inputs, inputs + n * width, width):
+                store(x, i, zero)
+            for k in range(outputs):
+                end = _contract(x, basis, row, width, coefficients[k], wires[k], sizes[k], counts[k], stages)
+                for i in range(width):
+                    x[g + i] = gradient[block, k, i]
+                _pull(
+                    x, basis, row, n, width, coefficients[k], wires[k], sizes[k], counts[k], stages, end, g, duals,
+                    spare, sums + k * most_coefficients * width, inputs,
+                )  # fmt: skip
+            for j in range(n):
+                for i in range(width):
+                    inputs_out[block, j, i] = x[inputs + j * width + i]
+        for k in range(outputs):
+            for m in range(most_coefficients):
+                value = 0.0
+                at = sums + (k * most_coefficients + m) * width
+                for i in range(at, at + width):
+                    value += x[i]
+                sums_out[part, k, m] = value

@@ -1,0 +1,138 @@
+"""Where along a ray colours are computed: the colour head, a circuit above all, is the costliest part of a field, and
+the samples of a ray that count lie close together. Samples without a geometry weigh nothing and never get a colour.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from qnerf.config.checks import at_least
+from qnerf.config.registry import Registry
+
+GATES: "Registry[Gate]" = Registry("gate")
+
+LEAST = 2  # what a head is given at least, as a normalisation needs
+SMALL = 0.1
+
+
+class Gated(NamedTuple):
+    """What gets a colour: M places on each ray."""
+
+    shares: Tensor  # (R, M) what a place's colour counts in its ray's; of a ray they sum to what they summed to before
+    geometry: Tensor  # (R, M, G)
+    kept: Tensor | None  # (R, M) bool: the others count nothing and need no colour; None: all get one
+
+
+class Gate(nn.Module):
+    """Shares (R, K) of the samples in their rays' colours, at least 0, their geometry features (R, K, G), and which of
+    them were evaluated (R, K), None for all -> `Gated`.
+
+    It decides alike in training and evaluation, so that a head's normalisation sees the same kind of inputs in both.
+    """
+
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        raise NotImplementedError
+
+
+@GATES.register("none")
+class NoGate(Gate):
+    """Every sample that has a geometry gets a colour."""
+
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        return Gated(shares, geometry, evaluated)
+
+
+class SelectingGate(Gate):
+    """Some samples get a colour, at least one on each ray that has any; they share what the others would have had."""
+
+    def select(self, shares: Tensor) -> Tensor:
+        """Shares (R, K), -1 of a sample that was not evaluated -> which get a colour (R, K)."""
+        raise NotImplementedError
+
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        with torch.no_grad():
+            ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
+            kept = self.select(ranked) & (ranked >= 0)
+            if int(kept.sum()) < LEAST:  # nearly all rays are empty
+                kept = ranked >= 0
+        left = shares * kept
+        total = shares.sum(-1, keepdim=True)
+        scale = total / left.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
+        return Gated(left * scale, geometry, kept)
+
+
+@GATES.register("threshold")
+class ThresholdGate(SelectingGate):
+    """Samples whose share is at least `least`: what is left out of a ray sums to less than K `least`.
+
+    Args:
+        least: share of a ray's colour, 0 to 1.
+    """
+
+    def __init__(self, *, least: float = 1e-3) -> None:
+        super().__init__()
+        if not 0 <= least < 1:
+            raise ValueError(f"gate=threshold: least must be at least 0 and below 1, got {least}")
+        self.least = least
+
+    def select(self, shares: Tensor) -> Tensor:
+        return shares >= shares.amax(-1, keepdim=True).clamp(max=self.least)
+
+
+@GATES.register("top")
+class TopGate(SelectingGate):
+    """The `samples` largest shares of each ray.
+
+    Args:
+        samples: at least 1.
+    """
+
+    def __init__(self, *, samples: int = 8) -> None:
+        super().__init__()
+        at_least("samples", samples, 1)
+        self.samples = samples
+
+    def select(self, shares: Tensor) -> Tensor:
+        count = min(self.samples, shares.shape[-1])
+        return torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
+
+
+@GATES.register("merge")
+class MergeGate(Gate):
+    """Samples that follow each other share a colour: that of their mean geometry, weighted by their shares.
+
+    A ray's share is cut into `parts` equal ones, in the order in which the ray passes them; a sample belongs to the
+    part in which its middle falls. Where the features change little across a part, so does the colour, and nothing is
+    left out.
+
+    How a sample's share s_i moves the mean m of its part, (g_i - m) / S, grows without bound where the part's share S
+    is small. A colour head alone gives such a part a gradient as small as S; a normalisation over the batch hands it
+    one as large as anybody's, which 1 / S would make the largest of all. Below `SMALL` of an equal part, S is taken as
+    that much in this derivative.
+
+    Args:
+        parts: of a ray, at least 1; 1 renders features first and colours once a ray.
+    """
+
+    def __init__(self, *, parts: int = 8) -> None:
+        super().__init__()
+        at_least("parts", parts, 1)
+        self.parts = parts
+
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+        tiny = torch.finfo(shares.dtype).tiny
+        with torch.no_grad():
+            middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
+            part = (middle * self.parts).long().clamp_(0, self.parts - 1)
+        merged = shares.new_zeros(len(shares), self.parts).scatter_add(1, part, shares)
+        own = merged.gather(1, part)  # (R, K) the share of each sample's part
+        with torch.no_grad():
+            weight = shares / own.clamp(min=tiny)
+        weight = weight + (shares - weight * own) / own.detach().clamp(min=SMALL / self.parts)
+        mean = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
+        mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
+        kept = merged > 0
+        if int(kept.sum()) < LEAST:  # all rays are empty
+            kept[:, 0] = True
+        return Gated(merged, mean, kept)

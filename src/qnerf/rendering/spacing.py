@@ -1,0 +1,111 @@
+"""Spacing curves: the normalised coordinate s in [0, 1] along a ray <-> the distance t between near and far.
+
+Each is built for the bounds of R rays and works on (R, K). A curve g is mapped so that g(near) lies at s = 0 and
+g(far) at s = 1. Sums are arranged so that every step is monotone in floating point: ordered s give ordered t, and no
+digits are lost for far = 1e6 in float32.
+"""
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor
+
+from qnerf.config.registry import Registry
+
+SPACINGS: "Registry[Spacing]" = Registry("spacing")
+
+
+class Spacing(ABC):
+    """Args: near, far: (R, 1) distances in world units, 0 <= near < far."""
+
+    @abstractmethod
+    def __init__(self, near: Tensor, far: Tensor) -> None: ...
+
+    @abstractmethod
+    def to_world(self, s: Tensor) -> Tensor:
+        """Normalised coordinate (R, K) in [0, 1] -> distance (R, K) in world units."""
+
+    @abstractmethod
+    def from_world(self, t: Tensor) -> Tensor:
+        """Distance (R, K) between near and far -> normalised coordinate (R, K)."""
+
+
+def _positive(name: str, near: Tensor) -> None:
+    if not bool((near > 0).all()):
+        raise ValueError(
+            f"spacing={name} needs near above 0, got {float(near.min()):g}; known for near = 0: piecewise, uniform"
+        )
+
+
+@SPACINGS.register("uniform")
+class Uniform(Spacing):
+    """g(t) = t."""
+
+    def __init__(self, near: Tensor, far: Tensor) -> None:
+        self.near, self.width = near, far - near
+
+    def to_world(self, s: Tensor) -> Tensor:
+        return torch.addcmul(self.near, self.width, s)
+
+    def from_world(self, t: Tensor) -> Tensor:
+        return (t - self.near) / self.width
+
+
+@SPACINGS.register("disparity")
+class Disparity(Spacing):
+    """g(t) = -1/t: equal steps in inverse distance. Needs near > 0 (ValueError)."""
+
+    def __init__(self, near: Tensor, far: Tensor) -> None:
+        _positive("disparity", near)
+        self.last = far.reciprocal()
+        self.width = near.reciprocal() - self.last
+
+    def to_world(self, s: Tensor) -> Tensor:
+        return torch.addcmul(self.last, self.width, 1 - s).reciprocal()
+
+    def from_world(self, t: Tensor) -> Tensor:
+        return 1 - (t.reciprocal() - self.last) / self.width
+
+
+@SPACINGS.register("geometric")
+class Geometric(Spacing):
+    """g(t) = log t: each step is a constant factor. Needs near > 0 (ValueError)."""
+
+    def __init__(self, near: Tensor, far: Tensor) -> None:
+        _positive("geometric", near)
+        self.near, self.far, self.width = near, far, (far / near).log()
+
+    def to_world(self, s: Tensor) -> Tensor:
+        t = torch.minimum(self.near * (s * self.width).exp(), self.far)
+        return t.cummax(-1).values  # exp is not promised to be monotone to the last bit
+
+    def from_world(self, t: Tensor) -> Tensor:
+        return (t / self.near).log() / self.width
+
+
+@SPACINGS.register("piecewise")
+class Piecewise(Spacing):
+    """g(t) = t/2 for t < 1, else 1 - 1/(2t): even steps up to distance 1, then even steps in disparity."""
+
+    def __init__(self, near: Tensor, far: Tensor) -> None:
+        self.first = self._curve(near)
+        self.width = self._curve(far) - self.first
+        # The far half is written with 1 - g, which keeps its digits where g itself rounds to 1.
+        self.last = self._rest(far)
+        self.rest = self._rest(near) - self.last
+
+    @staticmethod
+    def _curve(t: Tensor) -> Tensor:
+        return torch.where(t < 1, t / 2, 1 - 0.5 / t)
+
+    @staticmethod
+    def _rest(t: Tensor) -> Tensor:
+        return torch.where(t < 1, 1 - t / 2, 0.5 / t)
+
+    def to_world(self, s: Tensor) -> Tensor:
+        curve = torch.addcmul(self.first, self.width, s)
+        beyond = torch.addcmul(self.last, self.rest, 1 - s).reciprocal().mul(0.5).clamp(min=1)
+        return torch.where(curve < 0.5, curve * 2, beyond)
+
+    def from_world(self, t: Tensor) -> Tensor:
+        return torch.where(t < 1, (t / 2 - self.first) / self.width, 1 - (0.5 / t - self.last) / self.rest)

@@ -1,0 +1,1 @@
+"""The built-in scene: a room with a framed poster, ray traced here."""

@@ -1,0 +1,27 @@
+"""Training poses with noise, to study what pose refinement makes good."""
+
+from dataclasses import replace
+
+import torch
+
+from qnerf.geometry.pose_refinement import exp_so3
+from qnerf.scenes.base import Scene
+
+
+def disturbed(scene: Scene, *, rotation: float, translation: float, seed: int) -> Scene:
+    """The scene with noise on the poses of its training views; the held-out ones stay true.
+
+    Args:
+        rotation: standard deviation of each component of a rotation vector in the camera's frame, radians.
+        translation: of each coordinate of the centre, world units.
+        seed: of the noise.
+    """
+    if rotation == translation == 0:
+        return scene
+    generator = torch.Generator().manual_seed(seed)
+    noise = torch.randn(len(scene.train), 6, dtype=torch.float64, generator=generator)
+    poses = scene.cameras.poses.clone()
+    turned = poses[scene.train, :, :3] @ exp_so3(rotation * noise[:, :3])
+    moved = poses[scene.train, :, 3] + translation * noise[:, 3:]
+    poses[scene.train] = torch.cat([turned, moved[..., None]], dim=-1)
+    return replace(scene, cameras=replace(scene.cameras, poses=poses))

@@ -1,0 +1,1 @@
+"""The loop, its losses, and how good held-out views are."""

@@ -1,0 +1,72 @@
+"""How close a rendered view (H, W, 3) is to the true one. Colours are in [0, 1]; everything is computed in float64."""
+
+import math
+
+import torch
+from skimage.metrics import structural_similarity
+from torch import Tensor
+
+from qnerf.training.lpips import lpips
+
+__all__ = ["depth_error", "lpips", "psnr", "ssim"]
+
+_RADIUS = 5  # pixels: a window of 11 x 11
+
+
+def _check(image: Tensor, truth: Tensor) -> None:
+    if image.shape != truth.shape or image.ndim != 3 or image.shape[-1] != 3:
+        raise ValueError(
+            f"two images (H, W, 3) of one size expected, got {tuple(image.shape)} and {tuple(truth.shape)}"
+        )
+
+
+def psnr(image: Tensor, truth: Tensor) -> float:
+    """Peak signal-to-noise ratio, -10 log10(mean squared error), in dB; infinity for identical images."""
+    _check(image, truth)
+    error = float((image.double() - truth.double()).square().mean())
+    return -10 * math.log10(error) if error != 0 else math.inf
+
+
+def ssim(image: Tensor, truth: Tensor) -> float | None:
+    """Structural similarity in [-1, 1], 1 for identical images (scikit-image).
+
+    Gaussian window of sigma 1.5 and 11 x 11 pixels, K1 = 0.01, K2 = 0.03, data range 1, biased covariances, mean over
+    the pixels whose window lies inside the image and over the channels: the settings of Wang et al. 2004 and of
+    torchmetrics with data_range=1. Where a side is below 11 pixels, the window is the largest odd one that fits and its
+    sigma is its radius / 3.5; None below 3 pixels.
+    """
+    _check(image, truth)
+    side = min(image.shape[:2])
+    if side < 3:
+        return None
+    radius = min(_RADIUS, (side - 1) // 2)
+    value = structural_similarity(
+        image.detach().double().cpu().numpy(),
+        truth.detach().double().cpu().numpy(),
+        channel_axis=-1,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5 if radius == _RADIUS else radius / 3.5,
+        use_sample_covariance=False,
+    )
+    return float(value)
+
+
+def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
+    """How far a depth map (H, W) is from the true one, over pixels of known depth: two robust figures.
+
+    Known is a true depth that is finite and above 0; NaN, NaN where there is none. A pixel whose ray passes through a
+    hole has a depth of hundreds, which would drown a plain mean.
+
+    Returns:
+        Mean of |depth - truth| / max(depth, truth), in [0, 1); median of |depth - truth| in world units.
+    """
+    if depth.shape != truth.shape:
+        raise ValueError(f"two depth maps of one size expected, got {tuple(depth.shape)} and {tuple(truth.shape)}")
+    depth, truth = depth.double(), truth.double().to(depth.device)
+    known = torch.isfinite(truth) & (truth > 0)
+    if not bool(known.any()):
+        return math.nan, math.nan
+    depth, truth = depth[known], truth[known]
+    error = (depth - truth).abs()
+    return float((error / torch.maximum(depth, truth)).mean()), float(error.median())

@@ -1,0 +1,94 @@
+"""Exposure that differs between views is told from exposure that does not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qnerf.auto.exposure import best_shift, coarse, exposure_spread, gain, overlap
+from qnerf.auto.rules import EXPOSURE
+from tests.helpers.worlds import ball, brightened, constant, floor, texture
+
+
+@pytest.fixture(scope="module")
+def world():
+    return floor()
+
+
+def test_one_exposure_is_below_the_limit_and_fifteen_percent_are_above(world):
+    assert exposure_spread(world) < 0.2 * EXPOSURE
+    for seed in range(3):
+        assert exposure_spread(brightened(world, 0.15, seed)) > EXPOSURE
+
+
+def test_the_poster_has_one_exposure_until_it_is_given_several(poster):
+    assert exposure_spread(poster) < 0.5 * EXPOSURE
+    assert exposure_spread(brightened(poster, 0.15)) > EXPOSURE
+
+
+def test_it_measures_the_spread(world):
+    """Over neighbours in a row, whose factors are independent."""
+    found = np.mean([exposure_spread(brightened(world, 0.08, seed)) for seed in range(6)])
+    assert found == pytest.approx(0.08, rel=0.25)
+
+
+def pattern(rows: int = 0, columns: int = 0, factor: float = 1.0) -> np.ndarray:
+    y, x = np.mgrid[rows : rows + 40, columns : columns + 40] / 40
+    return factor * texture(x, y, 4.0)
+
+
+@settings(max_examples=15)
+@given(rows=st.integers(-4, 4), columns=st.integers(-4, 4), logarithm=st.floats(-0.15, 0.15))
+def test_the_gain_of_a_shifted_and_brightened_view(rows, columns, logarithm):
+    a, b = pattern(), pattern(2 * rows, 2 * columns, np.exp(logarithm))
+    assert best_shift(a, b)[0] == (2 * rows, 2 * columns)
+    assert gain(a, b) == pytest.approx(-logarithm, abs=1e-6)
+
+
+@given(shift=st.tuples(st.integers(-3, 3), st.integers(-3, 3)))
+def test_the_overlap_is_where_both_are(shift):
+    whole = np.arange(400).reshape(20, 20)
+    a, b = whole[5:15, 5:15], whole[5 + shift[0] : 15 + shift[0], 5 + shift[1] : 15 + shift[1]]
+    here, there = overlap(a, b, shift)
+    assert here.shape == (10 - abs(shift[0]), 10 - abs(shift[1]))
+    np.testing.assert_array_equal(here, there)
+
+
+def test_views_of_other_things_say_nothing():
+    random = np.random.default_rng(0)
+    assert np.isnan(gain(random.uniform(size=(40, 40)), random.uniform(size=(40, 40))))
+
+
+@pytest.mark.parametrize("value", [0, 255, 100])
+def test_images_without_any_texture_cannot_tell(value):
+    assert np.isnan(exposure_spread(constant(value)))
+
+
+def test_too_few_pairs_cannot_tell(world):
+    assert np.isnan(exposure_spread(dataclasses.replace(world, train=[0, 1])))
+    assert np.isnan(exposure_spread(ball()))
+
+
+def test_transparent_pixels_are_left_out(world):
+    alpha = torch.full_like(world.images[..., :1], 255)
+    alpha[:, :12] = 0
+    cut = torch.cat([world.images, alpha], dim=-1)
+    cut[:, :12, :, :3] = 200
+    assert exposure_spread(dataclasses.replace(world, images=cut)) < 0.2 * EXPOSURE
+    assert exposure_spread(brightened(dataclasses.replace(world, images=world.images), 0.15)) > EXPOSURE
+
+
+@pytest.mark.parametrize(("shape", "small"), [((64, 36), (64, 36)), ((65, 36), (32, 18)), ((256, 100), (64, 25))])
+def test_large_images_are_made_small(shape, small):
+    rows = np.arange(shape[0], dtype=float)[:, None] * np.ones(shape[1])
+    assert coarse(rows).shape == small
+    factor = shape[0] // small[0]
+    assert coarse(rows)[0, 0] == pytest.approx((factor - 1) / 2)
+
+
+def test_a_very_narrow_image_is_no_error():
+    narrow = np.linspace(0, 1, 400)[:, None] * np.ones(2)
+    assert coarse(narrow).shape == (200, 1)

@@ -1,0 +1,81 @@
+"""Poses that are off are told from poses that are not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qnerf.auto.poses import distances, epipolar_error, fundamental, matched
+from qnerf.auto.rules import OFF
+from qnerf.geometry.rays import project
+from tests.helpers.worlds import ball, constant, floor, turned
+
+FLOOR = floor(views=3)
+
+
+def test_true_poses_of_the_poster_explain_its_matches(poster):
+    error = epipolar_error(poster)
+    assert error.pairs >= 5
+    assert error.given < 0.3
+    assert error.given - error.best < 0.5 * OFF
+
+
+@pytest.mark.parametrize("degrees", [1.0, 2.0])
+def test_a_degree_or_two_shows_on_the_poster(poster, degrees):
+    error = epipolar_error(turned(poster, degrees))
+    assert error.given - error.best > OFF
+
+
+@given(seed=st.integers(0, 2**20))
+def test_points_seen_twice_lie_on_each_others_epipolar_lines(seed):
+    generator = torch.Generator().manual_seed(seed)
+    points = torch.rand(10, 3, dtype=torch.float64, generator=generator) - 0.5
+    poses = turned(FLOOR, 20.0, seed)
+    seen = [project(poses.cameras, torch.full((10,), view), points) for view in (0, 2)]
+    if bool((torch.stack([depth for _, depth in seen]) > 0.1).all()):
+        pixels = torch.stack([where for where, _ in seen], dim=1).numpy()
+        assert distances(fundamental(poses, 0, 2), pixels).max() < 1e-6
+
+
+@given(offset=st.floats(-5, 5))
+def test_distances_are_in_pixels(offset):
+    """Cameras side by side: epipolar lines are the rows."""
+    across = torch.linspace(-0.2, 0.2, 3, dtype=torch.float64)
+    poses = torch.eye(4, dtype=torch.float64)[:3].repeat(3, 1, 1)
+    poses[:, 0, 3] = across
+    side = dataclasses.replace(FLOOR, cameras=dataclasses.replace(FLOOR.cameras, poses=poses))
+    matches = np.array([[[10.0, 20.0], [14.0, 20.0 + offset]]])
+    assert distances(fundamental(side, 0, 1), matches) == pytest.approx(abs(offset), abs=1e-9)
+
+
+def test_features_lie_where_both_images_have_them():
+    world = floor(views=12, detail=6.0)
+    points = matched(*(world.images[view, ..., 0].numpy() / 255 for view in (5, 6)))
+    assert len(points) > 20
+    moved = points[:, 1] - points[:, 0]
+    shift = -40 * 1.2 / 11  # pixels: focal length x distance between cameras 1 above the floor
+    assert np.median(np.abs(np.abs(moved).max(1) - abs(shift))) < 0.3
+
+
+@pytest.mark.parametrize("world", [constant(0), constant(255), ball()], ids=["black", "white", "outlines"])
+def test_images_without_features_cannot_tell(world):
+    """Nor do the outlines of a ball, which are another curve on it in each view."""
+    error = epipolar_error(world)
+    assert np.isnan([error.given, error.best]).all()
+    assert error.pairs == 0
+
+
+def test_noise_without_any_match_cannot_tell():
+    random = torch.randint(0, 256, (6, 40, 40, 3), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    world = constant(0, width=40, height=40)
+    assert epipolar_error(dataclasses.replace(world, images=random)).pairs == 0
+
+
+def test_the_smallest_images_are_no_error():
+    for width, height in ((1, 1), (3, 2), (8, 6)):
+        images = torch.randint(0, 256, (6, height, width, 3), dtype=torch.uint8)
+        world = constant(0, width=width, height=height)
+        assert epipolar_error(dataclasses.replace(world, images=images)).pairs == 0

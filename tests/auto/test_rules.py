@@ -1,0 +1,148 @@
+"""Each rule on scenes that are made to be decided either way."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from qnerf.auto.rules import EMBEDDING, FINEST, RULES, Measured
+from tests.helpers.configs import composed
+from tests.helpers.worlds import ball, brightened, cameras, constant, floor, ring, scene, turned
+
+BALL, FLOOR = ball(focal=45.0, radius=0.2), floor()
+OUTWARD = scene(constant(9).images, cameras(ring(6, outward=True)))
+AUTO = composed("needs=auto")
+
+
+def decided(option: str, world, config=AUTO):
+    return RULES[option](Measured(world), config)
+
+
+def hashed(**table) -> dict:
+    """Of a contraction that is decided already, and these hash tables."""
+    return AUTO | {"contraction": {"name": "linf"}, "hash": {"min_resolution": 16, "features": 1, **table}}
+
+
+@pytest.mark.parametrize(
+    ("option", "world", "value"),
+    [
+        ("contraction.name", BALL, "box"),
+        ("contraction.name", FLOOR, "linf"),
+        ("contraction.name", constant(255, channels=4), "linf"),
+        ("render.far", FLOOR, 1000.0),
+        ("render.background", BALL, "white"),
+        ("render.background", FLOOR, "last_sample"),
+        ("visibility.alpha", BALL, True),
+        ("visibility.alpha", FLOOR, False),
+        ("visibility.cameras", BALL, 4),
+        ("visibility.cameras", OUTWARD, 0),
+        ("appearance", FLOOR, 0),
+        ("appearance", brightened(FLOOR, 0.15), EMBEDDING),
+        ("appearance", constant(0), 0),
+        ("cameras.name", FLOOR, "fixed"),
+        ("cameras.name", constant(0), "fixed"),
+    ],
+)
+def test_what_a_scene_is_found_to_need(option, world, value):
+    decision = decided(option, world)
+    assert decision.value == value
+    assert type(decision.value) is type(value)
+    assert all(type(number) is float for number in decision.because.values())
+
+
+@pytest.mark.parametrize(("degrees", "value"), [(0.0, "fixed"), (1.0, "so3xr3")])
+def test_poses_are_refined_where_they_are_off(poster, degrees, value):
+    decision = decided("cameras.name", turned(poster, degrees))
+    assert decision.value == value
+    assert decision.because["pairs"] >= 4
+
+
+def test_a_box_has_the_half_extent_that_was_measured_and_bounds_around_it():
+    half = decided("contraction.half_extent", BALL).value
+    assert decided("contraction.name", BALL).because == {"half_extent": half}
+    near, far = (decided(f"render.{bound}", BALL).value for bound in ("near", "far"))
+    away = math.hypot(1, 0.5)
+    assert 0 < near < away - 0.2 < away + 0.2 < far < 2 * away
+
+
+def test_a_half_extent_that_nothing_bounds_is_one_line():
+    with pytest.raises(ValueError, match=r"contraction\.half_extent=auto: silhouettes bound no object here") as caught:
+        decided("contraction.half_extent", FLOOR)
+    assert "\n" not in str(caught.value)
+
+
+def test_near_is_where_enough_cameras_begin_to_see_or_the_usual():
+    assert 0.1 < decided("render.near", FLOOR).value < 0.9
+    assert decided("render.near", OUTWARD).value == 0.05
+
+
+def test_sharp_images_ask_for_a_finer_grid_of_more_levels():
+    resolutions, levels = [], []
+    for world in (constant(50), floor(detail=2.0), floor(detail=8.0)):
+        resolutions.append(decided("hash.max_resolution", world, hashed()).value)
+        levels.append(decided("hash.levels", world, hashed(max_resolution=resolutions[-1])).value)
+    assert resolutions[0] == 16
+    assert resolutions == sorted(set(resolutions))
+    assert levels[0] == 1
+    assert levels == sorted(set(levels))
+    assert all(resolution % 16 == 0 for resolution in resolutions)
+
+
+@pytest.mark.parametrize(("least", "most"), [(16, 16), (16, 17), (16, 24), (16, 25), (16, 2048), (5, 1000), (64, 32)])
+def test_levels_grow_by_half_at_most(least, most):
+    count = decided("hash.levels", FLOOR, hashed(min_resolution=least, max_resolution=most)).value
+    assert count >= 1
+    assert least * 1.5 ** (count - 1) >= most * (1 - 1e-9)
+    assert count == 1 or least * 1.5 ** (count - 2) < most
+
+
+def test_the_finest_grid_is_bounded():
+    noise = torch.randint(0, 256, (4, 16, 16, 3), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    far = cameras(ring(4), 16, 16, 1e5)
+    assert decided("hash.max_resolution", scene(noise, far), hashed()).value == FINEST
+    assert decided("hash.max_resolution", constant(0), hashed(min_resolution=40)).value == 40
+
+
+@pytest.mark.parametrize("pixels", [1, 30, 1000])
+def test_tables_hold_half_as_many_numbers_as_were_observed(pixels):
+    world = constant(0, views=11, width=pixels, height=pixels)
+    size = decided("hash.log2_table_size", world, hashed(levels=6, features=2)).value
+    numbers, half = 6 * 2 * 2**size, 3 * 10 * pixels**2 / 2
+    assert 10 <= size <= 19
+    assert size in (10, 19) or half / 2 < numbers <= half
+
+
+@pytest.mark.parametrize(
+    ("option", "table", "message"),
+    [
+        ("hash.max_resolution", {"min_resolution": "auto"}, "hash.min_resolution must be .* got 'auto'"),
+        ("hash.levels", {"min_resolution": 0, "max_resolution": 64}, "hash.min_resolution must be .* got 0"),
+        ("hash.log2_table_size", {"levels": 3, "features": 1.5}, "hash.features must be .* got 1.5"),
+    ],
+)
+def test_numbers_by_hand_that_a_rule_cannot_use_are_one_line(option, table, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        decided(option, FLOOR, hashed(**table))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_positional_encoding_reaches_the_images_finest_detail():
+    encoder = {"encoder": {"name": "pe", "bands": "auto", "max_exponent": "auto"}}
+    exponents = []
+    for world in (constant(50), floor(detail=2.0), floor(detail=8.0)):
+        exponents.append(decided("encoder.max_exponent", world, hashed() | encoder).value)
+    assert exponents == sorted(exponents)
+    assert exponents[0] == 1 < exponents[-1]
+    set_ = {"encoder": {"name": "pe", "bands": "auto", "max_exponent": 6.0}}
+    assert decided("encoder.bands", FLOOR, hashed() | set_).value == 8
+
+
+def test_nothing_is_measured_twice_nor_before_it_is_asked_for(monkeypatch):
+    measured = Measured(dataclasses.replace(FLOOR, images=None))
+    assert RULES["gate.name"](measured, AUTO).value == "merge"
+    calls = []
+    monkeypatch.setattr("qnerf.auto.exposure.exposure_spread", lambda scene: calls.append(1) or 0.2)
+    for _ in range(2):
+        assert RULES["appearance"](measured, AUTO).value == EMBEDDING
+    assert calls == [1]

@@ -1,0 +1,161 @@
+"""Runs that decide what their scene needs: what they store, how they go on, what they make of bad input."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+
+from qnerf.auto.rules import RULES
+from qnerf.experiment import run
+from qnerf.probes import trained
+from qnerf.records import read_config
+from tests.helpers.worlds import ball, balls, cameras, constant, ring, scene, write
+
+BALL = ball(views=12, size=32, focal=22.0, radius=0.25)
+AUTO = ("needs=auto", "field=classical", "visibility.alpha=auto", "visibility.resolution=12", "hash.log2_table_size=8")
+
+
+@pytest.fixture
+def auto(tiny, tmp_path):
+    """A small configuration with needs=auto for a scene that is written to a folder of its own."""
+
+    def make(world, *overrides: str) -> dict:
+        folder = tmp_path / "world"
+        path = str(folder) if folder.exists() else write(world, folder)
+        return tiny("scene=nerfstudio", f"scene.path={path}", *AUTO, "hash=auto", *overrides)
+
+    return make
+
+
+def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing may be measured from here on."""
+    for option in RULES:
+        monkeypatch.setitem(RULES, option, None)
+
+
+def test_decisions_are_stored_and_loaded_without_measuring_again(auto, monkeypatch):
+    outcome = run(auto(BALL))
+    config = read_config(outcome.path)
+    assert config["contraction"]["name"] == "auto"
+    needs = config["needs"]
+    assert (needs["contraction.name"]["value"], needs["appearance"]["value"]) == ("box", 0)
+    row = pd.read_parquet(outcome.path / "summary.parquet").iloc[0]
+    assert row["needs.name"] == "auto"
+    assert row["needs.contraction.name.value"] == "box"
+    assert row["needs.render.background.value"] == "white"
+    assert row["needs.visibility.alpha.value"]
+    assert row["needs.hash.levels.value"] == needs["hash.levels"]["value"]
+    assert row["needs.contraction.name.half_extent"] == needs["contraction.name"]["half_extent"] > 0
+    for column in row.index[row.index.str.startswith("needs.")]:
+        assert not isinstance(row[column], float) or math.isfinite(row[column])
+    assert "needs.appearance.exposure_spread" not in row.index  # nothing on the ball tells
+
+    refuse(monkeypatch)
+    loaded = trained.load(outcome.path)
+    assert loaded.settings.contraction == {"name": "box", "half_extent": needs["contraction.name"]["half_extent"]}
+    assert loaded.settings.render.background == "white"
+    assert loaded.model.field.mask is not None
+
+
+def test_a_resumed_run_keeps_its_decisions_and_a_finished_one_is_skipped(auto, run_until, monkeypatch):
+    config = auto(BALL, "train.steps=4")
+    run_until(2, config)
+    with monkeypatch.context() as patch:
+        refuse(patch)
+        resumed = run(config)
+        assert (resumed.state, resumed.summary["steps"]) == ("finished", 4)
+        assert "finished already" in run(config).message
+    assert run(config).run_id == resumed.run_id
+
+    with monkeypatch.context() as patch:
+        refuse(patch)
+        with pytest.raises(TypeError):  # doing it over measures again
+            run(config | {"run": config["run"] | {"force": True}})
+
+
+def test_a_scene_that_needs_all_of_it_trains(tiny):
+    outcome = run(tiny("needs=full", "field=classical", "hash=C7"))
+    assert outcome.state == "finished"
+    assert outcome.summary["cameras"] == "so3xr3"
+    assert outcome.summary["params.appearance"] == 6 * 32
+    assert read_config(outcome.path)["needs"] == {"name": "full"}
+
+
+def one_place() -> tuple:
+    of = cameras(ring(5))
+    poses = of.poses.clone()
+    poses[:, :, 3] = 0.5
+    return scene(constant(9, views=5).images, dataclasses.replace(of, poses=poses))
+
+
+OUTWARD = scene(constant(9).images, cameras(ring(6, outward=True)))
+
+
+def contradicting():
+    of = cameras(ring(8), 32, 32, 29.0)
+    images = [balls(of, ((0, 0, 0.35 * (-1) ** view), 0.1))[view] for view in range(8)]
+    return scene(torch.stack(images), of)
+
+
+@pytest.mark.parametrize(
+    ("world", "decisions"),
+    [
+        (OUTWARD, {"visibility.cameras": 0, "contraction.name": "linf"}),
+        (constant(0), {"appearance": 0, "cameras.name": "fixed", "hash.max_resolution": 16, "hash.levels": 1}),
+        (ball(views=3, size=32, focal=29.0), {"visibility.cameras": 2}),
+        (contradicting(), {"visibility.alpha": False, "contraction.name": "linf", "render.background": "white"}),
+    ],
+    ids=["outward", "black", "three views", "contradicting"],
+)
+def test_unusual_scenes_train(auto, world, decisions):
+    outcome = run(auto(world))
+    assert outcome.state == "finished"
+    needs = read_config(outcome.path)["needs"]
+    assert {option: needs[option]["value"] for option in decisions} == decisions
+
+
+@pytest.mark.parametrize(
+    ("world", "overrides", "message"),
+    [
+        (one_place(), (), "all cameras stand at the same point"),
+        (OUTWARD, ("visibility.cameras=4",), r"visibility\.cameras: no cell is seen by 2 of 5 training cameras"),
+        (
+            constant(0, channels=4, width=64, height=64, focal=45.0),
+            ("visibility.alpha=true", "contraction.name=box", "+contraction.half_extent=0.1"),
+            r"visibility\.alpha: the silhouettes .* leave no space at all; use visibility\.alpha=false",
+        ),
+        (BALL, ("train.lr=auto",), "train: lr expects float, got 'auto'"),
+        (BALL, ("needs=none", "train.lr=auto"), "train: lr expects float, got 'auto'"),
+        (BALL, ("hash.min_resolution=auto",), r"hash\.min_resolution must be a whole number of at least 1, got 'auto'"),
+        (BALL, ("sampler.final=auto",), "sampler=proposal: final expects int, got 'auto'"),
+        (BALL, ("contraction.name=box", "+contraction.half_extent=x"), "half_extent expects float, got 'x'"),
+        (
+            constant(9),
+            ("contraction.name=box", "+contraction.half_extent=auto"),
+            r"contraction\.half_extent=auto: silhouettes bound no object here; give it in world units",
+        ),
+    ],
+)
+def test_a_mistake_is_one_line_and_writes_nothing(auto, tmp_path, world, overrides, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        run(auto(world, *overrides))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_images_of_two_resolutions_are_one_line(auto):
+    config = auto(constant(9))
+    image = Path(config["scene"]["path"]) / "images" / "002.png"
+    Image.fromarray(np.zeros((10, 10, 3), np.uint8)).save(image)
+    with pytest.raises(ValueError, match=r"002\.png") as caught:
+        run(config)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_threshold_above_all_views_asks_for_half_of_them(auto):
+    assert run(auto(BALL, "visibility.cameras=1000")).state == "finished"

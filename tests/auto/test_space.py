@@ -1,0 +1,95 @@
+"""Whether a scene is bounded, and where its rays are seen by enough cameras."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from qnerf.auto.space import MARGIN, Followed, box_half_extent, hull_bounds
+from qnerf.geometry.visibility import count_cameras
+from tests.helpers.worlds import BALL, ball, balls, cameras, constant, floor, look_at, ring, scene
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.4])
+def test_the_box_holds_the_object_and_little_more(radius):
+    of = cameras(ring(16), 64, 64, 45.0)
+    half = box_half_extent(scene(balls(of, ((0, 0, 0), radius)), of))
+    assert radius <= half < 2.2 * radius + 0.15
+
+
+def test_an_object_off_the_middle_is_inside_too():
+    of = cameras(ring(16), 64, 64, 45.0)
+    half = box_half_extent(scene(balls(of, ((0.3, 0, 0), 0.2)), of))
+    assert 0.5 <= half < 0.9
+
+
+def contradicting():
+    of = cameras(ring(8), 64, 64, 58.0)
+    images = [balls(of, ((0, 0, 0.35 * (-1) ** view), 0.05))[view] for view in range(8)]
+    return scene(torch.stack(images), of)
+
+
+def bent():
+    world = ball()
+    lens = torch.full_like(world.cameras.distortion, 0.01)
+    return dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
+
+
+@pytest.mark.parametrize(
+    "world",
+    [floor(), constant(255, channels=4), constant(0, channels=4), contradicting(), bent()],
+    ids=["no alpha", "opaque", "transparent", "contradicting", "distorted"],
+)
+def test_without_silhouettes_that_bound_an_object_there_is_no_box(world):
+    assert box_half_extent(world) is None
+
+
+def test_cameras_that_look_outward_see_no_bounded_object():
+    of = cameras(ring(6, outward=True))
+    spheres = [((3 * math.cos(a), 3 * math.sin(a), 1.5), 0.5) for a in 2 * np.pi * np.arange(6) / 6]
+    assert box_half_extent(scene(balls(of, *spheres), of)) is None
+
+
+def test_bounds_of_a_box_have_every_ray_pass_all_of_it():
+    world = ball()
+    near, far = hull_bounds(world, 0.5)
+    away = math.hypot(1.0, 0.5)
+    assert (near, far) == pytest.approx((0.9 * (away - 0.5 * 3**0.5), 1.1 * (away + 0.5 * 3**0.5)))
+    assert hull_bounds(world, 2.0)[0] == 0.0
+    assert near < away - BALL < away + BALL < far
+
+
+def test_rays_are_followed_to_where_enough_cameras_see():
+    world = floor()
+    followed = Followed(world)
+    least = followed.cameras()
+    assert least == 3
+    assert followed.coverage(4) <= followed.coverage(3) <= followed.coverage(2) <= 1
+    near = followed.near(least)
+    for view in world.train[:4]:
+        pose = world.cameras.poses[view]
+        before = pose[:, 3] - pose[:, 2] * torch.linspace(0.01, near, 20).double()[:, None]
+        assert bool((count_cameras(before, world.cameras, world.train) < least).all())
+    first = followed.distances[(followed.counts >= least).any(0)][0]
+    assert near == pytest.approx(float(first) * (1 - MARGIN))
+
+
+def test_cameras_that_look_outward_share_nothing():
+    followed = Followed(scene(constant(9).images, cameras(ring(6, outward=True))))
+    assert followed.cameras() == 0
+    assert followed.coverage(2) < 0.5
+    assert followed.near(0) is None
+
+
+def test_three_views_are_enough_to_ask():
+    world = ball(views=3)
+    assert len(world.train) == 2
+    assert Followed(world).cameras() == 2
+
+
+def test_one_place_seen_from_the_start_sets_no_near():
+    """Cameras side by side that look the same way see the same from very near on."""
+    of = cameras(np.stack([look_at((1e-4 * view, 0, 0), np.array([1e-4 * view, 1.0, 0])) for view in range(5)]))
+    assert Followed(scene(constant(9, views=5).images, of)).near(2) is None

@@ -1,0 +1,169 @@
+"""`qnerf reproduce`: the same run again, number by number, and what differs around it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qnerf import experiment, records
+from qnerf.cli import main
+from qnerf.records.environment import differences
+from qnerf.records.reproduction import compare, environment_differences, recorded_threads, relative_difference
+
+STEPS = ("train.steps=4", "train.eval_every=2")
+
+
+@pytest.fixture(autouse=True)
+def _no_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment of these tests does not depend on what is being edited meanwhile."""
+    monkeypatch.setattr("qnerf.records.environment.checkout", lambda: None)
+
+
+@pytest.fixture
+def run(tiny: Callable[..., dict[str, Any]]) -> Path:
+    return experiment.run(tiny(*STEPS, "field=qcolor")).path
+
+
+@pytest.fixture
+def reproduce(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+    """`reproduce(run, "--tolerance", 1e-3)`: exit code and what was said."""
+
+    def call(run: Path, *arguments: object) -> tuple[int, str]:
+        capsys.readouterr()
+        code = main.dispatch("reproduce", [run.name, "--store", str(run.parent), *map(str, arguments)])
+        out, err = capsys.readouterr()
+        return code, out + err
+
+    return call
+
+
+def change_metrics(run: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+    part = run / "metrics" / "part-00000.parquet"
+    change(pd.read_parquet(part)).to_parquet(part, index=False)
+
+
+def scaled(rows: pd.DataFrame, key: str, step: int, factor: float) -> pd.DataFrame:
+    return rows.assign(value=rows["value"].where((rows["key"] != key) | (rows["step"] < step), rows["value"] * factor))
+
+
+def test_a_run_agrees_with_itself_bit_for_bit(run, reproduce):
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    code, said = reproduce(run)
+    assert code == 0, said
+    numbers = sum(item.numbers for item in compare(run, run))
+    assert f"{run.name}: reproduced, {numbers:,} numbers agree bit for bit" in said
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    assert records.runs(run.parent) == [run]
+
+
+def test_what_is_compared(run):
+    compared = {(item.table, item.name): item for item in compare(run, run)}
+    logged = records.read_metrics(run)
+    for key in ("train/loss", "train/psnr", "train/lr", "eval/psnr"):
+        assert compared["metrics", key].numbers == (logged["key"] == key).sum()
+    assert ("eval", "psnr") in compared
+    assert {("summary", key) for key in ("psnr", "ssim", "steps", "params.total", "params.color")} <= compared.keys()
+    clocks = [name for _, name in compared if "time" in name or name.endswith(("_s", "_ms", "_mb"))]
+    assert clocks == []
+    assert ("summary", "seed") not in compared  # an option, not a result
+
+
+def test_numbers_that_differ_are_named_with_their_place(run, reproduce):
+    change_metrics(run, lambda rows: scaled(rows, "train/loss", 3, 1.001))
+    code, said = reproduce(run)
+    assert code == 1
+    (line,) = [line for line in said.splitlines() if "train/loss" in line]
+    assert line.split() == ["metrics", "train/loss", "4", "0", "0.000999", "step=3"]
+    assert "not reproduced, 1 of" in said
+    assert "nothing that is recorded of the environment differs" in said
+    code, said = reproduce(run, "--tolerance", 0.01)
+    assert code == 0
+    assert "agree within 0.01; the largest relative difference is 0.000999" in said
+
+
+def test_rows_that_are_missing_are_counted(run, reproduce):
+    change_metrics(run, lambda rows: rows[(rows["key"] != "train/psnr") | (rows["step"] > 1)])
+    code, said = reproduce(run, "--tolerance", 1e9)
+    assert code == 1
+    (line,) = [line for line in said.splitlines() if "train/psnr" in line]
+    assert line.split() == ["metrics", "train/psnr", "4", "1", "0", "step=1"]
+
+
+def test_what_differs_in_the_environment_is_told(run, reproduce):
+    environment = json.loads((run / "environment.json").read_text())
+    environment["packages"]["torch"] = "1.0"
+    environment["cpu"]["model"] = "abacus"
+    environment["git"] = {"commit": "c0ffee", "branch": "main", "dirty": True}
+    (run / "environment.json").write_text(json.dumps(environment))
+    (run / "dirty.diff").write_text("+a\n+b\n")
+    change_metrics(run, lambda rows: scaled(rows, "train/loss", 3, 1.001))
+    code, said = reproduce(run)
+    assert code == 1
+    assert f"packages.torch 1.0 {torch.__version__}".split() in [line.split() for line in said.splitlines()]
+    for word in ("abacus", "c0ffee", "git.diff"):
+        assert word in said
+
+
+def test_the_threads_are_those_of_the_run(tiny, reproduce, monkeypatch):
+    run = experiment.run(tiny(*STEPS, "threads=1")).path
+    assert recorded_threads(run) == 1
+    torch.set_num_threads(2)
+    asked = []
+    monkeypatch.setattr(torch, "set_num_threads", asked.append)
+    reproduce(run)
+    assert asked == [1]
+
+
+def test_the_second_run_can_be_kept(run, reproduce, tmp_path):
+    code, said = reproduce(run, "--keep", tmp_path / "again")
+    assert code == 0, said
+    (again,) = records.runs(tmp_path / "again")
+    assert again.name == run.name
+    assert records.state(again) == "finished"
+    change_metrics(again, lambda rows: scaled(rows, "train/loss", 3, 1.001))
+    assert reproduce(run, "--keep", tmp_path / "again")[0] == 0, "what was kept before is no second run"
+    code, said = reproduce(run, "--keep", run.parent)
+    assert code == 2
+    assert "is the store of the run itself" in said
+
+
+def test_only_what_is_finished(tiny, reproduce):
+    config = tiny(*STEPS)
+    claim = records.RunStore(config["store"]).claim("a", config)
+    assert claim.run is not None
+    claim.run.interrupt()
+    code, said = reproduce(claim.dir)
+    assert code == 2
+    assert "is interrupted; only a finished run can be reproduced" in said
+
+
+def test_environments_of_two_runs(run, tmp_path):
+    assert environment_differences(run, run) == {}
+    assert differences({"a": {"b": 1, "c": 2}, "command": [1]}, {"a": {"b": 1, "d": 3}, "command": [2]}) == {
+        "a.c": (2, None),
+        "a.d": (None, 3),
+    }
+
+
+numbers = st.floats() | st.sampled_from([0.0, -0.0, 1e-320, 1e308])
+
+
+@given(numbers, numbers)
+def test_the_relative_difference(a, b):
+    forth, back = (
+        relative_difference(np.array([a]), np.array([b]))[0],
+        relative_difference(np.array([b]), np.array([a]))[0],
+    )
+    assert forth == back >= 0
+    assert (forth == 0) == (a == b or (a != a and b != b))
+    if np.isfinite(a) and np.isfinite(b):
+        assert forth <= 2
+    elif forth:
+        assert forth == np.inf

@@ -1,0 +1,271 @@
+"""`qnerf resume`: goes on with what was interrupted, from what is stored, and refuses what would be another run."""
+
+import contextlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from qnerf import experiment, records
+from qnerf.cli import main
+from qnerf.cli.upgrade_config import complete, todays_defaults
+from qnerf.config.identity import identity
+from qnerf.records import RunStore, read_metrics, read_status, state, store
+from qnerf.scenes import SCENES
+from tests.helpers.configs import composed
+
+Config = dict[str, Any]
+
+
+class Stop(experiment.Display):
+    def __init__(self, at: int, error: BaseException) -> None:
+        self.at, self.error = at, error
+
+    def step(self, step: int, metrics: Any) -> None:
+        if step == self.at:
+            raise self.error
+
+
+@pytest.fixture
+def config(tiny: Callable[..., Config]) -> Config:
+    return tiny("train.steps=6", "train.checkpoint_every=0", "threads=1")
+
+
+def stopped(config: Config, error: BaseException | None = None) -> Path:
+    """A run that came to its fourth step."""
+    error = error or KeyboardInterrupt()
+    with pytest.raises(type(error)):
+        experiment.run(config, display=Stop(4, error))
+    (run,) = records.runs(config["store"])
+    return run
+
+
+def edit(run: Path, change: Callable[[Config], object]) -> Config:
+    """What another version, or a user, made of config.yaml."""
+    config = records.read_config(run)
+    change(config)
+    (run / "config.yaml").write_text(store.to_yaml(config))
+    return config
+
+
+def as_of(run: Path, change: Callable[[Config], object]) -> Path:
+    """The run as a version whose configuration was another one would have started it: under another name."""
+    before = identity(records.read_config(run), fingerprint := fingerprint_of(run))
+    config = edit(run, change)
+    renamed = run.with_name(run.name.replace(before, identity(config, fingerprint)))
+    status = json.loads((run / "status.json").read_text()) | {"config": identity(config)}
+    (run / "status.json").write_text(json.dumps(status))
+    assert renamed != run
+    return run.rename(renamed)
+
+
+def fingerprint_of(run: Path) -> str:
+    scene = records.read_config(run)["scene"]
+    return SCENES.build(scene.pop("name"), **scene).fingerprint
+
+
+@pytest.fixture
+def resume(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+    """`resume(run, "threads=2")`: exit code and what was said."""
+
+    def call(run: Path, *overrides: str) -> tuple[int, str]:
+        capsys.readouterr()
+        code = main.dispatch("resume", [run.name, *overrides, "--store", str(run.parent)])
+        out, err = capsys.readouterr()
+        return code, out + err
+
+    return call
+
+
+def losses(run: Path) -> list[float]:
+    return read_metrics(run).query("key == 'train/loss'")["value"].tolist()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("the machine is on fire")])
+def test_what_was_interrupted_or_failed_goes_on(config, tmp_path, resume, error):
+    whole = experiment.run(config | {"store": str(tmp_path / "whole")})
+    run = stopped(config, error)
+    assert state(run) == ("failed" if isinstance(error, RuntimeError) else "interrupted")
+    code, said = resume(run)
+    assert code == 0
+    assert "going on at step 3" in " ".join(said.split())
+    assert state(run) == "finished"
+    assert losses(run) == losses(whole.path)
+    assert run.name == whole.run_id
+
+
+def test_from_any_folder_and_although_it_was_started_with_force(config, tmp_path, monkeypatch, resume):
+    """The stored configuration says store=runs and run.force=true: neither counts now."""
+    monkeypatch.chdir(tmp_path)
+    run = stopped(config | {"store": "runs", "run": config["run"] | {"force": True}}).resolve()
+    created = read_status(run)["created"]
+    monkeypatch.chdir("/")
+    assert resume(run)[0] == 0
+    assert state(run) == "finished"
+    assert read_status(run)["created"] == created  # gone on with, not done over
+
+
+def test_stopped_again_after_an_evaluation_on_the_way(tiny, monkeypatch, resume):
+    run = stopped(tiny("train.steps=6", "train.checkpoint_every=0", "train.eval_every=2"))
+    assert records.read_summary(run)["psnr"] is not None
+    with monkeypatch.context() as patch:
+        patch.setattr(experiment, "stop_requests", lambda: contextlib.nullcontext([2]))
+        code, said = resume(run)
+    assert code == 130
+    assert "stopped at step 3 of 6" in " ".join(said.split())
+    assert resume(run)[0] == 0
+
+
+def test_a_finished_run_is_left_alone(config, resume):
+    run = experiment.run(config).path
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+    code, said = resume(run)
+    assert (code, "finished already" in said) == (0, True)
+    assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
+
+
+def test_a_running_one_says_who_runs_it(tmp_path, resume):
+    claim = RunStore(tmp_path / "runs").claim("a", {"seed": 0})
+    assert claim.run is not None
+    code, said = resume(claim.dir)
+    assert code == 0
+    assert f"being written by process {read_status(claim.dir)['pid']} on this machine" in said
+    claim.run.finish()
+
+
+def test_how_it_is_executed_may_change(config, resume):
+    run = stopped(config)
+    assert resume(run, "threads=2", "device=cpu", "run.progress=false")[0] == 0
+    assert state(run) == "finished"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("seed=1", "seed=1: cannot change what the run computes; known: threads, device, run.progress"),
+        ("train.steps=10", "train.steps=10: cannot change what the run computes"),
+        ("store=elsewhere", "store=elsewhere: cannot change"),
+        ("run.force=true", "run.force=true: cannot change"),
+        ("threads=many", "threads"),
+        ("threads=[", "threads=[: expected key=value"),
+        ("device=tpu", "device"),
+    ],
+)
+def test_what_it_computes_may_not(config, resume, override, message):
+    run = stopped(config)
+    before = (run / "status.json").read_bytes()
+    code, said = resume(run, override)
+    assert code == 2
+    assert said.startswith("error: ")
+    assert message in said
+    assert len(said.splitlines()) == 1
+    assert (run / "status.json").read_bytes() == before
+
+
+def test_a_scene_that_has_changed_is_another_run(config, tiny_scene, resume):
+    run = stopped(config)
+    shutil.copy(tiny_scene / "images" / "000.png", tiny_scene / "images" / "001.png")
+    code, said = resume(run)
+    assert code == 2
+    assert f"scene.path={tiny_scene}: the scene's contents are not those that the run was started with" in said
+    assert state(run) == "interrupted"
+
+
+def test_a_configuration_that_was_edited_is_another_run(config, resume):
+    run = stopped(config)
+    edit(run, lambda config: config["train"].update(lr=0.5))
+    code, said = resume(run)
+    assert code == 2
+    assert "config.yaml is not the configuration that the run was started with" in said
+
+
+def test_a_scene_that_has_moved_is_named_anew(config, tiny_scene, tmp_path, resume):
+    run = stopped(config)
+    tiny_scene.rename(tmp_path / "moved")
+    code, said = resume(run)
+    assert (code, "does not exist" in said) == (2, True)
+    assert resume(run, f"scene.path={tmp_path / 'moved'}")[0] == 0
+    assert state(run) == "finished"
+    assert records.runs(run.parent) == [run]
+
+
+def test_options_that_a_run_is_too_old_for_get_today_s_defaults(config, resume):
+    """And its name and rows stay."""
+    defaults = {"appearance": 0, "chunk": composed()["train"]["chunk"]}
+    run = as_of(stopped(config), lambda config: (config.pop("appearance"), config["train"].pop("chunk")))
+    code, said = resume(run)
+    assert code == 0, said
+    said = " ".join(said.split())
+    assert "older than some options, which have today's defaults" in said
+    for key, value in (("appearance", defaults["appearance"]), ("train.chunk", defaults["chunk"])):
+        assert f"{key}={value}" in said
+    assert state(run) == "finished"
+    assert len(losses(run)) == 6
+    assert records.runs(run.parent) == [run]
+
+
+def test_an_option_of_a_contraction_that_conf_does_not_spell_out_is_known(tiny, resume):
+    run = stopped(tiny("train.steps=6", "contraction.name=box", "+contraction.half_extent=2.0", "threads=1"))
+    code, said = resume(run)
+    assert code == 0, said
+    assert state(run) == "finished"
+
+
+def test_options_that_are_known_no_longer_are_named(config, resume):
+    run = as_of(stopped(config), lambda config: (config.update(old=1), config["train"].update(older=2)))
+    code, said = resume(run)
+    assert code == 2
+    assert "written by another version of qnerf; this one has no option train.older, old" in said
+    assert len(said.splitlines()) == 1
+    assert len(losses(run)) == 4
+
+
+@pytest.mark.parametrize(("key", "value"), [("run", 3), ("contraction", None), ("train", [1])])
+def test_a_group_that_is_none_is_one_line(config, resume, key, value):
+    run = stopped(config)
+    edit(run, lambda config: config.update({key: value}))
+    code, said = resume(run)
+    assert code == 2
+    assert f"expected options of {key}, got {value!r}" in said
+
+
+def test_a_run_of_a_newer_store_is_read_and_not_written(config, resume):
+    run = stopped(config)
+    status = json.loads((run / "status.json").read_text())
+    assert status["format"] == 1
+    (run / "status.json").write_text(json.dumps(status | {"format": 2}))
+    code, said = resume(run)
+    assert code == 2
+    assert "written by a newer qnerf (store format 2, this one knows 1)" in said
+    assert len(losses(run)) == 4
+
+
+def test_a_run_without_a_format_mark_is_of_the_first_format(config, resume):
+    run = stopped(config)
+    status = json.loads((run / "status.json").read_text())
+    (run / "status.json").write_text(json.dumps({k: v for k, v in status.items() if k not in ("format", "config")}))
+    assert resume(run)[0] == 0
+    assert state(run) == "finished"
+
+
+@pytest.mark.parametrize("choice", ["encoder=pe", "sampler=uniform", "cameras=se3", "train=paper", "scene=blender"])
+def test_every_choice_s_own_options_are_known(choice):
+    config = composed(choice, "scene.path=x")
+    assert complete(config, todays_defaults(config), "config.yaml") == []
+
+
+def test_any_single_option_can_be_filled_in():
+    today = todays_defaults(composed())
+    groups = [key for key in today if isinstance(today[key], dict)]
+    paths = [*((key,) for key in today), *((key, name) for key in groups for name in today[key])]
+    for path in paths:
+        config = json.loads(json.dumps(today))
+        node = config
+        for key in path[:-1]:
+            node = node[key]
+        del node[path[-1]]
+        assert len(complete(config, today, "config.yaml")) == 1
+        assert config == today

@@ -1,0 +1,138 @@
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from qnerf.cli.commands import rm
+from qnerf.records import StoreError, owner, runs
+
+
+class Terminal:
+    """Standard input with somebody at it who answers."""
+
+    def __init__(self, answer: str) -> None:
+        self.answer = answer
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self) -> str:
+        return f"{self.answer}\n"
+
+
+def names(store: Path) -> list[str]:
+    return [path.name[-4:] for path in runs(store)]
+
+
+def test_yes_deletes_what_is_named(store, qnerf):
+    done = qnerf("rm", "aaaa", "cccc", "--yes")
+    assert done.code == 0
+    assert "finished" in done.out
+    assert "failed" in done.out
+    assert names(store) == ["bbbb", "eeee", "dddd"]
+    assert list((store / ".tmp").iterdir()) == []
+
+
+def test_it_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
+    monkeypatch.setattr("sys.stdin", Terminal("n"))
+    done = qnerf("rm", "aaaa")
+    assert done.code == 1
+    assert "delete this run for good? [y/N]" in done.out
+    assert len(names(store)) == 5
+    monkeypatch.setattr("sys.stdin", Terminal("y"))
+    assert qnerf("rm", "aaaa", "bbbb").code == 0
+    assert len(names(store)) == 3
+
+
+def test_without_a_terminal_it_does_not_guess(store, qnerf, monkeypatch):
+    with open(os.devnull) as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        done = qnerf("rm", "aaaa")
+    assert done.code == 2
+    assert "--yes deletes without asking" in done.err
+    assert len(names(store)) == 5
+
+
+def test_a_running_run_stays_and_so_do_the_others(store, running, qnerf):
+    done = qnerf("rm", "aaaa", "ffff", "--yes")
+    assert done.code == 2
+    assert "running; stop it first; nothing deleted" in done.err
+    assert len(names(store)) == 6
+
+
+def test_a_run_that_somebody_takes_at_the_last_moment_stays(make):
+    run = make("a")
+    held = owner.acquire(run)
+    with pytest.raises(StoreError, match="being written by process"):
+        rm.delete(run)
+    assert (run / "summary.parquet").exists()
+    held.release()
+    rm.delete(run)
+    assert not run.exists()
+
+
+def test_links_go_and_what_they_lead_to_stays(make, qnerf, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "precious").write_text("x")
+    run, target = make("a"), make("b")
+    (run / "images" / "link").symlink_to(outside)
+    (run / "linked").symlink_to(outside / "precious")
+    link = run.parent / "latest"
+    link.symlink_to(target)
+    assert qnerf("rm", "a", "latest", "--yes").code == 0
+    assert names(run.parent) == ["b"]
+    assert (target / "summary.parquet").exists()
+    assert (outside / "precious").read_text() == "x"
+
+
+def test_a_damaged_run_can_be_deleted(store, qnerf):
+    (run,) = store.glob("*-eeeeeeeeee")
+    (run / "status.json").unlink()
+    (run / "config.yaml").unlink()
+    assert qnerf("rm", "eeee", "--yes").code == 0
+    assert not run.exists()
+
+
+def test_a_folder_that_is_no_run_stays(qnerf, tmp_path):
+    project = tmp_path / "project"
+    project.mkdir()
+    (project / "config.yaml").write_text("mine: true")
+    done = qnerf("rm", project, "--yes")
+    assert done.code == 2
+    assert "not a run" in done.err
+    assert (project / "config.yaml").exists()
+
+
+def test_the_next_one_finishes_what_a_killed_one_began(make):
+    run = make("a")
+    left = run.parent / ".tmp" / "old-x-1234"
+    left.mkdir()
+    (left / "checkpoint.pt").write_text("x")
+    rm.delete(run)
+    assert not left.exists()
+
+
+def test_a_full_disk_does_not_keep_runs_from_being_deleted(make, monkeypatch):
+    run = make("a")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(owner, "write", full)
+    rm.delete(run)
+    assert not run.exists()
+
+
+def test_what_cannot_be_renamed_stays_and_is_free_again(make, monkeypatch):
+    run = make("a")
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "rename", refuse)
+        with pytest.raises(StoreError, match="cannot delete: Read-only file system"):
+            rm.delete(run)
+    assert isinstance(owner.acquire(run), owner.Ownership)

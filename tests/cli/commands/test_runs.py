@@ -1,0 +1,208 @@
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from qnerf.cli.commands.runs import COLUMNS, Reading
+from qnerf.cli.table import fit, shorten, table
+from qnerf.cli.text import age, count, duration, size
+
+
+def ids(done) -> list[str]:
+    """Last letters of the ids, in the order of the table."""
+    return [line.split()[0][-1] for line in done.out.splitlines()[1:]]
+
+
+def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
+    qnerf("tag", "aaaa", "good", "base")
+    lines = qnerf("runs", "--sort", "psnr").out.splitlines()
+    assert lines[0].split() == [
+        "id", "state", "field", "encoder", "qiren", "params", "heads", "PSNR", "steps", "time", "age", "tags", "error",
+    ]  # fmt: skip
+    rows = {line.split()[0]: line.split() for line in lines[1:]}
+    assert all(len(row) == 13 for row in rows.values())
+    assert list(rows)[:2] == ["poster-classical-s0-bbbbbbbbbb", "poster-qcolor-s0-aaaaaaaaaa"]
+    assert rows["poster-qcolor-s0-aaaaaaaaaa"][1:10] == [
+        "finished", "qcolor", "hash", "1L2S", "1234", "234", "21.50", "40", "1m40s",
+    ]  # fmt: skip
+    assert rows["poster-qcolor-s0-aaaaaaaaaa"][11] == "base,good"
+    assert rows["poster-classical-s0-bbbbbbbbbb"][4] == "-"
+    failed = rows["poster-qcolor-s1-cccccccccc"]
+    assert (failed[1], failed[7], failed[8], failed[12]) == ("failed", "-", "20/40", "loss_is_NaN")
+    assert rows["poster-qcolor-s2-dddddddddd"][1] == "interrupted"
+    assert rows["poster-qboth-s0-eeeeeeeeee"][1] == "damaged"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (["state=finished"], "ba"),
+        (["state=failed,interrupted"], "dc"),
+        (["field=qcolor", "seed=0"], "a"),
+        (["classical"], "b"),
+        (["psnr>22"], "b"),
+        (["psnr=none", "state!=damaged"], "dc"),
+        (["train.lr=0.02"], "b"),
+        (["tag=good"], "a"),
+        (["--sort", "psnr", "--reverse", "--limit", "2"], "ab"),
+        (["--sort", "id", "--limit", "1"], "b"),
+        (["--sort", "state", "state!=finished"], "ecd"),
+    ],
+)
+def test_filters_order_and_limit(store, qnerf, arguments, found):
+    qnerf("tag", "aaaa", "good")
+    assert "".join(ids(qnerf("runs", *arguments))) == found
+
+
+def test_json_has_numbers_in_full_and_null_for_none(store, qnerf):
+    found = {row["run_id"][-1]: row for row in qnerf("runs", "--json", "--columns", "train.lr").json}
+    assert (found["a"]["psnr"], found["a"]["train.lr"], found["a"]["tags"]) == (21.5, 0.01, [])
+    assert found["c"]["psnr"] is None
+    assert found["e"]["state"] == "damaged"
+    assert len(qnerf("runs", "--json", "--all-columns").json[0]) > len(found["a"])
+
+
+def test_ids_alone(store, qnerf):
+    assert qnerf("runs", "--ids", "field=classical").out == "poster-classical-s0-bbbbbbbbbb\n"
+
+
+def test_further_columns(store, qnerf):
+    line = qnerf("runs", "--columns", "seed,train.lr,note", "aaaa").out.splitlines()
+    assert line[0].split()[-3:] == ["seed", "train.lr", "note"]
+    assert line[1].split()[-3:] == ["0", "0.01", "-"]
+    assert "scene.name" in qnerf("runs", "--all-columns").out.splitlines()[0].split()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fild=qcolor"], "no run has a column 'fild'; did you mean field"),
+        (["lr>0.1"], "no run has a column 'lr'; did you mean train.lr?"),
+        (["--sort", "quality"], "no run has a column 'quality'"),
+        (["--columns", "sed"], "did you mean seed"),
+        (["--limit", "-1"], "--limit expects 0 or more, got -1"),
+        (["psnr>much"], "psnr>much: > compares numbers, got 'much'"),
+    ],
+)
+def test_a_mistake_is_one_line(store, qnerf, arguments, message):
+    done = qnerf("runs", *arguments)
+    assert (done.code, done.out) == (2, "")
+    assert message in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_none_of_them_and_none_at_all(store, qnerf, tmp_path):
+    assert "none of 5 runs in" in qnerf("runs", "seed=7").out
+    assert qnerf("runs", "seed=7", "--json").json == []
+    for path in store.iterdir():
+        path.rename(tmp_path / path.name)
+    assert qnerf("runs", "seed=7").out == f"no runs in {store}\n"
+    assert qnerf("runs", "--ids").out == ""
+    assert qnerf("runs", "--json").json == []
+
+
+@pytest.mark.parametrize("width", [50, 80, 120, 200])
+def test_on_a_terminal_no_line_is_wider_and_ids_keep_their_end(store, qnerf, terminal, width):
+    terminal(width)
+    *lines, last = qnerf("runs").out.splitlines()
+    assert max(map(cell_len, lines)) <= width
+    assert lines[0].startswith("id")
+    assert {line.split()[0][-10:] for line in lines[1:]} == {letter * 10 for letter in "abcde"}
+    assert ("params" in lines[0]) == ("error" in lines[0]) == (width >= 120)
+    assert last.startswith("5 runs: 2 finished, ")
+
+
+def test_a_terminal_gets_what_its_screen_holds(make, qnerf, terminal):
+    for number in range(12):
+        make(f"run-{number:010d}", "interrupt")
+    terminal(100, height=12)
+    lines = qnerf("runs").out.splitlines()
+    assert len(lines) == 10
+    assert lines[-1].endswith("… 4 more (--limit 0 shows all)")
+    assert len(qnerf("runs", "--limit", "0").out.splitlines()) == 14
+
+
+def test_a_first_look_at_many_runs_says_how_far_it_is(monkeypatch, capsys):
+    def read(total: int) -> str:
+        with Reading() as reading:
+            for number in range(total):
+                reading("summary.parquet", number, total)
+        return capsys.readouterr().err
+
+    assert read(1000) == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert read(10) == ""
+    said = read(1000)
+    assert said.split("\x1b[K")[2] == "reading summary.parquet: 100 of 1,000\r"
+    assert said.endswith("\r\x1b[K")
+
+
+def test_a_run_that_is_running(running, qnerf):
+    assert qnerf("runs", "state=running").out.splitlines()[1].split()[8] == "20/40"
+
+
+def test_commands_that_read_import_neither_torch_nor_hydra():
+    modules = ", ".join(
+        f"qnerf.cli.commands.{name}" for name in ["runs", "show", "diff", "tag", "note", "rm", "watch", "export"]
+    )
+    code = f"import sys, qnerf.cli.main, {modules}; print({{'torch', 'hydra', 'numba'}} & {{*sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+@given(width=st.integers(1, 300), widths=st.lists(st.integers(1, 60), min_size=len(COLUMNS), max_size=len(COLUMNS)))
+def test_columns_fit_or_only_those_that_never_go_are_left(width, widths):
+    natural = {column.title: size for column, size in zip(COLUMNS, widths, strict=True)}
+    kept, given = fit(COLUMNS, natural, width)
+    used = sum(given.values()) + 2 * (len(kept) - 1)
+    assert used <= width or all(column.rank == 0 for column in kept)
+    assert [column for column in COLUMNS if column in kept] == kept
+    if sum(widths) + 2 * (len(widths) - 1) <= width:
+        assert given == natural
+
+
+@given(text=st.text(st.characters(categories=["L", "N"])), width=st.integers(2, 40))
+def test_a_shortened_text_fits_and_keeps_its_ends(text, width):
+    short = shorten(text, width, 13)
+    assert short == text or (cell_len(short) <= max(width, 2) + 13 and "…" in short)
+    if text.isascii():
+        assert len(short) == min(len(text), width)
+
+
+def test_empty_tables_have_their_titles():
+    assert [line.plain for line in table(COLUMNS[:2], [], 80)] == ["id  state"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0, "0.0s"), (4.26, "4.3s"), (9.96, "10s"), (43.4, "43s"), (59.7, "1m00s"), (113, "1m53s"), (3599, "59m59s"),
+        (7500, "2h05m"), (273600, "3d04h"), (None, "-"), (float("nan"), "-"), (float("inf"), "inf"),
+        (-3, "0.0s"), ("text", "text"),
+    ],
+)  # fmt: skip
+def test_durations(seconds, text):
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(5, "5s"), (100, "100s"), (150, "2m"), (7300, "2h"), (200_000, "2d"), (-50, "0s")]
+)
+def test_ages(monkeypatch, seconds, text):
+    monkeypatch.setattr("time.time", lambda: 1e9)
+    assert age(1e9 - seconds) == text
+    assert age(None) == age(float("nan")) == "-"
+
+
+@pytest.mark.parametrize(
+    ("held", "text"), [(0, "0 B"), (999, "999 B"), (1000, "1.0 kB"), (12_724_955, "12.7 MB"), (3 * 10**15, "3000.0 TB")]
+)
+def test_sizes(held, text):
+    assert size(held) == text
+
+
+def test_counts():
+    assert (count(1234567), count(None), count(3.0)) == ("1,234,567", "-", "3")

@@ -1,0 +1,143 @@
+"""The command line as a user meets it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from qnerf.cli.main import main
+from tests.helpers.configs import ROOT, TINY
+
+SMALL = [*TINY, "hash=C7", "train.rays=8", "train.eval_every=0", "train.log_every=1", "device=cpu"]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "src.run", *arguments]
+
+
+def call(*arguments: str) -> subprocess.CompletedProcess:
+    return subprocess.run(command(*arguments), cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture
+def small(tiny_scene: Path, tmp_path: Path) -> list[str]:
+    return [*SMALL, "scene=nerfstudio", f"scene.path={tiny_scene}", f"store={tmp_path / 'runs'}"]
+
+
+def runs(small: list[str]) -> list[Path]:
+    store = Path(next(item for item in small if item.startswith("store=")).removeprefix("store="))
+    return sorted(path for path in store.glob("*") if not path.name.startswith("."))
+
+
+def test_a_run_shows_the_configuration_and_a_closing_table(small):
+    done = call(*small, "train.steps=3")
+    assert done.returncode == 0, done.stderr
+    assert "├── seed: 0" in done.stdout
+    for word in ("PSNR", "SSIM", "parameters", "encoder", "training", runs(small)[0].name):
+        assert word in done.stdout
+
+
+def test_a_sweep_runs_every_job_and_one_failure_does_not_stop_the_others(small):
+    done = call("-m", *small, "train.steps=2", "field=qcolor", "qiren.layers=1,0,2", "qiren.qubits=3")
+    assert done.returncode == 1
+    assert "1 failed" in done.stderr
+    assert "layers must be at least 1, got 0" in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    summaries = pd.concat([pd.read_parquet(path / "summary.parquet") for path in runs(small)])
+    assert sorted(summaries["qiren"]) == ["1L2S", "2L2S"]
+    assert set(summaries["state"]) == {"finished"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train.steps=-1"], "error: train.steps must be at least 1, got -1"),
+        (["qiren.qubits=40"], "error: "),
+        (["scene=nerfstudio"], "error: scene.path must be given"),
+        (["scene=nerfstudio", "scene.path=/nowhere"], "/nowhere"),
+        (["field=quantum"], "Could not find 'field/quantum'"),
+        (["qiren.depth=3"], "Key 'depth' is not in struct"),
+    ],
+)
+def test_a_mistake_is_told_without_a_traceback(tmp_path, arguments, message):
+    done = call(*arguments, f"store={tmp_path / 'runs'}")
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_help_lists_groups_and_choices():
+    done = call("--help")
+    assert done.returncode == 0
+    assert "field: classical, qboth, qcolor, qdensity" in done.stdout
+    assert "1L1S" in done.stdout
+
+
+def test_cfg_job_prints_the_configuration(small):
+    done = call(*small, "--cfg", "job")
+    assert done.returncode == 0
+    assert "log2_table_size: 13" in done.stdout
+
+
+def test_the_console_command_takes_the_same_options(small):
+    done = subprocess.run(
+        [sys.executable, "-c", "from qnerf.cli.main import main; main()", "run", *small, "train.steps=2"],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(runs(small)) == 1
+    unknown = subprocess.run(
+        [sys.executable, "-c", "from qnerf.cli.main import main; main()", "fly"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert unknown.returncode == 2
+    assert "known: run" in unknown.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
+def test_ctrl_c_stops_with_a_checkpoint_and_the_same_command_goes_on(small):
+    arguments = command(*small, "train.steps=600")
+    process = subprocess.Popen(arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not any((path / "environment.json").exists() for path in runs(small)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert "the same command goes on from" in " ".join((stdout + stderr).split())
+    assert "Traceback" not in stderr
+    (folder,) = runs(small)
+    assert pd.read_parquet(folder / "summary.parquet").iloc[0]["state"] == "interrupted"
+    again = subprocess.run(arguments, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert again.returncode == 0, again.stderr
+    steps = pd.read_parquet(folder / "metrics").query("key == 'train/loss'")["step"]
+    assert steps.tolist() == list(range(1, 601))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "arguments are required: RUN"),
+        (["/nowhere"], "/nowhere: no such run"),
+        (["/nowhere", "shot=3"], "unknown option 'shot'; known: shots, noise, p, views, seed"),
+        (["/nowhere", "shots=many"], "shots expects numbers with commas between them, got 'many'"),
+    ],
+)
+def test_evaluate_tells_a_mistake_in_one_line(monkeypatch, capsys, tmp_path, arguments, message):
+    if "shot" in message:
+        (tmp_path / "a-run").mkdir()
+        arguments = [str(tmp_path / "a-run"), *arguments[1:]]
+        (tmp_path / "a-run" / "status.json").write_text("{}")
+    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err

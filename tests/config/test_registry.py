@@ -1,0 +1,44 @@
+import pytest
+
+from qnerf.config.registry import Registry
+
+
+@pytest.fixture
+def registry():
+    shapes: Registry[object] = Registry("shape")
+
+    @shapes.register("circle")
+    class Circle:
+        def __init__(
+            self, in_dim: int, *, radius: float = 1.0, corners: int = 0, tags: list[int] | None = None
+        ) -> None:
+            self.given = (in_dim, radius, corners, tags)
+
+    return shapes
+
+
+def test_builds_with_wiring_and_options(registry):
+    assert registry.build("circle", 3, radius=2, tags=[1]).given == (3, 2, 0, [1])
+
+
+def test_unknown_name_lists_the_known(registry):
+    with pytest.raises(ValueError, match=r"^shape: unknown name 'square'; known: circle$"):
+        registry.build("square", 3)
+
+
+def test_unknown_option_lists_the_known(registry):
+    with pytest.raises(ValueError, match=r"^shape=circle: unknown option side=1; known: radius, corners, tags$"):
+        registry.build("circle", 3, side=1)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("radius", "x"), ("radius", True), ("corners", 1.5), ("corners", None), ("tags", 3)]
+)
+def test_wrong_type_names_key_and_value(registry, option, value):
+    with pytest.raises(ValueError, match=rf"shape=circle: {option} expects .* got {value!r}"):
+        registry.build("circle", 3, **{option: value})
+
+
+def test_wiring_is_not_an_option(registry):
+    with pytest.raises(ValueError, match="unknown option in_dim"):
+        registry.check("circle", {"in_dim": 3})

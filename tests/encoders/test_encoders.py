@@ -1,0 +1,356 @@
+"""Encodings of points and of view directions: encoders/."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.autograd import gradcheck
+
+from qnerf.encoders import DIRECTIONS, ENCODERS, HashEncoder, spherical_harmonics
+from qnerf.encoders.frequency_window import released
+from qnerf.kernels.hashgrid import hash_encode_reference
+
+TINY_HASH = {"levels": 3, "max_resolution": 40, "log2_table_size": 8, "features": 2}
+OPTIONS = {
+    "hash": [TINY_HASH, {**TINY_HASH, "dense": False}],
+    "none": [{}],
+    "pe": [{}, {"bands": 4, "max_exponent": 3.0, "include_input": True}],
+    "rff": [{}, {"features": 7, "scale": 2.0, "seed": 3}],
+}
+EVERY = [(name, options) for name, several in OPTIONS.items() for options in several]
+
+
+def test_every_encoder_is_tested():
+    assert ENCODERS.names() == sorted(OPTIONS)
+
+
+@pytest.mark.parametrize(("name", "options"), EVERY)
+@pytest.mark.parametrize("shape", [(3,), (5, 3), (2, 4, 3), (0, 3)])
+def test_shapes_and_dtypes(name, options, shape):
+    encoder = ENCODERS.build(name, 3, **options)
+    for dtype in (torch.float32, torch.float64):
+        encoder.to(dtype)
+        encoded = encoder(torch.full(shape, 0.3, dtype=dtype))
+        assert encoded.shape == (*shape[:-1], encoder.out_dim)
+        assert encoded.dtype == dtype
+
+
+@pytest.mark.parametrize(("name", "options"), EVERY)
+def test_derivative_with_respect_to_points(name, options):
+    encoder = ENCODERS.build(name, 3, **options).double()
+    points = torch.rand(4, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64, requires_grad=True)
+    assert gradcheck(encoder, (points,), eps=1e-7, atol=1e-3, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "options"), EVERY)
+def test_nan_stays_with_its_point_and_the_edges_are_finite(name, options):
+    encoder = ENCODERS.build(name, 3, **options)
+    encoded = encoder(torch.tensor([[0.0, 0, 0], [1, 1, 1], [float("nan")] * 3, [0.5, 0.5, 0.5]]))
+    assert encoded[2].isnan().all()
+    assert encoded[[0, 1, 3]].isfinite().all()
+
+
+# Positional encoding and random Fourier features
+
+
+def exact_turns(frequencies, x):
+    """f x modulo 1 for every frequency, by rational arithmetic, and so its sine and cosine."""
+    turns = [float(Fraction(f) * Fraction(x) % 1) for f in frequencies]
+    return [math.sin(2 * math.pi * t) for t in turns], [math.cos(2 * math.pi * t) for t in turns]
+
+
+@settings(max_examples=200, deadline=None)
+@given(x=st.floats(-1, 2, width=32))
+def test_phases_hold_to_5e_7_in_float32(x):
+    encoder = ENCODERS.build("pe", 1)
+    sines, cosines = exact_turns(encoder.frequencies.tolist(), x)
+    encoded = encoder(torch.tensor([[x]]))[0].double()
+    torch.testing.assert_close(encoded, torch.tensor(sines + cosines, dtype=torch.float64), rtol=0, atol=5e-7)
+
+
+@settings(max_examples=100, deadline=None)
+@given(x=st.floats(-1, 2))
+def test_phases_hold_to_2e_13_in_float64(x):
+    """The float64 product f x itself is rounded: 2 pi 2^8 x 2 x 2^-53 x 1.1."""
+    encoder = ENCODERS.build("pe", 1)
+    sines, cosines = exact_turns(encoder.frequencies.tolist(), x)
+    encoded = encoder(torch.tensor([[x]], dtype=torch.float64))[0]
+    torch.testing.assert_close(encoded, torch.tensor(sines + cosines, dtype=torch.float64), rtol=0, atol=4e-13)
+
+
+def test_positional_encoding_order_and_frequencies():
+    encoder = ENCODERS.build("pe", 3)
+    assert encoder.out_dim == 60
+    torch.testing.assert_close(encoder.frequencies[[0, -1]], torch.tensor([1.0, 256.0], dtype=torch.float64))
+    ratio = encoder.frequencies[1:] / encoder.frequencies[:-1]
+    torch.testing.assert_close(ratio, torch.full((9,), 2 ** (8 / 9), dtype=torch.float64))
+    point = torch.tensor([[0.1, 0.2, 0.7]], dtype=torch.float64)
+    phase = 2 * math.pi * (point[0, :, None] * encoder.frequencies).flatten()
+    torch.testing.assert_close(encoder(point)[0], torch.cat((phase.sin(), phase.cos())), rtol=0, atol=1e-11)
+
+
+def test_positional_encoding_with_its_input():
+    encoder = ENCODERS.build("pe", 3, bands=2, include_input=True)
+    point = torch.tensor([[0.1, 0.2, 0.7]])
+    assert encoder.out_dim == 15
+    assert torch.equal(encoder(point)[:, 12:], point)
+
+
+def test_frequencies_survive_a_cast():
+    encoder = ENCODERS.build("pe", 3).half().float()
+    assert torch.equal(encoder.frequencies, ENCODERS.build("pe", 3).frequencies)
+
+
+def test_fourier_features_are_fixed_by_their_seed():
+    state = torch.random.get_rng_state()
+    first, same, other = (ENCODERS.build("rff", 3, seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert torch.equal(first.directions, same.directions)
+    assert not torch.equal(first.directions, other.directions)
+    assert first.out_dim == 60
+    assert not list(first.parameters())
+    assert "directions" in first.state_dict()
+
+
+def test_fourier_features_draw_from_a_normal_distribution():
+    b = ENCODERS.build("rff", 3, features=20000, scale=5.0).directions.flatten()
+    count = b.numel()
+    assert abs(b.mean().item()) < 5 * 5.0 / math.sqrt(count)
+    assert abs(b.std().item() / 5.0 - 1) < 5 / math.sqrt(2 * count)
+    assert abs((b.abs() < 5.0).double().mean().item() - 0.6827) < 5 * 0.466 / math.sqrt(count)
+
+
+@settings(max_examples=50, deadline=None)
+@given(point=st.tuples(*[st.floats(0, 1, width=32)] * 3))
+def test_fourier_features_against_exact_phases(point):
+    encoder = ENCODERS.build("rff", 3, features=5)
+    turns = [
+        float(sum(Fraction(b) * Fraction(x) for b, x in zip(row, point, strict=True)) % 1)
+        for row in encoder.directions.t().tolist()
+    ]
+    phase = 2 * math.pi * torch.tensor(turns, dtype=torch.float64)
+    encoded = encoder(torch.tensor([point]))[0].double()
+    torch.testing.assert_close(encoded, torch.cat((phase.sin(), phase.cos())), rtol=0, atol=5e-7)
+
+
+# Hash encoding
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [
+        ((16, 16, 2048, 19, 2), 16777216),
+        ((16, 16, 2048, 17, 2), 4194304),
+        ((12, 16, 2048, 17, 2), 3145728),
+        ((12, 16, 2048, 17, 1), 1572864),
+        ((12, 16, 1024, 15, 1), 393216),
+        ((8, 16, 1024, 15, 1), 262144),
+        ((8, 16, 1024, 13, 1), 65536),
+    ],
+    ids=lambda value: f"C{value}" if isinstance(value, int) else None,
+)
+def test_parameter_counts_of_the_paper(options, count):
+    names = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
+    encoder = ENCODERS.build("hash", 3, **dict(zip(names, options, strict=True)))
+    assert sum(parameter.numel() for parameter in encoder.parameters()) == count
+    assert encoder.out_dim == options[0] * options[4]
+
+
+def test_hash_table_starts_small_and_from_the_given_generator():
+    first, same, other = (HashEncoder(3, torch.Generator().manual_seed(seed), **TINY_HASH).table for seed in (0, 0, 1))
+    assert torch.equal(first, same)
+    assert not torch.equal(first, other)
+    assert first.abs().max() <= 1e-3
+    assert abs(first.std().item() - 1e-3 / math.sqrt(3)) < 5e-5
+    torch.manual_seed(7)
+    a = HashEncoder(3, **TINY_HASH).table
+    torch.manual_seed(7)
+    assert torch.equal(a, HashEncoder(3, **TINY_HASH).table)
+
+
+def test_hash_encoder_is_its_table_and_resolutions():
+    encoder = HashEncoder(3, **TINY_HASH)
+    points = torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0))
+    expected = hash_encode_reference(points.view(-1, 3), encoder.table, torch.tensor([16, 25, 40]))
+    assert torch.equal(encoder(points), expected.view(4, 6, 6))
+    assert list(encoder.state_dict()) == ["table"]
+
+
+def test_hash_encoder_learns_a_function():
+    generator = torch.Generator().manual_seed(0)
+    encoder = HashEncoder(3, generator, levels=4, min_resolution=4, max_resolution=16, log2_table_size=10, features=2)
+    weight = torch.ones(encoder.out_dim)
+    points = torch.rand(2000, 3, generator=generator)
+    target = torch.sin(6 * points[:, 0]) * points[:, 1]
+    optimiser = torch.optim.Adam(encoder.parameters(), lr=1e-2)
+    for _ in range(60):
+        loss = (encoder(points) @ weight - target).pow(2).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert loss.item() < 0.01 * target.var().item()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("hash", {"levels": 0}, "levels must be at least 1, got 0"),
+        ("hash", {"features": 0}, "features must be at least 1"),
+        ("hash", {"min_resolution": 0}, "min_resolution must be at least 1"),
+        ("hash", {"min_resolution": 32, "max_resolution": 16}, "max_resolution must be between min_resolution=32 and"),
+        ("hash", {"max_resolution": 2**21}, "max_resolution must be between"),
+        ("hash", {"log2_table_size": 0}, "log2_table_size must be 1 to 30, got 0"),
+        ("hash", {"log2_table_size": 60}, "log2_table_size must be 1 to 30, got 60"),
+        ("hash", {"level": 3}, "unknown option level=3; known: levels, min_resolution, max_resolution"),
+        ("pe", {"bands": 0}, "bands must be at least 1"),
+        ("pe", {"max_exponent": float("nan")}, "max_exponent must be at least 0"),
+        ("rff", {"features": 0}, "features must be at least 1"),
+        ("rff", {"scale": float("inf")}, "scale must be at least 0"),
+        ("none", {"bands": 3}, "unknown option bands=3; known: none"),
+        ("grid", {}, "unknown name 'grid'; known: hash, none, pe, rff"),
+    ],
+)
+def test_bad_options_are_one_line(name, options, message):
+    with pytest.raises(ValueError, match=message) as error:
+        ENCODERS.build(name, 3, **options)
+    assert "\n" not in str(error.value)
+
+
+def test_dimensions():
+    for name in ("none", "pe", "rff"):
+        assert ENCODERS.build(name, 2)(torch.zeros(4, 2)).shape[0] == 4
+        with pytest.raises(ValueError, match="in_dim must be at least 1"):
+            ENCODERS.build(name, 0)
+    with pytest.raises(ValueError, match="points must have 3 coordinates, got 2"):
+        ENCODERS.build("hash", 2)
+    with pytest.raises(ValueError, match="directions must have 3 coordinates"):
+        DIRECTIONS.build("sh", 2)
+
+
+# View directions
+
+
+def sphere(order=12):
+    """Directions and weights that integrate polynomials up to degree 2 order - 1 over the sphere exactly."""
+    z, weight = np.polynomial.legendre.leggauss(order)
+    angle = np.arange(2 * order) * np.pi / order
+    ring = np.sqrt(1 - z**2)[:, None]
+    directions = np.stack(
+        (
+            ring * np.cos(angle),
+            ring * np.sin(angle),
+            np.broadcast_to(z[:, None], ring.shape)[..., 0:1].repeat(2 * order, 1),
+        ),
+        -1,
+    )
+    return torch.from_numpy(directions.reshape(-1, 3)), torch.from_numpy(np.repeat(weight * np.pi / order, 2 * order))
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_spherical_harmonics_are_orthonormal(degree):
+    directions, weights = sphere()
+    values = spherical_harmonics(directions, degree)
+    assert values.shape == (len(directions), degree**2)
+    gram = values.t() @ (values * weights[:, None])
+    torch.testing.assert_close(gram, torch.eye(degree**2, dtype=torch.float64), rtol=0, atol=1e-12)
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=30, deadline=None)
+def test_addition_theorem(seed):
+    """sum_m Y_lm(a) Y_lm(b) = (2l + 1) / (4 pi) P_l(a . b)."""
+    vectors = torch.randn(2, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    a, b = vectors / vectors.norm(dim=-1, keepdim=True)
+    product = spherical_harmonics(a, 4) * spherical_harmonics(b, 4)
+    for band in range(4):
+        legendre = np.polynomial.legendre.Legendre.basis(band)((a @ b).item())
+        total = product[band**2 : (band + 1) ** 2].sum().item()
+        assert total == pytest.approx((2 * band + 1) / (4 * math.pi) * legendre, abs=1e-13)
+
+
+def test_spherical_harmonics_order_and_signs():
+    x, y, z = 0.36, 0.48, 0.8
+    values = spherical_harmonics(torch.tensor([x, y, z], dtype=torch.float64), 4)
+    s = math.sqrt(1 / math.pi)
+    expected = [
+        s / 2,
+        s * math.sqrt(3) / 2 * y,
+        s * math.sqrt(3) / 2 * z,
+        s * math.sqrt(3) / 2 * x,
+        s * math.sqrt(15) / 2 * x * y,
+        s * math.sqrt(15) / 2 * y * z,
+        s * math.sqrt(5) / 4 * (3 * z * z - 1),
+        s * math.sqrt(15) / 2 * x * z,
+        s * math.sqrt(15) / 4 * (x * x - y * y),
+        s * math.sqrt(70) / 8 * y * (3 * x * x - y * y),
+        s * math.sqrt(105) / 2 * x * y * z,
+        s * math.sqrt(42) / 8 * y * (5 * z * z - 1),
+        s * math.sqrt(7) / 4 * z * (5 * z * z - 3),
+        s * math.sqrt(42) / 8 * x * (5 * z * z - 1),
+        s * math.sqrt(105) / 4 * z * (x * x - y * y),
+        s * math.sqrt(70) / 8 * x * (x * x - 3 * y * y),
+    ]
+    torch.testing.assert_close(values, torch.tensor(expected, dtype=torch.float64), rtol=0, atol=1e-14)
+
+
+def test_directions_that_are_not_unit_vectors_are_defined():
+    values = spherical_harmonics(torch.tensor([[0.0, 0, 0], [30.0, -2, 5]], requires_grad=True), 4)
+    assert values.isfinite().all()
+    assert values[0].nonzero().flatten().tolist() == [0, 6]  # the constant terms
+
+
+@pytest.mark.parametrize("degree", [0, 5, -1])
+def test_degrees_outside_the_table(degree):
+    for build in (
+        lambda: DIRECTIONS.build("sh", degree=degree),
+        lambda: spherical_harmonics(torch.zeros(1, 3), degree),
+    ):
+        with pytest.raises(ValueError, match=f"degree must be one of 1, 2, 3, 4, got {degree}"):
+            build()
+
+
+def test_direction_components():
+    assert DIRECTIONS.names() == ["raw", "sh"]
+    directions = torch.nn.functional.normalize(torch.randn(5, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    sh = DIRECTIONS.build("sh", degree=3)
+    assert sh.out_dim == 9
+    assert torch.equal(sh(directions), spherical_harmonics(directions, 3))
+    assert DIRECTIONS.build("sh").out_dim == 16
+    raw = DIRECTIONS.build("raw")
+    assert raw.out_dim == 3
+    assert torch.equal(raw(directions), directions)
+    assert torch.equal(DIRECTIONS.build("raw", scale=2.0)(directions), 2 * directions)
+
+
+@given(st.integers(1, 20), st.floats(0, 1), st.floats(0, 1))
+def test_release_opens_one_level_after_the_other(count, progress, share):
+    weights = released(count, progress, share)
+    if progress >= share:
+        assert weights is None
+        return
+    assert weights.shape == (count,)
+    assert bool((weights.diff() <= 0).all())
+    assert 0 <= float(weights.min()) <= float(weights.max()) <= 1
+    assert bool((weights[: count // 2] == 1).all())
+    later = released(count, progress + 0.01, share)
+    assert later is None or bool((later >= weights).all())
+
+
+@pytest.mark.parametrize(("name", "options"), [("hash", TINY_HASH), ("pe", {"bands": 4, "include_input": True})])
+def test_released_features_are_the_encoders_times_their_weight(name, options):
+    torch.manual_seed(0)
+    encoder = ENCODERS.build(name, 3, release=0.5, **options).double()
+    points = torch.rand(6, 3, dtype=torch.float64)
+    full = encoder(points)
+    count = 3 if name == "hash" else 4
+    encoder.progress = 0.2
+    weights = released(count, 0.2, 0.5).double()
+    factor = weights.repeat_interleave(2) if name == "hash" else torch.cat([weights.repeat(6), torch.ones(3)])
+    torch.testing.assert_close(encoder(points), full * factor)
+    assert float(factor.min()) < 1
+    encoder.progress = 0.5
+    assert torch.equal(encoder(points), full)

@@ -1,0 +1,281 @@
+"""Pixels -> rays: axes, lens, poses, and the table that training draws from."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import qnerf.geometry.rays
+from qnerf.geometry.pose_refinement import CAMERAS
+from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project, rays_from
+from qnerf.scenes import Cameras, Scene
+from qnerf.scenes.lens import _distort, distort, invertible, undistort
+
+IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
+FOX = torch.tensor([0.0578421, -0.0805099, -0.000980296, 0.00015575], dtype=torch.float64)
+
+
+def look_at(centre: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    backward = torch.nn.functional.normalize(centre - target, dim=0)
+    right = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([0, 0, 1.0]).double(), backward), dim=0)
+    return torch.stack([right, torch.linalg.cross(backward, right), backward, centre], dim=1)
+
+
+def cameras(views: int = 5, width: int = 7, height: int = 9, distortion: torch.Tensor = FOX, per_view: bool = False):
+    generator = torch.Generator().manual_seed(views)
+    centres = torch.randn(views, 3, generator=generator, dtype=torch.float64) + torch.tensor([3.0, 0, 0])
+    poses = torch.stack([look_at(centre, torch.zeros(3, dtype=torch.float64)) for centre in centres])
+    change = torch.rand(views, generator=generator, dtype=torch.float64) * per_view
+    return Cameras(
+        poses=poses,
+        fx=8 + change,
+        fy=8.5 + change,
+        cx=3.4 + change,
+        cy=4.6 - change,
+        distortion=distortion.expand(views, 4),
+        width=width,
+        height=height,
+    )
+
+
+def scene(cams: Cameras, channels: int = 3, **options) -> Scene:
+    views = len(cams)
+    generator = torch.Generator().manual_seed(1)
+    images = torch.randint(0, 256, (views, cams.height, cams.width, channels), generator=generator).to(torch.uint8)
+    options = {"train": list(range(views - 1)), "eval": [views - 1]} | options
+    names = [f"{view}.png" for view in range(views)]
+    return Scene("test", images, cams, names=names, fingerprint="", transform=torch.eye(4).double(), **options)
+
+
+def test_axes_are_those_of_opengl():
+    cams = Cameras(
+        IDENTITY[None],
+        *(torch.tensor([value], dtype=torch.float64) for value in (10.0, 20.0, 4.0, 3.0)),
+        torch.zeros(1, 4, dtype=torch.float64),
+        8,
+        6,
+    )
+    views = torch.zeros(3, dtype=torch.int64)
+    found = camera_directions(cams, views, torch.tensor([[4.0, 3.0], [14.0, 3.0], [4.0, 23.0]]))
+    half = math.sqrt(0.5)
+    expected = torch.tensor([[0, 0, -1], [half, 0, -half], [0, -half, -half]], dtype=torch.float64)
+    torch.testing.assert_close(found, expected)
+    rays = camera_rays(cams, views, torch.tensor([[4.0, 3.0]]).expand(3, 2), 0.1, 7.0)
+    assert rays.origins.dtype == torch.float32
+    assert rays.near.shape == rays.far.shape == (3, 1)
+    assert (float(rays.near[0]), float(rays.far[2])) == pytest.approx((0.1, 7.0))
+
+
+coefficients = st.tuples(st.floats(-0.15, 0.3), st.floats(-0.02, 0.1), st.floats(-0.02, 0.02), st.floats(-0.02, 0.02))
+points = st.lists(st.tuples(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9)), min_size=1, max_size=8)
+
+
+@given(points, coefficients)
+@settings(deadline=None)
+def test_undistort_inverts_distort(ideal, lens):
+    ideal, lens = torch.tensor(ideal, dtype=torch.float64), torch.tensor(lens, dtype=torch.float64)
+    seen = distort(ideal, lens)
+    good = invertible(seen, lens)
+    assert bool(good.all())
+    torch.testing.assert_close(undistort(seen, lens), ideal, atol=1e-8, rtol=0)
+
+
+@given(points, coefficients)
+@settings(deadline=None)
+def test_the_jacobian_of_the_lens_is_that_of_autograd(ideal, lens):
+    lens = torch.tensor(lens, dtype=torch.float64)
+    for point in torch.tensor(ideal, dtype=torch.float64):
+        expected = torch.autograd.functional.jacobian(lambda p, lens=lens: distort(p, lens), point)
+        _, xx, xy, yy = _distort(point, lens)
+        torch.testing.assert_close(torch.stack([xx, xy, xy, yy]).view(2, 2), expected, atol=1e-12, rtol=1e-12)
+
+
+def test_the_lens_of_opencv_by_hand():
+    point, lens = torch.tensor([0.3, -0.4], dtype=torch.float64), torch.tensor([0.1, 0.2, 0.01, -0.02]).double()
+    radial = 1 + 0.1 * 0.25 + 0.2 * 0.0625
+    x = 0.3 * radial + 2 * 0.01 * 0.3 * -0.4 + -0.02 * (0.25 + 2 * 0.09)
+    y = -0.4 * radial + 0.01 * (0.25 + 2 * 0.16) + 2 * -0.02 * 0.3 * -0.4
+    torch.testing.assert_close(distort(point, lens), torch.tensor([x, y], dtype=torch.float64), rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("lens", [[-0.8, 0, 0, 0], [0, -0.9, 0, 0], [-3, 2.0, 0, 0], [0, 0, 0.9, 0], [1e6, -1e9, 0, 0]])
+def test_a_lens_that_folds_the_image_is_noticed(lens):
+    corner = torch.tensor([[0.0, 0.0], [1.0, -1.0]], dtype=torch.float64)
+    good = invertible(corner, torch.tensor(lens, dtype=torch.float64))
+    assert good.tolist() == [True, False]
+
+
+@given(st.integers(0, 4), st.floats(0, 7), st.floats(0, 9), st.floats(0.1, 50), st.booleans())
+@settings(deadline=None)
+def test_points_on_a_ray_project_to_its_pixel(view, x, y, distance, per_view):
+    cams = cameras(per_view=per_view)
+    pixel, views = torch.tensor([[x, y]], dtype=torch.float64), torch.tensor([view])
+    rays = camera_rays(cams, views, pixel, 0.05, 10.0, dtype=torch.float64)
+    seen, depth = project(cams, views, rays.along(torch.tensor([[distance]], dtype=torch.float64))[:, 0])
+    torch.testing.assert_close(seen, pixel, atol=1e-8, rtol=0)
+    assert 0 < float(depth) <= distance * (1 + 1e-12)
+    torch.testing.assert_close(torch.linalg.vector_norm(rays.directions, dim=1), torch.ones(1, dtype=torch.float64))
+
+
+def test_a_view_is_row_by_row_through_pixel_centres():
+    cams = cameras()
+    rays = RayTable(scene(cams), dtype=torch.float64).view(3)
+    assert len(rays) == 63
+    seen, _ = project(cams, rays.cameras, rays.along(torch.ones(63, 1, dtype=torch.float64))[:, 0])
+    y, x = torch.meshgrid(torch.arange(9), torch.arange(7), indexing="ij")
+    torch.testing.assert_close(seen, torch.stack([x, y], dim=-1).reshape(-1, 2) + 0.5, check_dtype=False)
+    assert torch.equal(rays.cameras, torch.full((63,), 3))
+    torch.testing.assert_close(rays.origins, cams.poses[3, :, 3].expand(63, 3))
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_a_batch_holds_the_colours_of_the_pixels_its_rays_go_through(channels):
+    cams = cameras(per_view=True)
+    world = scene(cams, channels, train=[0, 2, 4], eval=[1, 3])
+    table = RayTable(world, dtype=torch.float64)
+    rays, colors = table.batch(500, torch.Generator().manual_seed(3))
+    pixels, _ = project(cams, rays.cameras, rays.along(torch.ones(500, 1, dtype=torch.float64))[:, 0])
+    x, y = pixels.floor().long().unbind(-1)
+    assert colors.shape == (500, channels)
+    torch.testing.assert_close(colors, world.images[rays.cameras, y, x].double() / 255)
+    assert set(rays.cameras.tolist()) == {0, 2, 4}
+
+
+def test_batches_draw_every_training_pixel_equally():
+    table = RayTable(scene(cameras(width=2, height=3), train=[1, 3], eval=[0]), dtype=torch.float64)
+    count = 24_000
+    rays, _ = table.batch(count, torch.Generator().manual_seed(0))
+    keys = torch.cat([rays.directions, rays.cameras[:, None].double()], dim=1)
+    _, counts = torch.unique(keys, dim=0, return_counts=True)
+    assert len(counts) == 2 * 6
+    mean = count / 12
+    assert float(((counts - mean) ** 2 / mean).sum()) < 40  # chi-squared, 11 degrees of freedom: beyond by 4e-5
+
+
+@given(
+    apart=st.integers(2, 40),
+    width=st.integers(1, 7),
+    height=st.integers(1, 6),
+    train=st.lists(st.integers(0, 4), min_size=1, max_size=5, unique=True),
+)
+@settings(deadline=None, max_examples=60)
+def test_pixels_kept_apart_are_never_drawn_and_all_others_are(apart, width, height, train):
+    """All draws there are: `randint` is replaced by counting."""
+    total = len(train) * width * height
+    world = scene(cameras(width=width, height=height), train=train, eval=[])
+    if apart > total:
+        with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart, which is none here"):
+            RayTable(world, apart=apart)
+        return
+    table = RayTable(world, apart=apart)
+    drawn: list[torch.Tensor] = []
+    table._drawn = lambda numbers, _: drawn.append(numbers)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch, "randint", lambda high, size, generator: torch.arange(high))
+        table.batch(1, torch.Generator())
+    table.validation(total)
+    training, validation = drawn
+    assert len(validation) == total // apart
+    assert torch.equal(torch.cat(drawn).sort().values, torch.arange(total))
+    assert len(training) + len(validation) == total
+
+
+def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_time():
+    world = scene(cameras(), channels=4)
+    table = RayTable(world, apart=5)
+    rays, colors = table.validation(10)
+    assert len(rays) == len(colors) == 10
+    assert colors.shape == (10, 4)
+    assert set(rays.cameras.tolist()) == {0, 1, 2, 3}
+    assert torch.equal(table.validation(10)[0].directions, rays.directions)
+    assert len(table.validation(10_000)[0]) == 4 * 63 // 5
+
+
+def test_without_pixels_apart_all_are_drawn():
+    table = RayTable(scene(cameras(width=2, height=3), train=[1, 3], eval=[0]))
+    rays, _ = table.batch(2000, torch.Generator().manual_seed(0))
+    keys = torch.cat([rays.directions, rays.cameras[:, None].float()], dim=1)
+    assert len(torch.unique(keys, dim=0)) == 12
+
+
+def test_batches_follow_the_generator():
+    table = RayTable(scene(cameras()))
+    draw = [table.batch(16, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
+    assert torch.equal(draw[0][0].directions, draw[1][0].directions)
+    assert torch.equal(draw[0][1], draw[1][1])
+    assert not torch.equal(draw[0][0].directions, draw[2][0].directions)
+    assert draw[0][1].dtype == torch.float32
+
+
+@pytest.mark.parametrize("per_view", [False, True])
+def test_the_table_and_the_lens_agree(monkeypatch, per_view):
+    world = scene(cameras(per_view=per_view))
+    kept = RayTable(world, dtype=torch.float64)
+    monkeypatch.setattr(qnerf.geometry.rays, "MOST_DIRECTIONS", 0)
+    computed = RayTable(world, dtype=torch.float64)
+    assert kept.table is not None
+    assert computed.table is None
+    for a, b in (
+        (kept.view(2), computed.view(2)),
+        *zip(*[[table.batch(50, torch.Generator().manual_seed(1))[0]] for table in (kept, computed)], strict=True),
+    ):
+        torch.testing.assert_close(a.directions, b.directions, rtol=0, atol=1e-14)
+        assert torch.equal(a.cameras, b.cameras)
+
+
+@pytest.mark.parametrize("name", ["so3xr3", "se3"])
+def test_poses_are_refined_and_differentiated_through_the_rays(name):
+    world = scene(cameras())
+    table = RayTable(world, dtype=torch.float64)
+    refinement = CAMERAS.build(name, 5, world.train).double()
+    plain, _ = table.batch(40, torch.Generator().manual_seed(0))
+    rays, _ = table.batch(40, torch.Generator().manual_seed(0), refinement)
+    torch.testing.assert_close(rays.directions, plain.directions)
+    torch.testing.assert_close(rays.origins, plain.origins)
+    (rays.directions.square() @ torch.tensor([1.0, 2, 3]).double() + rays.origins.sum(-1)).sum().backward()
+    assert bool((refinement.motion.grad != 0).any(0).all())
+
+    with torch.no_grad():
+        refinement.motion.normal_(0, 0.1, generator=torch.Generator().manual_seed(0))
+    moved, _ = table.batch(40, torch.Generator().manual_seed(0), refinement)
+    assert not torch.allclose(moved.directions, plain.directions, atol=1e-3)
+    torch.testing.assert_close(torch.linalg.vector_norm(moved.directions, dim=1), torch.ones(40, dtype=torch.float64))
+    held_out = table.view(4, refinement)
+    torch.testing.assert_close(held_out.directions, table.view(4).directions)
+
+
+def test_rays_from_is_the_rotation_of_the_camera():
+    cams = cameras()
+    directions = torch.nn.functional.normalize(torch.randn(5, 3, dtype=torch.float64), dim=1)
+    rays = rays_from(directions, cams.poses, torch.arange(5), 0.1, 2.0)
+    expected = torch.einsum("rij,rj->ri", cams.poses[:, :, :3], directions)
+    torch.testing.assert_close(rays.directions, expected)
+
+
+def test_a_scene_s_own_bounds_win():
+    table = RayTable(scene(cameras(), near=0.5, far=1.5), near=0.05, far=1000.0)
+    rays = table.view(0)
+    assert (float(rays.near[0]), float(rays.far[0])) == (0.5, 1.5)
+    rays = RayTable(scene(cameras()), near=0.25, far=8.0).view(0)
+    assert (float(rays.near[0]), float(rays.far[0])) == (0.25, 8.0)
+
+
+@pytest.mark.parametrize(("near", "far"), [(-1, 2), (2, 2), (math.nan, 2), (1, math.nan)])
+def test_bounds_in_the_wrong_order_are_refused(near, far):
+    with pytest.raises(ValueError, match="near must be at least 0 and below far"):
+        RayTable(scene(cameras()), near=near, far=far)
+
+
+def test_colors_composite_straight_alpha():
+    world = scene(cameras(), channels=4)
+    pixels = world.images[1].numpy().astype(np.float64) / 255
+    white = pixels[..., :3] * pixels[..., 3:] + 1 - pixels[..., 3:]
+    np.testing.assert_allclose(world.colors(1, 1.0).numpy(), white, atol=1e-6)
+    red = world.colors(1, torch.tensor([1.0, 0, 0])).numpy()
+    np.testing.assert_allclose(red[..., 0], white[..., 0], atol=1e-6)
+    np.testing.assert_allclose(red[..., 1], (pixels[..., :3] * pixels[..., 3:])[..., 1], atol=1e-6)
+    opaque = scene(cameras())
+    assert torch.equal(opaque.colors(1, 1.0), opaque.images[1].float() / 255)

@@ -1,0 +1,61 @@
+import pytest
+import torch
+
+from qnerf.geometry.contraction import CONTRACTIONS
+from qnerf.geometry.rays import project
+from qnerf.geometry.visibility import SpaceMask, count_cameras, visible
+from qnerf.scenes import SCENES
+from tests.helpers.scenes import write_scene
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return SCENES.build("nerfstudio", path=str(write_scene(tmp_path / "ring", views=8, width=16, height=12)))
+
+
+def test_counting_agrees_with_projecting_each_point_into_each_view(scene):
+    points = 3 * torch.randn(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    expected = torch.zeros(200, dtype=torch.int64)
+    for view in scene.train:
+        pixels, depth = project(scene.cameras, torch.full((200,), view), points)
+        inside = (pixels >= 0).all(1) & (pixels[:, 0] <= 16) & (pixels[:, 1] <= 12)
+        expected += inside & (depth > 0)
+    assert expected.max() >= 4
+    assert torch.equal(count_cameras(points, scene.cameras, scene.train), expected)
+
+
+@pytest.mark.parametrize("name", CONTRACTIONS.names())
+def test_density_stays_where_enough_cameras_see(scene, name):
+    contraction = CONTRACTIONS.build(name)
+    mask = SpaceMask(visible(contraction, scene.cameras, scene.train, 3, 48))
+    centre = torch.zeros(1, 1, 3)
+    behind = scene.cameras.poses[0, :, 2].float() * 3  # behind the first camera, which looks at the centre
+    assert mask(contraction(centre)).item() == 1
+    if name != "box":
+        assert mask(contraction(behind[None])).item() == 0
+    assert 0 < mask.fraction < 1
+    assert mask(torch.tensor([[float("inf"), 0, 0]])).shape == (1,)
+
+
+def test_more_cameras_asked_leave_less_space(scene):
+    contraction = CONTRACTIONS.build("linf")
+    grids = [visible(contraction, scene.cameras, scene.train, least, 24) for least in (1, 2, 3)]
+    fractions = [SpaceMask(grid).fraction for grid in grids]
+    assert fractions == sorted(fractions, reverse=True)
+    assert fractions[0] > fractions[-1]
+
+
+def test_few_views_are_asked_for_half_of_them(scene):
+    contraction = CONTRACTIONS.build("linf")
+    asked = [visible(contraction, scene.cameras, scene.train[:4], least, 24) for least in (2, 50)]
+    assert torch.equal(*asked)
+
+
+def test_nothing_seen_is_one_line(scene):
+    away = scene.cameras.poses.clone()
+    away[:, :, :3] = -away[:, :, :3]  # no rotation, but every camera looks outward
+    away[:, :, 3] *= 1e6
+    cameras = type(scene.cameras)(**{**vars(scene.cameras), "poses": away})
+    with pytest.raises(ValueError, match="no cell is seen by") as caught:
+        visible(CONTRACTIONS.build("box"), cameras, scene.train, 8, 8)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,38 @@
+"""The repository's folders, and real configurations composed as the command line composes them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig, OmegaConf
+
+ROOT = Path(__file__).parents[2]
+CONF = ROOT / "conf"
+SWEEPS = ROOT / "sweeps"
+DATA = ROOT.parent / "shared" / "data"
+
+TINY = (
+    "sampler.samples=[8,6]",
+    "sampler.final=4",
+    "sampler.levels=2",
+    "sampler.log2_table_size=6",
+    "sampler.max_resolutions=[24,32]",
+)
+"""A proposal sampler small enough for a unit test."""
+
+
+def composed(*overrides: str, sweep: str = "") -> dict[str, Any]:
+    """The resolved configuration that these overrides give on the command line, `-cd sweeps -cn sweep` where named."""
+    return OmegaConf.to_container(_compose(overrides, sweep), resolve=True)  # type: ignore[return-value]
+
+
+def swept(sweep: str) -> dict[str, str]:
+    """What a file of sweeps/ sweeps over: option -> its values as the command line would give them."""
+    return {key: str(values) for key, values in _compose((), sweep, hydra=True).hydra.sweeper.params.items()}
+
+
+def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictConfig:
+    search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
+    with initialize_config_dir(str(SWEEPS if sweep else CONF), version_base="1.3"):
+        return compose(sweep or "config", [*overrides, *search], return_hydra_config=hydra)

@@ -1,0 +1,36 @@
+"""Scenes small enough for a unit test."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+
+def write_scene(folder: Path, views: int = 6, width: int = 8, height: int = 6, channels: int = 3) -> Path:
+    """A nerfstudio folder: cameras on a ring that look at the origin, images of a smooth pattern."""
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    random = np.random.default_rng(0)
+    for view in range(views):
+        angle = 2 * np.pi * view / views
+        centre = np.array([2 * np.cos(angle), 2 * np.sin(angle), 1.0])
+        backward = centre / np.linalg.norm(centre)
+        right = np.cross([0, 0, 1.0], backward)
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3] = np.stack([right, np.cross(backward, right), backward, centre], axis=1)
+        pixels = random.integers(0, 255, (height, width, channels), dtype=np.uint8)
+        Image.fromarray(pixels).save(folder / "images" / f"{view:03d}.png")
+        frames.append({"file_path": f"images/{view:03d}.png", "transform_matrix": pose.tolist()})
+    transforms = {
+        "w": width,
+        "h": height,
+        "fl_x": 8.0,
+        "fl_y": 8.0,
+        "cx": width / 2,
+        "cy": height / 2,
+        "frames": frames,
+    }
+    (folder / "transforms.json").write_text(json.dumps(transforms))
+    return folder

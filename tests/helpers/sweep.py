@@ -1,0 +1,30 @@
+"""A small store of real runs, trained once a test session: two fields, two seeds, and runs that did not finish."""
+
+from pathlib import Path
+
+from qnerf.experiment import run
+from tests.helpers.configs import TINY, composed
+from tests.helpers.packed_stores import write_run
+from tests.helpers.scenes import write_scene
+
+FIELDS = ("classical", "qcolor")
+SEEDS = (0, 1)
+
+
+def sweep(folder: Path) -> Path:
+    """The store below `folder`; it is there already if another test asked for it."""
+    store = folder / "sweep"
+    if store.exists():
+        return store
+    scene = write_scene(folder / "ring", width=12, height=9)
+    for field in FIELDS:
+        for seed in SEEDS:
+            run(composed(*TINY, *_settings(store, scene), f"field={field}", f"seed={seed}"))
+    write_run(store, "qcolor", 7, scene="ring", state="failed")
+    write_run(store, "qcolor", 8, scene="ring", state="interrupted")
+    return store
+
+
+def _settings(store: Path, scene: Path) -> list[str]:
+    steps = ["train.steps=6", "train.rays=8", "train.eval_every=3", "train.log_every=1"]
+    return [*steps, "hash=C7", "device=cpu", "scene=nerfstudio", f"scene.path={scene}", f"store={store}"]

@@ -1,0 +1,260 @@
+"""What the probes write about trained models, against independent computations."""
+
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qnerf.cli.commands import probe as probe_command
+from qnerf.cli.main import main
+from qnerf.encoders import spherical_harmonics
+from qnerf.experiment import ray_table, run
+from qnerf.probes import PROBES, load, probe, rays, spectrum
+from qnerf.quantum import QuantumLayer, lightcone, statevector
+from qnerf.quantum.lightcone import interpolation
+from qnerf.timing import Stopwatch
+
+SMALL = ("qiren.qubits=3", "train.steps=3")
+
+
+def layer(wires: int, spectral: int, seed: int = 0, ansatz: str = "qiren") -> QuantumLayer:
+    torch.manual_seed(seed)
+    return QuantumLayer(wires, spectral, ansatz=ansatz).double()
+
+
+def of(table: pd.DataFrame, output: int, wire: int) -> np.ndarray:
+    rows = table[(table["output"] == output) & (table["wire"] == wire)]
+    return rows.sort_values("frequency")["power"].to_numpy()
+
+
+def test_the_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
+    circuit = layer(8, 1)
+    table = spectrum.powers(circuit)
+    assert set(table["method"]) == {"exact"}
+    stacked = statevector.stacked(circuit.weights1, circuit.weights2).detach()
+    coefficients = lightcone.coefficients(circuit.circuit, stacked).numpy()
+    half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
+    for output, cone in enumerate(interpolation(circuit.circuit).cones.cones):
+        square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
+        for axis, wire in enumerate(cone.wires):
+            marginal = square.sum(tuple({0, 1, 2} - {axis}))
+            np.testing.assert_allclose(of(table, output, wire), [marginal[0], marginal[1:].sum()], atol=1e-15)
+        outside = set(range(8)) - set(cone.wires)
+        for wire in outside:
+            np.testing.assert_allclose(of(table, output, wire), [square.sum()], atol=1e-15)
+
+
+@given(
+    wires=st.integers(1, 3),
+    spectral=st.integers(1, 3),
+    seed=st.integers(0, 1000),
+    ansatz=st.sampled_from(["qiren", "cnot", "ry"]),
+)
+def test_the_powers_of_an_angle_add_up_to_the_mean_square(wires, spectral, seed, ansatz):
+    circuit = layer(wires, spectral, seed, ansatz)
+    table = spectrum.powers(circuit)
+    steps = torch.arange(2 * spectral + 1, dtype=torch.float64) * (2 * torch.pi / (2 * spectral + 1))
+    grid = torch.cartesian_prod(*[steps] * wires).reshape(-1, wires)
+    with torch.no_grad():
+        values = circuit(grid).numpy()
+    for (output, _), rows in table.groupby(["output", "wire"]):
+        assert rows["power"].sum() == pytest.approx((values[:, output] ** 2).mean(), abs=1e-13)
+        assert rows["mean"].iloc[0] == pytest.approx(values[:, output].mean(), abs=1e-13)
+        assert rows["variance"].iloc[0] == pytest.approx(values[:, output].var(), abs=1e-13)
+
+
+def test_scaled_encodings_have_their_own_frequencies():
+    table = spectrum.powers(layer(2, 2, ansatz="ternary"))
+    assert sorted(table["frequency"].unique()) == [0, 1, 2, 3, 4]  # sums and differences of 1 and 3
+
+
+def test_sobol_points_agree_with_the_exact_spectrum_within_their_standard_error():
+    circuit = layer(4, 2)
+    exact, estimate = spectrum.powers(circuit), spectrum.powers(circuit, most_values=0)
+    assert set(estimate["method"]) == {"sobol"}
+    assert estimate[["output", "wire", "frequency"]].equals(exact[["output", "wire", "frequency"]])
+    told = exact["power"] > 1e-12  # below, both are rounding errors
+    deviation = (estimate["power"] - exact["power"])[told] / estimate["standard_error"][told]
+    assert deviation.abs().max() < 6
+    assert 0.5 < deviation.std() < 2
+    assert estimate["standard_error"].max() < 1e-2 * exact["power"].max()
+
+
+def test_a_run_has_a_spectrum_for_each_circuit_of_each_head(tiny):
+    trained = load(run(tiny("field=qboth", "qiren=1L2S", *SMALL)).path)
+    table = pd.read_parquet(probe(trained, "spectrum"))
+    assert table.groupby(["head", "circuit"]).ngroups == 4
+    second = trained.model.field.color_head.hybrid[1]
+    own = table[(table["head"] == "color") & (table["circuit"] == 1)]
+    pd.testing.assert_frame_equal(
+        own[["output", "wire", "frequency", "power"]].reset_index(drop=True),
+        spectrum.powers(second.circuit)[["output", "wire", "frequency", "power"]],
+    )
+    scale = second.input_scale * second.norm.weight.detach().abs().double()
+    np.testing.assert_allclose(own.groupby("wire")["angle_std"].first(), scale, rtol=1e-6)
+
+
+def test_the_angles_of_a_fourier_gaussian_layer_have_no_normalisation(tiny):
+    trained = load(run(tiny("field=qcolor", "color.name=qfgn", *SMALL)).path)
+    table = spectrum.table(trained)
+    assert table[table["circuit"] == 0]["angle_std"].isna().all()
+    assert table[table["circuit"] == 1]["angle_std"].notna().all()
+
+
+def test_the_encoding_slice_holds_the_run_s_own_encoder_and_the_others(tiny):
+    trained = load(run(tiny("field=classical", "encoder=pe")).path)
+    table = pd.read_parquet(probe(trained, "encoding"))
+    assert {(name, own) for name, own in zip(table["encoder"], table["trained"], strict=True)} == {
+        ("pe", True),
+        ("rff", False),
+        ("hash", False),
+        ("sh", False),
+    }
+    own = table[table["encoder"] == "pe"]
+    assert len(own) == len(own.drop_duplicates(["row", "column"]))
+    np.testing.assert_allclose(own["channel_0"], np.sin(2 * np.pi * own["x"].astype(float)), atol=1e-6)
+    sphere = table[table["encoder"] == "sh"]
+    z = 2 * sphere["y"].astype(float) - 1
+    longitude, radius = 2 * np.pi * sphere["x"].astype(float), np.sqrt(1 - z**2)
+    directions = torch.tensor(np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], 1))
+    expected = spherical_harmonics(directions, 4)[:, :8].numpy()
+    np.testing.assert_allclose(sphere[[f"channel_{index}" for index in range(8)]], expected, atol=1e-5)
+
+
+def test_an_encoder_of_few_channels_leaves_the_others_empty(tiny):
+    trained = load(run(tiny("field=classical", "encoder=none")).path)
+    own = PROBES["encoding"](trained).query("trained")
+    np.testing.assert_array_equal(own["channel_0"], own["x"])
+    assert own["channel_2"].eq(0.5).all()
+    assert own["channel_3"].isna().all()
+
+
+def test_the_samples_along_rays_are_those_that_the_model_renders(tiny):
+    trained = load(run(tiny("field=qcolor", *SMALL)).path)
+    table = pd.read_parquet(probe(trained, "rays"))
+    settings, view = trained.settings, trained.scene.eval[0]
+    watch = Stopwatch(settings.torch_device, trained.model, QuantumLayer)
+    watch.begin(watch=False)
+    with torch.no_grad():
+        every = ray_table(settings, trained.scene).view(view)
+        rendering, sampled, _ = trained.model(every, background="last_sample", step=trained.step, watch=watch)
+    assert set(table["image"]) == {trained.scene.names[view]}
+    pixels = table[["pixel_x", "pixel_y"]].drop_duplicates()
+    assert len(pixels) == len(rays.PLACES)
+    for x, y in pixels.itertuples(index=False):
+        index = y * trained.scene.cameras.width + x
+        here = table[(table["pixel_x"] == x) & (table["pixel_y"] == y)]
+        final = here[here["own"] & (here["level"] == "final")]
+        np.testing.assert_allclose(final["weight"], rendering.weights[index], atol=1e-6)
+        np.testing.assert_allclose(final["start"], sampled.samples.edges[index, :-1], rtol=1e-5)
+        for number, (samples, weights) in enumerate(sampled.proposals):
+            level = here[here["level"] == f"network {number}"]
+            np.testing.assert_allclose(level["weight"], weights[index], atol=1e-6)
+            np.testing.assert_allclose(level["end"], samples.edges[index, 1:], rtol=1e-5)
+
+
+def test_every_strategy_covers_its_ray_without_gaps(tiny):
+    table = rays.table(load(run(tiny("field=classical")).path))
+    assert {"proposal", "uniform", "disparity", "piecewise"} == set(table["strategy"])
+    for _, level in table.groupby(["strategy", "level", "pixel_x", "pixel_y"]):
+        np.testing.assert_array_equal(level["start"].to_numpy()[1:], level["end"].to_numpy()[:-1])
+        assert level["transmittance"].iloc[0] == 1
+        np.testing.assert_allclose(1 - level["weight"].cumsum().to_numpy()[:-1], level["transmittance"][1:], atol=1e-6)
+    uniform = table[table["strategy"] == "uniform"]
+    widths = uniform["end"] - uniform["start"]
+    np.testing.assert_allclose(widths, widths.iloc[0], rtol=1e-3)
+    assert len(table[table["own"] & (table["level"] == "final")]) == len(uniform)
+
+
+def command(monkeypatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    return int(stop.value.code or 0)
+
+
+def test_the_command_writes_what_is_asked_for(tiny, monkeypatch, capsys):
+    path = run(tiny("field=qcolor", *SMALL)).path
+    assert command(monkeypatch, str(path), "rays", "spectrum") == 0
+    assert capsys.readouterr().out.split() == [str(path / "rays.parquet"), str(path / "spectrum.parquet")]
+    assert not (path / "encoding.parquet").exists()
+    assert not (path / "eval_hardware.parquet").exists()
+    assert command(monkeypatch, str(path), "rays", "shots=10", "views=1") == 0
+    assert (path / "eval_hardware.parquet").exists()
+
+
+def test_the_command_knows_every_probe():
+    assert set(probe_command.PROBES) == set(PROBES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ray"], "unknown probe 'ray'; known: spectrum, encoding, rays"),
+        (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
+        (["spectrum"], "has no circuit, both of its heads are MLPs"),
+        (["views=-1"], "views expects one number of at least 0, got '-1'"),
+        (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
+        (["noise=thermal"], "noise=thermal expects its probabilities as well, such as p=0.001,0.01"),
+    ],
+)
+def test_a_mistake_is_one_line(tiny, monkeypatch, capsys, arguments, message):
+    path = run(tiny("field=classical")).path
+    assert command(monkeypatch, str(path), *arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"PK no archive", None], ids=["empty", "garbage", "cut"])
+def test_a_damaged_checkpoint_is_one_line(tiny, monkeypatch, capsys, content):
+    path = run(tiny("field=classical")).path / "checkpoint.pt"
+    path.write_bytes(path.read_bytes()[:1000] if content is None else content)
+    assert command(monkeypatch, str(path.parent), "rays") == 2
+    error = capsys.readouterr().err
+    assert "checkpoint.pt: expected the checkpoint of this run, got " in error
+    assert error.count("\n") == 1
+
+
+def test_a_scene_that_has_changed_is_not_measured(tiny, tiny_scene, monkeypatch, capsys):
+    path = run(tiny("field=classical")).path
+    (tiny_scene / "images" / "000.png").write_bytes((tiny_scene / "images" / "001.png").read_bytes())
+    assert command(monkeypatch, str(path), "rays") == 2
+    assert "the scene's contents are not those that the run was started with" in capsys.readouterr().err
+    assert not (path / "rays.parquet").exists()
+
+
+def test_only_finished_runs_are_probed(tmp_path):
+    with pytest.raises(ValueError, match="is not a run"):
+        load(tmp_path)
+    (tmp_path / "config.yaml").write_text("seed: 0")
+    with pytest.raises(ValueError, match="expected a finished run, this one is interrupted"):
+        load(tmp_path)
+
+
+def test_units_that_never_act_are_dead(tiny):
+    outcome = run(tiny("field=classical", "train.steps=2", "color.layers=4", "color.width=5"))
+    trained = load(outcome.path)
+    with torch.no_grad():
+        trained.model.field.color_head.net[2].bias.copy_(torch.tensor([-1e6, -1e6, -1e6, 1e6, 1e6]))
+    table = PROBES["units"](trained)
+    rows = table[(table["head"] == "color") & (table["kind"] == "relu")].set_index(["when", "layer"])
+    assert rows.loc[("end", 1), "dead"] == pytest.approx(0.6)
+    assert rows.loc[("start", 1), "dead"] < 0.6
+    assert rows["units"].tolist() == [5] * 6
+    outputs = table[table["kind"] == "output"]
+    assert len(outputs) == 4
+    assert outputs["dead"].isna().all()
+    assert (outputs["std"] > 0).all()
+
+
+def test_units_of_circuits_are_their_measured_values(tiny):
+    table = PROBES["units"](load(run(tiny("field=qboth", *SMALL)).path))
+    circuits = table[table["kind"] == "circuit"]
+    assert len(circuits) == 8  # two heads of two circuits, before and after
+    assert circuits["std"].between(0, 1).all()
+    assert (circuits["units"] == 3).all()

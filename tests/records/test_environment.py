@@ -1,0 +1,94 @@
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+import torch
+
+from qnerf.records import environment
+
+
+def git(root: Path, *arguments: str) -> None:
+    command = [
+        "git",
+        "-c",
+        "user.name=t",
+        "-c",
+        "user.email=t@example.org",
+        "-c",
+        "init.defaultBranch=main",
+        *arguments,
+    ]
+    subprocess.run(command, cwd=root, check=True, capture_output=True)
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Path:
+    root = tmp_path / "repository"
+    root.mkdir()
+    git(root, "init")
+    (root / "code.py").write_text("a = 1\n")
+    git(root, "add", ".")
+    git(root, "commit", "-m", "first")
+    return root
+
+
+def test_capture_is_plain_and_complete() -> None:
+    seen = environment.capture(seed=7)
+    assert json.loads(json.dumps(seen)) == seen
+    assert seen["seed"] == 7
+    assert seen["threads"]["torch"] == torch.get_num_threads()
+    assert seen["packages"]["torch"] == torch.__version__
+    assert seen["packages"]["qnerf"]
+    assert seen["cpu"]["model"]
+    assert seen["cpu"]["usable"] >= 1
+
+
+def test_git_state(repository: Path) -> None:
+    clean = environment.capture(root=repository)["git"]
+    assert clean["branch"] == "main"
+    assert len(clean["commit"]) == 40
+    assert clean["dirty"] is False
+    (repository / "code.py").write_text("a = 2\n")
+    assert environment.capture(root=repository)["git"] == clean | {"dirty": True}
+
+
+def test_no_checkout(tmp_path: Path) -> None:
+    assert environment.capture(root=tmp_path)["git"] == {"commit": None, "branch": None, "dirty": None}
+    assert environment.dirty_diff(tmp_path) == ""
+
+
+def test_diff_makes_the_checkout_again(repository: Path, tmp_path: Path) -> None:
+    assert environment.dirty_diff(repository) == ""
+    (repository / "code.py").write_text("a = 2\n")
+    (repository / "nëw file.py").write_text("b = 3\n")
+    (repository / "data.bin").write_bytes(b"\0" * 100)
+    diff = environment.dirty_diff(repository)
+    assert "# new file left out: 'data.bin', 100 bytes" in diff
+    other = tmp_path / "other"
+    git(tmp_path, "clone", str(repository), str(other))
+    (tmp_path / "dirty.diff").write_text(diff)
+    git(other, "apply", str(tmp_path / "dirty.diff"))
+    assert (other / "code.py").read_text() == "a = 2\n"
+    assert (other / "nëw file.py").read_text() == "b = 3\n"
+
+
+def test_diff_before_the_first_commit(tmp_path: Path) -> None:
+    git(tmp_path, "init")
+    (tmp_path / "code.py").write_text("a = 1\n")
+    assert "+a = 1" in environment.dirty_diff(tmp_path)
+    assert environment.capture(root=tmp_path)["git"] == {"commit": None, "branch": "main", "dirty": True}
+
+
+def test_large_changes_are_named_not_saved(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment, "DIFF_LIMIT", 50)
+    (repository / "code.py").write_text("a = 1\n" * 50)
+    diff = environment.dirty_diff(repository)
+    assert diff.startswith("# changes of tracked files left out: ")
+    assert len(diff.splitlines()) == 1
+
+
+def test_what_pytorch_was_built_with_is_known() -> None:
+    seen = environment.capture()["torch"]
+    assert seen["commit"] == torch.version.git_version
+    assert any("C++" in line or "GCC" in line or "MSVC" in line for line in seen["build"])

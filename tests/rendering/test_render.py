@@ -1,0 +1,174 @@
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qnerf.rendering.render import render, volume_weights, volume_weights_reference
+from qnerf.types import Samples
+
+DTYPES = [torch.float32, torch.float64]
+
+
+def rays(count: int, samples: int, dtype: torch.dtype = torch.float64, seed: int = 0) -> tuple[torch.Tensor, Samples]:
+    generator = torch.Generator().manual_seed(seed)
+    s = torch.rand(count, samples + 1, dtype=dtype, generator=generator).sort(-1).values
+    density = torch.rand(count, samples, dtype=dtype, generator=generator).mul(8).sub(4).exp()
+    return density, Samples(1 + 5 * s, s)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("samples", [1, 2, 48, 257])
+def test_weights_agree_with_the_reference(dtype: torch.dtype, samples: int) -> None:
+    density, along = rays(5, samples, dtype)
+    tolerance = 2e-6 if dtype == torch.float32 else 1e-14
+    grad = torch.linspace(-1, 2, 5 * samples, dtype=dtype).view(5, samples)
+    results = []
+    for function in (volume_weights, volume_weights_reference):
+        sigma = density.clone().requires_grad_()
+        weights = function(sigma, along.deltas)
+        weights.backward(grad)
+        results.append((weights.detach(), sigma.grad))
+    assert results[0][0].dtype == dtype
+    torch.testing.assert_close(results[0], results[1], rtol=tolerance, atol=tolerance)
+
+
+def test_weights_gradient_against_finite_differences() -> None:
+    density, along = rays(3, 7)
+    assert torch.autograd.gradcheck(lambda x: volume_weights(x, along.deltas), density.requires_grad_())
+
+
+def test_weights_of_one_ray_by_hand() -> None:
+    density = torch.tensor([[0.0, 2.0, 1.0]], dtype=torch.float64)
+    delta = torch.tensor([[1.0, 0.5, 0.0]], dtype=torch.float64)
+    expected = torch.tensor([[0.0, 1 - math.exp(-1), 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(volume_weights(density, delta), expected)
+
+
+HARD = [0.0, 1e-38, 1e-30, 1e-10, 1.0, 1e10, 1e38, math.inf]
+
+
+@settings(deadline=None)
+@given(
+    pairs=st.lists(
+        st.tuples(st.sampled_from(HARD) | st.floats(0, 1e4), st.sampled_from([0.0, 1e-7, 0.1, 1e3])),
+        min_size=1,
+        max_size=64,
+    ),
+    dtype=st.sampled_from(DTYPES),
+)
+def test_hard_densities_give_finite_weights_that_sum_to_at_most_one(
+    pairs: list[tuple[float, float]], dtype: torch.dtype
+) -> None:
+    density = torch.tensor([[p[0] for p in pairs]], dtype=dtype, requires_grad=True)
+    delta = torch.tensor([[p[1] for p in pairs]], dtype=dtype)
+    weights = volume_weights(density, delta)
+    eps = torch.finfo(dtype).eps
+    assert bool(torch.isfinite(weights).all())
+    assert bool((weights >= 0).all())
+    assert float(weights.detach().double().sum()) <= 1 + eps * (4 + len(pairs))
+    (weights * torch.linspace(-1, 1, len(pairs), dtype=dtype)).sum().backward()
+    assert density.grad is not None
+    assert bool(torch.isfinite(density.grad).all())
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_weights_of_ten_thousand_samples(dtype: torch.dtype) -> None:
+    density = torch.full((2, 10_000), 0.5, dtype=dtype)
+    delta = torch.full((2, 10_000), 1e-3, dtype=dtype)
+    exact = volume_weights(density.double(), delta.double())
+    torch.testing.assert_close(volume_weights(density, delta).double(), exact, rtol=1e-4, atol=0)
+    assert float(exact[0].sum()) == pytest.approx(-math.expm1(-5.0))
+
+
+def test_tiny_densities_keep_their_digits() -> None:
+    density, delta = torch.full((1, 4), 1e-30), torch.full((1, 4), 0.5)
+    torch.testing.assert_close(volume_weights(density, delta), torch.full((1, 4), 5e-31), rtol=1e-6, atol=0)
+
+
+def test_nan_density_is_not_hidden() -> None:
+    assert bool(volume_weights(torch.tensor([[1.0, math.nan]]), torch.ones(1, 2)).isnan().any())
+
+
+@pytest.mark.parametrize("background", ["last_sample", "white", "black"])
+def test_opaque_first_sample_and_empty_ray(background: str) -> None:
+    density = torch.tensor([[math.inf, 1.0, 1.0], [0.0, 0.0, 0.0]])
+    color = torch.tensor([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [0.9, 0.8, 0.7]]).expand(2, 3, 3)
+    edges = torch.tensor([[1.0, 2.0, 3.0, 5.0]]).expand(2, 4)
+    along = Samples(edges, edges)
+    rendering, behind = render(volume_weights(density, along.deltas), color, along, background=background)
+    empty = {"last_sample": color[0, 2], "white": torch.ones(3), "black": torch.zeros(3)}[background]
+    torch.testing.assert_close(rendering.color, torch.stack([color[0, 0], empty]))
+    torch.testing.assert_close(rendering.accumulation, torch.tensor([1.0, 0.0]))
+    torch.testing.assert_close(rendering.depth, torch.tensor([1.5, 1.5]))
+    torch.testing.assert_close(rendering.depth_median, torch.tensor([1.5, 4.0]))
+    assert (behind is None) == (background == "last_sample")
+
+
+def test_random_background_is_the_one_returned() -> None:
+    density, along = rays(6, 4)
+    color = torch.zeros(6, 4, 3, dtype=torch.float64)
+    weights = volume_weights(density, along.deltas)
+    (first, behind), (again, _) = (
+        render(weights, color, along, background="random", generator=torch.Generator().manual_seed(3)) for _ in range(2)
+    )
+    assert behind is not None
+    assert behind.dtype == torch.float64
+    torch.testing.assert_close(first.color, (1 - first.accumulation)[:, None] * behind)
+    assert torch.equal(first.color, again.color)
+    assert len(behind.unique()) == 18
+
+
+def test_bad_backgrounds_are_refused() -> None:
+    density, along = rays(2, 3)
+    color = torch.rand(2, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    with pytest.raises(ValueError, match="last_sample, white, black, random, got 'grey'"):
+        render(volume_weights(density, along.deltas), color, along, background="grey")
+    with pytest.raises(ValueError, match="needs a generator"):
+        render(volume_weights(density, along.deltas), color, along, background="random")
+
+
+@pytest.mark.parametrize("background", ["last_sample", "white"])
+def test_rendering_against_a_loop(background: str) -> None:
+    density, along = rays(4, 9, seed=5)
+    color = torch.rand(4, 9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    rendering, _ = render(volume_weights(density, along.deltas), color, along, background=background)
+    for ray in range(4):
+        left, mixed, distance, median = 1.0, torch.zeros(3, dtype=torch.float64), 0.0, None
+        for k in range(9):
+            weight = left * (1 - math.exp(-float(density[ray, k] * along.deltas[ray, k])))
+            mixed += weight * color[ray, k]
+            distance += weight * float(along.mids[ray, k])
+            left -= weight
+            if median is None and left <= 0.5:
+                median = float(along.mids[ray, k])
+        mixed += left * (color[ray, -1] if background == "last_sample" else 1.0)
+        torch.testing.assert_close(rendering.color[ray], mixed)
+        assert float(rendering.accumulation[ray]) == pytest.approx(1 - left)
+        assert float(rendering.depth[ray]) == pytest.approx(distance / (1 - left))
+        assert float(rendering.depth_median[ray]) == (median if median is not None else float(along.mids[ray, -1]))
+
+
+@pytest.mark.parametrize("background", ["last_sample", "white", "random"])
+def test_rendering_gradients(background: str) -> None:
+    density, along = rays(3, 5)
+    color = torch.rand(3, 5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2), requires_grad=True)
+
+    def colors(sigma: torch.Tensor, c: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        generator = torch.Generator().manual_seed(0)
+        weights = volume_weights(sigma, along.deltas)
+        rendering, _ = render(weights, c, along, background=background, generator=generator)
+        return rendering.color, rendering.depth, rendering.accumulation
+
+    assert torch.autograd.gradcheck(colors, (density.requires_grad_(), color))
+
+
+def test_float32_pixels_against_float64() -> None:
+    density, along = rays(64, 48, torch.float32)
+    color = torch.rand(64, 48, 3, generator=torch.Generator().manual_seed(4))
+    wide = Samples(along.edges.double(), along.spacing.double())
+    weights = volume_weights(density.double(), wide.deltas)
+    exact = render(weights, color.double(), wide, background="last_sample")[0]
+    found = render(volume_weights(density, along.deltas), color, along, background="last_sample")[0]
+    torch.testing.assert_close(found.color.double(), exact.color, rtol=0, atol=1e-6)

@@ -1,0 +1,351 @@
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from qnerf.geometry.contraction import CONTRACTIONS
+from qnerf.geometry.visibility import SpaceMask
+from qnerf.rendering.pdf import sample_edges, sample_edges_reference
+from qnerf.rendering.render import volume_weights
+from qnerf.rendering.samplers import SAMPLERS, even_edges
+from qnerf.training.losses import interlevel
+from qnerf.types import Rays
+
+NAMES = SAMPLERS.names()
+SMALL = {"samples": [16, 12], "final": 8, "levels": 2, "max_resolutions": [24, 32], "log2_table_size": 8}
+DTYPES = [torch.float32, torch.float64]
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """Many steps on tiny tensors: a second OpenMP thread only costs."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def make(name: str, dtype: torch.dtype = torch.float32, **options: Any) -> Any:
+    torch.manual_seed(0)
+    sizes: dict[str, Any] = {"proposal": SMALL, "vanilla": {"coarse": 8, "fine": 12}}.get(name, {"samples": 10})
+    return SAMPLERS.build(name, CONTRACTIONS.build("linf"), **(sizes | options)).to(dtype)
+
+
+def make_rays(count: int = 5, dtype: torch.dtype = torch.float32, near: float = 0.05, far: float = 1000.0) -> Rays:
+    generator = torch.Generator().manual_seed(1)
+    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
+    origins = torch.rand(count, 3, generator=generator, dtype=torch.float64) - 0.5
+    bounds = (torch.full((count, 1), bound, dtype=dtype) for bound in (near, far))
+    return Rays(origins.to(dtype), directions.to(dtype), torch.zeros(count, dtype=torch.int64), *bounds)
+
+
+def shell(points: Tensor) -> Tensor:
+    """Density of an opaque shell of radius 2 to 2.5."""
+    radius = points.norm(dim=-1)
+    return ((radius > 2) & (radius < 2.5)).to(points.dtype) * 30
+
+
+def test_known_names() -> None:
+    assert NAMES == ["disparity", "geometric", "piecewise", "proposal", "uniform", "vanilla"]
+
+
+COUNTS = {"proposal": 8, "vanilla": 20}
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("jitter", [False, True])
+@pytest.mark.parametrize("name", NAMES)
+def test_samples_are_ordered_within_the_bounds_and_keep_the_dtype(name: str, jitter: bool, dtype: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(0) if jitter else None
+    found = make(name, dtype)(make_rays(dtype=dtype), shell, generator=generator, step=0)
+    assert found.samples.mids.shape == (5, COUNTS.get(name, 10))
+    for samples, _ in [(found.samples, None), *found.proposals]:
+        for edges in (samples.edges, samples.spacing):
+            assert edges.dtype == dtype
+            assert not edges.requires_grad
+            assert bool((edges.diff() >= 0).all())
+        assert bool((samples.spacing >= 0).all())
+        assert bool((samples.spacing <= 1).all())
+        assert bool((samples.edges >= 0.05 * (1 - 1e-6)).all())
+        assert bool((samples.edges <= 1000 * (1 + 1e-6)).all())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_generator_decides(name: str) -> None:
+    sampler, rays = make(name), make_rays()
+
+    def edges(seed: int | None) -> Tensor:
+        generator = None if seed is None else torch.Generator().manual_seed(seed)
+        return sampler(rays, shell, generator=generator, step=3).samples.edges
+
+    assert torch.equal(edges(None), edges(None))
+    assert torch.equal(edges(7), edges(7))
+    assert not torch.equal(edges(7), edges(8))
+    assert not torch.equal(edges(7), edges(None))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rays_do_not_depend_on_their_neighbours(name: str) -> None:
+    sampler, rays = make(name), make_rays()
+    whole = sampler(rays, shell, step=2000).samples.edges
+    part = sampler(rays[1:3], shell, step=2000).samples.edges
+    torch.testing.assert_close(part, whole[1:3], rtol=1e-6, atol=0)
+
+
+def test_even_edges_stay_between_the_midpoints_beside_them() -> None:
+    rays = make_rays(200, torch.float64)
+    jitter = torch.rand(200, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    edges = even_edges(rays, 4, jitter)
+    low = torch.tensor([0, 0.125, 0.375, 0.625, 0.875], dtype=torch.float64)
+    high = torch.tensor([0.125, 0.375, 0.625, 0.875, 1], dtype=torch.float64)
+    assert bool((edges >= low).all())
+    assert bool((edges <= high).all())
+    torch.testing.assert_close(edges[:, 1:-1].diff(), torch.full((200, 2), 0.25, dtype=torch.float64))
+    torch.testing.assert_close(even_edges(rays, 4, None)[0], torch.linspace(0, 1, 5, dtype=torch.float64))
+
+
+def test_vanilla_looks_where_the_density_is() -> None:
+    rays = make_rays(20, near=0.05, far=10.0)
+    sampler = make("vanilla", coarse=64, fine=64)
+    fine = sampler(rays, shell, step=0).samples
+    inside = shell(rays.along(fine.mids)) > 0
+    even = make("uniform", samples=128)(rays, shell, step=0).samples
+    assert float(inside.double().mean()) > 3 * float((shell(rays.along(even.mids)) > 0).double().mean())
+
+
+def test_proposals_learn_where_the_density_is(one_thread: None) -> None:
+    rays = make_rays(64, near=0.05, far=10.0)
+    sampler = make("proposal", samples=[32, 24], final=16, log2_table_size=12, anneal_steps=0)
+    optimiser = torch.optim.Adam(sampler.parameters(), lr=1e-2)
+    generator = torch.Generator().manual_seed(0)
+    before = float((shell(rays.along(sampler(rays, shell).samples.mids)) > 0).double().mean())
+    for _ in range(60):
+        found = sampler(rays, shell, generator=generator, step=0)
+        weights = volume_weights(shell(rays.along(found.samples.mids)), found.samples.deltas)
+        optimiser.zero_grad()
+        interlevel(found.samples, weights, found.proposals).backward()
+        optimiser.step()
+    after = float((shell(rays.along(sampler(rays, shell).samples.mids)) > 0).double().mean())
+    assert after > 2 * before
+
+
+def test_proposals_learn_in_the_steps_that_the_schedule_names() -> None:
+    sampler = make("proposal", update_every=5)
+    assert [step for step in range(31) if sampler.learns(step)] == [*range(10), 14, 19, 24, 29]
+    every = make("proposal", update_every=1)
+    assert all(every.learns(step) for step in range(50))
+    for step in (9, 14, 15):
+        found = sampler(make_rays(), shell, step=step)
+        assert [weights.requires_grad for _, weights in found.proposals] == [sampler.learns(step)] * 2
+    with torch.no_grad():
+        assert not sampler(make_rays(), shell, step=9).proposals[0][1].requires_grad
+
+
+def test_the_update_interval_grows_during_its_warm_up() -> None:
+    sampler = make("proposal", update_every=5, update_warmup=100)
+    steps = [step for step in range(201) if sampler.learns(step)]
+    gaps = [b - a for a, b in pairwise(steps)]
+    assert gaps == sorted(gaps)
+    assert set(gaps) == {1, 2, 3, 4, 5}
+    assert steps[: steps.index(20) + 1] == list(range(21))  # 5 x 20 / 100 = 1
+    assert gaps[-15:] == [5] * 15
+
+
+def test_all_networks_get_gradients() -> None:
+    sampler = make("proposal")
+    found = sampler(make_rays(), shell, step=0)
+    torch.stack([weights.square().sum() for _, weights in found.proposals]).sum().backward()
+    for name, parameter in sampler.named_parameters():
+        assert parameter.grad is not None, name
+        assert bool((parameter.grad != 0).any()), name
+
+
+def test_annealing() -> None:
+    sampler = make("proposal", anneal_steps=1000, anneal_slope=10.0)
+    assert [sampler.anneal(step) for step in (0, 1000, 5000)] == [0.0, 1.0, 1.0]
+    assert sampler.anneal(100) == pytest.approx(10 * 0.1 / (9 * 0.1 + 1))
+    assert make("proposal", anneal_steps=0).anneal(0) == 1.0
+
+
+def test_a_fully_annealed_first_step_samples_evenly() -> None:
+    """Exponent 0 makes every weight 1, whatever the networks say: the intervals of each level are of equal length."""
+    found = make("proposal", torch.float64)(make_rays(dtype=torch.float64), shell, step=0)
+    lengths = found.samples.spacing.diff()
+    torch.testing.assert_close(lengths, lengths[:, :1].expand_as(lengths), rtol=1e-9, atol=0)
+
+
+def test_the_mask_empties_proposals() -> None:
+    sampler = make("proposal")
+    sampler.mask = half_space()
+    rays = make_rays()
+    for step in (0, 12):  # a step in which the networks learn, and one in which they do not
+        samples, weights = sampler(rays, shell, step=step).proposals[0]
+        allowed = rays.along(samples.mids)[..., 0] > 0
+        assert bool((weights[~allowed] == 0).all())
+        assert bool((weights[allowed] > 0).any())
+
+
+def half_space() -> SpaceMask:
+    grid = torch.zeros(4, 4, 4, dtype=torch.bool)
+    grid[2:] = True
+    return SpaceMask(grid)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize(("features", "count"), [(1, 7), (2, 300), (3, 128)])
+def test_the_loop_of_a_proposal_network_agrees_with_its_modules(dtype, masked, features, count) -> None:
+    sampler = make("proposal", dtype, features=features)
+    if masked:
+        sampler.mask = half_space().to(dtype)
+    network = sampler.networks[0]
+    with torch.no_grad():
+        network.encoder.table.uniform_(-1, 1)
+    points = 3 * torch.randn(1, count, 3, dtype=dtype, generator=torch.Generator().manual_seed(2))
+    plain = sampler.proposed(network, points)
+    with torch.no_grad():
+        fast = sampler.proposed(network, points)
+    torch.testing.assert_close(fast, plain.detach(), rtol=20 * torch.finfo(dtype).eps, atol=0)
+    assert not masked or bool((fast == 0).any())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("uniform", {"samples": 0}, "samples must be at least 1, got 0"),
+        ("vanilla", {"fine": 0}, "fine must be at least 1"),
+        ("vanilla", {"spacing": "log"}, "known: disparity, geometric, piecewise, uniform"),
+        ("proposal", {"samples": [8]}, "one number a network"),
+        ("proposal", {"samples": []}, "one number a network"),
+        ("proposal", {"samples": [8, 0]}, "samples must be at least 1"),
+        ("proposal", {"final": 0}, "final must be at least 1"),
+        ("proposal", {"spacing": "log"}, "known: disparity, geometric, piecewise, uniform"),
+        ("proposal", {"update_every": 0}, "update_every must be at least 1"),
+        ("proposal", {"padding": -0.1}, "padding must be at least 0"),
+        ("proposal", {"anneal_slope": float("nan")}, "anneal_slope must be at least 1, got nan"),
+        ("proposal", {"bins": 3}, "unknown option bins"),
+    ],
+)
+def test_bad_options_are_refused(name: str, options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make(name, **options)
+
+
+# Drawing from a histogram
+
+Draw = Callable[..., Tensor]
+DRAWS = pytest.mark.parametrize("draw", [sample_edges, sample_edges_reference])
+
+
+def check_edges(found: Tensor, s: Tensor, count: int) -> None:
+    assert found.shape == (s.shape[0], count)
+    assert found.dtype == s.dtype
+    assert bool(torch.isfinite(found).all())
+    assert bool((found.diff() >= 0).all())
+    assert bool((found >= s[:, :1]).all())
+    assert bool((found <= s[:, -1:]).all())
+
+
+@DRAWS
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("padding", [0.0, 0.01])
+@pytest.mark.parametrize("kind", ["zero", "spike", "1e-38", "two far spikes", "huge"])
+def test_hard_weights(draw: Draw, kind: str, padding: float, dtype: torch.dtype) -> None:
+    s = torch.linspace(0, 1, 33, dtype=dtype).expand(3, 33)
+    w = torch.zeros(3, 32, dtype=dtype)
+    if kind == "spike":
+        w[:, 13] = 1
+    elif kind == "1e-38":
+        w += 1e-38
+    elif kind == "two far spikes":
+        w[:, 0] = w[:, -1] = 0.5
+    elif kind == "huge":
+        w += 1e30
+    jitter = torch.tensor([[0.0], [0.5], [1 - torch.finfo(dtype).eps]], dtype=dtype)
+    for offset in (None, jitter):
+        found = draw(s, w, 20, padding=padding, jitter=offset)
+        check_edges(found, s, 20)
+    if kind in ("zero", "1e-38", "huge"):
+        even = (torch.arange(20, dtype=dtype) + 0.5) / 20
+        torch.testing.assert_close(draw(s, w, 20, padding=padding, jitter=None)[0], even, rtol=1e-5, atol=1e-6)
+    if kind == "spike" and padding == 0:
+        assert bool((found[1] >= s[1, 13]).all())
+        assert bool((found[1] <= s[1, 14]).all())
+
+
+@settings(deadline=None)
+@given(
+    s=st.lists(st.floats(0, 1, width=32), min_size=2, max_size=20),
+    weights=st.lists(st.sampled_from([0.0, 1e-38, 1e-6, 0.3, 1.0, 1e6]), min_size=19, max_size=19),
+    count=st.integers(1, 30),
+    padding=st.sampled_from([0.0, 1e-4, 0.01]),
+    jitter=st.none() | st.floats(0, 1, exclude_max=True, width=32),
+    dtype=st.sampled_from(DTYPES),
+)
+def test_drawn_edges_are_always_ordered(
+    s: list[float], weights: list[float], count: int, padding: float, jitter: float | None, dtype: torch.dtype
+) -> None:
+    edges = torch.tensor([sorted(s)], dtype=dtype)
+    w = torch.tensor([weights[: len(s) - 1]], dtype=dtype)
+    offset = None if jitter is None else torch.tensor([[jitter]], dtype=dtype)
+    for draw in (sample_edges, sample_edges_reference):
+        check_edges(draw(edges, w, count, padding=padding, jitter=offset), edges, count)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("jitter", [False, True])
+def test_drawing_agrees_with_the_reference(jitter: bool, dtype: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(0)
+    s = torch.rand(40, 97, dtype=dtype, generator=generator).sort(-1).values
+    w = torch.rand(40, 96, dtype=dtype, generator=generator).pow(8)
+    offset = torch.rand(40, 1, dtype=dtype, generator=generator) if jitter else None
+    found = sample_edges(s, w, 49, padding=0.01, jitter=offset)
+    reference = sample_edges_reference(
+        s.double(), w.double(), 49, padding=0.01, jitter=None if offset is None else offset.double()
+    )
+    atol = 1e-6 if dtype == torch.float32 else 1e-13
+    torch.testing.assert_close(found.double(), reference, rtol=0, atol=atol)
+
+
+@DRAWS
+def test_drawn_edges_follow_the_histogram(draw: Draw) -> None:
+    """Over many jitters, the share of edges in each interval is its share of the padded weight."""
+    s = torch.tensor([0.0, 0.1, 0.15, 0.6, 0.9, 1.0], dtype=torch.float64)
+    w = torch.tensor([0.05, 0.4, 0.0, 0.35, 0.2], dtype=torch.float64)
+    rays, count = 4000, 8
+    jitter = torch.rand(rays, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    found = draw(s.expand(rays, -1), w.expand(rays, -1), count, padding=0.01, jitter=jitter)
+    shares = torch.histogram(found.flatten(), bins=s).hist / (rays * count)
+    expected = (w + 0.01) / (w + 0.01).sum()
+    # Stratified: each interval's count on a ray deviates by less than one edge, so its mean by about 0.5 / sqrt(rays).
+    assert float((shares - expected).abs().max()) < 5 * 0.5 / (count * rays**0.5)
+
+
+@DRAWS
+def test_one_offset_a_ray_keeps_edges_stratified(draw: Draw) -> None:
+    s = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+    found = draw(
+        s, torch.ones(1, 1, dtype=torch.float64), 10, padding=0.0, jitter=torch.tensor([[0.3]], dtype=torch.float64)
+    )
+    torch.testing.assert_close(found, (torch.arange(10, dtype=torch.float64)[None] + 0.3) / 10)
+
+
+def test_drawing_does_not_depend_on_the_number_of_threads() -> None:
+    generator = torch.Generator().manual_seed(0)
+    s = torch.rand(2000, 97, generator=generator).sort(-1).values
+    w, jitter = torch.rand(2000, 96, generator=generator), torch.rand(2000, 1, generator=generator)
+    found = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        found.append(sample_edges(s, w, 49, jitter=jitter))
+    assert torch.equal(*found)
+
+
+def test_drawing_passes_no_gradient() -> None:
+    w = torch.ones(2, 4, requires_grad=True)
+    assert not sample_edges(torch.linspace(0, 1, 5).expand(2, 5), w, 6).requires_grad

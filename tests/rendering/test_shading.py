@@ -1,0 +1,199 @@
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qnerf.config.settings import settings_from
+from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.quantum import QuantumLayer
+from qnerf.rendering.render import render, shares, volume_weights
+from qnerf.rendering.shading import GATES, SMALL
+from qnerf.timing import Stopwatch
+from qnerf.types import Samples
+from tests.helpers.configs import TINY
+
+
+def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, Samples]:
+    """Weights, colours and intervals of rays, some of them empty."""
+    generator = torch.Generator().manual_seed(seed)
+    s = torch.rand(count, samples + 1, dtype=torch.float64, generator=generator).sort(-1).values
+    density = torch.rand(count, samples, dtype=torch.float64, generator=generator).mul(12).sub(8).exp()
+    density[0] = 0
+    color = torch.rand(count, samples, 3, dtype=torch.float64, generator=generator)
+    return volume_weights(density, s.diff()), color, Samples(s, s)
+
+
+@pytest.mark.parametrize("background", ["last_sample", "white"])
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**20), samples=st.integers(1, 40), least=st.sampled_from([0.0, 1e-4, 1e-2, 0.3]))
+def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, seed, samples, least):
+    weights, color, intervals = along(6, samples, seed)
+    share = shares(weights, background)
+    geometry = torch.zeros(*share.shape, 1)
+    parts, _, kept = GATES.build("threshold", least=least)(share, geometry)
+    assert bool(kept.any(-1).all())
+    left_out = (share * ~kept).sum(-1)
+    assert bool((left_out <= samples * least).all())
+    full, _ = render(weights, color, intervals, background=background)
+    gated, _ = render(weights, color * kept[..., None], intervals, background=background, parts=parts)
+    assert bool(((gated.color - full.color).abs().amax(-1) <= left_out + 1e-12).all())
+    assert torch.equal(gated.weights, full.weights)
+
+
+@pytest.mark.parametrize(("name", "options"), [("threshold", {"least": 0.3}), ("top", {"samples": 1}), ("merge", {})])
+def test_a_head_gets_two_samples_where_one_ray_alone_meets_something(name, options):
+    """As many as its normalisation needs."""
+    share, evaluated = torch.zeros(8, 5), torch.zeros(8, 5, dtype=torch.bool)
+    share[3, 2], evaluated[3, 1:3] = 1.0, True
+    kept = GATES.build(name, **options)(share, torch.zeros(8, 5, 1), evaluated).kept
+    assert kept is not None
+    assert int(kept.sum()) >= 2
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
+def test_top_keeps_the_largest_shares(seed, samples, most):
+    share = shares(along(5, samples, seed)[0], "last_sample")
+    kept = GATES.build("top", samples=most)(share, torch.zeros(*share.shape, 1)).kept
+    assert bool((kept.sum(-1) == min(most, samples)).all())
+    smallest_kept = share.masked_fill(~kept, 2).amin(-1)
+    assert bool((share.masked_fill(kept, -1).amax(-1) <= smallest_kept).all())
+
+
+@pytest.mark.parametrize("name", ["none", "threshold", "top"])
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 2**20),
+    samples=st.integers(1, 12),
+    empty=st.booleans(),
+    background=st.sampled_from(["last_sample", "white"]),
+    number=st.sampled_from([0, 1, 2]),
+)
+def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, empty, background, number):
+    """Whatever the shares: all zero on a white background, too."""
+    weights, color, intervals = along(6, samples, seed)
+    evaluated = torch.rand(6, samples, generator=torch.Generator().manual_seed(seed)) < 0.4
+    evaluated[:, -1] = True
+    weights = weights * evaluated * (not empty)
+    options = {"threshold": {"least": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(name, {})
+    share = shares(weights, background)
+    geometry = torch.ones(6, samples, 1, dtype=torch.float64)
+    parts, _, kept = GATES.build(name, **options)(share, geometry, evaluated)
+    assert bool(kept.any(-1).all())
+    assert not bool((kept & ~evaluated).any())
+    assert bool((share.masked_fill(~kept, -1).amax(-1) == share.masked_fill(~evaluated, -1).amax(-1)).all())
+    torch.testing.assert_close(parts.sum(-1), share.sum(-1))
+    assert not bool((parts > 0)[~kept].any())
+    gated, _ = render(weights, color * kept[..., None], intervals, background=background, parts=parts)
+    assert bool(torch.isfinite(gated.color).all())
+    if empty and background == "white":
+        torch.testing.assert_close(gated.color, torch.ones_like(gated.color))
+
+
+@pytest.mark.parametrize("field", ["classical", "qcolor"])
+@pytest.mark.parametrize("gate", GATES.names())
+def test_rays_that_pass_only_empty_space_are_white_under_every_gate(config, gate, field):
+    """Then a gate may leave the colour head nothing at all to evaluate."""
+    options = ["visibility.cameras=0", "occupancy.every=1", "visibility.resolution=4", "render.background=white"]
+    settings_ = settings_from(config(f"field={field}", "qiren.qubits=2", f"gate={gate}", *options, *TINY))
+    scene = build_scene(settings_)
+    model, table = build_model(settings_, scene).eval(), ray_table(settings_, scene)
+    model.field.mask.grid = torch.zeros_like(model.field.mask.grid)
+    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+    rays, _ = table.batch(16, torch.Generator().manual_seed(0))
+    rendering, _, _ = model(rays, background="white", step=0, watch=watch)
+    assert torch.equal(rendering.color, torch.ones(16, 3))
+    assert torch.equal(rendering.accumulation, torch.zeros(16))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("threshold", {"least": 1.0}, "least must be at least 0 and below 1, got 1.0"),
+        ("top", {"samples": 0}, "samples must be at least 1, got 0"),
+    ],
+)
+def test_bad_options_are_one_line(name, options, message):
+    with pytest.raises(ValueError, match=message):
+        GATES.build(name, **options)
+
+
+def test_the_colour_head_sees_the_kept_samples_alone_and_a_gate_that_keeps_all_changes_nothing(config):
+    """In training and in evaluation; the normalisation of a circuit head is part of the comparison."""
+    rendered = {}
+    for gate in ("none", "threshold", "top"):
+        options = ["gate.least=0.0"] if gate == "threshold" else ["gate.samples=1"] if gate == "top" else []
+        settings_ = settings_from(
+            config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"gate={gate}", *options, *TINY)
+        )
+        scene = build_scene(settings_)
+        model, table = build_model(settings_, scene), ray_table(settings_, scene)
+        seen: list[int] = []
+        model.field.color_head.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(len(inputs[0])))
+        watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+        rays, _ = table.batch(32, torch.Generator().manual_seed(0))
+        colors = []
+        for training in (True, False):
+            model.train(training)
+            colors.append(model(rays, background="last_sample", step=0, watch=watch)[0].color)
+        rendered[gate] = (colors, seen)
+    samples = 32 * 4
+    assert rendered["none"][1] == [samples] * 2
+    assert rendered["top"][1] == [32] * 2
+    assert rendered["threshold"][1] == [samples] * 2
+    torch.testing.assert_close(rendered["threshold"][0], rendered["none"][0], rtol=1e-5, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**20), samples=st.integers(1, 30), parts=st.integers(1, 40))
+def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
+    """A colour that is linear in the features is exact: the features are means weighted by the shares."""
+    share = shares(along(5, samples, seed)[0], "last_sample")
+    geometry = torch.randn(5, samples, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    merged, features, kept = GATES.build("merge", parts=parts)(share, geometry)
+    assert merged.shape == kept.shape == (5, parts)
+    torch.testing.assert_close(merged.sum(-1), share.sum(-1))
+    torch.testing.assert_close((merged[..., None] * features).sum(1), (share[..., None] * geometry).sum(1))
+    filled = merged.sum(-1) > 0
+    assert torch.equal(kept[filled], merged[filled] > 0)
+    assert int(kept.sum()) >= min(2, kept.numel())
+
+
+def test_merging_into_parts_no_larger_than_a_sample_is_no_merging():
+    share = torch.full((2, 6), 1 / 6, dtype=torch.float64)
+    geometry = torch.arange(48.0, dtype=torch.float64).view(2, 6, 4)
+    merged, features, kept = GATES.build("merge", parts=6)(share, geometry)
+    torch.testing.assert_close((merged, features), (share, geometry))
+    assert bool(kept.all())
+
+
+def test_merging_follows_the_ray():
+    share = torch.tensor([[0.5, 0.25, 0.125, 0.125]], dtype=torch.float64)
+    geometry = torch.tensor([[[1.0], [2.0], [4.0], [8.0]]], dtype=torch.float64)
+    merged, features, _ = GATES.build("merge", parts=2)(share, geometry)
+    torch.testing.assert_close(merged, torch.tensor([[0.5, 0.5]], dtype=torch.float64))
+    torch.testing.assert_close(features, torch.tensor([[[1.0], [4.0]]], dtype=torch.float64))
+
+
+def test_merging_into_parts_that_weigh_enough_has_the_derivatives_of_plain_means():
+    share = torch.tensor([[0.3, 0.2, 0.1, 0.4]], dtype=torch.float64, requires_grad=True)
+    geometry = torch.tensor([[[1.0], [2.0], [4.0], [8.0]]], dtype=torch.float64)
+    gate = GATES.build("merge", parts=2)
+    halves = torch.autograd.functional.jacobian(lambda s: gate(s, geometry).geometry, share)
+    plain = torch.autograd.functional.jacobian(
+        lambda s: (s * geometry[..., 0]).view(1, 2, 2).sum(-1) / s.view(1, 2, 2).sum(-1), share
+    )
+    torch.testing.assert_close(halves[..., 0, :, :], plain)
+
+
+@pytest.mark.parametrize("faint", [1e-6, 1e-20, 1e-38, 0.0])
+def test_a_part_that_weighs_next_to_nothing_has_bounded_derivatives(faint):
+    """Behind a normalisation its features get a gradient as large as everybody's."""
+    share = torch.tensor([[faint, faint / 2, 1.0, faint]], requires_grad=True)
+    geometry = torch.tensor([[[1.0], [-2.0], [4.0], [8.0]]], requires_grad=True)
+    merged = GATES.build("merge", parts=8)(share, geometry)
+    merged.geometry.sum().backward()
+    assert share.grad is not None
+    assert geometry.grad is not None
+    assert float(share.grad.abs().max()) <= 8 / (SMALL / 8)
+    assert float(geometry.grad.abs().max()) <= 1 + 1e-6

@@ -1,0 +1,89 @@
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qnerf.rendering.spacing import SPACINGS
+
+NAMES = SPACINGS.names()
+BOUNDS = [(0.05, 1000.0), (0.05, 1e6), (0.3, 0.9), (2.0, 6.0), (1.0, 4.0), (0.5, 1.0)]
+
+
+def bounds(near: float, far: float, dtype: torch.dtype = torch.float64) -> tuple[torch.Tensor, torch.Tensor]:
+    return torch.tensor([[near]], dtype=dtype), torch.tensor([[far]], dtype=dtype)
+
+
+def test_known_names() -> None:
+    assert NAMES == ["disparity", "geometric", "piecewise", "uniform"]
+    with pytest.raises(ValueError, match="known: disparity, geometric, piecewise, uniform"):
+        SPACINGS.get("log")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("near", "far"), BOUNDS)
+def test_ends_and_round_trip(name: str, near: float, far: float) -> None:
+    spacing = SPACINGS.build(name, *bounds(near, far))
+    s = torch.linspace(0, 1, 1001, dtype=torch.float64)[None]
+    t = spacing.to_world(s)
+    torch.testing.assert_close(t[0, [0, -1]], torch.tensor([near, far], dtype=torch.float64), rtol=1e-12, atol=0)
+    torch.testing.assert_close(spacing.from_world(t), s, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("near", "far"), BOUNDS)
+def test_float32_keeps_its_digits(name: str, near: float, far: float) -> None:
+    s = torch.linspace(0, 1, 1001, dtype=torch.float32)[None]
+    t = SPACINGS.build(name, *bounds(near, far, torch.float32)).to_world(s)
+    near64, far64 = (bound.double() for bound in bounds(near, far, torch.float32))
+    exact = SPACINGS.build(name, near64, far64).to_world(s.double())
+    assert t.dtype == torch.float32
+    torch.testing.assert_close(t.double(), exact, rtol=3e-6, atol=0)
+
+
+@settings(deadline=None)
+@given(
+    name=st.sampled_from(NAMES),
+    near=st.floats(1e-3, 10),
+    ratio=st.floats(1.01, 1e6),
+    s=st.lists(st.floats(0, 1, width=32), min_size=2, max_size=40),
+)
+def test_ordered_s_gives_ordered_t_within_the_bounds(name: str, near: float, ratio: float, s: list[float]) -> None:
+    low, high = bounds(near, near * ratio, torch.float32)
+    t = SPACINGS.build(name, low, high).to_world(torch.tensor([sorted(s)], dtype=torch.float32))
+    assert bool((t.diff() >= 0).all())
+    assert bool((t >= low * (1 - 1e-6)).all())
+    assert bool((t <= high * (1 + 1e-6)).all())
+
+
+@pytest.mark.parametrize("name", ["uniform", "piecewise"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_near_zero_and_a_million_far(name: str, dtype: torch.dtype) -> None:
+    spacing = SPACINGS.build(name, *bounds(0.0, 1e6, dtype))
+    t = spacing.to_world(torch.linspace(0, 1, 257, dtype=dtype)[None])
+    assert t[0, 0] == 0
+    assert t[0, -1] == pytest.approx(1e6)
+    assert bool(torch.isfinite(t).all())
+    assert bool((t.diff() > 0).all())
+
+
+@pytest.mark.parametrize("name", ["disparity", "geometric"])
+def test_near_zero_is_refused_where_it_is_undefined(name: str) -> None:
+    with pytest.raises(ValueError, match=f"spacing={name} needs near above 0, got 0"):
+        SPACINGS.build(name, *bounds(0.0, 10.0))
+
+
+def test_piecewise_is_nerfactos_curve() -> None:
+    near, far = bounds(0.05, 1000.0)
+    t = torch.tensor([[0.05, 0.5, 0.999, 1.0, 2.0, 30.0, 1000.0]], dtype=torch.float64)
+    curve = torch.where(t < 1, t / 2, 1 - 1 / (2 * t))
+    expected = (curve - curve[:, :1]) / (curve[:, -1:] - curve[:, :1])
+    torch.testing.assert_close(SPACINGS.build("piecewise", near, far).from_world(t), expected)
+
+
+def test_each_ray_has_its_own_bounds() -> None:
+    near = torch.tensor([[0.1], [2.0]], dtype=torch.float64)
+    far = torch.tensor([[0.5], [900.0]], dtype=torch.float64)
+    s = torch.tensor([[0.0, 1.0]], dtype=torch.float64).expand(2, 2)
+    for name in NAMES:
+        t = SPACINGS.build(name, near, far).to_world(s)
+        torch.testing.assert_close(t, torch.cat([near, far], dim=1), rtol=1e-12, atol=0)

@@ -1,0 +1,102 @@
+"""The synthetic-NeRF layout."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from qnerf.scenes import SCENES
+from tests.helpers.configs import DATA
+from tests.helpers.scenes import write_scene
+
+
+def build(folder: Path, **options):
+    return SCENES.build("blender", path=str(folder), **options)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Ten views: five train, three test, two val."""
+    folder = write_scene(tmp_path / "scene", views=10, width=8, height=8, channels=4)
+    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    (folder / "transforms.json").unlink()
+    for split, part in (("train", frames[:5]), ("test", frames[5:8]), ("val", frames[8:])):
+        named = [dict(frame, file_path=f"./{frame['file_path'][:-4]}", rotation=0.1) for frame in part]
+        (folder / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": named}))
+    return folder
+
+
+def refused(folder: Path, *needles: str, **options) -> None:
+    with pytest.raises(ValueError) as error:  # noqa: PT011
+        build(folder, **options)
+    assert "\n" not in str(error.value)
+    for needle in needles:
+        assert needle in str(error.value), str(error.value)
+
+
+def test_the_splits_are_the_files(folder):
+    scene = build(folder)
+    assert scene.images.shape == (8, 8, 8, 4)
+    assert (scene.train, scene.eval) == ([0, 1, 2, 3, 4], [5, 6, 7])
+    assert scene.names[5] == "images/005.png"
+    scene = build(folder, eval_split="val")
+    assert [scene.names[view] for view in scene.eval] == ["images/008.png", "images/009.png"]
+
+
+def test_the_world_is_only_scaled_and_bounds_with_it(folder):
+    scene = build(folder)
+    source = json.loads((folder / "transforms_train.json").read_text())["frames"][3]["transform_matrix"]
+    scale = float(scene.transform[0, 0])
+    assert float(scene.cameras.poses[:, :, 3].abs().max()) == pytest.approx(1)
+    np.testing.assert_allclose(scene.cameras.poses[3, :, :3], np.array(source)[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(scene.cameras.poses[3, :, 3], np.array(source)[:3, 3] * scale)
+    assert (scene.near, scene.far) == (pytest.approx(2 * scale), pytest.approx(6 * scale))
+    assert float(scene.cameras.fx[0]) == float(scene.cameras.fy[0]) == pytest.approx(4 / np.tan(0.35))
+    assert float(scene.cameras.cx[0]) == 4
+
+
+def test_an_even_subset_evaluates_in_the_same_world(folder):
+    scene, one = build(folder), build(folder, eval_views=1)
+    assert one.images.shape[0] == 6
+    assert [one.names[view] for view in one.eval] == ["images/006.png"]
+    assert torch.equal(one.transform, scene.transform)
+    assert torch.equal(one.images[5], scene.images[6])
+    assert one.fingerprint != scene.fingerprint
+    assert build(folder, eval_views=99).fingerprint == scene.fingerprint
+
+
+def test_bad_options_and_files(folder, tmp_path):
+    refused(folder, "eval_split must be one of test, val", eval_split="train")
+    refused(folder, "eval_views must be at least 1", eval_views=0)
+    refused(folder, "downscale=9 is larger", downscale=9)
+    refused(tmp_path / "none", "does not exist")
+    (folder / "images" / "006.png").unlink()
+    refused(folder, "1 of 8 images are missing", "'./images/006'")
+    assert len(build(folder, skip_missing=True).eval) == 2
+    for name in ("005", "007"):
+        (folder / "images" / f"{name}.png").unlink()
+    refused(folder, "no image of the test split exists", skip_missing=True)
+    (folder / "transforms_test.json").unlink()
+    refused(folder, "no transforms_test.json")
+    (folder / "transforms.json").write_text("{}")
+    refused(folder, "no transforms_test.json", "scene=nerfstudio")
+
+
+def test_a_view_in_both_splits_is_refused(folder):
+    train = (folder / "transforms_train.json").read_text()
+    (folder / "transforms_test.json").write_text(train)
+    refused(folder, "training and in the evaluation split")
+
+
+@pytest.mark.skipif(not (DATA / "chair_64").is_dir(), reason="no chair_64")
+def test_the_chair():
+    scene = build(DATA / "chair_64", eval_views=25)
+    assert scene.images.shape == (125, 64, 64, 4)
+    assert (len(scene.train), len(scene.eval)) == (100, 25)
+    ahead = -scene.cameras.poses[:, :, 2]
+    towards = torch.nn.functional.normalize(-scene.cameras.poses[:, :, 3], dim=1)
+    torch.testing.assert_close(ahead, towards, atol=1e-6, rtol=0)
+    corners = scene.colors(0, 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
+    assert torch.equal(corners, torch.ones(4, 3))

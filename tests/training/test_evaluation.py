@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+import torch
+
+from qnerf.config.settings import settings_from
+from qnerf.experiment import build_model, build_scene, ray_table
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+from qnerf.training.evaluation import Evaluator, shade
+
+
+@pytest.fixture
+def make(tiny):
+    settings = settings_from(tiny("field=qcolor", "qiren.qubits=3"))
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+
+    def evaluator(chunk: int = 2048, background: str = "white") -> Evaluator:
+        return Evaluator(scene, ray_table(settings, scene), model, background=background, chunk=chunk, watch=watch)
+
+    return evaluator
+
+
+def test_the_picture_does_not_depend_on_the_chunk_and_leaves_the_model_as_it_was(make):
+    state = torch.get_rng_state()
+    view = make().scene.eval[0]
+    make().model.train()
+    whole, pieces = (make(chunk).render(view, step=0) for chunk in (2048, 7))
+    torch.testing.assert_close(whole.color, pieces.color)
+    torch.testing.assert_close(whole.depth, pieces.depth)
+    assert whole.color.shape == (6, 8, 3)
+    assert make().model.training
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_measures_are_those_of_the_rendered_view(make):
+    evaluator = make()
+    view = evaluator.scene.eval[0]
+    ((rendered, row),) = evaluator.views([view], step=0)
+    truth = evaluator.scene.images[view].double() / 255
+    error = (rendered.color.double() - truth).square().mean().item()
+    assert row["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-5)
+    assert row["image"] == evaluator.scene.names[view]
+    assert row["lpips"] is None
+    assert row["lpips_reason"]
+    assert row["depth_error"] is None
+
+
+def test_a_picture_has_four_panels_enlarged(make):
+    evaluator = make()
+    rendered = evaluator.render(evaluator.scene.eval[0], step=0)
+    picture = evaluator.picture(rendered)
+    assert picture.dtype == np.uint8
+    assert picture.shape == (240, 4 * 8 * 40, 3)
+    truth = evaluator.scene.images[rendered.view].numpy()
+    np.testing.assert_array_equal(picture[::40, : 8 * 40 : 40], truth)
+
+
+def test_a_large_view_is_shaded_by_some_of_its_pixels(monkeypatch):
+    """`torch.quantile` takes 2^24 values at most."""
+    depth = torch.rand(64, 65, generator=torch.Generator().manual_seed(0)) + 1
+    whole = shade(depth)
+    monkeypatch.setattr("qnerf.training.evaluation.MOST", 1000)
+    torch.testing.assert_close(shade(depth), whole, rtol=0, atol=0.02)
+
+
+def test_near_depth_is_brighter_than_far():
+    shaded = shade(torch.tensor([[1.0, 2.0, 1000.0]])).sum(-1)
+    assert shaded[0, 0] > shaded[0, 1] > shaded[0, 2]
+    assert torch.isfinite(shade(torch.full((3, 3), 2.0))).all()

@@ -1,0 +1,167 @@
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from qnerf.training import lpips as lpips_module
+from qnerf.training.image_metrics import depth_error, lpips, psnr, ssim
+from qnerf.training.lpips import BACKBONE, HEADS, LPIPS
+
+
+def images(height: int = 36, width: int = 64, noise: float = 0.05) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    truth = torch.rand(height, width, 3, generator=generator)
+    return (truth + noise * torch.randn(height, width, 3, generator=generator)).clamp(0, 1), truth
+
+
+def test_psnr() -> None:
+    truth = torch.zeros(4, 5, 3)
+    assert psnr(truth + 0.1, truth) == pytest.approx(20.0)
+    assert psnr(truth + 1, truth) == 0
+    assert psnr(truth, truth) == math.inf
+
+
+def test_psnr_of_nan_is_nan() -> None:
+    assert math.isnan(psnr(torch.full((2, 2, 3), math.nan), torch.zeros(2, 2, 3)))
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim])
+def test_images_of_two_sizes_are_refused(metric: object) -> None:
+    with pytest.raises(ValueError, match=r"one size expected, got \(4, 5, 3\) and \(5, 4, 3\)"):
+        metric(torch.zeros(4, 5, 3), torch.zeros(5, 4, 3))  # type: ignore[operator]
+
+
+def windowed_ssim(image: Tensor, truth: Tensor, radius: int) -> float:
+    """The definition, by convolution with a Gaussian window over the interior."""
+    offset = torch.arange(-radius, radius + 1, dtype=torch.float64)
+    sigma = 1.5 if radius == 5 else radius / 3.5
+    line = torch.exp(-(offset**2) / (2 * sigma**2))
+    window = torch.outer(line, line)
+    window = (window / window.sum())[None, None]
+    x, y = (i.double().permute(2, 0, 1)[:, None] for i in (image, truth))
+
+    def mean(z: Tensor) -> Tensor:
+        return torch.nn.functional.conv2d(z, window)
+
+    mx, my = mean(x), mean(y)
+    vx, vy, cov = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
+    c1, c2 = 0.01**2, 0.03**2
+    return float(((2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))).mean())
+
+
+@pytest.mark.parametrize(("height", "width", "radius"), [(36, 64, 5), (11, 11, 5), (10, 30, 4), (5, 9, 2), (3, 3, 1)])
+def test_ssim_against_its_definition(height: int, width: int, radius: int) -> None:
+    image, truth = images(height, width)
+    assert ssim(image, truth) == pytest.approx(windowed_ssim(image, truth, radius), abs=1e-9)
+
+
+def test_ssim_of_identical_constant_and_tiny_images() -> None:
+    image, truth = images()
+    assert ssim(truth, truth) == pytest.approx(1)
+    grey = torch.full((20, 20, 3), 0.5)
+    assert ssim(grey, grey) == pytest.approx(1)
+    assert 0 < ssim(grey, grey * 0.5) < 1
+    assert ssim(image[:2], truth[:2]) is None
+
+
+def test_depth_error_counts_known_pixels_only() -> None:
+    truth = torch.tensor([[1.0, 2.0, math.inf], [math.nan, 0.0, 4.0]])
+    depth = torch.tensor([[1.5, 2.0, 7.0], [7.0, 7.0, 3.0]])
+    relative, median = depth_error(depth, truth)
+    assert relative == pytest.approx((0.5 / 1.5 + 0 + 0.25) / 3)
+    assert median == pytest.approx(0.5)
+    assert all(math.isnan(value) for value in depth_error(depth, torch.full((2, 3), math.inf)))
+    with pytest.raises(ValueError, match="one size"):
+        depth_error(depth, truth[:1])
+
+
+@pytest.fixture
+def nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """No weights in any cache, no package `lpips`."""
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
+    monkeypatch.setattr(lpips_module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.delenv(lpips_module.VARIABLE, raising=False)
+    lpips_module.load.cache_clear()
+    yield tmp_path
+    lpips_module.load.cache_clear()
+
+
+def save_random_weights(folder: Path) -> LPIPS:
+    torch.manual_seed(0)
+    network = LPIPS()
+    for head in network.heads:
+        torch.nn.init.uniform_(head, 0, 1)
+    features = {f"features.{key}": value for key, value in network.features.state_dict().items()}
+    torch.save(features | {"classifier.1.weight": torch.zeros(1)}, folder / BACKBONE)
+    heads = {f"lin{i}.model.1.weight": head.detach().view(1, -1, 1, 1) for i, head in enumerate(network.heads)}
+    torch.save(heads, folder / HEADS)
+    return network
+
+
+def test_lpips_without_weights_says_which(nowhere: Path) -> None:
+    value, reason = lpips(*images())
+    assert value is None
+    assert reason is not None
+    assert BACKBONE in reason
+    assert HEADS in reason
+
+
+def test_lpips_from_a_folder(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = save_random_weights(nowhere)
+    image, truth = images()
+    expected = float(network(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None]).detach())
+    assert lpips(image, truth, str(nowhere)) == (pytest.approx(expected), None)
+    monkeypatch.setenv(lpips_module.VARIABLE, str(nowhere))
+    assert lpips(image.double(), truth.double()) == (pytest.approx(expected), None)
+    assert lpips(truth, truth) == (0.0, None)
+    nearer, _ = lpips(images(noise=0.01)[0], truth)
+    assert 0 < nearer < expected
+    value, reason = lpips(image[:30], truth[:30])
+    assert value is None
+    assert reason == "images of 30 x 64 pixels are too small, 31 are needed"
+    assert lpips(image[:31, :31], truth[:31, :31])[0] is not None
+
+
+def test_lpips_backbone_from_the_hub_cache(nowhere: Path) -> None:
+    save_random_weights(nowhere)
+    cache = nowhere / "hub" / "checkpoints"
+    cache.mkdir(parents=True)
+    (nowhere / BACKBONE).rename(cache / BACKBONE)
+    assert lpips(*images(), str(nowhere))[0] is not None
+
+
+def test_lpips_arithmetic_against_a_loop(nowhere: Path) -> None:
+    """Layer by layer, with nothing shared but the weights."""
+    network = save_random_weights(nowhere).double()
+    image, truth = (i.double() for i in images())
+    shift = torch.tensor([-0.030, -0.088, -0.188], dtype=torch.float64)
+    scale = torch.tensor([0.458, 0.448, 0.450], dtype=torch.float64)
+    functional, layers = torch.nn.functional, network.features
+    a, b = (((i * 2 - 1 - shift) / scale).permute(2, 0, 1)[None] for i in (image, truth))
+    settings = [(0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False)]
+    total = 0.0
+    for head, (index, stride, padding, pool) in zip(network.heads, settings, strict=True):
+        if pool:
+            a, b = functional.max_pool2d(a, 3, 2), functional.max_pool2d(b, 3, 2)
+        weight, bias = layers[index].weight, layers[index].bias
+        a, b = (functional.conv2d(i, weight, bias, stride, padding).clamp(min=0) for i in (a, b))
+        unit_a, unit_b = (functional.normalize(i, dim=1, eps=1e-10) for i in (a, b))
+        difference = (unit_a - unit_b).square()[0]
+        total += float(torch.einsum("c,chw->hw", head, difference).mean().detach())
+    found = network(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None])
+    assert float(found.detach()) == pytest.approx(total, rel=1e-5)  # the buffers were float32
+
+
+def test_lpips_refuses_what_is_not_its_weights(nowhere: Path) -> None:
+    with pytest.raises(ValueError, match="is none"):
+        lpips(*images(), str(nowhere / "absent"))
+    save_random_weights(nowhere)
+    torch.save({"features.0.weight": torch.zeros(1)}, nowhere / BACKBONE)
+    with pytest.raises(ValueError, match="not AlexNet's weights"):
+        lpips(*images(), str(nowhere))
+    save_random_weights(nowhere)
+    (nowhere / HEADS).write_bytes(b"nothing")
+    with pytest.raises(ValueError, match="not the linear heads"):
+        lpips(*images(), str(nowhere))

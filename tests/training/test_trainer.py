@@ -1,0 +1,186 @@
+import pytest
+import torch
+
+from qnerf.config.settings import settings_from
+from qnerf.experiment import run
+from qnerf.records import read_metrics
+from qnerf.timing import PARTS, median_ms
+from qnerf.training.trainer import composite, learning_rate
+from tests.helpers.trainer import trainer
+
+
+def test_the_learning_rate_decays_exponentially_from_first_to_last(tiny):
+    train = settings_from(tiny("train=paper", "train.steps=30000")).train
+    assert learning_rate(0, train) == pytest.approx(1e-2)
+    assert learning_rate(15000, train) == pytest.approx(1e-3)
+    assert learning_rate(30000, train) == pytest.approx(1e-4)
+
+
+def test_the_paper_recipe_is_the_papers(config):
+    settings = settings_from(config("train=paper", "field=qcolor", "qiren=1L2S"))
+    train = settings.train
+    assert (train.steps, train.rays, train.lr, train.lr_final, train.eps) == (30000, 128, 1e-2, 1e-4, 1e-15)
+    assert (train.interlevel, train.distortion) == (1.0, 0.002)
+    sampler = settings.sampler
+    assert (sampler["samples"], sampler["final"], sampler["update_every"]) == ([256, 96], 48, 5)
+    assert (sampler["anneal_steps"], sampler["anneal_slope"], sampler["log2_table_size"]) == (1000, 10.0, 17)
+    assert sampler["max_resolutions"] == [128, 256]
+    assert (settings.render.near, settings.render.far) == (0.05, 1000)
+    assert settings.visibility.cameras == 0
+    head = settings.color["qiren"]
+    assert (head["init"], head["gain"], head["sum_layers"], head["input_scale"]) == ("uniform", 1.0, False, 1.0)
+    assert (head["center"], head["statistics"]) == (False, "batch")
+    assert {rate for head in (settings.density, settings.color) for rate in head["rates"].values()} == {1.0}
+    assert (settings.encoder["release"], settings.color["direction_scale"]) == (0, 1.0)
+    assert {part for part, rate in train.rates.items() if rate != 1} == {"cameras"}
+    assert (settings.density["activation"], settings.contraction["name"]) == ("trunc_exp", "linf")
+
+
+def test_configurations_of_one_seed_see_the_same_batches(tiny):
+    drawn = []
+    for overrides in (["field=classical"], ["field=qboth", "sampler=uniform", "sampler.samples=5"]):
+        taken = trainer(tiny(*overrides))
+        taken.take_step(measure=False)
+        rays, _ = taken.table.batch(8, taken.streams["pixels"])
+        drawn.append((rays.cameras, rays.directions))
+    assert torch.equal(drawn[0][0], drawn[1][0])
+    assert torch.equal(drawn[0][1], drawn[1][1])
+
+
+def test_a_measured_step_reports_its_parts(tiny):
+    metrics = trainer(tiny("field=qcolor", "cameras=so3xr3")).take_step(measure=True)
+    assert {f"time/{part}_ms" for part in PARTS} <= set(metrics)
+    parts = ("mse", "interlevel", "distortion", "poses")
+    assert metrics["train/loss"] == pytest.approx(sum(metrics[f"train/{name}"] for name in parts), rel=1e-5)
+    assert 0 < metrics["time/quantum_ms"] <= metrics["time/field_ms"]
+
+
+def test_steps_lower_the_loss(tiny):
+    taken = trainer(tiny("field=qcolor", "train.steps=60", "train.rays=64"))
+    losses = [taken.take_step(measure=True)["train/mse"] for _ in range(60)]
+    assert sum(losses[-10:]) < 0.9 * sum(losses[:10])
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_parameters_and_gradients_stay_in_their_dtype(tiny, dtype):
+    taken = trainer(tiny("field=qboth", f"numerics.dtype={dtype}"))
+    taken.take_step(measure=False)
+    assert {p.dtype for p in taken.model.parameters()} == {getattr(torch, dtype)}
+    assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {getattr(torch, dtype)}
+
+
+def test_alpha_is_composited_on_what_lies_behind():
+    pixels = torch.tensor([[0.2, 0.4, 0.6, 0.5]])
+    behind = torch.tensor([[1.0, 0.0, 0.5]])
+    torch.testing.assert_close(composite(pixels, behind), torch.tensor([[0.6, 0.2, 0.55]]))
+    assert torch.equal(composite(pixels[:, :3], None), pixels[:, :3])
+
+
+STOP = ("stop.every=2", "stop.share=0.1", "stop.rays=9", "field=classical")
+
+
+def test_validation_is_of_the_rays_kept_apart_and_changes_nothing(tiny):
+    taken = trainer(tiny(*STOP, "field=qboth", "qiren=1L1S", "cameras=so3xr3", "appearance=2"))
+    taken.take_step(measure=False)
+    before = taken.state()
+    kept = {name: value.clone() for name, value in before["model"].items()}
+    first, second = taken.validate(), taken.validate()
+    assert first == second
+    assert 0 < first < 60
+    after = taken.state()
+    assert all(torch.equal(kept[name], after["model"][name]) for name in kept)
+    assert all(torch.equal(before["streams"][name], after["streams"][name]) for name in before["streams"])
+    assert all(module.training for module in taken.model.modules())
+
+
+def test_kept_pixels_are_not_the_same_columns_of_each_image(tiny):
+    """The images are 8 wide: one pixel in 4 would be two columns."""
+    table = trainer(tiny(*STOP, "stop.share=0.25")).table
+    assert table.apart == 5
+    assert trainer(tiny("field=classical")).table.apart == 0
+
+
+def test_a_share_that_keeps_no_pixel_is_one_line(tiny):
+    with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart") as caught:
+        trainer(tiny(*STOP, "stop.share=1e-6"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_that_no_longer_gains_stops_and_says_so(tiny):
+    outcome = run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.least=50"))
+    assert outcome.state == "finished"
+    assert (outcome.summary["steps"], outcome.summary["stopped"]) == (6, "plateau")  # the first check is a gain
+    assert outcome.summary["psnr"] > 0
+    rows = read_metrics(outcome.path)
+    assert rows[rows["key"] == "validation/psnr"]["step"].tolist() == [2, 4, 6]
+    assert "finished already" in run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.least=50")).message
+
+
+def test_a_run_that_is_not_stopped_says_nothing(tiny):
+    assert run(tiny(*STOP, "train.steps=4")).summary["stopped"] is None
+
+
+def test_a_run_goes_on_on_another_kind_of_device(tiny):
+    """Whose random numbers have a state of another size: a CUDA generator's has 16 bytes."""
+    taken, other = trainer(tiny()), trainer(tiny())
+    taken.take_step(measure=False)
+    state = taken.state()
+    state["streams"]["samples"] = torch.zeros(16, dtype=torch.uint8)
+    other.load(state)
+    other.take_step(measure=False)
+    assert other.step == 2
+    assert other.finite()
+
+
+@pytest.mark.parametrize("stop_at", [1, 2, 3, 5])
+def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, run_until, stop_at):
+    options = [*STOP, "train.steps=12", "stop.patience=2", "stop.least=50"]
+    whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
+    parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
+    run_until(stop_at, parts)
+    resumed = run(parts)
+    assert (resumed.summary["steps"], resumed.summary["stopped"]) == (6, "plateau")
+    mine, others = (torch.load(found.path / "checkpoint.pt", weights_only=True) for found in (resumed, whole))
+    assert mine["plateau"] == others["plateau"]
+    assert all(torch.equal(mine["model"][name], others["model"][name]) for name in others["model"])
+    logged = [
+        read_metrics(found.path).query("key == 'validation/psnr'")["value"].tolist() for found in (resumed, whole)
+    ]
+    assert logged[0] == logged[1]
+    assert len(logged[0]) == 3
+
+
+def test_the_median_leaves_the_first_fifty_steps_out():
+    assert median_ms([9.0] * 50 + [1.0, 2.0, 3.0]) == 2000
+    assert median_ms([1.0, 3.0, 2.0]) == 2000
+
+
+def test_a_part_learns_at_its_own_rate(tiny):
+    frozen = trainer(tiny("train.rates.color=0", "train.rates.density=0.5"))
+    before = [p.detach().clone() for p in frozen.model.field.color_head.parameters()]
+    frozen.take_step(measure=False)
+    assert all(torch.equal(p, was) for p, was in zip(frozen.model.field.color_head.parameters(), before, strict=True))
+    rates = {group["name"]: group["lr"] for group in frozen.optimiser.param_groups}
+    assert rates["density"] == pytest.approx(rates["encoder"] / 2)
+
+
+@pytest.mark.parametrize("override", ["+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"])
+def test_a_bad_rate_is_one_line(tiny, override):
+    with pytest.raises(ValueError, match=r"train\.rates") as caught:
+        settings_from(tiny(override))
+    assert "\n" not in str(caught.value)
+
+
+def test_fine_levels_are_released_while_training_goes_on(tiny):
+    one = trainer(tiny("encoder.release=1", "train.steps=4"))
+    one.take_step(measure=False)
+    assert one.model.field.encoder.progress == 0.25
+    state = one.state()
+    again = trainer(tiny("encoder.release=1", "train.steps=4"))
+    again.load(state)
+    assert again.model.field.encoder.progress == 0.25
+    one = trainer(tiny("encoder.release=1", "train.steps=4"))
+    one.take_step(measure=False)
+    grad = one.model.field.encoder.table.grad
+    assert bool((grad[-1] == 0).all())
+    assert bool((grad[0] != 0).any())
