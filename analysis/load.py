@@ -6,6 +6,8 @@ from typing import Any
 
 import pandas as pd
 
+from qnerf.config.compatibility import ADDED, Same
+from qnerf.config.identity import flatten
 from qnerf.records import index
 
 from . import packed, query
@@ -36,6 +38,7 @@ def runs(
         if "scene.fingerprint" in frame:  # runs from before it was recorded are taken to be of the scene of that name
             known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
+    _fill_added(frame)
     return frame if filter is None else query.select(frame, filter)
 
 
@@ -61,6 +64,16 @@ def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | No
 def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
     frame = index.place_of(run).metrics()
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
+
+
+def _fill_added(frame: pd.DataFrame) -> None:
+    """Options that are newer than some of the runs get the values that those runs had without them."""
+    for option, usual in ADDED.items():
+        values = {} if isinstance(usual, Same) else flatten({option: usual})
+        for name in frame.columns[frame.columns.str.startswith(option)]:
+            value = frame.get(usual.option + name[len(option) :]) if isinstance(usual, Same) else values.get(name)
+            if value is not None:
+                frame[name] = frame[name].where(frame[name].notna(), value)
 
 
 def _scene_names(frame: pd.DataFrame) -> pd.Series:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from qnerf.config.compatibility import today
 from qnerf.records import StoreError
 from qnerf.records.read import read_table
 
@@ -50,7 +51,7 @@ def is_packed(folder: str | Path) -> bool:
 
 def load(folder: str | Path) -> pd.DataFrame:
     """The frame that `analysis.load.runs` gives of a packed folder; `path` is where the run would lie in it."""
-    frame = pd.read_parquet(Path(folder) / RUNS)
+    frame = pd.read_parquet(Path(folder) / RUNS).rename(columns=today)
     return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])
 
 

@@ -28,6 +28,7 @@ def select(frame: pd.DataFrame, condition: str | Mapping[str, Any]) -> pd.DataFr
         names, told = [item.key for item in parsed], condition
         chosen = filters.select(frame, parsed)
     else:
+        condition = {filters.column(name): value for name, value in condition.items()}
         names, told = list(condition), ", ".join(f"{name}={value}" for name, value in condition.items())
         chosen = frame[_valued(frame, condition)]
     if chosen.empty:

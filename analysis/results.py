@@ -22,7 +22,7 @@ Every table is made by `python -m analysis.results docs/results --write docs/res
 other ones. PSNR and SSIM are those of held-out views, 5 of `fox_64` and 22 of `poster`, after the steps that a section
 names. Commands are those of `poster`; `fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with
 `scene=nerfstudio scene.path=DIR`. Runs of a table were not all trained at the same time: how long a step takes,
-`python -m benchmarks.training` measures. Commands with `density.init=torch` are of `train=quick` before its density
+`python -m benchmarks.training` measures. Commands with `density.mlp.init=torch` are of `train=quick` before its density
 MLPs started by He's rule. Figures are drawn of the store by `python -m analysis.pack runs docs/results/NAME --figures
 FIGURE`. {hardware}
 """
@@ -71,7 +71,7 @@ def sweep(name: str, *more: str) -> str:
 
 def before(name: str, *more: str) -> str:
     """A sweep that was run when density MLPs of the quick recipe started as PyTorch starts them."""
-    return sweep(name, *more, "density.init=torch")
+    return sweep(name, *more, "density.mlp.init=torch")
 
 
 def pieces(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
@@ -109,14 +109,14 @@ QUESTIONS = {
     ),
     "start": pieces(
         "How may a density MLP start, below a colour circuit?",
-        sweep("seeds", "field=qcolor density.init=torch,he"),
-        "density.init",
+        sweep("seeds", "field=qcolor density.mlp.init=torch,he"),
+        "density.mlp.init",
         "torch",
     ),
     "start_mlp": pieces(
         "And below a colour MLP?",
-        sweep("seeds", "field=classical density.init=torch,he"),
-        "density.init",
+        sweep("seeds", "field=classical density.mlp.init=torch,he"),
+        "density.mlp.init",
         "torch",
     ),
     "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe")),
@@ -127,26 +127,26 @@ QUESTIONS = {
     "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
     "seeds": Question(
         "How often does a field collapse? Colour MLPs as Nerfacto's, and with raw directions and He's start",
-        (sweep("seeds", "field=classical,qdensity color.directions=raw color.init=he"), sweep("seeds")),
-        ("scene_name", "field", "color.init"),
-        {"field": "classical", "color.init": "he"},
+        (sweep("seeds", "field=classical,qdensity color.directions=raw color.mlp.init=he"), sweep("seeds")),
+        ("scene_name", "field", "color.mlp.init"),
+        {"field": "classical", "color.mlp.init": "he"},
         ("psnr", "ssim", "depth_error"),
         stable=True,
-        also=({"field": "classical", "color.init": "torch"},),
+        also=({"field": "classical", "color.mlp.init": "torch"},),
     ),
     "small_heads": Question(
         "Is a quantum colour head level with MLPs of at most 700 parameters?",
-        (sweep("small_heads"), sweep("small_heads", "color.init=he", f"experiment={SMALL_MLPS}")),
-        ("scene_name", "color", "color.directions", "color.init"),
+        (sweep("small_heads"), sweep("small_heads", "color.mlp.init=he", f"experiment={SMALL_MLPS}")),
+        ("scene_name", "color", "color.directions", "color.mlp.init"),
         {"color": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
     "control": Question(
         "Is it the circuit, or what the recipe gives it?",
-        (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.init=torch")),
-        ("scene_name", "color", "color.directions", "color.init"),
-        {"color": "3x64", "color.directions": "raw", "color.init": "he"},
+        (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.mlp.init=torch")),
+        ("scene_name", "color", "color.directions", "color.mlp.init"),
+        {"color": "3x64", "color.directions": "raw", "color.mlp.init": "he"},
         ("psnr", "ssim", "depth_error", "params.color"),
         stable=True,
     ),
@@ -154,14 +154,14 @@ QUESTIONS = {
         "And a circuit for density?",
         (
             sweep("control_density"),
-            sweep("control_density", "field=classical density.init=he color.init=he color.directions=raw"),
-            sweep("control_density", "field=qdensity,qboth density.init=torch"),
+            sweep("control_density", "field=classical density.mlp.init=he color.mlp.init=he color.directions=raw"),
+            sweep("control_density", "field=qdensity,qboth density.mlp.init=torch"),
         ),
-        ("scene_name", "field", "density.init", "color.init"),
-        {"field": "classical", "density.init": "he", "color.init": "torch"},
+        ("scene_name", "field", "density.mlp.init", "color.mlp.init"),
+        {"field": "classical", "density.mlp.init": "he", "color.mlp.init": "torch"},
         ("psnr", "ssim", "depth_error"),
         stable=True,
-        also=({"field": "classical", "density.init": "torch", "color.init": "torch"},),
+        also=({"field": "classical", "density.mlp.init": "torch", "color.mlp.init": "torch"},),
     ),
     "rates": pieces(
         "How fast may a colour circuit learn?",
@@ -212,7 +212,7 @@ QUESTIONS = {
     "poses": Question(
         "What does pose refinement make good?",
         (sweep("poses"),),
-        ("scene_name", "field", "cameras", "poses.rotation"),
+        ("scene_name", "field", "cameras", "pose_noise.rotation"),
         values=("psnr", "ssim", "depth_error"),
     ),
     "rgb_width": Question(
@@ -231,10 +231,10 @@ QUESTIONS = {
         "Why does a deep, narrow MLP collapse?",
         (
             before("deep"),
-            before("deep", "color.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
+            before("deep", "color.mlp.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
             "qnerf evaluate RUN units",
         ),
-        ("scene_name", "color", "color.init", "train.rates.color"),
+        ("scene_name", "color", "color.mlp.init", "train.rates.color"),
         values=("psnr", "ssim", "depth_error"),
         stable=True,
         alive=True,
@@ -285,9 +285,9 @@ QUESTIONS = {
         "Is a quantum density head level with an MLP of its size on a positional encoding?",
         (
             sweep("density_pe", "experiment=pe_1L2S,pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8"),
-            sweep("density_pe", "experiment=pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8 density.init=he"),
+            sweep("density_pe", "experiment=pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8 density.mlp.init=he"),
         ),
-        ("scene_name", "density", "density.init"),
+        ("scene_name", "density", "density.mlp.init"),
         {"density": "1L2S"},
         ("psnr", "ssim", "depth_error", "params.density"),
         stable=True,

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from qnerf.config.compatibility import today_noted
+
 from .settings import LABELS, acting, configuration, effective, what_acts
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
@@ -93,7 +95,7 @@ def conditions(text: str) -> dict[str, str]:
     wrong = [key for key, equals, _ in parts if not equals]
     if wrong:
         raise ValueError(f"expected KEY=VALUE with commas between, such as field=classical, got {wrong[0]!r}")
-    return {key.strip(): value.strip() for key, _, value in parts}
+    return {today_noted(key.strip()): value.strip() for key, _, value in parts}
 
 
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:

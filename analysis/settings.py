@@ -17,7 +17,7 @@ _SOURCES = ("qiren.", "hash.", "proposal.", "density.initials.", "density.rates.
 # What is logged or checked decides no number; where a scene lies says nothing about what it is.
 _IRRELEVANT = (
     "scene.path",
-    "numerics.check",
+    "numerics.finite_checks",
     "train.log_every",
     "train.eval_every",
     "train.eval_views",
@@ -39,7 +39,7 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
     for head, circuits in QUANTUM.items():
         quantum = runs["field"].isin(circuits)
         table.loc[~quantum, [key for key in keys if key.startswith(f"{head}.qiren.")]] = ""
-        table.loc[quantum, [key for key in keys if key in (f"{head}.layers", f"{head}.width", f"{head}.init")]] = ""
+        table.loc[quantum, [key for key in keys if key.startswith(f"{head}.mlp.")]] = ""
     if {"color.directions", "color.direction_scale"} <= set(table):
         table.loc[table["color.directions"] != "raw", "color.direction_scale"] = ""
     return table

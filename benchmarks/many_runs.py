@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 
 from qnerf.cli.launch import conf_folder
 from qnerf.config.identity import run_id
-from qnerf.config.labels import labels, slug
+from qnerf.model.labels import labels, slug
 from qnerf.records import Run, RunStore
 from qnerf.records.environment import capture
 from qnerf.timing import PARTS

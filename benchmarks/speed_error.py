@@ -58,25 +58,27 @@ SAME_WEIGHTS = (
     Rung("float64, plain PyTorch", ("numerics.dtype=float64",), plain=True),
     Rung("float32, plain PyTorch", plain=True),
     Rung("compiled loops"),
-    Rung("threshold 1e-3", ("gate=threshold",)),
-    Rung("threshold 1e-2", ("gate=threshold", "gate.least=1e-2")),
-    Rung("top 8", ("gate=top",)),
-    Rung("merge 16", ("gate=merge", "gate.parts=16")),
-    Rung("merge 8", ("gate=merge",)),
-    Rung("merge 4", ("gate=merge", "gate.parts=4")),
-    Rung("merge 8, half the proposals", ("gate=merge", "proposal.samples=[64,32]")),
-    Rung("merge 8, half of all samples", ("gate=merge", "proposal.samples=[64,32]", "proposal.final=16")),
+    Rung("threshold 1e-3", ("shading=threshold",)),
+    Rung("threshold 1e-2", ("shading=threshold", "shading.min_share=1e-2")),
+    Rung("top 8", ("shading=top",)),
+    Rung("merge 16", ("shading=merge", "shading.parts=16")),
+    Rung("merge 8", ("shading=merge",)),
+    Rung("merge 4", ("shading=merge", "shading.parts=4")),
+    Rung("merge 8, half the proposals", ("shading=merge", "proposal.samples=[64,32]")),
+    Rung("merge 8, half of all samples", ("shading=merge", "proposal.samples=[64,32]", "proposal.final=16")),
 )
 TRAINED = (
-    Rung("recipe, no gate, plain PyTorch", ("gate=none",), plain=True, single=True),  # on the built-in scene alone
+    Rung("recipe, no gate, plain PyTorch", ("shading=none",), plain=True, single=True),  # on the built-in scene alone
     Rung("full", ("needs=full",)),
-    Rung("recipe, no gate", ("gate=none",)),
+    Rung("recipe, no gate", ("shading=none",)),
     Rung("recipe"),
     Rung("auto", ("needs=auto",)),
     Rung("auto, 1L1S", ("needs=auto", "qiren=1L1S"), single=True),
     Rung("full, MLP 3 x 64", ("needs=full", "field=classical")),
     Rung("auto, MLP 3 x 64", ("needs=auto", "field=classical")),
-    Rung("auto, MLP 2 x 16", ("needs=auto", "field=classical", "color.layers=2", "color.width=16"), single=True),
+    Rung(
+        "auto, MLP 2 x 16", ("needs=auto", "field=classical", "color.mlp.layers=2", "color.mlp.width=16"), single=True
+    ),
 )
 CYCLE = 5  # steps from one in which the proposal networks learn to the next
 BASE = "recipe"  # whose weights the first kind of rungs share
@@ -237,7 +239,7 @@ def main() -> None:
     for text in options.scene:
         scene = scene_overrides(text)
         rows, base = trained(scene, options.store, common, options.seeds, options.rounds)
-        rows += same_weights(scene, base, (*common, "gate=none"), options.rounds)
+        rows += same_weights(scene, base, (*common, "shading=none"), options.rounds)
         name = Path(text.partition(":")[2] or text).name
         tables.append(pd.DataFrame(rows).assign(scene=name, steps=options.steps))
         print(summary(tables[-1]).to_string(index=False, float_format=lambda value: f"{value:.4g}"), flush=True)

@@ -39,8 +39,8 @@ RESULTS = Path(__file__).parent / "results" / "training.parquet"
 FIELDS = ("classical", "qcolor", "qdensity", "qboth")
 ENCODERS = ("hash", "pe", "rff", "none")
 CIRCUITS = tuple(f"{layers}L{spectral}S" for layers in range(1, 5) for spectral in range(1, 5))
-NO_GATE = "gate=none"
-RAW = "field=classical color.directions=raw color.init=he"
+NO_GATE = "shading=none"
+RAW = "field=classical color.directions=raw color.mlp.init=he"
 RATIOS = {  # name -> overrides above, overrides below, what is promised
     "plain references / compiled, classical C5": (
         f"field=classical {NO_GATE}",
@@ -56,10 +56,10 @@ RATIOS = {  # name -> overrides above, overrides below, what is promised
         for name, promised in (("1L1S", "at most 1.25"), ("1L2S", "at most 1.8"), ("3L4S", ""))
     },
     **{
-        f"{name} / classical, gate=merge": (f"field=qcolor qiren={name}", "field=classical", promised)
+        f"{name} / classical, shading=merge": (f"field=qcolor qiren={name}", "field=classical", promised)
         for name, promised in (("1L1S", ""), ("1L2S", "at most 1.3"), ("3L4S", "at most 2.0"))
     },
-    **{f"{field} 1L2S / classical with raw directions, gate=merge": (f"field={field}", RAW, "") for field in FIELDS},
+    **{f"{field} 1L2S / classical with raw directions, shading=merge": (f"field={field}", RAW, "") for field in FIELDS},
     **{
         f"PennyLane / qnerf, {name}, no gate": (
             f"field=qcolor qiren={name} qiren.method=pennylane {NO_GATE}",

@@ -18,8 +18,8 @@ REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
     "step_ms", "steps", "field", "encoder", "qiren", "hash", "scene", "sampler", "cameras", "train", "qiren.layers",
     "qiren.spectral", "qiren.qubits", "scene.path", "scene.downscale", "train.steps", "train.rays", "seed", "device",
-    "store", "run.force", "color.layers", "color.width", "density.layers", "density.width", "density.qiren.layers",
-    "color.qiren.spectral", "geo_features",
+    "store", "run.force", "color.mlp.layers", "color.mlp.width", "density.mlp.layers", "density.mlp.width",
+    "density.qiren.layers", "color.qiren.spectral", "geo_features",
 ]  # fmt: skip
 
 

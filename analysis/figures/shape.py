@@ -7,7 +7,10 @@ from .. import style
 from ..selection import check_keys, select
 from . import points
 
-_MEASURES = {"depth": {"mlp": "layers", "qiren": "qiren.layers"}, "width": {"mlp": "width", "qiren": "qiren.qubits"}}
+_MEASURES = {
+    "depth": {"mlp": "mlp.layers", "qiren": "qiren.layers"},
+    "width": {"mlp": "mlp.width", "qiren": "qiren.qubits"},
+}
 _AXES = {
     ("depth", "mlp"): "linear layers",
     ("depth", "qiren"): "hidden hybrid layers",
@@ -30,7 +33,9 @@ def shape_points(frame: pd.DataFrame, measure: str, head: str = "color") -> pd.D
     kinds = _MEASURES[measure]
     runs = runs[runs[f"{head}.name"].isin(list(kinds))]
     columns = {kind: f"{head}.{key}" for kind, key in kinds.items()}
-    shape = [f"{head}.{key}" for key in ("name", "layers", "width", "qiren.layers", "qiren.spectral", "qiren.qubits")]
+    shape = [
+        f"{head}.{key}" for key in ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
+    ]
     table = points.points(runs, ["psnr"], shape)
     table = table.rename(columns={f"{head}.name": "kind"})
     table["x"] = [float(row[columns[row["kind"]]]) for _, row in table.iterrows()]
@@ -54,7 +59,7 @@ def _rest(row: pd.Series, measure: str, head: str) -> str:
     if row["kind"] == "qiren":
         spectral, layers = row[f"{head}.qiren.spectral"], row[f"{head}.qiren.layers"]
         return f"S = {spectral:.0f}" if measure == "depth" else f"{layers:.0f}L{spectral:.0f}S"
-    return f"width {row[f'{head}.width']:.0f}" if measure == "depth" else f"{row[f'{head}.layers']:.0f} layers"
+    return f"width {row[f'{head}.mlp.width']:.0f}" if measure == "depth" else f"{row[f'{head}.mlp.layers']:.0f} layers"
 
 
 @style.styled

@@ -34,7 +34,7 @@ HEADINGS = {
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
-_HEADS = ("name", "layers", "width", "qiren.layers", "qiren.spectral", "qiren.qubits")
+_HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NEEDED = (
     "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
     "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),

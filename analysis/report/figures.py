@@ -15,8 +15,8 @@ PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
 MOST_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
 HINTS = {
     "depth": "`qnerf run -m field=qcolor qiren.layers=1,2,3` trains some",
-    "width": "`qnerf run -m color.width=16,32,64` trains some",
-    "density_width": "`qnerf run -m density.width=16,32,64` trains some",
+    "width": "`qnerf run -m color.mlp.width=16,32,64` trains some",
+    "density_width": "`qnerf run -m density.mlp.width=16,32,64` trains some",
     "hash": "`qnerf run -m hash=C1,C3,C5,C7` trains some",
     "hsv": "`qnerf run -m field=classical,qcolor` trains both kinds",
 }

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from qnerf.config.compatibility import today_noted
+
 from .. import command
 from ..paper import PAPER_TABLES
 from ..selection import conditions
@@ -74,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     options = parser.parse_args(arguments)
     frame = command.chosen(options)
-    rows = options.rows.split(",")
+    rows = [today_noted(name) for name in options.rows.split(",")]
     if options.paper:
         table = PAPER_TABLES[options.paper][1](frame)
     elif options.needs:

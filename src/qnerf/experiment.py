@@ -13,7 +13,7 @@ import torch
 
 from qnerf import auto
 from qnerf.config.identity import picture_names, run_id
-from qnerf.config.labels import labels, slug
+from qnerf.config.plugins import import_plugins
 from qnerf.config.settings import Settings, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
@@ -21,18 +21,19 @@ from qnerf.geometry.hull import hull
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible
-from qnerf.heads import HEADS
+from qnerf.heads import HEADS, Head, head_options
 from qnerf.model.activations import ACTIVATIONS
 from qnerf.model.field import Field
+from qnerf.model.labels import labels, slug
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import capture, dirty_diff
 from qnerf.rendering.samplers import SAMPLERS
-from qnerf.rendering.shading import GATES
+from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
-from qnerf.scenes.pose_noise import disturbed
+from qnerf.scenes.pose_noise import add_pose_noise
 from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.finite_checks import FILE as NONFINITE
@@ -78,10 +79,11 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
 
     `begun`: what a run of this configuration that is in its store already was found to need is not measured again.
     """
+    import_plugins(config["plugins"])
     if not auto.asked(config):
         settings = settings_from(config)
         return dict(config), settings, build_scene(settings)
-    scene = disturbed(component(SCENES, config["scene"]), **config["poses"])
+    scene = add_pose_noise(component(SCENES, config["scene"]), **config["pose_noise"])
     if begun and not config["run"]["force"]:
         config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
     resolved = auto.resolve(config, scene)
@@ -100,7 +102,7 @@ def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
 
 
 def build_scene(settings: Settings) -> Scene:
-    scene = disturbed(component(SCENES, settings.scene), **vars(settings.poses))
+    scene = add_pose_noise(component(SCENES, settings.scene), **vars(settings.pose_noise))
     check_background(scene, settings)
     return scene
 
@@ -113,12 +115,9 @@ def check_background(scene: Scene, settings: Settings) -> None:
         )
 
 
-def build_head(node: Mapping[str, Any], settings: Settings, in_dim: int, out_dim: int) -> torch.nn.Module:
-    """The head that `node` (density or color) names, with that kind's options."""
-    options = {"mlp": {name: node[name] for name in ("layers", "width", "init")}, "qiren": node["qiren"]}
-    options["qfgn"] = {**node["qiren"], **settings.qfgn}
-    HEADS.get(node["name"])
-    return HEADS.build(node["name"], in_dim, out_dim, **options[node["name"]])
+def build_head(node: Mapping[str, Any], in_dim: int, out_dim: int) -> Head:
+    """The head that `node`, the group density or color, names."""
+    return HEADS.build(node["name"], in_dim, out_dim, **head_options(node))
 
 
 def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field:
@@ -126,12 +125,12 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
     of which these are trained on."""
     contraction = component(CONTRACTIONS, settings.contraction)
     encoder = component(ENCODERS, settings.encoder, 3)
-    density = build_head(settings.density, settings, encoder.out_dim, 1 + settings.geo_features)
+    density = build_head(settings.density, encoder.out_dim, 1 + settings.geo_features)
     kind = settings.color["directions"]
     options = {"sh": {"degree": settings.color["degree"]}, "raw": {"scale": settings.color["direction_scale"]}}
     directions = DIRECTIONS.build(kind, **options.get(kind, {}))
     color_in = directions.out_dim + settings.geo_features + settings.appearance
-    color = build_head(settings.color, settings, color_in, 3)
+    color = build_head(settings.color, color_in, 3)
     activation = ACTIVATIONS.get(settings.density["activation"])
     initial = settings.density["initial"]
     if not initial > 0:
@@ -150,7 +149,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         sampler = component(SAMPLERS, settings.sampler, field.contraction)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
         field.mask = sampler.mask = build_mask(settings, scene, field.contraction)
-        return Model(field, sampler, cameras, component(GATES, settings.gate)).to(settings.torch_device)
+        return Model(field, sampler, cameras, component(SHADINGS, settings.shading)).to(settings.torch_device)
     finally:
         torch.set_default_dtype(previous)
 
@@ -170,7 +169,7 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
         raise ValueError("visibility: no cell is both inside the silhouettes and seen by enough cameras; turn one off")
     if not settings.occupancy.every:
         return SpaceMask(allowed)
-    options = {name: getattr(settings.occupancy, name) for name in ("every", "after", "least")}
+    options = {name: getattr(settings.occupancy, name) for name in ("every", "after", "min_opacity")}
     return Occupancy(allowed, contraction, **options)
 
 
@@ -260,7 +259,7 @@ def _execute(
 ) -> Outcome:
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     table = ray_table(settings, scene)
-    if settings.numerics.check:
+    if settings.numerics.finite_checks:
         origin = Origin(scene.names, store.config, store.dir / NONFINITE)
         trainer: Trainer = CheckedTrainer(model, table, settings, watch, origin)
     else:

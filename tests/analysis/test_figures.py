@@ -16,9 +16,9 @@ from tests.helpers.scenes import write_scene
 
 SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu")
 GRID = (
-    *(("field=classical", f"color.layers={layers}", "color.width=8", "hash=C7") for layers in (2, 3)),
-    ("field=classical", "color.layers=2", "color.width=4", "hash=C7"),
-    ("field=classical", "color.layers=2", "color.width=8", "hash=C6"),
+    *(("field=classical", f"color.mlp.layers={layers}", "color.mlp.width=8", "hash=C7") for layers in (2, 3)),
+    ("field=classical", "color.mlp.layers=2", "color.mlp.width=4", "hash=C7"),
+    ("field=classical", "color.mlp.layers=2", "color.mlp.width=8", "hash=C6"),
     ("field=qcolor", "qiren=1L1S", "qiren.qubits=2", "hash=C7"),
     ("field=qcolor", "qiren=2L1S", "qiren.qubits=2", "hash=C7"),
 )
@@ -61,7 +61,7 @@ def test_capacity_draws_mean_and_spread_over_seeds_by_kind(frame):
     quantum, classical, _ = figure.axes
     for ax, field in ((quantum, "qcolor"), (classical, "classical")):
         own = frame[frame["field"] == field]
-        keys = ["color.layers", "color.width", "hash"] if field == "classical" else ["color.qiren.layers"]
+        keys = ["color.mlp.layers", "color.mlp.width", "hash"] if field == "classical" else ["color.qiren.layers"]
         groups = own.groupby(keys)
         expected = np.stack([groups["params.color"].first(), groups["psnr"].mean()], axis=1)
         drawn = ax.collections[-1].get_offsets()
@@ -103,8 +103,8 @@ def test_scenes_are_never_averaged(every):
 @pytest.mark.parametrize(
     ("draw", "key", "kept"),
     [
-        (figures.psnr_vs_depth, "color.layers", {"color.width": 8, "hash": "C7"}),
-        (figures.psnr_vs_width, "color.width", {"color.layers": 2, "hash": "C7"}),
+        (figures.psnr_vs_depth, "color.mlp.layers", {"color.mlp.width": 8, "hash": "C7"}),
+        (figures.psnr_vs_width, "color.mlp.width", {"color.mlp.layers": 2, "hash": "C7"}),
     ],
 )
 def test_a_line_runs_over_depth_or_width_alone(frame, draw, key, kept):
@@ -117,7 +117,7 @@ def test_a_line_runs_over_depth_or_width_alone(frame, draw, key, kept):
     np.testing.assert_allclose(container[0].get_xdata(orig=False), groups.mean().index)
     np.testing.assert_allclose(container[0].get_ydata(orig=False), groups.mean())
     np.testing.assert_allclose(np.diff(bars(ax)).ravel(), 2 * groups.std())
-    assert container.get_label() == ("width 8" if key == "color.layers" else "2 layers")
+    assert container.get_label() == ("width 8" if key == "color.mlp.layers" else "2 layers")
 
 
 def test_circuits_have_their_own_panel_of_depth(frame):
@@ -137,7 +137,7 @@ def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
 
 def test_hash_tables_are_named_where_they_lie(frame):
     ax = figures.hash_configurations(frame).axes[0]
-    own = frame[(frame["color.layers"] == 2) & (frame["color.width"] == 8) & (frame["field"] == "classical")]
+    own = frame[(frame["color.mlp.layers"] == 2) & (frame["color.mlp.width"] == 8) & (frame["field"] == "classical")]
     groups = own.groupby("hash")
     expected = {name: (size, groups["psnr"].mean()[name]) for name, size in {"C6": 262144, "C7": 65536}.items()}
     density = own["params.density"].iloc[0]
@@ -149,7 +149,7 @@ def test_hash_tables_are_named_where_they_lie(frame):
 
 
 def test_loss_curves_are_geometric_means_over_seeds(frame):
-    own = frame[(frame["color.layers"] == 3) & (frame["field"] == "classical")]
+    own = frame[(frame["color.mlp.layers"] == 3) & (frame["field"] == "classical")]
     table = figures.loss_points(own)
     logged = [metrics(path, "train/mse").set_index("step")["value"] for path in own["path"]]
     decibels = np.log10(pd.concat(logged, axis=1))
@@ -254,7 +254,7 @@ def test_engines_without_a_result_are_told(tmp_path):
 def test_settings_that_do_not_act_do_not_tell_runs_apart(frame):
     changed = frame.copy()
     changed.loc[changed["field"] == "classical", "color.qiren.layers"] = 7
-    changed.loc[changed["field"] == "qcolor", "color.width"] = 7
+    changed.loc[changed["field"] == "qcolor", "color.mlp.width"] = 7
     assert len(points.points(changed, ["psnr"])) == len(points.points(frame, ["psnr"])) == len(GRID)
 
 

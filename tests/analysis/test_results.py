@@ -8,7 +8,7 @@ import pytest
 from analysis import load
 from analysis.pack import main as pack
 from analysis.results import QUESTIONS, Question, main, page
-from qnerf.config.labels import labels
+from qnerf.model.labels import labels
 from tests.helpers.configs import ROOT, composed, swept
 from tests.helpers.packed_stores import write_run
 

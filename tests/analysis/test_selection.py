@@ -58,17 +58,17 @@ def test_everything_left_out_is_told():
 
 def test_a_run_that_differs_in_nothing_that_acts_counts_once():
     """An MLP does not see the circuits' options, nor a circuit the MLP's width; another seed is another run."""
-    base = {"state": "finished", "field": "classical", "qiren": "1L2S", "color.qiren.layers": 1, "color.width": 64}
+    base = {"state": "finished", "field": "classical", "qiren": "1L2S", "color.qiren.layers": 1, "color.mlp.width": 64}
     rows = [
         base | {"seed": 0, "psnr": 20.0},
         base | {"seed": 0, "psnr": 20.0, "qiren": "3L2S", "color.qiren.layers": 3},
         base | {"seed": 1, "psnr": 21.0},
-        base | {"seed": 0, "psnr": 22.0, "color.width": 32},
+        base | {"seed": 0, "psnr": 22.0, "color.mlp.width": 32},
         base | {"seed": 0, "psnr": 23.0, "field": "qcolor"},
-        base | {"seed": 0, "psnr": 23.0, "field": "qcolor", "color.width": 32},
+        base | {"seed": 0, "psnr": 23.0, "field": "qcolor", "color.mlp.width": 32},
     ]
     selection = select(pd.DataFrame(rows))
     assert selection.note == "left out: 2 repeating another"
     assert selection.runs["psnr"].tolist() == [20.0, 21.0, 22.0, 23.0]
     assert selection.runs["qiren"].fillna("none").tolist() == ["none", "none", "none", "1L2S"]
-    assert selection.runs["color.width"].fillna(0).tolist() == [64, 64, 32, 0]
+    assert selection.runs["color.mlp.width"].fillna(0).tolist() == [64, 64, 32, 0]

@@ -49,7 +49,7 @@ def test_without_auto_nothing_is_asked_or_measured():
 
 def test_what_is_set_by_hand_wins():
     config = composed(
-        "needs=auto", "appearance=4", "hash=C3", "cameras=se3", "gate=top", "contraction.name=l2", "render.near=0.3",
+        "needs=auto", "appearance=4", "hash=C3", "cameras=se3", "shading=top", "contraction.name=l2", "render.near=0.3",
         "render.background=black", "visibility.cameras=2", "visibility.alpha=false", "occupancy.every=0",
     )  # fmt: skip
     resolved = resolve(config, BALL)
@@ -57,7 +57,7 @@ def test_what_is_set_by_hand_wins():
     assert resolved["hash"] == composed("hash=C3")["hash"]
     assert resolved["encoder"] == composed("hash=C3")["encoder"]
     assert resolved["cameras"]["name"] == "se3"
-    assert resolved["gate"] == composed("gate=top")["gate"]
+    assert resolved["shading"] == composed("shading=top")["shading"]
     assert (resolved["render"]["near"], resolved["render"]["background"]) == (0.3, "black")
     assert resolved["visibility"] == {"cameras": 2, "alpha": False, "resolution": 96}
     assert resolved["contraction"] == {"name": "l2"}
@@ -88,7 +88,7 @@ def test_a_component_gets_the_options_that_it_has():
     assert box["contraction"] == {"name": "box", "half_extent": box["needs"]["contraction.name"]["half_extent"]}
     assert unbounded["contraction"] == {"name": "linf"}
     assert unbounded["cameras"] == {"name": "fixed"}
-    assert resolve(composed("gate=auto", "gate.parts=3"), BALL)["gate"] == {"name": "merge", "parts": 3}
+    assert resolve(composed("shading=auto", "shading.parts=3"), BALL)["shading"] == {"name": "merge", "parts": 3}
 
 
 @pytest.mark.parametrize(("half", "expected"), [("0.7", 0.7), ("auto", None)])

@@ -140,7 +140,7 @@ def test_a_positional_encoding_reaches_the_images_finest_detail():
 
 def test_nothing_is_measured_twice_nor_before_it_is_asked_for(monkeypatch):
     measured = Measured(dataclasses.replace(FLOOR, images=None))
-    assert RULES["gate.name"](measured, AUTO).value == "merge"
+    assert RULES["shading.name"](measured, AUTO).value == "merge"
     calls = []
     monkeypatch.setattr("qnerf.auto.exposure.exposure_spread", lambda scene: calls.append(1) or 0.2)
     for _ in range(2):

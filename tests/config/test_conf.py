@@ -11,7 +11,7 @@ from qnerf.experiment import run
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.rendering.samplers import SAMPLERS
-from qnerf.rendering.shading import GATES
+from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES
 from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept
 from tests.helpers.scenes import write_scene
@@ -22,7 +22,7 @@ def choices(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("base", "auto"))
 
 
-REGISTRIES = {"encoder": ENCODERS, "sampler": SAMPLERS, "scene": SCENES, "cameras": CAMERAS, "gate": GATES}
+REGISTRIES = {"encoder": ENCODERS, "sampler": SAMPLERS, "scene": SCENES, "cameras": CAMERAS, "gate": SHADINGS}
 
 
 @pytest.mark.parametrize("group", REGISTRIES)
@@ -69,7 +69,7 @@ def test_every_hash_table_trains(tiny, table):
 
 @pytest.mark.parametrize("gate", choices("gate"))
 def test_every_gate_trains(tiny, gate):
-    assert finished(tiny("field=qcolor", "qiren.qubits=2", f"gate={gate}"))["gate"] == gate
+    assert finished(tiny("field=qcolor", "qiren.qubits=2", f"shading={gate}"))["gate"] == gate
 
 
 @pytest.mark.parametrize("sampler", choices("sampler"))

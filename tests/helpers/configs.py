@@ -7,6 +7,8 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+from qnerf.cli.overrides import translated
+
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
 SWEEPS = ROOT / "sweeps"
@@ -35,4 +37,4 @@ def swept(sweep: str) -> dict[str, str]:
 def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictConfig:
     search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
     with initialize_config_dir(str(SWEEPS if sweep else CONF), version_base="1.3"):
-        return compose(sweep or "config", [*overrides, *search], return_hydra_config=hydra)
+        return compose(sweep or "config", [*translated(overrides), *search], return_hydra_config=hydra)

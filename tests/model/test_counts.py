@@ -6,10 +6,10 @@ import re
 import pytest
 import torch
 
-from qnerf.config.labels import HASH_TABLES
 from qnerf.config.settings import settings_from
 from qnerf.encoders import ENCODERS
 from qnerf.experiment import build_field, component
+from qnerf.model.labels import HASH_TABLES
 from tests.helpers.configs import ROOT, composed
 
 
@@ -38,7 +38,11 @@ def test_colour_heads_of_the_rgb_table(row):
     if row["predictor"] == "qiren":
         overrides = ["field=qcolor", *circuit("color", row["true_layers"])]
     else:
-        overrides = ["field=classical", f"color.layers={row['true_layers']}", f"color.width={row['true_width']}"]
+        overrides = [
+            "field=classical",
+            f"color.mlp.layers={row['true_layers']}",
+            f"color.mlp.width={row['true_width']}",
+        ]
     assert count(field("hash=C7", *overrides).color_head) == int(row["params"])
 
 

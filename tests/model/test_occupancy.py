@@ -35,7 +35,9 @@ class Blobs(torch.nn.Module):
 
 
 def occupancy(allowed: torch.Tensor = ALL, contraction: str = "box", **options) -> Occupancy:
-    return Occupancy(allowed, CONTRACTIONS.build(contraction), **{"every": 5, "after": 10, "least": 0.01, **options})
+    return Occupancy(
+        allowed, CONTRACTIONS.build(contraction), **{"every": 5, "after": 10, "min_opacity": 0.01, **options}
+    )
 
 
 def looked(mask: Occupancy, field: torch.nn.Module, times: int = 1, seed: int = 0) -> Occupancy:
@@ -69,7 +71,7 @@ def test_it_opens_again_where_the_field_grows():
 
 def test_what_was_seen_fades_by_look_and_not_at_once():
     gone = Blobs((CORNER, 0.15), density=20.0)
-    mask = looked(occupancy(least=0.3), Blobs((MIDDLE, 0.15), (CORNER, 0.15)))
+    mask = looked(occupancy(min_opacity=0.3), Blobs((MIDDLE, 0.15), (CORNER, 0.15)))
     assert bool(mask.grid[near(MIDDLE, 0.1)].all())
     seen = float(mask.opacity.max())
     assert seen > 0.99
@@ -88,7 +90,7 @@ def test_it_never_opens_what_is_not_allowed(seed, least, share):
     allowed = torch.rand(N, N, N, generator=generator) < share
     allowed[0, 0, 0] = True
     centre = tuple(torch.rand(3, generator=generator).tolist())
-    mask = occupancy(allowed, least=least)
+    mask = occupancy(allowed, min_opacity=least)
     for _ in range(3):
         mask.look(Blobs((centre, 0.3)), generator)
         assert not bool((mask.grid & ~allowed).any())
@@ -178,7 +180,7 @@ def logged(path) -> pd.DataFrame:
 def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, run_until, stop_at):
     """Interrupted before a look, just after one, and between two; killed, so that only the checkpoint is left."""
     options = ["field=classical", "train.steps=9", "visibility.resolution=8", "visibility.cameras=1"]
-    options += ["occupancy.every=2", "occupancy.after=3", "occupancy.least=0.9", "density.initial=0.2"]
+    options += ["occupancy.every=2", "occupancy.after=3", "occupancy.min_opacity=0.9", "density.initial=0.2"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
     run_until(stop_at, parts)

@@ -85,7 +85,7 @@ STEPS = {
     "no circuits": (["field=classical", "cameras=se3"], set()),
     "frequencies": (["field=classical", "encoder=pe", "appearance=2"], {"encoders/frequency.py"}),
     "random features": (
-        ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "gate=top"],
+        ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "shading=top"],
         {"encoders/frequency.py", "quantum/adjoint.py"},
     ),
 }

@@ -99,7 +99,7 @@ def test_a_run_has_a_spectrum_for_each_circuit_of_each_head(tiny):
 
 
 def test_the_angles_of_a_fourier_gaussian_layer_have_no_normalisation(tiny):
-    trained = load(run(tiny("field=qcolor", "color.name=qfgn", *SMALL)).path)
+    trained = load(run(tiny("field=qcolor", "color=qfgn", *SMALL)).path)
     table = spectrum.table(trained)
     assert table[table["circuit"] == 0]["angle_std"].isna().all()
     assert table[table["circuit"] == 1]["angle_std"].notna().all()
@@ -237,7 +237,7 @@ def test_only_finished_runs_are_probed(tmp_path):
 
 
 def test_units_that_never_act_are_dead(tiny):
-    outcome = run(tiny("field=classical", "train.steps=2", "color.layers=4", "color.width=5"))
+    outcome = run(tiny("field=classical", "train.steps=2", "color.mlp.layers=4", "color.mlp.width=5"))
     trained = load(outcome.path)
     with torch.no_grad():
         trained.model.field.color_head.net[2].bias.copy_(torch.tensor([-1e6, -1e6, -1e6, 1e6, 1e6]))

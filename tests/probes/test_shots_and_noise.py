@@ -68,7 +68,9 @@ def test_noise_that_would_take_hours_is_refused(tiny):
 def test_hours_are_of_the_samples_that_circuits_see(tiny):
     hours = []
     for parts in (1, 4):
-        path = run(tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=14", "gate=merge", f"gate.parts={parts}")).path
+        path = run(
+            tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=14", "shading=merge", f"shading.parts={parts}")
+        ).path
         with pytest.raises(ValueError, match="about") as refused:
             evaluate_hardware(load(path), grid([], "depolarizing", [0.01], 0))
         hours.append(int(str(refused.value).split("about ")[1].split(" hours")[0].replace(",", "")))

@@ -7,7 +7,7 @@ from qnerf.config.settings import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.render import render, shares, volume_weights
-from qnerf.rendering.shading import GATES, SMALL
+from qnerf.rendering.shading import SHADINGS, SMALL
 from qnerf.timing import Stopwatch
 from qnerf.types import Samples
 from tests.helpers.configs import TINY
@@ -30,34 +30,36 @@ def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, se
     weights, color, intervals = along(6, samples, seed)
     share = shares(weights, background)
     geometry = torch.zeros(*share.shape, 1)
-    parts, _, kept = GATES.build("threshold", least=least)(share, geometry)
-    assert bool(kept.any(-1).all())
-    left_out = (share * ~kept).sum(-1)
+    parts, _, mask = SHADINGS.build("threshold", min_share=least)(share, geometry)
+    assert bool(mask.any(-1).all())
+    left_out = (share * ~mask).sum(-1)
     assert bool((left_out <= samples * least).all())
     full, _ = render(weights, color, intervals, background=background)
-    gated, _ = render(weights, color * kept[..., None], intervals, background=background, parts=parts)
-    assert bool(((gated.color - full.color).abs().amax(-1) <= left_out + 1e-12).all())
-    assert torch.equal(gated.weights, full.weights)
+    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, parts=parts)
+    assert bool(((shaded.color - full.color).abs().amax(-1) <= left_out + 1e-12).all())
+    assert torch.equal(shaded.weights, full.weights)
 
 
-@pytest.mark.parametrize(("name", "options"), [("threshold", {"least": 0.3}), ("top", {"samples": 1}), ("merge", {})])
+@pytest.mark.parametrize(
+    ("name", "options"), [("threshold", {"min_share": 0.3}), ("top", {"samples": 1}), ("merge", {})]
+)
 def test_a_head_gets_two_samples_where_one_ray_alone_meets_something(name, options):
     """As many as its normalisation needs."""
     share, evaluated = torch.zeros(8, 5), torch.zeros(8, 5, dtype=torch.bool)
     share[3, 2], evaluated[3, 1:3] = 1.0, True
-    kept = GATES.build(name, **options)(share, torch.zeros(8, 5, 1), evaluated).kept
-    assert kept is not None
-    assert int(kept.sum()) >= 2
+    mask = SHADINGS.build(name, **options)(share, torch.zeros(8, 5, 1), evaluated).mask
+    assert mask is not None
+    assert int(mask.sum()) >= 2
 
 
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
 def test_top_keeps_the_largest_shares(seed, samples, most):
     share = shares(along(5, samples, seed)[0], "last_sample")
-    kept = GATES.build("top", samples=most)(share, torch.zeros(*share.shape, 1)).kept
-    assert bool((kept.sum(-1) == min(most, samples)).all())
-    smallest_kept = share.masked_fill(~kept, 2).amin(-1)
-    assert bool((share.masked_fill(kept, -1).amax(-1) <= smallest_kept).all())
+    mask = SHADINGS.build("top", samples=most)(share, torch.zeros(*share.shape, 1)).mask
+    assert bool((mask.sum(-1) == min(most, samples)).all())
+    smallest_shaded = share.masked_fill(~mask, 2).amin(-1)
+    assert bool((share.masked_fill(mask, -1).amax(-1) <= smallest_shaded).all())
 
 
 @pytest.mark.parametrize("name", ["none", "threshold", "top"])
@@ -75,27 +77,29 @@ def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, e
     evaluated = torch.rand(6, samples, generator=torch.Generator().manual_seed(seed)) < 0.4
     evaluated[:, -1] = True
     weights = weights * evaluated * (not empty)
-    options = {"threshold": {"least": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(name, {})
+    options = {"threshold": {"min_share": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(
+        name, {}
+    )
     share = shares(weights, background)
     geometry = torch.ones(6, samples, 1, dtype=torch.float64)
-    parts, _, kept = GATES.build(name, **options)(share, geometry, evaluated)
-    assert bool(kept.any(-1).all())
-    assert not bool((kept & ~evaluated).any())
-    assert bool((share.masked_fill(~kept, -1).amax(-1) == share.masked_fill(~evaluated, -1).amax(-1)).all())
+    parts, _, mask = SHADINGS.build(name, **options)(share, geometry, evaluated)
+    assert bool(mask.any(-1).all())
+    assert not bool((mask & ~evaluated).any())
+    assert bool((share.masked_fill(~mask, -1).amax(-1) == share.masked_fill(~evaluated, -1).amax(-1)).all())
     torch.testing.assert_close(parts.sum(-1), share.sum(-1))
-    assert not bool((parts > 0)[~kept].any())
-    gated, _ = render(weights, color * kept[..., None], intervals, background=background, parts=parts)
-    assert bool(torch.isfinite(gated.color).all())
+    assert not bool((parts > 0)[~mask].any())
+    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, parts=parts)
+    assert bool(torch.isfinite(shaded.color).all())
     if empty and background == "white":
-        torch.testing.assert_close(gated.color, torch.ones_like(gated.color))
+        torch.testing.assert_close(shaded.color, torch.ones_like(shaded.color))
 
 
 @pytest.mark.parametrize("field", ["classical", "qcolor"])
-@pytest.mark.parametrize("gate", GATES.names())
-def test_rays_that_pass_only_empty_space_are_white_under_every_gate(config, gate, field):
-    """Then a gate may leave the colour head nothing at all to evaluate."""
+@pytest.mark.parametrize("shading", SHADINGS.names())
+def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, shading, field):
+    """Then a shading may leave the colour head nothing at all to evaluate."""
     options = ["visibility.cameras=0", "occupancy.every=1", "visibility.resolution=4", "render.background=white"]
-    settings_ = settings_from(config(f"field={field}", "qiren.qubits=2", f"gate={gate}", *options, *TINY))
+    settings_ = settings_from(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
     scene = build_scene(settings_)
     model, table = build_model(settings_, scene).eval(), ray_table(settings_, scene)
     model.field.mask.grid = torch.zeros_like(model.field.mask.grid)
@@ -109,22 +113,24 @@ def test_rays_that_pass_only_empty_space_are_white_under_every_gate(config, gate
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("threshold", {"least": 1.0}, "least must be at least 0 and below 1, got 1.0"),
+        ("threshold", {"min_share": 1.0}, "min_share must be at least 0 and below 1, got 1.0"),
         ("top", {"samples": 0}, "samples must be at least 1, got 0"),
     ],
 )
 def test_bad_options_are_one_line(name, options, message):
     with pytest.raises(ValueError, match=message):
-        GATES.build(name, **options)
+        SHADINGS.build(name, **options)
 
 
-def test_the_colour_head_sees_the_kept_samples_alone_and_a_gate_that_keeps_all_changes_nothing(config):
+def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_all_changes_nothing(config):
     """In training and in evaluation; the normalisation of a circuit head is part of the comparison."""
     rendered = {}
-    for gate in ("none", "threshold", "top"):
-        options = ["gate.least=0.0"] if gate == "threshold" else ["gate.samples=1"] if gate == "top" else []
+    for shading in ("none", "threshold", "top"):
+        options = (
+            ["shading.min_share=0.0"] if shading == "threshold" else ["shading.samples=1"] if shading == "top" else []
+        )
         settings_ = settings_from(
-            config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"gate={gate}", *options, *TINY)
+            config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"shading={shading}", *options, *TINY)
         )
         scene = build_scene(settings_)
         model, table = build_model(settings_, scene), ray_table(settings_, scene)
@@ -136,7 +142,7 @@ def test_the_colour_head_sees_the_kept_samples_alone_and_a_gate_that_keeps_all_c
         for training in (True, False):
             model.train(training)
             colors.append(model(rays, background="last_sample", step=0, watch=watch)[0].color)
-        rendered[gate] = (colors, seen)
+        rendered[shading] = (colors, seen)
     samples = 32 * 4
     assert rendered["none"][1] == [samples] * 2
     assert rendered["top"][1] == [32] * 2
@@ -150,27 +156,27 @@ def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
     """A colour that is linear in the features is exact: the features are means weighted by the shares."""
     share = shares(along(5, samples, seed)[0], "last_sample")
     geometry = torch.randn(5, samples, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
-    merged, features, kept = GATES.build("merge", parts=parts)(share, geometry)
-    assert merged.shape == kept.shape == (5, parts)
+    merged, features, mask = SHADINGS.build("merge", parts=parts)(share, geometry)
+    assert merged.shape == mask.shape == (5, parts)
     torch.testing.assert_close(merged.sum(-1), share.sum(-1))
     torch.testing.assert_close((merged[..., None] * features).sum(1), (share[..., None] * geometry).sum(1))
     filled = merged.sum(-1) > 0
-    assert torch.equal(kept[filled], merged[filled] > 0)
-    assert int(kept.sum()) >= min(2, kept.numel())
+    assert torch.equal(mask[filled], merged[filled] > 0)
+    assert int(mask.sum()) >= min(2, mask.numel())
 
 
 def test_merging_into_parts_no_larger_than_a_sample_is_no_merging():
     share = torch.full((2, 6), 1 / 6, dtype=torch.float64)
     geometry = torch.arange(48.0, dtype=torch.float64).view(2, 6, 4)
-    merged, features, kept = GATES.build("merge", parts=6)(share, geometry)
+    merged, features, mask = SHADINGS.build("merge", parts=6)(share, geometry)
     torch.testing.assert_close((merged, features), (share, geometry))
-    assert bool(kept.all())
+    assert bool(mask.all())
 
 
 def test_merging_follows_the_ray():
     share = torch.tensor([[0.5, 0.25, 0.125, 0.125]], dtype=torch.float64)
     geometry = torch.tensor([[[1.0], [2.0], [4.0], [8.0]]], dtype=torch.float64)
-    merged, features, _ = GATES.build("merge", parts=2)(share, geometry)
+    merged, features, _ = SHADINGS.build("merge", parts=2)(share, geometry)
     torch.testing.assert_close(merged, torch.tensor([[0.5, 0.5]], dtype=torch.float64))
     torch.testing.assert_close(features, torch.tensor([[[1.0], [4.0]]], dtype=torch.float64))
 
@@ -178,8 +184,8 @@ def test_merging_follows_the_ray():
 def test_merging_into_parts_that_weigh_enough_has_the_derivatives_of_plain_means():
     share = torch.tensor([[0.3, 0.2, 0.1, 0.4]], dtype=torch.float64, requires_grad=True)
     geometry = torch.tensor([[[1.0], [2.0], [4.0], [8.0]]], dtype=torch.float64)
-    gate = GATES.build("merge", parts=2)
-    halves = torch.autograd.functional.jacobian(lambda s: gate(s, geometry).geometry, share)
+    shading = SHADINGS.build("merge", parts=2)
+    halves = torch.autograd.functional.jacobian(lambda s: shading(s, geometry).geometry, share)
     plain = torch.autograd.functional.jacobian(
         lambda s: (s * geometry[..., 0]).view(1, 2, 2).sum(-1) / s.view(1, 2, 2).sum(-1), share
     )
@@ -191,7 +197,7 @@ def test_a_part_that_weighs_next_to_nothing_has_bounded_derivatives(faint):
     """Behind a normalisation its features get a gradient as large as everybody's."""
     share = torch.tensor([[faint, faint / 2, 1.0, faint]], requires_grad=True)
     geometry = torch.tensor([[[1.0], [-2.0], [4.0], [8.0]]], requires_grad=True)
-    merged = GATES.build("merge", parts=8)(share, geometry)
+    merged = SHADINGS.build("merge", parts=8)(share, geometry)
     merged.geometry.sum().backward()
     assert share.grad is not None
     assert geometry.grad is not None

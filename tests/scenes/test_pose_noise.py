@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from qnerf.scenes import SCENES
-from qnerf.scenes.pose_noise import disturbed
+from qnerf.scenes.pose_noise import add_pose_noise
 from tests.helpers.scenes import write_scene
 
 
@@ -12,7 +12,7 @@ def scene(tmp_path):
 
 
 def test_training_poses_get_the_noise_that_is_asked_for_and_held_out_ones_none(scene):
-    noisy = disturbed(scene, rotation=0.02, translation=0.05, seed=0)
+    noisy = add_pose_noise(scene, rotation=0.02, translation=0.05, seed=0)
     before, after = scene.cameras.poses, noisy.cameras.poses
     assert torch.equal(before[scene.eval], after[scene.eval])
     moved = after[scene.train, :, 3] - before[scene.train, :, 3]
@@ -24,7 +24,7 @@ def test_training_poses_get_the_noise_that_is_asked_for_and_held_out_ones_none(s
 
 
 def test_the_same_seed_gives_the_same_noise_and_none_gives_the_scene(scene):
-    first, again, other = (disturbed(scene, rotation=0.01, translation=0.0, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (add_pose_noise(scene, rotation=0.01, translation=0.0, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(first.cameras.poses, again.cameras.poses)
     assert not torch.equal(first.cameras.poses, other.cameras.poses)
-    assert disturbed(scene, rotation=0.0, translation=0.0, seed=1) is scene
+    assert add_pose_noise(scene, rotation=0.0, translation=0.0, seed=1) is scene

@@ -1,4 +1,4 @@
-"""`numerics.check=true` names where the first value that is not finite arose, and `qnerf replay` finds it again."""
+"""`numerics.finite_checks=true` names where the first value that is not finite arose; `qnerf replay` finds it again."""
 
 import math
 import os
@@ -25,7 +25,7 @@ from qnerf.training import finite_checks, trainer
 from qnerf.training.trainer import Diverged, Trainer
 
 NAN = math.nan
-SMALL = ("qiren=1L1S", "qiren.qubits=3", "numerics.check=true")
+SMALL = ("qiren=1L1S", "qiren.qubits=3", "numerics.finite_checks=true")
 WIDTH = 8  # of the tiny scene's images
 
 Make = Callable[..., finite_checks.CheckedTrainer]
@@ -169,7 +169,9 @@ def test_nan_in_a_circuit_s_input(checked: Make, file: Path, capsys: Capture, fi
     assert replayed(file, capsys) == again(error)
 
 
-@pytest.mark.parametrize("gate", [[], ["gate=top", "gate.samples=1"], ["gate=merge", "gate.parts=2"]], ids=str)
+@pytest.mark.parametrize(
+    "gate", [[], ["shading=top", "shading.samples=1"], ["shading=merge", "shading.parts=2"]], ids=str
+)
 def test_nan_in_one_camera_s_appearance(checked: Make, gate: list[str]) -> None:
     taken = checked("field=qcolor", "appearance=2", *gate)
     plant(taken.model.field.appearance.weight, 3, 1)
@@ -215,7 +217,7 @@ def test_pose_refinement_is_repeated_with_its_gradients(checked: Make, file: Pat
 
 
 def test_checks_change_no_number_and_leave_no_hook(checked: Make, tiny: Callable[..., dict[str, Any]]) -> None:
-    overrides = ("field=qboth", "cameras=se3", "gate=top", "train.distortion=0.01")
+    overrides = ("field=qboth", "cameras=se3", "shading=top", "train.distortion=0.01")
     looked = checked(*overrides)
     settings = settings_from(tiny(*SMALL, *overrides))
     scene = build_scene(settings)
@@ -251,7 +253,7 @@ def test_a_run_that_diverges_goes_on_with_checks_and_names_the_part(
     with pytest.raises(Diverged, match="the same command with numerics"):
         experiment.run(config)
     with pytest.raises(finite_checks.NonFinite, match="`qnerf replay ") as caught:
-        experiment.run(config | {"numerics": {"dtype": "float32", "check": True}})
+        experiment.run(config | {"numerics": {"dtype": "float32", "finite_checks": True}})
     (folder,) = (path for path in Path(config["store"]).iterdir() if (path / "config.yaml").exists())
     assert read_status(folder)["error"] == str(caught.value)
     assert replayed(folder / finite_checks.FILE, capsys) == again(caught.value)

@@ -31,7 +31,7 @@ def test_the_paper_recipe_is_the_papers(config):
     assert (head["init"], head["gain"], head["sum_layers"], head["input_scale"]) == ("uniform", 1.0, False, 1.0)
     assert (head["center"], head["statistics"]) == (False, "batch")
     assert {rate for head in (settings.density, settings.color) for rate in head["rates"].values()} == {1.0}
-    assert (settings.encoder["release"], settings.color["direction_scale"]) == (0, 1.0)
+    assert (settings.encoder["frequency_window"], settings.color["direction_scale"]) == (0, 1.0)
     assert {part for part, rate in train.rates.items() if rate != 1} == {"cameras"}
     assert (settings.density["activation"], settings.contraction["name"]) == ("trunc_exp", "linf")
 
@@ -107,13 +107,13 @@ def test_a_share_that_keeps_no_pixel_is_one_line(tiny):
 
 
 def test_a_run_that_no_longer_gains_stops_and_says_so(tiny):
-    outcome = run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.least=50"))
+    outcome = run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.min_gain_db=50"))
     assert outcome.state == "finished"
     assert (outcome.summary["steps"], outcome.summary["stopped"]) == (6, "plateau")  # the first check is a gain
     assert outcome.summary["psnr"] > 0
     rows = read_metrics(outcome.path)
     assert rows[rows["key"] == "validation/psnr"]["step"].tolist() == [2, 4, 6]
-    assert "finished already" in run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.least=50")).message
+    assert "finished already" in run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.min_gain_db=50")).message
 
 
 def test_a_run_that_is_not_stopped_says_nothing(tiny):
@@ -134,7 +134,7 @@ def test_a_run_goes_on_on_another_kind_of_device(tiny):
 
 @pytest.mark.parametrize("stop_at", [1, 2, 3, 5])
 def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, run_until, stop_at):
-    options = [*STOP, "train.steps=12", "stop.patience=2", "stop.least=50"]
+    options = [*STOP, "train.steps=12", "stop.patience=2", "stop.min_gain_db=50"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
     run_until(stop_at, parts)
@@ -172,14 +172,14 @@ def test_a_bad_rate_is_one_line(tiny, override):
 
 
 def test_fine_levels_are_released_while_training_goes_on(tiny):
-    one = trainer(tiny("encoder.release=1", "train.steps=4"))
+    one = trainer(tiny("encoder.frequency_window=1", "train.steps=4"))
     one.take_step(measure=False)
     assert one.model.field.encoder.progress == 0.25
     state = one.state()
-    again = trainer(tiny("encoder.release=1", "train.steps=4"))
+    again = trainer(tiny("encoder.frequency_window=1", "train.steps=4"))
     again.load(state)
     assert again.model.field.encoder.progress == 0.25
-    one = trainer(tiny("encoder.release=1", "train.steps=4"))
+    one = trainer(tiny("encoder.frequency_window=1", "train.steps=4"))
     one.take_step(measure=False)
     grad = one.model.field.encoder.table.grad
     assert bool((grad[-1] == 0).all())

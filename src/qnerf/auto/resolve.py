@@ -9,11 +9,11 @@ from qnerf.auto.rules import RULES, Measured
 from qnerf.config.registry import Registry
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
-from qnerf.rendering.shading import GATES
+from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import Scene
 
 AUTO = "auto"
-COMPONENTS: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS, "gate": GATES}
+COMPONENTS: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS, "shading": SHADINGS}
 
 
 def asked(config: Mapping[str, Any]) -> list[str]:

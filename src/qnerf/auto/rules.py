@@ -192,6 +192,6 @@ def bands(of: Measured, config: Config) -> Decision:
     return Decision(int(config["encoder"]["max_exponent"]) + 2)
 
 
-@rule("gate.name")
-def gate(of: Measured, config: Config) -> Decision:
+@rule("shading.name")
+def shading(of: Measured, config: Config) -> Decision:
     return Decision("merge")

@@ -27,10 +27,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from qnerf.cli import overrides as typed
+from qnerf.cli import plugins
 from qnerf.cli.errors import one_line
 from qnerf.cli.sweep import Sweep
 
-PLUGINS = {
+LAUNCHERS = {
     "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
     "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
     "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
@@ -54,6 +56,7 @@ class SweepStart(Callback):
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         launcher = config.hydra.runtime.choices["hydra/launcher"]
         _require(launcher)
+        _rename_swept(config)
         sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
         _started.append(sweep)
         # Jobs compose their configuration anew from these overrides, and must come to this folder, not to their own.
@@ -68,10 +71,18 @@ class SweepStart(Callback):
             print(f"jobs go to Slurm, their output to {sweep.folder / 'jobs'}; Ctrl-C leaves them there", flush=True)
 
 
+def _rename_swept(config: DictConfig) -> None:
+    """Options that a sweep's file names as an older version did."""
+    params = config.hydra.sweeper.get("params")
+    if params:
+        with open_dict(config):
+            config.hydra.sweeper.params = {typed.option(key, f"={value}"): value for key, value in params.items()}
+
+
 def _require(launcher: str) -> None:
-    if launcher not in PLUGINS:
+    if launcher not in LAUNCHERS:
         return
-    module, extra = PLUGINS[launcher]
+    module, extra = LAUNCHERS[launcher]
     if importlib.util.find_spec("hydra_plugins") is None or importlib.util.find_spec(module) is None:
         print(f'error: hydra/launcher={launcher} needs a plugin: pip install "qnerf[{extra}]"', file=sys.stderr)
         sys.exit(2)
@@ -160,6 +171,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
+    plugins.load(config["plugins"])  # a launcher's process has not imported them
     overrides = list(HydraConfig.get().overrides.task)
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
     if sweep is None:
@@ -215,6 +227,12 @@ def run_command() -> None:
     """Composes the configuration from conf/ and the command line, and runs it."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # what Hydra would print as a traceback comes through here
     code: Any = 0
+    try:
+        sys.argv[1:] = typed.translated(sys.argv[1:])
+        plugins.load(typed.plugins(sys.argv[1:]))
+    except ValueError as error:
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        sys.exit(2)
     try:
         hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")(job)()
     except SystemExit as end:

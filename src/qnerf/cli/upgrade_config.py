@@ -12,12 +12,22 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
+from qnerf.cli import overrides as typed
+from qnerf.cli import plugins
+from qnerf.config.compatibility import fill_added, today_noted
 from qnerf.config.identity import identity
+from qnerf.config.plugins import check_plugins
 from qnerf.records import StoreError, read_config, read_status
 
-CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.check", "scene.path")
+CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.finite_checks", "scene.path")
 """What may differ from the stored configuration: how it is executed, and where the same scene lies now."""
-GROUPS = ("encoder", "scene", "sampler", "gate", "cameras", "train")  # whose choice is named by <group>.name
+GROUPS = {
+    **{group: group for group in ("encoder", "scene", "sampler", "shading", "cameras", "train")},
+    "density": "head@density",
+    "color": "head@color",
+}
+"""Part of the configuration whose `name` decides which options there are -> the group that it is chosen from."""
+OPAQUE = "ansatz_options"  # which options are in it depends on the names in it
 
 
 def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[str]]:
@@ -25,16 +35,24 @@ def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
     filled in, as key=value.
 
     Raises:
-        ValueError: an override of what makes the run what it is; an option that is known no longer.
+        ValueError: an override of what makes the run what it is; an option that is known no longer; plugins of the run
+            that the overrides do not repeat.
     """
-    config = copy.deepcopy(read_config(run))
+    config = read_config(run)
+    repeated = typed.plugins(overrides)
+    check_plugins(run, config.get("plugins", []), repeated)
+    plugins.load(repeated)
     if isinstance(config.get("numerics"), str):  # before it was a group
         config["numerics"] = {"dtype": config["numerics"]}
+    fill_added(config)
     filled = complete(config, todays_defaults(config), f"{run / 'config.yaml'}")
     config["store"] = str(run.parent)
     config["run"]["force"] = False  # the run may have been started with it, but is not to be thrown away now
     for override in overrides:
         key, _, text = override.partition("=")
+        if key == "plugins":
+            continue
+        key = today_noted(key)
         if key not in CHANGEABLE:
             raise ValueError(f"{override}: cannot change what the run computes; known: {', '.join(CHANGEABLE)}")
         *groups, last = key.split(".")
@@ -91,7 +109,7 @@ def _only_in(one: Mapping[str, Any], other: Mapping[str, Any], path: tuple[str, 
     for key, value in one.items():
         if key not in other:
             yield (*path, key)
-        elif isinstance(value, Mapping) and isinstance(other[key], Mapping):
+        elif isinstance(value, Mapping) and isinstance(other[key], Mapping) and key != OPAQUE:
             yield from _only_in(value, other[key], (*path, key))
 
 
@@ -102,8 +120,10 @@ def todays_defaults(config: Mapping[str, Any]) -> dict[str, Any]:
 
     from qnerf.cli.launch import conf_folder
 
-    choices = {group: node.get("name") for group in GROUPS if isinstance(node := config.get(group), Mapping)}
-    known = [f"{group}={name}" for group, name in choices.items() if (conf_folder() / group / f"{name}.yaml").is_file()]
+    choices = {
+        group: node.get("name") for part, group in GROUPS.items() if isinstance(node := config.get(part), Mapping)
+    }
+    known = [f"{group}={name}" for group, name in choices.items() if plugins.is_choice(group.partition("@")[0], name)]
     with initialize_config_dir(str(conf_folder()), version_base="1.3"):
         defaults: dict[str, Any] = OmegaConf.to_container(compose("config", known), resolve=True)  # type: ignore[assignment]
     return defaults

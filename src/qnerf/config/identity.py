@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-EXECUTION = ("device", "store", "run", "threads", "hydra", "needs", "numerics.check")
-"""Names of keys, with all below them, that say where and how a run is executed, not what it computes. `needs` says what
-options that are `auto` were found to be; that they are `auto` does enter."""
+from qnerf.config.compatibility import old_form, upgrade_config
+
+EXECUTION = ("device", "store", "run", "threads", "hydra", "needs", "numerics.finite_checks")
+"""Options and groups that say where and how a run is executed, not what it computes. `needs` holds what `auto` was
+resolved to: the id hashes the word `auto`."""
 SLUG_LENGTH = 80
 DIGITS = 10  # hexadecimal
 
@@ -38,14 +40,15 @@ def plain(value: Any, name: str = "config") -> Any:
 def identity(config: Mapping[str, Any], fingerprint: str | None = None) -> str:
     """Ten hexadecimal digits of the SHA-256 of the resolved configuration.
 
-    What is `EXECUTION` does not enter; `scene.path` enters as `fingerprint`, that of the scene's contents, where
-    one is given. Equal numbers count as equal however they were written (1 and 1.0); the order of keys does not matter.
+    `EXECUTION` is left out; with a `fingerprint` of the scene's contents, it stands for `scene.path`. Equal numbers
+    count as equal however they were written (1 and 1.0); the order of keys does not matter. Neither a new name nor an
+    option that was added later and changes nothing makes another id (`compatibility`).
     """
-    kept = _computed(plain(config))
+    hashed = old_form(_computed(upgrade_config(plain(config))))
     if fingerprint is not None:
-        scene = kept.get("scene")
-        kept["scene"] = (dict(scene) if isinstance(scene, dict) else {"name": scene}) | {"path": fingerprint}
-    text = json.dumps(_canonical(kept), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+        scene = hashed.get("scene")
+        hashed["scene"] = (dict(scene) if isinstance(scene, dict) else {"name": scene}) | {"path": fingerprint}
+    text = json.dumps(_canonical(hashed), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 

@@ -2,7 +2,7 @@
 
 import inspect
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
@@ -12,7 +12,8 @@ class Registry(Generic[T]):
     """The components of one config group.
 
     Positional parameters of a component are wiring (dimensions, neighbours) and are given by the code that builds it;
-    keyword-only parameters are options and are given by the user's configuration.
+    keyword-only parameters are options and are given by the user's configuration. A class whose `__init__` takes
+    `**options` and hands them on has the options of the class that it extends, too.
 
     >>> ENCODERS = Registry("encoder")
     >>> @ENCODERS.register("identity")
@@ -42,10 +43,13 @@ class Registry(Generic[T]):
             raise ValueError(f"{self.group}: unknown name {name!r}; known: {', '.join(self.names())}")
         return self._components[name]
 
+    def name_of(self, component: Any) -> str | None:
+        """The name under which exactly this component is registered."""
+        return next((name for name, known in self._components.items() if known is component), None)
+
     def options(self, name: str) -> dict[str, inspect.Parameter]:
         """The keyword-only parameters of the component: what a user may set."""
-        parameters = inspect.signature(self.get(name)).parameters.values()
-        return {p.name: p for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+        return {option: parameter for option, (parameter, _) in options_of(self.get(name)).items()}
 
     def build(self, name: str, *wiring: Any, **options: Any) -> T:
         """Builds the component; ValueError names group, option, value and what was expected."""
@@ -61,16 +65,39 @@ class Registry(Generic[T]):
         check_options(f"{self.group}={name}", self.get(name), options)
 
 
+def options_of(component: Callable[..., Any]) -> dict[str, tuple[inspect.Parameter, Any]]:
+    """Name -> parameter and annotation of each option of the component, its own first."""
+    options: dict[str, tuple[inspect.Parameter, Any]] = {}
+    for function in _signatures(component):
+        hints = get_type_hints(function)
+        for parameter in inspect.signature(function).parameters.values():
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
+                options.setdefault(parameter.name, (parameter, hints.get(parameter.name, Any)))
+    return options
+
+
+def _signatures(component: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
+    """The function, or the class's `__init__` and those that it hands its `**options` on to."""
+    if not inspect.isclass(component):
+        yield component
+        return
+    for ancestor in component.__mro__:
+        function = vars(ancestor).get("__init__")
+        if inspect.isfunction(function):
+            yield function
+            parameters = inspect.signature(function).parameters.values()
+            if not any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters):
+                return
+
+
 def check_options(label: str, component: Callable[..., Any], options: Mapping[str, Any]) -> None:
     """ValueError unless every option is a keyword-only parameter of `component` and its value fits the annotation."""
-    parameters = inspect.signature(component).parameters.values()
-    known = [p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY]
-    hints = get_type_hints(component.__init__ if inspect.isclass(component) else component)
+    known = options_of(component)
     for key, value in options.items():
         if key not in known:
             raise ValueError(f"{label}: unknown option {key}={value!r}; known: {', '.join(known) or 'none'}")
-        if key in hints and not _fits(value, hints[key]):
-            hint = hints[key]
+        hint = known[key][1]
+        if not _fits(value, hint):
             expected = hint.__name__ if inspect.isclass(hint) and not get_args(hint) else str(hint)
             raise ValueError(f"{label}: {key} expects {expected}, got {value!r} ({type(value).__name__})")
 

@@ -64,7 +64,7 @@ class Render:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Poses:
+class PoseNoise:
     """Noise that is added to the training poses."""
 
     rotation: float  # standard deviation of each component of a rotation vector, radians
@@ -72,9 +72,9 @@ class Poses:
     seed: int
 
     def __post_init__(self) -> None:
-        at_least("poses.rotation", self.rotation, 0)
-        at_least("poses.translation", self.translation, 0)
-        between("poses.seed", self.seed, 0, 2**63 - 1)
+        at_least("pose_noise.rotation", self.rotation, 0)
+        at_least("pose_noise.translation", self.translation, 0)
+        between("pose_noise.seed", self.seed, 0, 2**63 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +96,13 @@ class Occupancy:
 
     every: int  # steps between looks; 0: never
     after: int  # steps before the first look
-    least: float  # opacity of a cell below which it counts as empty
+    min_opacity: float  # below which a cell counts as empty
 
     def __post_init__(self) -> None:
         at_least("occupancy.every", self.every, 0)
         at_least("occupancy.after", self.after, 0)
-        if not 0 < self.least < 1:
-            raise ValueError(f"occupancy.least must be above 0 and below 1, got {self.least}")
+        if not 0 < self.min_opacity < 1:
+            raise ValueError(f"occupancy.min_opacity must be above 0 and below 1, got {self.min_opacity}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,14 +111,14 @@ class Stop:
 
     every: int  # steps between checks; 0: never
     patience: int  # checks without a gain
-    least: float  # dB that count as a gain
+    min_gain_db: float  # dB that count as a gain
     share: float  # of the training rays that are kept apart
     rays: int  # of them, that a check renders
 
     def __post_init__(self) -> None:
         at_least("stop.every", self.every, 0)
         at_least("stop.patience", self.patience, 1)
-        at_least("stop.least", self.least, 0)
+        at_least("stop.min_gain_db", self.min_gain_db, 0)
         at_least("stop.rays", self.rays, 1)
         if not 0 < self.share <= 0.5:
             raise ValueError(f"stop.share must be above 0 and at most 0.5, got {self.share}")
@@ -129,7 +129,7 @@ class Numerics:
     """How numbers are computed."""
 
     dtype: str  # of model and training
-    check: bool  # stop at the first one that is not finite (see numerics.py); changes none of them
+    finite_checks: bool  # stop at the first one that is not finite; changes none of them
 
     def __post_init__(self) -> None:
         one_of("numerics.dtype", self.dtype, ("float32", "float64"))
@@ -148,6 +148,7 @@ class Run:
 class Settings:
     """The whole configuration: checked scalars, and one plain node for each component."""
 
+    plugins: list[str]
     experiment: str | None
     seed: int
     device: str
@@ -159,7 +160,7 @@ class Settings:
     numerics: Numerics
     train: Train
     render: Render
-    poses: Poses
+    pose_noise: PoseNoise
     visibility: Visibility
     occupancy: Occupancy
     stop: Stop
@@ -174,7 +175,7 @@ class Settings:
     encoder: dict
     scene: dict
     sampler: dict
-    gate: dict
+    shading: dict
     cameras: dict
 
     def __post_init__(self) -> None:
@@ -216,7 +217,7 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
     """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
     nodes = dict(config)
     sections = {"run": Run, "numerics": Numerics, "train": Train, "render": Render, "visibility": Visibility}
-    sections |= {"occupancy": Occupancy, "stop": Stop, "poses": Poses}
+    sections |= {"occupancy": Occupancy, "stop": Stop, "pose_noise": PoseNoise}
     for name, section in sections.items():
         nodes[name] = _build(name, section, nodes.get(name))
     return _build("config", Settings, nodes)

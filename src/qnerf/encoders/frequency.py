@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config.checks import at_least, between
-from qnerf.encoders.frequency_window import released
+from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
 
 
@@ -29,7 +29,7 @@ class PositionalEncoding(Encoder):
         bands: number of frequencies f_b = 2^e_b, with e_b even from 0 to max_exponent.
         max_exponent: of the highest band; 8: 256 cycles across the unit cube.
         include_input: append the coordinates themselves.
-        release: share of the training until the highest band is there (`released`); 0: all from the beginning.
+        frequency_window: share of the training until the highest band enters (`window_weights`); 0: all from the start.
 
     The order is coordinate by coordinate, low band first; sines, then cosines, then the input.
     """
@@ -41,12 +41,12 @@ class PositionalEncoding(Encoder):
         bands: int = 10,
         max_exponent: float = 8.0,
         include_input: bool = False,
-        release: float = 0.0,
+        frequency_window: float = 0.0,
     ) -> None:
         super().__init__(in_dim)
         at_least("bands", bands, 1)
-        between("release", release, 0, 1)
-        self.release = release
+        between("frequency_window", frequency_window, 0, 1)
+        self.frequency_window = frequency_window
         at_least("max_exponent", max_exponent, 0)
         self.include_input = include_input
         self.out_dim = 2 * in_dim * bands + in_dim * include_input
@@ -56,7 +56,7 @@ class PositionalEncoding(Encoder):
     def forward(self, points: Tensor) -> Tensor:
         turns = points.to(torch.float64)[..., None] * self.frequencies.to(points.device)
         encoded = sin_cos_turns(turns.flatten(-2), points.dtype)
-        weights = released(len(self.frequencies), self.progress, self.release)
+        weights = window_weights(len(self.frequencies), self.progress, self.frequency_window)
         if weights is not None:
             encoded = encoded * weights.to(encoded).repeat(2 * self.in_dim)
         return torch.cat((encoded, points), dim=-1) if self.include_input else encoded

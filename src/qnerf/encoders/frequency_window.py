@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 
-def released(count: int, progress: float, share: float) -> Tensor | None:
+def window_weights(count: int, progress: float, share: float) -> Tensor | None:
     """Weights (count,) in [0, 1], float64, of bands or levels, coarsest first, at `progress` 0..1 of the training; None
     once all are 1.
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.checks import at_least, between
-from qnerf.encoders.frequency_window import released
+from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
@@ -40,7 +40,7 @@ class HashEncoder(Encoder):
         log2_table_size: log2 of the entries that one level may have.
         features: numbers an entry.
         dense: whether levels whose whole grid fits into their table are indexed directly, without collisions.
-        release: share of the training until the finest level is there (`released`); 0: all from the beginning.
+        frequency_window: share of the training until the finest level enters (`window_weights`); 0: all from the start.
 
     The table (levels, 2^log2_table_size, features) starts as U(-1e-3, 1e-3), from `generator` (default: PyTorch's own).
     """
@@ -58,14 +58,14 @@ class HashEncoder(Encoder):
         log2_table_size: int = 15,
         features: int = 1,
         dense: bool = True,
-        release: float = 0.0,
+        frequency_window: float = 0.0,
     ) -> None:
         super().__init__(in_dim)
         if in_dim != 3:
             raise ValueError(f"encoder=hash: points must have 3 coordinates, got {in_dim}")
         at_least("levels", levels, 1)
         at_least("features", features, 1)
-        between("release", release, 0, 1)
+        between("frequency_window", frequency_window, 0, 1)
         at_least("min_resolution", min_resolution, 1)
         if not min_resolution <= max_resolution <= FINEST:
             raise ValueError(
@@ -76,7 +76,7 @@ class HashEncoder(Encoder):
             raise ValueError(f"encoder=hash: log2_table_size must be 1 to {LARGEST}, got {log2_table_size}")
         self.out_dim = levels * features
         self.dense = dense
-        self.release = release
+        self.frequency_window = frequency_window
         resolutions = torch.tensor(level_resolutions(levels, min_resolution, max_resolution))
         self.register_buffer("resolutions", resolutions, persistent=False)
         self.table = nn.Parameter(torch.empty(levels, 2**log2_table_size, features))
@@ -84,7 +84,7 @@ class HashEncoder(Encoder):
 
     def forward(self, points: Tensor) -> Tensor:
         encoded = hash_encode(points.reshape(-1, 3), self.table, self.resolutions, self.dense)
-        weights = released(len(self.table), self.progress, self.release)
+        weights = window_weights(len(self.table), self.progress, self.frequency_window)
         if weights is not None:
             encoded = encoded * weights.to(encoded).repeat_interleave(self.table.shape[-1])
         return encoded.view(*points.shape[:-1], self.out_dim)

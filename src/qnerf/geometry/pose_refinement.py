@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from qnerf.config.checks import at_least
 from qnerf.config.registry import Registry
 
-CAMERAS: "Registry[Cameras]" = Registry("cameras")
+CAMERAS: "Registry[PoseRefinement]" = Registry("cameras")
 
 # (theta - sin theta) / theta^3 as a series in theta^2
 _SERIES = [1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800, -1 / 6227020800, 1 / 1307674368000]
@@ -70,7 +70,7 @@ def exp_so3xr3(motion: Tensor) -> Tensor:
     return torch.cat([exp_so3(motion[..., 3:]), motion[..., :3, None]], dim=-1)
 
 
-class Cameras(nn.Module):
+class PoseRefinement(nn.Module):
     """Refines the poses of training views.
 
     Args:
@@ -91,7 +91,7 @@ class Cameras(nn.Module):
 
 
 @CAMERAS.register("fixed")
-class FixedCameras(Cameras):
+class FixedPoses(PoseRefinement):
     """Poses as they are given."""
 
     def poses(self, indices: Tensor, poses: Tensor) -> Tensor:
@@ -101,7 +101,7 @@ class FixedCameras(Cameras):
         return None
 
 
-class RefinedCameras(Cameras):
+class RefinedPoses(PoseRefinement):
     """Six numbers a trained view, `motion` (trained views, 6): translation in world units, then rotation in radians."""
 
     rows: Tensor
@@ -142,14 +142,14 @@ class RefinedCameras(Cameras):
 
 
 @CAMERAS.register("so3xr3")
-class SO3xR3Cameras(RefinedCameras):
+class SO3xR3Refinement(RefinedPoses):
     """A rotation vector and a translation, which do not act on each other."""
 
     exponential = staticmethod(exp_so3xr3)
 
 
 @CAMERAS.register("se3")
-class SE3Cameras(RefinedCameras):
+class SE3Refinement(RefinedPoses):
     """A twist: the translation is carried along the rotation."""
 
     exponential = staticmethod(exp_se3)

@@ -7,7 +7,7 @@ that a training step turns it by the pose, refined or not, and undoes no distort
 import torch
 from torch import Tensor
 
-from qnerf.geometry.pose_refinement import Cameras as Refinement
+from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import distort, undistort
 from qnerf.types import Rays
@@ -117,7 +117,7 @@ class RayTable:
         x, y = pixels % self.width, torch.div(pixels, self.width, rounding_mode="floor")
         return torch.stack([x, y], dim=-1).to(torch.float64) + 0.5
 
-    def rays(self, views: Tensor, pixels: Tensor, refinement: Refinement | None = None) -> Rays:
+    def rays(self, views: Tensor, pixels: Tensor, refinement: PoseRefinement | None = None) -> Rays:
         """Rays through pixel centres: views (R,) and row-major pixel numbers (R,), both int64."""
         lens = self.lens[views]
         if self.table is None:
@@ -129,7 +129,9 @@ class RayTable:
             poses = refinement.poses(views, poses)
         return rays_from(directions, poses, views, self.near, self.far)
 
-    def batch(self, rays: int, generator: torch.Generator, refinement: Refinement | None = None) -> tuple[Rays, Tensor]:
+    def batch(
+        self, rays: int, generator: torch.Generator, refinement: PoseRefinement | None = None
+    ) -> tuple[Rays, Tensor]:
         """`rays` training pixels drawn uniformly, with replacement: their rays and colours (R, 3 or 4) in [0, 1].
 
         `generator` is one of the CPU, whatever the device: every device sees the same batches.
@@ -142,14 +144,14 @@ class RayTable:
             drawn += drawn // (self.apart - 1)
         return self._drawn(drawn, refinement)
 
-    def validation(self, rays: int, refinement: Refinement | None = None) -> tuple[Rays, Tensor]:
+    def validation(self, rays: int, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
         """At most `rays` of the training pixels kept apart, evenly spread: their rays and colours."""
         assert self.apart, "no pixels are kept apart"
         kept = torch.arange(self.apart - 1, len(self.train) * self.pixels, self.apart)
         chosen = torch.linspace(0, len(kept) - 1, min(rays, len(kept)), dtype=torch.float64).long()
         return self._drawn(kept[chosen], refinement)
 
-    def _drawn(self, drawn: Tensor, refinement: Refinement | None) -> tuple[Rays, Tensor]:
+    def _drawn(self, drawn: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
         """Rays and colours of training pixels (R,), numbered view by view and row by row."""
         views = self.train[torch.div(drawn, self.pixels, rounding_mode="floor")]
         pixels = drawn % self.pixels
@@ -158,7 +160,7 @@ class RayTable:
         colors = self.colors[views * self.pixels + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
 
-    def view(self, view: int, refinement: Refinement | None = None) -> Rays:
+    def view(self, view: int, refinement: PoseRefinement | None = None) -> Rays:
         """All H * W rays of a view, row by row."""
         pixels = torch.arange(self.pixels, device=self.device)
         return self.rays(torch.full_like(pixels, view), pixels, refinement)

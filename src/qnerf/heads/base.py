@@ -1,7 +1,40 @@
-"""The registry of heads. A head is a module (N, in_dim) -> (N, out_dim): HEADS.build(name, in_dim, out_dim)."""
+"""What a head is, and the registry of heads."""
 
-from torch import nn
+from collections.abc import Mapping
+from typing import Any
+
+from torch import Tensor, nn
 
 from qnerf.config.registry import Registry
 
-HEADS: Registry[nn.Module] = Registry("head")
+
+class Head(nn.Module):
+    """Features (N, in_dim) -> values (N, out_dim), built by `HEADS.build(name, in_dim, out_dim, **options)`."""
+
+    quantum = False
+    """Whether the field's label counts the head as a circuit."""
+
+    @classmethod
+    def label(cls, options: Mapping[str, Any]) -> str:
+        """A short name of the head with these options; by default the name that it is registered under."""
+        return HEADS.name_of(cls) or cls.__name__
+
+    def forward(self, features: Tensor) -> Tensor:
+        raise NotImplementedError
+
+
+HEADS: Registry[Head] = Registry("head")
+
+
+def chosen(node: Mapping[str, Any]) -> type[Head]:
+    """The class of the head that `node` (the group density or color) names."""
+    head = HEADS.get(node["name"])
+    assert isinstance(head, type)
+    return head
+
+
+def head_options(node: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of the head that `node` names: those under its own name, and those under the names of the heads that
+    it extends."""
+    names = [HEADS.name_of(ancestor) for ancestor in reversed(chosen(node).__mro__)]
+    return {key: value for name in names if name for key, value in node.get(name, {}).items()}

@@ -1,17 +1,19 @@
 """The classical head."""
 
+from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
 from torch import Tensor, nn
 
 from qnerf.config.checks import at_least, one_of
-from qnerf.heads.base import HEADS
+from qnerf.heads.base import HEADS, Head
 
 INITS = ("torch", "he")
 
 
 @HEADS.register("mlp")
-class MLPHead(nn.Module):
+class MLPHead(Head):
     """A multilayer perceptron of `layers` linear layers, ReLU between them, nothing after the last.
 
     Args:
@@ -37,6 +39,11 @@ class MLPHead(nn.Module):
                 if isinstance(layer, nn.Linear):
                     nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
                     nn.init.zeros_(layer.bias)
+
+    @classmethod
+    def label(cls, options: Mapping[str, Any]) -> str:
+        """`2x64`: layers x width."""
+        return f"{options['layers']}x{options['width']}"
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

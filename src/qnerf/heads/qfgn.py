@@ -1,6 +1,8 @@
 """QFGN: Fourier-Gaussian preprocessing before the first circuit of a quantum head (arXiv:2504.19053)."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -46,6 +48,11 @@ class QFGNHead(QirenHead):
     That layer normalises nothing: `input_scale` and `statistics` are those of the layers behind it.
     """
 
+    @classmethod
+    def label(cls, options: Mapping[str, Any]) -> str:
+        """`qfgn-1L2S`"""
+        return f"qfgn-{super().label(options)}"
+
     def __init__(
         self,
         in_dim: int,
@@ -54,17 +61,7 @@ class QFGNHead(QirenHead):
         features: int = 16,
         scale: float = 1.0,
         gamma: float = 0.5,
-        layers: int = 1,
-        spectral: int = 2,
-        qubits: int = 8,
-        ansatz: str = "qiren",
-        method: str = "auto",
-        init: str = "uniform",
-        gain: float = 1.0,
-        sum_layers: bool = False,
-        input_scale: float = 1.0,
-        statistics: str = "batch",
-        center: bool = False,
+        **options: Any,
     ) -> None:
         at_least("features", features, 2)
         if features % 2:
@@ -72,21 +69,7 @@ class QFGNHead(QirenHead):
         if not scale > 0 or not gamma >= 0 or math.isinf(gamma):
             raise ValueError(f"qfgn needs scale > 0 and a finite gamma >= 0, got scale={scale}, gamma={gamma}")
         self._fourier = (features, scale, gamma)
-        super().__init__(
-            in_dim,
-            out_dim,
-            layers=layers,
-            spectral=spectral,
-            qubits=qubits,
-            ansatz=ansatz,
-            method=method,
-            init=init,
-            gain=gain,
-            sum_layers=sum_layers,
-            input_scale=input_scale,
-            statistics=statistics,
-            center=center,
-        )
+        super().__init__(in_dim, out_dim, **options)
 
     def hybrid_layer(
         self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: str

@@ -1,10 +1,13 @@
 """The quantum head: hybrid layers of a linear map, a normalisation and a re-uploading circuit (QIREN)."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
 from qnerf.config.checks import at_least, one_of
-from qnerf.heads.base import HEADS
+from qnerf.heads.base import HEADS, Head
 from qnerf.quantum import QuantumLayer
 
 STATISTICS = ("batch", "first")
@@ -95,7 +98,7 @@ class HybridLayer(nn.Module):
 
 
 @HEADS.register("qiren")
-class QirenHead(nn.Module):
+class QirenHead(Head):
     """A first hybrid layer, `layers` hidden ones, and a last linear map of the measured values: "xL+yS".
 
     Trainable parameters of one hybrid layer: 8 in + 8 + 16 + 48 (S + 1) at 8 qubits.
@@ -106,6 +109,7 @@ class QirenHead(nn.Module):
         spectral: data re-uploadings y of each circuit, at least 1.
         qubits: wires of each circuit, 1 to 14.
         ansatz, method, init: see `QuantumLayer`.
+        ansatz_options: name of an ansatz -> its options; those of other ansaetze than `ansatz` are not used.
         gain: fixed factor on the measured values before the last linear map. Circuits with uniform angles vary by only
             0.05 over their inputs, which starts a head almost constant.
         sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
@@ -114,6 +118,13 @@ class QirenHead(nn.Module):
         center: the last linear map's bias starts where angles of 0 give 0. Measured values lie around a constant that a
             gain multiplies too: without this a density head starts as fog or as emptiness, a colour head saturated.
     """
+
+    quantum = True
+
+    @classmethod
+    def label(cls, options: Mapping[str, Any]) -> str:
+        """`1L2S`: hidden layers and re-uploadings."""
+        return f"{options['layers']}L{options['spectral']}S"
 
     def __init__(
         self,
@@ -124,6 +135,7 @@ class QirenHead(nn.Module):
         spectral: int = 2,
         qubits: int = 8,
         ansatz: str = "qiren",
+        ansatz_options: dict | None = None,
         method: str = "auto",
         init: str = "uniform",
         gain: float = 1.0,
@@ -137,8 +149,9 @@ class QirenHead(nn.Module):
         self.gain = gain
         self.sum_layers = sum_layers
         self.hybrid = nn.ModuleList()
+        own = (ansatz_options or {}).get(ansatz)
         for index in range(layers + 1):
-            circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init)
+            circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init, ansatz_options=own)
             layer_in = in_dim if index == 0 else qubits
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(qubits, out_dim)

@@ -3,11 +3,11 @@
 import torch
 from torch import Tensor, nn
 
-from qnerf.geometry.pose_refinement import Cameras
+from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.model.field import Field
 from qnerf.rendering.render import render, shares, volume_weights
 from qnerf.rendering.samplers import SampledRays, Sampler
-from qnerf.rendering.shading import Gate
+from qnerf.rendering.shading import Shading
 from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Rendering
 
@@ -15,12 +15,12 @@ from qnerf.types import Rays, Rendering
 class Model(nn.Module):
     """What is trained. `parts` groups its parameters as they are counted and optimised."""
 
-    def __init__(self, field: Field, sampler: Sampler, cameras: Cameras, gate: Gate) -> None:
+    def __init__(self, field: Field, sampler: Sampler, cameras: PoseRefinement, shading: Shading) -> None:
         super().__init__()
         self.field = field
         self.sampler = sampler
         self.cameras = cameras
-        self.gate = gate
+        self.shading = shading
 
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
@@ -58,10 +58,10 @@ class Model(nn.Module):
             points = rays.along(samples.mids)
             density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
             weights = volume_weights(density, samples.deltas)
-            gated = self.gate(shares(weights, background), geometry, evaluated)
-            color = self.field.color(gated.geometry, rays.directions, rays.cameras, gated.kept)
+            shaded = self.shading(shares(weights, background), geometry, evaluated)
+            color = self.field.color(shaded.geometry, rays.directions, rays.cameras, shaded.mask)
         with watch.part("render"):
             rendering, behind = render(
-                weights, color, samples, background=background, parts=gated.shares, generator=generator
+                weights, color, samples, background=background, parts=shaded.shares, generator=generator
             )
         return rendering, sampled, behind

@@ -18,15 +18,15 @@ class Occupancy(SpaceMask):
 
     Every `every` steps the density at a random point of each allowed cell is looked at. What counts is the cell's
     opacity, 1 - exp(-density x length of its shortest side): the largest seen, times 0.7 for every look since. The mask
-    is open where a cell, or one of the 26 around it, has at least `least`. Closed cells are looked at like all others
-    and open again when the field around them grows into them; a field that is empty everywhere closes nothing.
+    is open where a cell, or one of the 26 around it, has at least `min_opacity`. Closed cells are looked at like all
+    others and open again when the field around them grows into them; a field that is empty everywhere closes nothing.
 
     Args:
         allowed: (n, n, n) bool over the unit cube: where density may be at all.
         contraction: world points <-> the unit cube.
         every: steps between looks.
         after: steps before the first look; until then every allowed cell is open.
-        least: opacity, above 0 and below 1.
+        min_opacity: above 0 and below 1.
     """
 
     allowed: Tensor
@@ -34,9 +34,11 @@ class Occupancy(SpaceMask):
     sides: Tensor
     opacity: Tensor
 
-    def __init__(self, allowed: Tensor, contraction: Contraction, *, every: int, after: int, least: float) -> None:
+    def __init__(
+        self, allowed: Tensor, contraction: Contraction, *, every: int, after: int, min_opacity: float
+    ) -> None:
         super().__init__(allowed)
-        self.every, self.after, self.least = every, after, least
+        self.every, self.after, self.min_opacity = every, after, min_opacity
         n = allowed.shape[0]
         cells = (allowed.flatten() & reachable(contraction, n)).nonzero()[:, 0]
         sides = shortest_sides(contraction, n)[cells].to(torch.get_default_dtype())
@@ -64,7 +66,7 @@ class Occupancy(SpaceMask):
         opacity = -torch.expm1(-density * self.sides)
         self.opacity = torch.maximum(self.opacity * DECAY, opacity)
         occupied = torch.zeros(n**3, device=self.grid.device)
-        occupied[self.cells] = (self.opacity >= self.least).to(occupied.dtype)
+        occupied[self.cells] = (self.opacity >= self.min_opacity).to(occupied.dtype)
         around = torch.nn.functional.max_pool3d(occupied.view(1, 1, n, n, n), 3, stride=1, padding=1)[0, 0] > 0
         found = around & self.allowed
         self.grid = found if bool(found.any()) else self.allowed.clone()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from qnerf.config.plugins import check_plugins
 from qnerf.config.settings import Settings
 from qnerf.experiment import build_model, prepare
 from qnerf.model.model import Model
@@ -38,7 +39,10 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
         raise ValueError(f"{folder} is not a run: it has no config.yaml")
     if state(folder) != "finished":
         raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
-    _, settings, scene = prepare(read_config(folder) if config is None else config)
+    if config is None:
+        config = read_config(folder)
+        check_plugins(folder, config.get("plugins", []), ())
+    _, settings, scene = prepare(config)
     model = build_model(settings, scene)
     path = folder / "checkpoint.pt"
     with reporting(path, "read"):

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from qnerf.config.compatibility import today_noted
+
 ALIASES = {"id": "run_id", "tag": "tags"}
 _FILTER = re.compile(r"([^=<>!]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
 _ORDER: dict[str, Callable[[float, float], bool]] = {
@@ -62,8 +64,8 @@ def _parse(text: str) -> Filter:
 
 
 def column(name: str) -> str:
-    """The column's own name for `id` and `tag`; others are that already."""
-    return ALIASES.get(name.strip(), name.strip())
+    """The column's own name for `id` and `tag`, and today's for an old one, which is noted on standard error."""
+    return today_noted(ALIASES.get(name.strip(), name.strip()))
 
 
 def select(frame: pd.DataFrame, filters: Sequence[Filter]) -> pd.DataFrame:

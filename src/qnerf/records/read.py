@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml  # type: ignore[import-untyped]
 
+from qnerf.config.compatibility import today, upgrade_config
 from qnerf.records import owner
 from qnerf.records.files import StoreError, read_bytes, read_record, reporting
 from qnerf.records.schemas import METRICS
@@ -72,7 +73,7 @@ def _is_owned(directory: Path, status: dict[str, Any]) -> bool:
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The resolved configuration; nothing in the file is executed or repeated by reference."""
+    """The resolved configuration under today's names; nothing in the file is executed or repeated by reference."""
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
         data = read_bytes(path, MOST_CONFIG_BYTES)
@@ -82,7 +83,7 @@ def read_config(run_dir: str | Path) -> dict[str, Any]:
         raise StoreError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
     if not isinstance(config, dict):
         raise StoreError(f"{path}: expected keys and values, got {type(config).__name__}")
-    return config
+    return upgrade_config(config)
 
 
 class _Loader(yaml.SafeLoader):
@@ -106,7 +107,7 @@ def read_summary(run_dir: str | Path) -> dict[str, Any]:
     rows: list[dict[str, Any]] = read_table(path).to_pylist()
     if len(rows) != 1:
         raise StoreError(f"{path}: expected one row, got {len(rows)}")
-    return rows[0]
+    return {today(name): value for name, value in rows[0].items()}
 
 
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:

@@ -1,5 +1,7 @@
-"""Where along a ray colours are computed: the colour head, a circuit above all, is the costliest part of a field, and
-the samples of a ray that count lie close together. Samples without a geometry weigh nothing and never get a colour.
+"""Where along a ray colours are computed.
+
+The colour head is the costliest part of a field, most of all when it is a circuit, and the samples that decide a ray's
+colour lie close together. Samples whose density was not evaluated have weight 0 and never get a colour.
 """
 
 from typing import NamedTuple
@@ -10,78 +12,78 @@ from torch import Tensor, nn
 from qnerf.config.checks import at_least
 from qnerf.config.registry import Registry
 
-GATES: "Registry[Gate]" = Registry("gate")
+SHADINGS: "Registry[Shading]" = Registry("shading")
 
-LEAST = 2  # what a head is given at least, as a normalisation needs
+MIN_SAMPLES = 2  # for a batch normalisation in the head
 SMALL = 0.1
 
 
-class Gated(NamedTuple):
-    """What gets a colour: M places on each ray."""
+class Shaded(NamedTuple):
+    """M points on each ray that may get a colour."""
 
-    shares: Tensor  # (R, M) what a place's colour counts in its ray's; of a ray they sum to what they summed to before
+    shares: Tensor  # (R, M) compositing weights of their colours; their sum per ray is that of the samples' shares
     geometry: Tensor  # (R, M, G)
-    kept: Tensor | None  # (R, M) bool: the others count nothing and need no colour; None: all get one
+    mask: Tensor | None  # (R, M) bool: which get a colour, the others have weight 0; None: all
 
 
-class Gate(nn.Module):
+class Shading(nn.Module):
     """Shares (R, K) of the samples in their rays' colours, at least 0, their geometry features (R, K, G), and which of
-    them were evaluated (R, K), None for all -> `Gated`.
+    them were evaluated (R, K), None for all -> `Shaded`.
 
     It decides alike in training and evaluation, so that a head's normalisation sees the same kind of inputs in both.
     """
 
-    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         raise NotImplementedError
 
 
-@GATES.register("none")
-class NoGate(Gate):
+@SHADINGS.register("none")
+class EverySample(Shading):
     """Every sample that has a geometry gets a colour."""
 
-    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
-        return Gated(shares, geometry, evaluated)
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
+        return Shaded(shares, geometry, evaluated)
 
 
-class SelectingGate(Gate):
+class Selection(Shading):
     """Some samples get a colour, at least one on each ray that has any; they share what the others would have had."""
 
     def select(self, shares: Tensor) -> Tensor:
         """Shares (R, K), -1 of a sample that was not evaluated -> which get a colour (R, K)."""
         raise NotImplementedError
 
-    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         with torch.no_grad():
             ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
-            kept = self.select(ranked) & (ranked >= 0)
-            if int(kept.sum()) < LEAST:  # nearly all rays are empty
-                kept = ranked >= 0
-        left = shares * kept
+            mask = self.select(ranked) & (ranked >= 0)
+            if int(mask.sum()) < MIN_SAMPLES:  # nearly all rays are empty
+                mask = ranked >= 0
+        left = shares * mask
         total = shares.sum(-1, keepdim=True)
         scale = total / left.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
-        return Gated(left * scale, geometry, kept)
+        return Shaded(left * scale, geometry, mask)
 
 
-@GATES.register("threshold")
-class ThresholdGate(SelectingGate):
-    """Samples whose share is at least `least`: what is left out of a ray sums to less than K `least`.
+@SHADINGS.register("threshold")
+class ThresholdShading(Selection):
+    """Samples whose share is at least `min_share`: those left out of a ray sum to less than K `min_share`.
 
     Args:
-        least: share of a ray's colour, 0 to 1.
+        min_share: share of a ray's colour, 0 to 1.
     """
 
-    def __init__(self, *, least: float = 1e-3) -> None:
+    def __init__(self, *, min_share: float = 1e-3) -> None:
         super().__init__()
-        if not 0 <= least < 1:
-            raise ValueError(f"gate=threshold: least must be at least 0 and below 1, got {least}")
-        self.least = least
+        if not 0 <= min_share < 1:
+            raise ValueError(f"shading=threshold: min_share must be at least 0 and below 1, got {min_share}")
+        self.min_share = min_share
 
     def select(self, shares: Tensor) -> Tensor:
-        return shares >= shares.amax(-1, keepdim=True).clamp(max=self.least)
+        return shares >= shares.amax(-1, keepdim=True).clamp(max=self.min_share)
 
 
-@GATES.register("top")
-class TopGate(SelectingGate):
+@SHADINGS.register("top")
+class TopShading(Selection):
     """The `samples` largest shares of each ray.
 
     Args:
@@ -98,8 +100,8 @@ class TopGate(SelectingGate):
         return torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
 
 
-@GATES.register("merge")
-class MergeGate(Gate):
+@SHADINGS.register("merge")
+class MergeShading(Shading):
     """Samples that follow each other share a colour: that of their mean geometry, weighted by their shares.
 
     A ray's share is cut into `parts` equal ones, in the order in which the ray passes them; a sample belongs to the
@@ -120,7 +122,7 @@ class MergeGate(Gate):
         at_least("parts", parts, 1)
         self.parts = parts
 
-    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Gated:
+    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         tiny = torch.finfo(shares.dtype).tiny
         with torch.no_grad():
             middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
@@ -132,7 +134,7 @@ class MergeGate(Gate):
         weight = weight + (shares - weight * own) / own.detach().clamp(min=SMALL / self.parts)
         mean = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
         mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
-        kept = merged > 0
-        if int(kept.sum()) < LEAST:  # all rays are empty
-            kept[:, 0] = True
-        return Gated(merged, mean, kept)
+        mask = merged > 0
+        if int(mask.sum()) < MIN_SAMPLES:  # all rays are empty
+            mask[:, 0] = True
+        return Shaded(merged, mean, mask)

@@ -8,7 +8,7 @@ from qnerf.geometry.pose_refinement import exp_so3
 from qnerf.scenes.base import Scene
 
 
-def disturbed(scene: Scene, *, rotation: float, translation: float, seed: int) -> Scene:
+def add_pose_noise(scene: Scene, *, rotation: float, translation: float, seed: int) -> Scene:
     """The scene with noise on the poses of its training views; the held-out ones stay true.
 
     Args:

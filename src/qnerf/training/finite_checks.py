@@ -1,4 +1,4 @@
-"""`numerics.check=true`: looks at every part of every training step and stops at the first value that is not finite.
+"""`numerics.finite_checks=true`: stops at the first value of a training step that is not finite, and names its part.
 
 Hooks are in place during a training step only, and only with this option. What a part puts out is looked at before the
 next part sees it, in the order of the flow: rays, samples, encoder, heads and their circuits, weights, rendering, loss
@@ -16,14 +16,14 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.settings import Settings
-from qnerf.geometry.pose_refinement import Cameras
+from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.geometry.rays import RayTable
 from qnerf.model.model import Model
 from qnerf.quantum import QuantumLayer
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import replace
 from qnerf.rendering.samplers import SampledRays
-from qnerf.rendering.shading import Gated
+from qnerf.rendering.shading import Shaded
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Diverged, Trainer
 from qnerf.types import Rays, Rendering
@@ -67,7 +67,7 @@ class Checks:
         self._hook(model.sampler, None, self._samples)
         self._hook(field.contraction, None, self._points)
         self._hook(field.encoder, None, self._encoded)
-        self._hook(model.gate, self._weights, self._chosen)
+        self._hook(model.shading, self._weights, self._chosen)
         self._head("density head", field.density_head, self._ray_of_point)
         self._head("colour head", field.color_head, self._ray_of_color)
 
@@ -115,10 +115,10 @@ class Checks:
     def _weights(self, shares: Tensor, *_: object) -> None:
         look("shares", shares, int)
 
-    def _chosen(self, gated: Gated, *_: object) -> None:
-        look("gate (shares)", gated.shares, int)
-        look("gate (geometry)", gated.geometry, int)
-        self._kept = torch.ones_like(gated.shares, dtype=torch.bool) if gated.kept is None else gated.kept
+    def _chosen(self, shaded: Shaded, *_: object) -> None:
+        look("shading (shares)", shaded.shares, int)
+        look("shading (geometry)", shaded.geometry, int)
+        self._kept = torch.ones_like(shaded.shares, dtype=torch.bool) if shaded.mask is None else shaded.mask
 
     def _rendering(self, out: tuple[Rendering, SampledRays, Tensor | None], _: Rays) -> None:
         for name in ("color", "depth", "accumulation"):
@@ -151,11 +151,13 @@ class Recorder(RayTable):
     def __init__(self, table: RayTable) -> None:
         vars(self).update(vars(table))
 
-    def rays(self, views: Tensor, pixels: Tensor, refinement: Cameras | None = None) -> Rays:
+    def rays(self, views: Tensor, pixels: Tensor, refinement: PoseRefinement | None = None) -> Rays:
         self.drawn = pixels  # (R,) row-major numbers
         return super().rays(views, pixels, refinement)
 
-    def batch(self, rays: int, generator: torch.Generator, refinement: Cameras | None = None) -> tuple[Rays, Tensor]:
+    def batch(
+        self, rays: int, generator: torch.Generator, refinement: PoseRefinement | None = None
+    ) -> tuple[Rays, Tensor]:
         self.last = batch = super().batch(rays, generator, refinement)
         return batch
 
@@ -167,7 +169,9 @@ class Recorded(Recorder):
         super().__init__(table)
         self.before = {name: rays[name].to(table.device) for name in _FIELDS}, colors.to(table.device)
 
-    def batch(self, rays: int, generator: torch.Generator, refinement: Cameras | None = None) -> tuple[Rays, Tensor]:
+    def batch(
+        self, rays: int, generator: torch.Generator, refinement: PoseRefinement | None = None
+    ) -> tuple[Rays, Tensor]:
         now, _ = super().batch(rays, generator, refinement)
         then, colors = self.before
         same = {name: torch.where(getattr(now, name) == then[name], getattr(now, name), then[name]) for name in _FIELDS}
@@ -268,7 +272,7 @@ def load(file: Path) -> dict[str, Any]:
     except OSError:
         raise
     except Exception as error:  # whatever a file that is something else makes its readers raise
-        raise ValueError(f"{file}: expected a {FILE} of numerics.check, got {type(error).__name__}") from error
+        raise ValueError(f"{file}: expected a {FILE} of numerics.finite_checks, got {type(error).__name__}") from error
     if not isinstance(content, dict) or {k: type(v) for k, v in content.items()} != CONTENT:
-        raise ValueError(f"{file}: expected a {FILE} of numerics.check, got other content")
+        raise ValueError(f"{file}: expected a {FILE} of numerics.finite_checks, got other content")
     return content

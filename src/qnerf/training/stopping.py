@@ -9,12 +9,12 @@ from typing import Any
 class Plateau:
     """Asked for the PSNR of the validation rays every `every` steps; says when the training is to stop.
 
-    It stops after `patience` checks in a row without a gain of `least` dB over the best so far.
+    It stops after `patience` checks in a row without a gain of `min_gain_db` over the best so far.
     """
 
     every: int  # steps between checks; 0: never, and every training ray trains
     patience: int  # checks
-    least: float  # dB
+    min_gain_db: float
     best: float = -math.inf
     since: int = 0  # checks since the best
 
@@ -24,7 +24,7 @@ class Plateau:
 
     def add(self, psnr: float) -> None:
         """Takes a check's PSNR in dB."""
-        if psnr >= self.best + self.least:
+        if psnr >= self.best + self.min_gain_db:
             self.best, self.since = psnr, 0
         else:
             self.since += 1

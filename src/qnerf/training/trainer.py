@@ -56,7 +56,7 @@ class Trainer:
         self.step_seconds: list[float] = []
         self.seconds = 0.0  # in training steps, over all resumptions
         stop = settings.stop
-        self.plateau = Plateau(stop.every, stop.patience, stop.least)
+        self.plateau = Plateau(stop.every, stop.patience, stop.min_gain_db)
         self.validation_rays = stop.rays
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]

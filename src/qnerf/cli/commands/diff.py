@@ -10,6 +10,7 @@ from rich.text import Text
 from qnerf.cli.commands import add_store
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import as_json, console
+from qnerf.config.compatibility import without_neutral
 from qnerf.config.identity import flatten, is_execution
 from qnerf.records import details, find
 from qnerf.records.details import Details
@@ -38,7 +39,7 @@ def main(options: argparse.Namespace) -> None:
 def compare(a: Details, b: Details) -> dict[str, Any]:
     """Keys configuration, execution, environment: name -> [value of A, of B] where they differ; results: of both runs,
     with the difference B - A where both are numbers."""
-    config = differences(a.flat, b.flat)
+    config = differences(*(flatten(without_neutral(run.config)) for run in (a, b)))
     execution = {key: pair for key, pair in config.items() if is_execution(key)}
     return {
         "a": str(a.path),

@@ -33,13 +33,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> None:
     run = find(options.run, options.store)
     names = [option for option in options.options if "=" not in option]
-    settings = [option for option in options.options if "=" in option]
+    repeated = [option for option in options.options if option.startswith("plugins=")]
+    settings = [option for option in options.options if "=" in option and option not in repeated]
     _check(names, settings)
     conditions = _conditions(settings) if settings or not names else None
 
     from qnerf.probes import load, probe
 
-    trained = load(run, stored(run)[0] if state(run) == "finished" else None)
+    trained = load(run, stored(run, repeated)[0] if state(run) == "finished" else None)
     check_identity(run, trained.scene.fingerprint)
     for name in names:
         print(probe(trained, name))

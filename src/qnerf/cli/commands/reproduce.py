@@ -9,7 +9,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from qnerf.cli.commands import add_run
+from qnerf.cli.commands import add_plugins, add_run
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import check_identity, stored
@@ -35,6 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "and says what differs in the environment. Exit code 1 where the numbers differ."
     )
     add_run(parser)
+    add_plugins(parser)
     parser.add_argument("--keep", metavar="DIR", type=Path, help="store that keeps the second run (default: none)")
     parser.add_argument(
         "--tolerance",
@@ -51,7 +52,7 @@ def main(options: argparse.Namespace) -> int:
         raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
     if options.keep is not None and options.keep.resolve() == run.parent:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
-    config, filled = stored(run)
+    config, filled = stored(run, options.plugins)
 
     from qnerf import experiment
     from qnerf.cli.display import LiveDisplay

@@ -16,7 +16,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "started with. A finished or running one is left alone."
     )
     add_run(parser)
-    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help=f"any of {', '.join(CHANGEABLE)}")
+    parser.add_argument(
+        "overrides", nargs="*", metavar="KEY=VALUE", help=f"any of {', '.join(CHANGEABLE)}; plugins=[A,B] of the run"
+    )
 
 
 def main(options: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
+from qnerf.config.compatibility import today
 from qnerf.records import summary_row
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
 from qnerf.records.index.ragged_rows import KIND_OF_TYPE, Row, Rows, Shape
@@ -74,7 +75,7 @@ def _shape(names: tuple[str, ...], types: tuple[str, ...]) -> Shape:
     """One object for all runs whose columns are the same. Types that a run does not write are shown as text."""
     if not all(isinstance(name, str) for name in names):
         raise ValueError("names of columns must be text")
-    return Shape(names, tuple(KIND_OF_TYPE.get(kind, "text") for kind in types))
+    return Shape(tuple(map(today, names)), tuple(KIND_OF_TYPE.get(kind, "text") for kind in types))
 
 
 def _status(data: bytes) -> tuple[Shape, Sequence[Any]]:

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from qnerf.records.files import StoreError, read_bytes, remove_leftovers, replace
 from qnerf.records.index.ragged_rows import KEY, SCHEMA, STAMP, Rows, Shape, physicals
 
-FORMAT = 1
+FORMAT = 2
 """Of the index and of what its entries hold; one of another format is built anew."""
 
 _METADATA = b"qnerf.index"

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from qnerf.heads import chosen, head_options
+
 HASH_TABLES = {
     "C1": (16, 16, 2048, 19, 2),
     "C2": (16, 16, 2048, 17, 2),
@@ -18,12 +20,9 @@ HASH_TABLES = {
 FIELDS = {(False, False): "classical", (False, True): "qcolor", (True, False): "qdensity", (True, True): "qboth"}
 
 
-def head_label(head: Mapping[str, Any]) -> str:
-    """`2x64` for an MLP of 2 layers, 64 wide; `1L2S` for a circuit head."""
-    if head["name"] == "mlp":
-        return f"{head['layers']}x{head['width']}"
-    circuit = f"{head['qiren']['layers']}L{head['qiren']['spectral']}S"
-    return circuit if head["name"] == "qiren" else f"{head['name']}-{circuit}"
+def head_label(node: Mapping[str, Any]) -> str:
+    """What the chosen head calls itself: `2x64` for an MLP of 2 layers, 64 wide; `1L2S` for a circuit head."""
+    return chosen(node).label(head_options(node))
 
 
 def hash_label(table: Mapping[str, Any]) -> str:
@@ -41,13 +40,13 @@ def labels(config: Mapping[str, Any]) -> dict[str, str]:
     """One label a config group, and one a head."""
     density, color = config["density"], config["color"]
     return {
-        "field": FIELDS[density["name"] != "mlp", color["name"] != "mlp"],
+        "field": FIELDS[chosen(density).quantum, chosen(color).quantum],
         "encoder": config["encoder"]["name"],
         "qiren": f"{config['qiren']['layers']}L{config['qiren']['spectral']}S",
         "hash": hash_label(config["hash"]),
         "scene": config["scene"]["name"],
         "sampler": config["sampler"]["name"],
-        "gate": config["gate"]["name"],
+        "shading": config["shading"]["name"],
         "cameras": config["cameras"]["name"],
         "train": config["train"]["name"],
         "density": head_label(density),

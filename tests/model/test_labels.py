@@ -1,4 +1,4 @@
-from qnerf.config.labels import labels, slug
+from qnerf.model.labels import labels, slug
 from tests.helpers.configs import composed
 
 

@@ -1,0 +1,50 @@
+"""What the user typed, before Hydra reads it: old names of options, short forms, plugins."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+from qnerf.config.compatibility import today_noted
+
+_OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./-]*)(?P<package>@[^=]*)?(?P<value>=.*)?", re.DOTALL)
+_SWEPT = "hydra.sweeper.params."
+_HEADS = ("density", "color")
+
+
+def translated(arguments: Iterable[str]) -> list[str]:
+    """Each override under today's name of its option; an old one is noted on standard error. Others stay as they are.
+
+    >>> translated(["-m", "density=qiren,mlp", "stop.min_gain_db=0.1"])
+    ['-m', 'head@density=qiren,mlp', 'stop.min_gain_db=0.1']
+    """
+    return [_translated(argument) for argument in arguments]
+
+
+def _translated(argument: str) -> str:
+    match = _OVERRIDE.fullmatch(argument)
+    if match is None or not (match["sign"] or match["value"]):
+        return argument
+    sign, package, value = match["sign"] or "", match["package"] or "", match["value"] or ""
+    return f"{sign}{option(match['key'], value)}{package}{value}"
+
+
+def option(key: str, value: str = "") -> str:
+    """The key that Hydra knows for what the user calls `key`; `value` begins with =, if there is one."""
+    if key.startswith(_SWEPT):
+        return _SWEPT + option(key.removeprefix(_SWEPT), value)
+    if key in _HEADS and not value.startswith("={"):
+        return f"head@{key}"
+    return today_noted(key)
+
+
+def plugins(arguments: Sequence[str]) -> list[str]:
+    """The modules of `plugins=[a,b]`; empty where it is not given. ValueError where it is no list of names."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    names: list[str] = []
+    for argument in arguments:
+        if argument.lstrip("+").startswith("plugins="):
+            value = OverridesParser.create().parse_override(argument).value()
+            if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+                raise ValueError(f"{argument}: expected a list of modules, such as plugins=[my_module]")
+            names = value
+    return names

@@ -1,0 +1,91 @@
+"""`plugins=[my_module]`: the user's own components as choices of the config groups, without any YAML."""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from qnerf.config.plugins import import_plugins
+from qnerf.config.registry import Registry
+
+PACKAGES = {"ansatz": "qiren"}
+"""Group -> where its options lie in the configuration, if not under the group's name."""
+
+
+def groups() -> Mapping[str, Registry[Any]]:
+    """Config group -> the registry whose components it offers."""
+    from qnerf.encoders import ENCODERS
+    from qnerf.geometry.contraction import CONTRACTIONS
+    from qnerf.geometry.pose_refinement import CAMERAS
+    from qnerf.heads import HEADS
+    from qnerf.quantum.circuit import ANSATZE
+    from qnerf.rendering.samplers import SAMPLERS
+    from qnerf.rendering.shading import SHADINGS
+    from qnerf.scenes import SCENES
+
+    return {
+        "head": HEADS,
+        "encoder": ENCODERS,
+        "ansatz": ANSATZE,
+        "contraction": CONTRACTIONS,
+        "scene": SCENES,
+        "sampler": SAMPLERS,
+        "shading": SHADINGS,
+        "cameras": CAMERAS,
+    }
+
+
+def load(names: Sequence[str]) -> None:
+    """Imports the modules, from the current folder too, and makes each component without a YAML a choice of its group.
+
+    Raises:
+        ValueError: a module that cannot be found.
+    """
+    if not names:
+        return
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    import_plugins(names)
+
+    from hydra.core.config_store import ConfigStore
+
+    for group, registry in groups().items():
+        for name in registry.names():
+            if not is_choice(group, name):
+                ConfigStore.instance().store(
+                    name=name, node=node(group, name), group=group, package=PACKAGES.get(group)
+                )
+
+
+def is_choice(group: str, name: object) -> bool:
+    """Whether `group=name` can be chosen: by a YAML of the package, or since `load` made it so."""
+    from hydra.core.config_store import ConfigStore
+
+    from qnerf.cli.launch import conf_folder
+
+    return (conf_folder() / group / f"{name}.yaml").is_file() or f"{name}.yaml" in ConfigStore.instance().repo.get(
+        group, {}
+    )
+
+
+def node(group: str, name: str) -> dict[str, Any]:
+    """What conf/<group>/<name>.yaml would hold, from the component's signature; an option without a default must be
+    given."""
+    registry = groups()[group]
+    options = {
+        option: "???" if parameter.default is parameter.empty else _plain(parameter.default)
+        for option, parameter in registry.options(name).items()
+    }
+    if group == "ansatz":
+        return {"ansatz": name, "ansatz_options": {name: options} if options else {}}
+    if group != "head":
+        return {"name": name, **options}
+    for ancestor in getattr(registry.get(name), "__mro__", ())[1:]:
+        inherited = registry.name_of(ancestor)
+        for option in registry.options(inherited) if inherited else ():
+            options.pop(option, None)
+    return {"defaults": ["base"], "name": name, **({name: options} if options else {})}
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, (tuple, set)) else value

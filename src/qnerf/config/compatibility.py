@@ -1,0 +1,186 @@
+"""What older runs and commands call today's options.
+
+Options get new names, and new options appear, but a run keeps its id. So `identity` hashes `old_form`: each option
+under the name it had first, and no option that was added later unless it changes something. Whatever reads a stored run
+translates it with `upgrade_config` or `today`.
+"""
+
+import copy
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+RENAMED = {
+    "shading.min_share": "gate.least",
+    "shading": "gate",
+    "occupancy.min_opacity": "occupancy.least",
+    "stop.min_gain_db": "stop.least",
+    "numerics.finite_checks": "numerics.check",
+    "encoder.frequency_window": "encoder.release",
+    "pose_noise": "poses",
+    **{f"{head}.mlp.{key}": f"{head}.{key}" for head in ("density", "color") for key in ("layers", "width", "init")},
+}
+"""Today's name of an option or group -> the name it had first. The longest name that fits counts."""
+
+
+@dataclass(frozen=True)
+class Same:
+    """The value of another option."""
+
+    option: str
+
+
+_HEADS = ("density", "color")
+
+ADDED: dict[str, Any] = {
+    "plugins": [],
+    "qiren.ansatz_options": {
+        "qiren": {
+            "sublayers": 2,
+            "entangler": "CZ",
+            "ranges": None,
+            "axis": "Z",
+            "scaling": "unit",
+            "scale": 1.0,
+            "observable": "Z",
+        }
+    },
+    **{f"{head}.qiren.ansatz_options": Same("qiren.ansatz_options") for head in _HEADS},
+    **{f"{head}.qfgn.{key}": Same(f"qfgn.{key}") for head in _HEADS for key in ("features", "scale", "gamma")},
+}
+"""Option that was added later -> the value that stands for what runs did before."""
+
+_ORIGINAL = dict(sorted(RENAMED.items(), key=lambda names: -len(names[0])))
+_TODAY = {old: new for new, old in sorted(RENAMED.items(), key=lambda names: -len(names[1]))}
+_noted: set[str] = set()
+
+_Path = tuple[Any, ...]
+_Leaves = dict[_Path, Any]
+
+
+def today(name: str) -> str:
+    """Today's name of a dotted option, or of a column of older runs.
+
+    >>> today("gate.least"), today("needs.gate.name.value"), today("psnr")
+    ('shading.min_share', 'needs.shading.name.value', 'psnr')
+    """
+    return f"needs.{today(name[6:])}" if name.startswith("needs.") else _replaced(name, _TODAY)
+
+
+def today_noted(name: str) -> str:
+    """`today`, for a name that the user wrote: an old one is noted on standard error."""
+    new = today(name)
+    if new != name:
+        note(name, new)
+    return new
+
+
+def note(old: str, new: str) -> None:
+    """Says what an option is called now, once a process."""
+    if old not in _noted:
+        _noted.add(old)
+        print(f"{old} is called {new} now", file=sys.stderr, flush=True)
+
+
+def upgrade_config(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A stored configuration under today's names."""
+    return _tree(_renamed(_leaves(config), _TODAY))
+
+
+def fill_added(config: dict[str, Any]) -> None:
+    """Gives a stored configuration the options in `ADDED`, with the values that its run had without them."""
+    for option, value in neutral(config).items():
+        *groups, last = option.split(".")
+        node = config
+        for group in groups:
+            node = node.setdefault(group, {})
+        node.setdefault(last, copy.deepcopy(value))
+
+
+def neutral(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Each option in `ADDED` -> the value under which `config` does what it did before the option existed."""
+    values: dict[str, Any] = {}
+    for option, value in ADDED.items():
+        values[option] = _value(config, value.option, values) if isinstance(value, Same) else value
+    return values
+
+
+def without_neutral(config: Mapping[str, Any]) -> dict[str, Any]:
+    """`config` under today's names, without the options in `ADDED` that change nothing."""
+    config = upgrade_config(config)
+    leaves = _leaves(config)
+    for option, value in neutral(config).items():
+        path = tuple(option.split("."))
+        own = {key: leaf for key, leaf in leaves.items() if key[: len(path)] == path}
+        usual = _leaves(value, path)
+        if isinstance(ADDED[option], Same):
+            dropped = list(own) if own == usual else []
+        else:
+            dropped = [key for key, leaf in own.items() if leaf == usual.get(key, {})]
+        for key in dropped:
+            del leaves[key]
+    return _tree(leaves)
+
+
+def old_form(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What `identity` hashes: `without_neutral`, each option under the name it had first."""
+    return _tree(_renamed(_leaves(without_neutral(config)), _ORIGINAL))
+
+
+def _value(config: Mapping[str, Any], option: str, values: Mapping[str, Any]) -> Any:
+    """The value of a dotted option; the one in `values` where the configuration has none."""
+    node: Any = config
+    for key in option.split("."):
+        if not isinstance(node, Mapping) or key not in node:
+            return values.get(option)
+        node = node[key]
+    return node
+
+
+def _leaves(node: Any, path: _Path = ()) -> _Leaves:
+    """Path -> value that is no group; an empty group is a value."""
+    if not isinstance(node, Mapping) or (path and not node):
+        return {path: node}
+    leaves: _Leaves = {}
+    for key, value in node.items():
+        leaves |= _leaves(value, (*path, key))
+    return leaves
+
+
+def _tree(leaves: _Leaves) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for (*groups, last), value in leaves.items():
+        node = tree
+        for group in groups:
+            if not isinstance(node.get(group), dict):
+                node[group] = {}
+            node = node[group]
+        node[last] = value
+    return tree
+
+
+def _renamed(leaves: _Leaves, names: Mapping[str, str]) -> _Leaves:
+    """The leaves under their names in `names`; where a leaf of both names is there, the renamed one wins."""
+    renamed: _Leaves = {}
+    unchanged: _Leaves = {}
+    for path, value in leaves.items():
+        new = _renamed_path(path, names)
+        (unchanged if new == path else renamed)[new] = value
+    return unchanged | renamed
+
+
+def _renamed_path(path: _Path, names: Mapping[str, str]) -> _Path:
+    if not all(isinstance(key, str) for key in path):
+        return path
+    if path[0] == "needs":  # its keys are dotted names of options
+        return path[:1] + tuple(_replaced(key, names) for key in path[1:])
+    name = _replaced(".".join(path), names)
+    return path if name == ".".join(path) else tuple(name.split("."))
+
+
+def _replaced(name: str, names: Mapping[str, str]) -> str:
+    for prefix, replacement in names.items():
+        if name == prefix or name.startswith(f"{prefix}."):
+            return replacement + name[len(prefix) :]
+    return name

@@ -1,0 +1,28 @@
+"""Modules of the user's own, whose components join the registries when they are imported."""
+
+import importlib
+from collections.abc import Sequence
+
+
+def import_plugins(names: Sequence[str]) -> None:
+    """Imports the modules; each registers its components the first time. ValueError names one that is not there."""
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+                raise ValueError(f"plugins: {name} imports {error.name}, which is not installed here") from error
+            raise ValueError(
+                f"plugins: no module {name!r}; expected {name.replace('.', '/')}.py in the current folder, or an "
+                "installed module"
+            ) from error
+
+
+def check_plugins(run: object, stored: object, repeated: Sequence[str]) -> None:
+    """ValueError unless the user names the modules that a stored run wants imported: its folder may come from anybody,
+    and importing a module executes it."""
+    names = [str(name) for name in stored] if isinstance(stored, list) else [str(stored)]
+    if sorted(names) != sorted(repeated):
+        listed = f"plugins=[{','.join(names)}]"
+        wanted = f"repeat {listed} on the command line to import them" if names else "leave plugins out"
+        raise ValueError(f"{run}: was trained with {listed if names else 'no plugins'}; {wanted}")
