@@ -1,8 +1,8 @@
-"""Processes for the fault tests: forked from one that has imported everything, so that a round costs milliseconds.
+"""Processes for the fault tests, forked from one that has imported everything, so that a round takes milliseconds.
 
-python -m tests.helpers.jobs kills STORE RUNS SEED      short trainings, each killed at four random moments, then finished
-python -m tests.helpers.jobs claims STORE ROUNDS        contenders for one run in the same instant, rounds of each kind
-One JSON line a round on standard output.
+python -m tests.helpers.jobs kills STORE RUNS SEED   short trainings, each killed at four random moments, then finished
+python -m tests.helpers.jobs claims STORE ROUNDS     several processes claim one run at the same moment; rounds per kind
+Prints one JSON line per round.
 """
 
 import json

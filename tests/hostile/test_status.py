@@ -92,7 +92,7 @@ def test_the_owner_is_told_in_one_printable_line(tmp_path: Path) -> None:
     assert claim.outcome == "busy"
     assert claim.message.isprintable()
     assert len(claim.message) < len(str(run.dir)) + 200
-    assert str(owner.holder(run.dir)) in claim.message
+    assert str(owner.describe(run.dir)) in claim.message
     run._stop()
 
 

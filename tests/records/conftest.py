@@ -28,11 +28,11 @@ def settled(monkeypatch: pytest.MonkeyPatch) -> None:
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """(file, run) of all that is read from now on."""
     seen: list[tuple[str, str]] = []
-    read = locations.Folder.read
+    read = locations.FolderLocation.read
 
-    def noted(place: locations.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+    def noted(location: locations.FolderLocation, file: str, runs: list[str]) -> Iterator[Any]:
         seen.extend((file, run) for run in runs)
-        return read(place, file, runs)
+        return read(location, file, runs)
 
-    monkeypatch.setattr(locations.Folder, "read", noted)
+    monkeypatch.setattr(locations.FolderLocation, "read", noted)
     return seen

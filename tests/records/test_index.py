@@ -38,7 +38,7 @@ def test_a_row_is_what_the_run_wrote(tmp_path: Path) -> None:
     assert found["experiment"] is None
     assert frame.columns.is_unique
     summary = pd.read_parquet(claim.dir / SUMMARY)
-    assert set(frame.columns) == set(summary.columns) | set(index.OWN)
+    assert set(frame.columns) == set(summary.columns) | set(index.RUN_COLUMNS)
 
 
 def test_the_state_is_the_true_one(tmp_path: Path) -> None:
@@ -309,14 +309,14 @@ def test_a_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch:
     store = tmp_path / "runs"
     for name in "ab":
         write(store, name)
-    scan = locations.Folder.scan
+    scan = locations.FolderLocation.scan
 
-    def scan_then_remove(place: locations.Folder) -> locations.Stamps:
-        found = scan(place)
+    def scan_then_remove(location: locations.FolderLocation) -> locations.Stamps:
+        found = scan(location)
         shutil.rmtree(store / "a")
         return found
 
-    monkeypatch.setattr(locations.Folder, "scan", scan_then_remove)
+    monkeypatch.setattr(locations.FolderLocation, "scan", scan_then_remove)
     assert index.load(store)["run_id"].tolist() == ["b"]
 
 
@@ -332,14 +332,14 @@ def test_a_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     run.write_summary({"psnr": 1.0})
     index.load(store.root)
     run.status(step=5)
-    read = locations.Folder.read
+    read = locations.FolderLocation.read
 
-    def ending(place: locations.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+    def ending(location: locations.FolderLocation, file: str, runs: list[str]) -> Iterator[Any]:
         if file == late and not run._closed:
             run.finish({"psnr": 2.0})
-        return read(place, file, runs)
+        return read(location, file, runs)
 
-    monkeypatch.setattr(locations.Folder, "read", ending)
+    monkeypatch.setattr(locations.FolderLocation, "read", ending)
     (found,) = index.load(store.root)[["state", "psnr"]].to_dict("records")
     assert run._closed
     assert found in (

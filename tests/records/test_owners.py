@@ -106,12 +106,12 @@ def test_a_late_contender_does_not_become_a_second_owner(store_: RunStore) -> No
     """One that judged owner n stale, slept, and wants n + 1 when n + 2 owns the run already."""
     run = claimed(store_)
     run.interrupt()
-    stale = owner.newest(run.dir)[1]
+    stale = owner.latest(run.dir)[1]
     held = [claimed(store_), None]
     held[0].interrupt()
     last = claimed(store_)
-    late = owner.write(run.dir, 1)
+    late = owner.create(run.dir, 1)
     assert late is not None
-    assert not owner._follows(run.dir, late, stale)
+    assert not owner._succeeds(run.dir, late, stale)
     last.flush()
     last.finish()

@@ -73,13 +73,13 @@ def store(tmp_path: Path) -> RunStore:
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The files that are fetched from now on, as run/file."""
     seen: list[str] = []
-    contents = remote.Remote._contents
+    contents = remote.UrlLocation._contents
 
-    def noted(place: remote.Remote, paths: list[str]) -> Iterator[Any]:
+    def noted(location: remote.UrlLocation, paths: list[str]) -> Iterator[Any]:
         seen.extend(paths)
-        return contents(place, paths)
+        return contents(location, paths)
 
-    monkeypatch.setattr(remote.Remote, "_contents", noted)
+    monkeypatch.setattr(remote.UrlLocation, "_contents", noted)
     return seen
 
 
@@ -146,8 +146,8 @@ def test_only_the_heartbeat_tells_whether_a_remote_run_lives(store: RunStore, ag
 
 def test_metrics_of_a_remote_run(store: RunStore, url: str) -> None:
     upload(store, url)
-    run = remote.Remote(f"{url}/done")
-    pd.testing.assert_frame_equal(run.metrics(), locations.Folder(store.root / "done").metrics())
+    run = remote.UrlLocation(f"{url}/done")
+    pd.testing.assert_frame_equal(run.metrics(), locations.FolderLocation(store.root / "done").metrics())
     system, root = files(url)
     system.pipe_file(f"{root}/done/metrics/notes.txt", b"not a part")
     assert len(run.metrics()) == 10

@@ -20,7 +20,9 @@ def columns(data: bytes) -> pa.Table:
 
 
 def summary(**results: object) -> bytes:
-    return schemas.encode(schemas.summary({"run_id": "a", "psnr": 21.5} | results, {"seed": 3, "train": {"lr": 0.01}}))
+    return summary_row.encode(
+        schemas.summary({"run_id": "a", "psnr": 21.5} | results, {"seed": 3, "train": {"lr": 0.01}})
+    )
 
 
 @given(rows)
