@@ -1,4 +1,4 @@
-"""The index on disk: damaged, of another format, where none may be written, refreshed by several at once."""
+"""The index on disk: damaged, in another format, not writable, refreshed by several processes at once."""
 
 import os
 import threading

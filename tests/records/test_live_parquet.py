@@ -38,7 +38,7 @@ def read(data: bytes) -> pa.Table:
 
 
 def read_late(footer_of: bytes, data: bytes) -> pa.Table:
-    """As one who read the footer of one version and finds another when it opens the file again."""
+    """Like a reader that has the footer of one version and then opens the file again and finds another version."""
     metadata = pq.read_metadata(pa.BufferReader(footer_of))
     return pq.ParquetFile(pa.BufferReader(data), metadata=metadata).read(use_threads=False)
 
@@ -85,7 +85,7 @@ def test_a_file_that_is_rewritten_for_ever_does_not_grow_for_ever(monkeypatch: p
 
 @pytest.mark.parametrize("reader", ["pandas", "duckdb"])
 def test_readers_that_open_a_file_twice(tmp_path: Path, reader: str) -> None:
-    """A part while another process replaces it."""
+    """They read a part while another process replaces it."""
     duckdb = pytest.importorskip("duckdb") if reader == "duckdb" else None
     process = processes.start("replacing", str(tmp_path))
     part = tmp_path / "a" / "metrics" / "part-00000.parquet"

@@ -48,7 +48,7 @@ class Process:
 
     @classmethod
     def current(cls) -> "Process":
-        return _process(os.getpid())
+        return cls(os.getpid(), platform.node(), _boot_id(), _start_time(os.getpid()))
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "Process | None":
@@ -75,13 +75,12 @@ class OwnerInfo:
 
     pid: int | None
     host: str | None
-    since: float | None  # Unix time
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "OwnerInfo":
         process = Process.from_record(record)
         host = None if process is None else "".join(c if c.isprintable() else "?" for c in process.host[:64])
-        return cls(process.pid if process else None, host, unix_time(record.get("since")))
+        return cls(process.pid if process else None, host)
 
     def __str__(self) -> str:
         where = "this machine" if self.host == platform.node() else self.host or "an unknown machine"
@@ -110,7 +109,7 @@ class Ownership:
     def release(self) -> None:
         _released_nonces.add(self.nonce)
         path = _owner_file(self.directory, self.number)
-        if (_read(path) or {}).get("nonce") != self.nonce:
+        if _read(path).get("nonce") != self.nonce:
             return
         with reporting(path), open(path, "r+b") as file:  # in place: this must work on a full disk too
             file.seek(file.read().index(_HELD))
@@ -190,7 +189,7 @@ def create(directory: Path, number: int) -> Ownership | None:
 def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
     """The highest number and its record, which is empty if it cannot be read; (-1, None) if there is none."""
     number = max(_numbers(directory), default=-1)
-    return number, None if number < 0 else _read(_owner_file(directory, number)) or {}
+    return number, None if number < 0 else _read(_owner_file(directory, number))
 
 
 def describe(directory: Path) -> OwnerInfo:
@@ -200,7 +199,7 @@ def describe(directory: Path) -> OwnerInfo:
 
 def last_heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
     """Last sign of life of the owner in `record`, in Unix time."""
-    status = _read(directory / "status.json") or {}
+    status = _read(directory / "status.json")
     value = status.get("heartbeat") if status.get("claim") == record.get("nonce") else record.get("since")
     return unix_time(value)
 
@@ -241,9 +240,8 @@ def _succeeds(directory: Path, ownership: Ownership, before: dict[str, Any] | No
     faster or the folder is a new one."""
     if max(_numbers(directory), default=-1) != ownership.number:
         return False
-    return before is None or (_read(_owner_file(directory, ownership.number - 1)) or {}).get("nonce") == before.get(
-        "nonce"
-    )
+    previous = _read(_owner_file(directory, ownership.number - 1))
+    return before is None or previous.get("nonce") == before.get("nonce")
 
 
 def _remove_older(directory: Path, number: int) -> None:
@@ -261,16 +259,12 @@ def _owner_file(directory: Path, number: int) -> Path:
     return directory / "owner" / f"{number:06d}.json"
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read(path: Path) -> dict[str, Any]:
+    """Empty if the file cannot be read."""
     try:
         return read_json(path)
     except (OSError, ValueError):
-        return None
-
-
-@lru_cache(maxsize=8)
-def _process(pid: int) -> Process:
-    return Process(pid, platform.node(), _boot_id(), _start_time(pid))
+        return {}
 
 
 @lru_cache(maxsize=1)

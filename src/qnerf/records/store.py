@@ -7,7 +7,7 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -98,9 +98,10 @@ class RunStore:
         for _ in range(1000):
             refuse_links(directory, *(directory / name for name in ("owner", "metrics", "images")))
             if _is_vacant(directory):
-                if (ownership := self._publish(self._make_folder(content, 0), directory)) is None:
+                made = self._publish(self._make_folder(content, 0), directory)
+                if made is None:
                     continue
-                return Claim("new", directory, f"{directory}: new run", self._open(ownership, resumed=False))
+                return Claim("new", directory, f"{directory}: new run", self._open(made, resumed=False))
             holder = owner.acquire(directory, self.watch)
             if holder is None:
                 continue
@@ -110,18 +111,15 @@ class RunStore:
             if not force and before == "finished":  # in the meantime
                 holder.release()
                 return _finished(directory)
-            try:
+            with _released_on_error(holder):
                 if force:
-                    if (ownership := self._replace_run(content, holder)) is None:
+                    made = self._replace_run(content, holder)
+                    if made is None:
                         continue
-                    return Claim("new", directory, f"{directory}: done over", self._open(ownership, resumed=False))
+                    return Claim("new", directory, f"{directory}: done over", self._open(made, resumed=False))
                 _refuse_newer_format(directory)
                 remove_temporary_files(directory)
                 content.complete(directory)
-            except BaseException:
-                with contextlib.suppress(StoreError):
-                    holder.release()
-                raise
             onward = "from its checkpoint" if any(directory.glob("checkpoint*.pt")) else "from the start"
             stored = before if before == "failed" else "interrupted"
             message = f"{directory}: was {stored}, going on {onward}"
@@ -129,12 +127,8 @@ class RunStore:
         raise StoreError(f"{directory}: cannot claim the run: its folder comes and goes all the time")
 
     def _open(self, ownership: Ownership, *, resumed: bool) -> Run:
-        try:
+        with _released_on_error(ownership):
             return Run(ownership, resumed=resumed, every=self.every)
-        except BaseException:
-            with contextlib.suppress(StoreError):
-                ownership.release()
-            raise
 
     def _make_folder(self, content: "_InitialContent", number: int) -> Ownership:
         """A complete folder of a run, still under a temporary name."""
@@ -190,6 +184,16 @@ class RunStore:
             with contextlib.suppress(OSError):
                 if path.name.startswith("old-") or abs(time.time() - path.stat().st_mtime) > _ABANDONED_S:
                     delete(path, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _released_on_error(ownership: Ownership) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(StoreError):
+            ownership.release()
+        raise
 
 
 def _is_vacant(directory: Path) -> bool:
