@@ -33,7 +33,7 @@ from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import GATES
 from qnerf.scenes import SCENES, Scene
 from qnerf.scenes.pose_noise import disturbed
-from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
+from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.finite_checks import FILE as NONFINITE
 from qnerf.training.finite_checks import CheckedTrainer, Origin
@@ -347,4 +347,4 @@ def part_times(path: Path) -> dict[str, float]:
     """Median milliseconds of each part of a step, over the logged steps after the first 50."""
     logged = read_metrics(path)
     times = logged[logged["key"].str.startswith("time/") & (logged["step"] >= 50)].groupby("key")["value"].median()
-    return {f"time.{part}_ms": float(times.get(f"time/{part}_ms", float("nan"))) for part in PARTS}
+    return {f"time.{part}_ms": float(times.get(f"time/{part}_ms", float("nan"))) for part in STAGES}

@@ -12,6 +12,7 @@ import qnerf.geometry.rays
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project, rays_from
 from qnerf.scenes import Cameras, Scene
+from qnerf.scenes.base import composite
 from qnerf.scenes.lens import _distort, distort, invertible, undistort
 
 IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
@@ -267,6 +268,13 @@ def test_a_scene_s_own_bounds_win():
 def test_bounds_in_the_wrong_order_are_refused(near, far):
     with pytest.raises(ValueError, match="near must be at least 0 and below far"):
         RayTable(scene(cameras()), near=near, far=far)
+
+
+def test_alpha_is_composited_on_what_lies_behind():
+    pixels = torch.tensor([[0.2, 0.4, 0.6, 0.5]])
+    behind = torch.tensor([[1.0, 0.0, 0.5]])
+    torch.testing.assert_close(composite(pixels, behind), torch.tensor([[0.6, 0.2, 0.55]]))
+    assert torch.equal(composite(pixels[:, :3], None), pixels[:, :3])
 
 
 def test_colors_composite_straight_alpha():

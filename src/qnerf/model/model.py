@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from qnerf.geometry.pose_refinement import Cameras
 from qnerf.model.field import Field
-from qnerf.rendering.render import render, shares, volume_weights
+from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.samplers import SampledRays, Sampler
 from qnerf.rendering.shading import Gate
 from qnerf.timing import Stopwatch
@@ -51,17 +51,17 @@ class Model(nn.Module):
         Also returns the samples (for the regularisers) and the colour (R, 3) behind the rays, where there is one of
         known colour: what a target with alpha has to be composited on.
         """
-        with watch.part("sampling"):
+        with watch.stage("sampling"):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
         samples = sampled.samples
-        with watch.part("field"):
+        with watch.stage("field"):
             points = rays.along(samples.mids)
             density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
             weights = volume_weights(density, samples.deltas)
-            gated = self.gate(shares(weights, background), geometry, evaluated)
+            gated = self.gate(color_shares(weights, background), geometry, evaluated)
             color = self.field.color(gated.geometry, rays.directions, rays.cameras, gated.kept)
-        with watch.part("render"):
+        with watch.stage("render"):
             rendering, behind = render(
-                weights, color, samples, background=background, parts=gated.shares, generator=generator
+                weights, color, samples, background=background, shares=gated.shares, generator=generator
             )
         return rendering, sampled, behind
