@@ -17,10 +17,10 @@ from qnerf.config.labels import labels, slug
 from qnerf.config.settings import Settings, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
-from qnerf.geometry.hull import hull
+from qnerf.geometry.hull import visual_hull
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
-from qnerf.geometry.visibility import SpaceMask, visible
+from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS
 from qnerf.model.activations import ACTIVATIONS
 from qnerf.model.field import Field
@@ -160,9 +160,9 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
     least, n = settings.visibility.cameras, settings.visibility.resolution
     grids = []
     if least:
-        grids.append(visible(contraction, scene.cameras, scene.train, least, n))
+        grids.append(visible_cells(contraction, scene.cameras, scene.train, least, n))
     if settings.visibility.alpha:
-        grids.append(hull(contraction, scene, n))
+        grids.append(visual_hull(contraction, scene, n))
     if not grids and not settings.occupancy.every:
         return None
     allowed = torch.stack(grids).all(0) if grids else torch.ones(n, n, n, dtype=torch.bool)
@@ -176,10 +176,12 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
 
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
-    apart = round(1 / settings.stop.share) if settings.stop.every else 0
-    while apart and math.gcd(apart, scene.cameras.width) > 1:  # else they would be the same few columns of each image
-        apart += 1
-    return RayTable(scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, apart=apart)
+    stride = round(1 / settings.stop.share) if settings.stop.every else 0
+    while stride and math.gcd(stride, scene.cameras.width) > 1:  # else the same few columns of every image
+        stride += 1
+    return RayTable(
+        scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, validation_stride=stride
+    )
 
 
 def parameter_counts(model: Model) -> dict[str, int]:

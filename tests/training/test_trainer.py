@@ -89,12 +89,12 @@ def test_validation_is_of_the_rays_kept_apart_and_changes_nothing(tiny):
 def test_kept_pixels_are_not_the_same_columns_of_each_image(tiny):
     """The images are 8 wide: one pixel in 4 would be two columns."""
     table = trainer(tiny(*STOP, "stop.share=0.25")).table
-    assert table.apart == 5
-    assert trainer(tiny("field=classical")).table.apart == 0
+    assert table.validation_stride == 5
+    assert trainer(tiny("field=classical")).table.validation_stride == 0
 
 
 def test_a_share_that_keeps_no_pixel_is_one_line(tiny):
-    with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart") as caught:
+    with pytest.raises(ValueError, match=r"stop\.share holds out one training pixel in \d+") as caught:
         trainer(tiny(*STOP, "stop.share=1e-6"))
     assert "\n" not in str(caught.value)
 
