@@ -34,9 +34,9 @@ from qnerf.rendering.shading import GATES
 from qnerf.scenes import SCENES, Scene
 from qnerf.scenes.pose_noise import disturbed
 from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
+from qnerf.training.checked_trainer import FILE as NONFINITE
+from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator
-from qnerf.training.finite_checks import FILE as NONFINITE
-from qnerf.training.finite_checks import CheckedTrainer, Origin
 from qnerf.training.trainer import Trainer
 
 
@@ -263,8 +263,8 @@ def _execute(
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     table = ray_table(settings, scene)
     if settings.numerics.check:
-        origin = Origin(scene.names, store.config, store.dir / NONFINITE)
-        trainer: Trainer = CheckedTrainer(model, table, settings, watch, origin)
+        context = RunContext(scene.names, store.config, store.dir / NONFINITE)
+        trainer: Trainer = CheckedTrainer(model, table, settings, watch, context)
     else:
         trainer = Trainer(model, table, settings, watch)
     evaluator = Evaluator(

@@ -134,6 +134,6 @@ def test_silhouettes_that_contradict_each_other_are_one_line(world):
 def test_a_lens_that_distorts_is_one_line(world):
     lens = torch.full_like(world.cameras.distortion, 0.01)
     bent = dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
-    with pytest.raises(ValueError, match="lens distortion, which silhouettes are not freed of") as caught:
+    with pytest.raises(ValueError, match="lens distortion, which silhouettes do not support") as caught:
         visual_hull(CONTRACTIONS.build("box"), bent, 8)
     assert "\n" not in str(caught.value)
