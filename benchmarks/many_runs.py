@@ -23,7 +23,7 @@ from qnerf.config.identity import run_id
 from qnerf.model.labels import labels, slug
 from qnerf.records import Run, RunStore
 from qnerf.records.environment import capture
-from qnerf.timing import PARTS
+from qnerf.timing import STAGES
 
 LOGS = 20  # how often a run logs `METRICS`
 METRICS = ("train/loss", "train/psnr", "train/interlevel", "train/distortion", "train/lr", "train/rays_per_s")
@@ -130,7 +130,7 @@ def _write(
         run.write_eval({"image": f"{view:03d}.png", "psnr": final + random.normal(0, 0.5)} for view in range(5))
         results = {"psnr": final, "ssim": random.uniform(0.6, 0.9), "train_s": random.uniform(50, 100), "steps": last}
         results |= {"step_ms": random.uniform(20, 60), "eval_views": 5, "eval_s": random.uniform(1, 2)}
-        times = {f"time.{part}_ms": random.uniform(1, 20) for part in PARTS}
+        times = {f"time.{part}_ms": random.uniform(1, 20) for part in STAGES}
         run.finish(results | times | {"peak_memory_mb": 640.0, "lpips_reason": "weights not found"})
 
 

@@ -31,7 +31,7 @@ from qnerf import experiment, kernels
 from qnerf.cli.launch import conf_folder
 from qnerf.encoders import HashEncoder
 from qnerf.quantum import QuantumLayer
-from qnerf.timing import PARTS, Stopwatch
+from qnerf.timing import STAGES, Stopwatch
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Trainer
 
@@ -162,7 +162,7 @@ def profile(overrides: str, rounds: int, limits: dict[str, float]) -> dict[str, 
         "kind": "step",
         "name": overrides,
         "ms": logged["time/step_ms"].median(),
-        **{f"{part}_ms": logged[f"time/{part}_ms"].median() for part in PARTS},
+        **{f"{part}_ms": logged[f"time/{part}_ms"].median() for part in STAGES},
         "parameters": sum(p.numel() for p in of.model.parameters()),
         **needed,
         "floor_ms": 1e3 * floor,
@@ -249,7 +249,7 @@ def main() -> None:
             rows.append(evaluation(overrides, options.rounds))
             print(f"{rows[-1]['name']:<64} {rows[-1]['ratio']:8.2f}  {rows[-1]['promised']}", flush=True)
     frame = pd.DataFrame(rows).assign(threads=options.threads, **limits)
-    columns = ["name", "ms", *(f"{part}_ms" for part in PARTS), "parameters", "floor_ms"]
+    columns = ["name", "ms", *(f"{part}_ms" for part in STAGES), "parameters", "floor_ms"]
     if "ms" in frame:
         print(frame[frame["kind"] == "step"][columns].round(2).to_string(index=False))
     RESULTS.parent.mkdir(exist_ok=True)
