@@ -27,11 +27,13 @@ NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?"
 MEAN = r"\d+\.\d+ ± \d+\.\d+"
 INTERVAL = rf"{NUMBER} \[{NUMBER}, {NUMBER}\]"
 DECIMAL = r"(?<![\w.:])[+-]?\d+\.\d+(?:e[+-]\d+)?"
-QUOTE = re.compile(rf"{INTERVAL}|{MEAN}|{DECIMAL}")
+QUOTE = rf"{INTERVAL}|{MEAN}|{DECIMAL}"
+MEASURED = r"|(?<![\w.])\d+(?= (?:ms|s|%)(?:[ ,.|]|$))|(?<=\| )\d+(?= *$)"
+"""Whole numbers that were measured: with a unit, or at the end of a table's row."""
 MUST = re.compile(rf"{INTERVAL}|{MEAN}|\d\.\d+ dB\b")
 """What may not stand in a document without a source."""
-COMMENT = re.compile(r"<!-- (results|from|printed by) (.*?) ?-->", re.DOTALL)
-EACH_ROW = re.compile(r"<!-- each row, (results|from) (.*?) ?-->\n", re.DOTALL)
+COMMENT = re.compile(r"<!-- (results|from|printed by|checked by) (.*?) ?-->", re.DOTALL)
+EACH_ROW = re.compile(r"<!-- each row, (results|from|printed by|checked by) (.*?) ?-->\n", re.DOTALL)
 FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -58,7 +60,7 @@ def problems(text: str, tables: dict[str, list[list[Row]]], root: Path = ROOT) -
                 found += ordered(quoted(span), source, lambda one: result_row(one, tables))
             elif kind == "from":
                 file, _, picked = source.partition(": ")
-                found += ordered(quoted(span), picked, lambda one, file=file: parquet_row(root / file, one))
+                found += ordered(quoted(span, MEASURED), picked, lambda one, file=file: parquet_row(root / file, one))
     return found
 
 
@@ -93,8 +95,8 @@ def plain(text: str) -> str:
     return " ".join(re.sub(r"`[^`]*`", "", text).replace("**", "").split())
 
 
-def quoted(text: str) -> list[str]:
-    return QUOTE.findall(plain(text))
+def quoted(text: str, more: str = "") -> list[str]:
+    return re.findall(QUOTE + more, plain(text))
 
 
 def ordered(numbers: Sequence[str], source: str, row_of) -> list[str]:
