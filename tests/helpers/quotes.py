@@ -4,12 +4,15 @@ The writer names the rows in an HTML comment after the numbers:
 
     ... by 0.28 [+0.11, +0.46] dB. <!-- results rates: fox_64 0.33 - 1 -->
 
-`rates` is the section of docs/results.md whose tables come from docs/results/rates. The words pick one row of each of its
-tables; ` - ` and the words of another row ask for the difference of the two. Several rows are separated by `;` and stand in
-the order of their numbers. A comment speaks for the numbers since the comment before it, or since the start of its
-paragraph, list item or table row. `<!-- each row, results recipe: fox_64 {2} - quick_recipe -->` above a table speaks for
-every row of it without a comment of its own; {2} is the row's second cell. `<!-- from FILE.parquet: qcolor & threads 2 -->`
-picks the rows of a parquet file whose text has these parts. `<!-- printed by COMMAND -->` is for numbers that no file keeps.
+`rates` is the section of docs/results.md that is made from docs/results/rates. The words pick one row of its tables. ` - `
+and the words of another row ask for the difference of the two. Several rows are separated by `;`, in the order of their
+numbers. A comment covers the numbers since the comment before it, or since the start of its paragraph, list item or table
+row.
+
+`<!-- each row, results recipe: fox_64 {2} - quick_recipe -->` above a table covers every row without a comment of its own;
+{2} stands for the second cell of the row. Two other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the
+row of a parquet file whose text has these parts; `<!-- printed by COMMAND -->` is for numbers that no file keeps, and
+`<!-- checked by TEST -->` for those of a test in tests/test_documents.py.
 """
 
 import re
@@ -188,7 +191,7 @@ def negated(interval: str) -> str:
 
 
 def parquet_row(file: Path, phrases: str):
-    """Whether a number is a value, rounded, of the rows of a parquet file whose text columns and counts have all phrases."""
+    """Whether a number is a value, rounded, of the one row of a parquet file whose text has all phrases."""
     rows = [held for text, held in parquet_rows(file) if all(phrase in text for phrase in phrases.split(" & "))]
     if len(rows) != 1:
         raise LookupError(f"{phrases!r} names {len(rows)} rows of {file.name}")
