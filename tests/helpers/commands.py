@@ -30,7 +30,7 @@ class Parsed(Exception):
 
 def shown(file: Path) -> Iterator[str]:
     """Each command of a Markdown or YAML file: lines of code blocks, `code` in a sentence, lines of comments."""
-    text = file.read_text()
+    text = file.read_text().replace("\\\n", " ")
     if file.suffix == ".yaml":
         lines = re.findall(r"^# {3,}(\S.*)", text, re.MULTILINE) + re.findall(r'(pip install "[^"]+")', text)
     else:

@@ -4,13 +4,13 @@ The writer names the rows in an HTML comment after the numbers:
 
     ... by 0.28 [+0.11, +0.46] dB. <!-- results rates: fox_64 0.33 - 1 -->
 
-`rates` is the section of docs/results.md that is made from docs/results/rates. The words pick one row of its tables. ` - `
-and the words of another row ask for the difference of the two. Several rows are separated by `;`, in the order of their
-numbers. A comment covers the numbers since the comment before it, or since the start of its paragraph, list item or table
-row.
+`rates` is the section of docs/results.md that is made from docs/results/rates. The words pick one row of its tables.
+` - ` and the words of another row ask for the difference of the two. Several rows are separated by `;`, in the order of
+their numbers. A comment covers the numbers since the comment before it, or since the start of its paragraph, list item
+or table row.
 
-`<!-- each row, results recipe: fox_64 {2} - quick_recipe -->` above a table covers every row without a comment of its own;
-{2} stands for the second cell of the row. Two other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the
+`<!-- each row, results recipe: fox_64 {2} - quick_recipe -->` above a table covers every row without a comment of its
+own; {2} stands for the second cell of the row. Other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the
 row of a parquet file whose text has these parts; `<!-- printed by COMMAND -->` is for numbers that no file keeps, and
 `<!-- checked by TEST -->` for those of a test in tests/test_documents.py.
 """
@@ -143,13 +143,12 @@ def result_row(name: str, tables: dict[str, list[list[Row]]]):
     rows = [row for table in tables[section] for row in table]
     own = [row for row in rows if Counter([scene, *a]) <= row.words and row.baseline == Counter(b)]
     other = [row for row in rows if Counter([scene, *b]) <= row.words and row.baseline == Counter(a)]
-    shown = [row.difference for row in own if row.difference] + [
-        negated(row.difference) for row in other if row.difference
-    ]
-    if not shown and a != b:
-        raise LookupError(f"no difference {name!r} in docs/results.md")
+    shown = {values(row.difference) for row in own if row.difference}
+    shown |= {values(negated(row.difference)) for row in other if row.difference}
+    if len(shown) != 1 and a != b:
+        raise LookupError(f"{name!r} names {len(shown)} differences of docs/results.md")
     alone = result_row(f"{section}: {first}", tables)
-    return lambda number: alone(number) or ("[" in number and values(number) in map(values, shown))
+    return lambda number: alone(number) or ("[" in number and values(number) in shown)
 
 
 def matching(section: list[list[Row]], words: Counter[str], name: str) -> list[Row]:
