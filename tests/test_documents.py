@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.figures import ladder_points
+from analysis.figures import FIGURES, ladder_points
 from tests.helpers import commands, options, quotes
 from tests.helpers.configs import ROOT
 
@@ -23,12 +23,12 @@ def names(files: list[Path]) -> list[str]:
 
 def shown() -> Iterator[tuple[str, str]]:
     """A file and each command that it shows, once."""
-    told = set()
+    seen = set()
     for file in (*DOCUMENTS, *HEADERS):
         for command in commands.shown(file):
             past = file.name == "CHANGELOG.md" and "src.run" not in command
-            if command not in told and not past:
-                told.add(command)
+            if command not in seen and not past:
+                seen.add(command)
                 yield str(file.relative_to(ROOT)), command
 
 
@@ -73,8 +73,8 @@ def test_a_quoted_number_is_in_the_row_that_it_is_quoted_from(file):
 
 
 def test_enough_numbers_have_a_row():
-    sources = [quotes.COMMENT.findall(file.read_text()) for file in QUOTING]
-    assert sum(kind == "results" for found in sources for kind, _ in found) > 40
+    comments = [comment for file in QUOTING for comment in quotes.COMMENT.findall(file.read_text())]
+    assert sum(kind == "results" for kind, _ in comments) > 40
 
 
 def test_a_test_that_a_document_relies_on_is_here():
@@ -161,7 +161,7 @@ def test_every_option_and_group_is_on_the_page_of_options():
     page = options.PAGE.read_text()
     for group in (path.name for path in options.CONF.iterdir() if path.is_dir() and path.name != "hydra"):
         assert f"`{group}`" in page, group
-        assert options.TOLD.get(group), f"{group}: say what it chooses in tests/helpers/options.py"
+        assert options.PURPOSE.get(group), f"{group}: say what it chooses in tests/helpers/options.py"
     for key, _, _ in options.option_rows(options.CONF / "config.yaml", ""):
         assert key in page, key
 
@@ -185,6 +185,13 @@ def test_every_page_is_in_the_index():
     index = (ROOT / "docs" / "README.md").read_text()
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "README.md" or f"]({page.name})" in index, page.name
+
+
+def test_every_sweep_and_every_figure_is_named():
+    sweeps = (ROOT / "docs" / "sweeps.md").read_text()
+    figures = (ROOT / "docs" / "analysis.md").read_text()
+    assert [path.stem for path in (ROOT / "sweeps").glob("*.yaml") if f"`{path.stem}`" not in sweeps] == []
+    assert [name for name in FIGURES if f"`{name}`" not in figures] == []
 
 
 def test_the_readme_is_short():

@@ -9,7 +9,7 @@ import shlex
 import sys
 import tomllib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -103,7 +103,7 @@ def check_module(name: str, arguments: list[str]) -> None:
             parse(lambda: runpy.run_module(name, run_name="__main__", alter_sys=True), [name, *arguments])
 
 
-def parse(program, arguments: list[str]) -> None:
+def parse(program: Callable[[], None], arguments: list[str]) -> None:
     """Calls a program up to where it has parsed its arguments. One that is only mentioned has to have a help text."""
 
     def understood(parse_known):

@@ -9,7 +9,7 @@ from tests.helpers.configs import CONF, ROOT
 PAGE = ROOT / "docs" / "configuration.md"
 MARK = "<!-- made by: python -m tests.helpers.options -->\n"
 LINE = re.compile(r"^( *)([\w@/]+):(?:\s+(.*?))??(?:\s+#\s*(.*))?$")
-TOLD = {
+PURPOSE = {
     "ansatz": "the circuit",
     "budget": "how many steps, of any recipe",
     "cameras": "pose refinement",
@@ -50,7 +50,7 @@ def made() -> str:
 def group_row(path: Path, files: list[Path]) -> tuple[str, str, str]:
     names = [file.stem for file in files if file.stem != "base"]
     choices = ", ".join(f"`{name}`" for name in names) if len(names) < 20 else f"{len(names)} of them, see below"
-    return f"`{path.name}`", TOLD[path.name], choices
+    return f"`{path.name}`", PURPOSE[path.name], choices
 
 
 def group_tables(group: str, files: list[Path]) -> list[str]:
@@ -64,7 +64,7 @@ def group_tables(group: str, files: list[Path]) -> list[str]:
         parts.append("\n".join(f"- `{group}={file.stem}`: {head(file)}" for file in same if head(file)))
         columns = [option_rows(file, prefix) for file in same]
         rows = [
-            (row[0][0], *(value for _, value, _ in row), next((told for _, _, told in row if told), ""))
+            (row[0][0], *(value for _, value, _ in row), next((comment for _, _, comment in row if comment), ""))
             for row in zip(*columns, strict=True)
             if row[0][0] != f"`{group}.name`"
         ]
@@ -77,7 +77,7 @@ def head(file: Path) -> str:
     """The comment at the top of a choice, or beside its name."""
     comments = itertools.takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
     text = " ".join(line[2:] for line in comments if not line.startswith(("# @package", "#   ")))
-    return text or next((told for key, _, told in option_rows(file, "") if key == "`name`"), "")
+    return text or next((comment for key, _, comment in option_rows(file, "") if key == "`name`"), "")
 
 
 def options(file: Path, prefix: str) -> str:
@@ -91,12 +91,12 @@ def option_rows(file: Path, prefix: str) -> list[tuple[str, str, str]]:
         match = LINE.match(line)
         if not match:
             continue
-        depth, key, value, told = len(match[1]) // 2, match[2], match[3] or "", match[4] or ""
+        depth, key, value, comment = len(match[1]) // 2, match[2], match[3] or "", match[4] or ""
         parents = [*parents[:depth], key]
-        if parents[0] not in ("defaults", "hydra") and (value or told):
+        if parents[0] not in ("defaults", "hydra") and (value or comment):
             same = re.fullmatch(r"\$\{([\w.]+)\}", value)
             shown = f"as `{same[1]}`" if same else f"`{value}`" if value else ""
-            rows.append((f"`{prefix}{'.'.join(parents)}`", shown, told.replace("|", "\\|")))
+            rows.append((f"`{prefix}{'.'.join(parents)}`", shown, comment.replace("|", "\\|")))
     return rows
 
 

@@ -10,14 +10,16 @@ their numbers. A comment covers the numbers since the comment before it, or sinc
 or table row.
 
 `<!-- each row, results recipe: fox_64 {2} - quick_recipe -->` above a table covers every row without a comment of its
-own; {2} stands for the second cell of the row. Other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the
-row of a parquet file whose text has these parts; `<!-- printed by COMMAND -->` is for numbers that no file keeps, and
-`<!-- checked by TEST -->` for those of a test in tests/test_documents.py.
+own; {2} stands for the second cell of the row.
+
+Other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the row of a parquet file whose text has these
+parts. `<!-- printed by COMMAND -->` is for numbers that no file holds. `<!-- checked by TEST -->` names a test in
+tests/test_documents.py.
 """
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -40,6 +42,10 @@ EACH_ROW = re.compile(r"<!-- each row, (results|from|printed by|checked by) (.*?
 FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
+Holds = Callable[[str], bool]
+"""Whether a row has a quoted number."""
+
+
 @dataclass
 class Row:
     """A row of a table: the words that name it, its numbers with the decimals they have, its mean ± deviation, its
@@ -54,17 +60,17 @@ class Row:
 
 def problems(text: str, tables: dict[str, list[list[Row]]], root: Path = ROOT) -> list[str]:
     """One line for each number of a Markdown document that is not in the row that it names, or that names none."""
-    found = []
+    lines = []
     for block, template in blocks(FENCE.sub("", text)):
         for span, kind, source in spans(block, template):
             if kind == "":
-                found += [f"{number!r}: no source" for number in MUST.findall(plain(span))]
+                lines += [f"{number!r}: no source" for number in MUST.findall(plain(span))]
             elif kind == "results":
-                found += ordered(quoted(span), source, lambda one: result_row(one, tables))
+                lines += ordered(quoted(span), source, lambda one: result_row(one, tables))
             elif kind == "from":
                 file, _, picked = source.partition(": ")
-                found += ordered(quoted(span, MEASURED), picked, lambda one, file=file: parquet_row(root / file, one))
-    return found
+                lines += ordered(quoted(span, MEASURED), picked, lambda one, file=file: parquet_row(root / file, one))
+    return lines
 
 
 def blocks(text: str) -> Iterator[tuple[str, str]]:
@@ -102,7 +108,7 @@ def quoted(text: str, more: str = "") -> list[str]:
     return re.findall(QUOTE + more, plain(text))
 
 
-def ordered(numbers: Sequence[str], source: str, row_of) -> list[str]:
+def ordered(numbers: Sequence[str], source: str, row_of: Callable[[str], Holds]) -> list[str]:
     """Each number is in the row that it stands for, which is that of the number before it or the next one."""
     names = [one.strip() for one in source.split(";")]
     try:
@@ -129,7 +135,7 @@ def carried(names: Sequence[str]) -> list[str]:
     return full
 
 
-def result_row(name: str, tables: dict[str, list[list[Row]]]):
+def result_row(name: str, tables: dict[str, list[list[Row]]]) -> Holds:
     """Whether a quoted number is in the row, or is the difference, that `SECTION: WORDS [- WORDS]` names."""
     section, _, words = name.partition(": ")
     if section not in tables:
@@ -153,15 +159,15 @@ def result_row(name: str, tables: dict[str, list[list[Row]]]):
 
 def matching(section: list[list[Row]], words: Counter[str], name: str) -> list[Row]:
     """The row of each table that has all the words; LookupError where none has, or several different ones do."""
-    found = []
+    result = []
     for table in section:
         rows = [row for row in table if words <= row.words]
         if any(row != rows[0] for row in rows):
             raise LookupError(f"{name!r} names several rows of docs/results.md")
-        found += rows[:1]
-    if not found:
+        result += rows[:1]
+    if not result:
         raise LookupError(f"{name!r} names no row of docs/results.md")
-    return found
+    return result
 
 
 def is_in(number: str, row: Row) -> bool:
@@ -169,13 +175,13 @@ def is_in(number: str, row: Row) -> bool:
         return False  # a difference needs its other side
     if "±" in number:
         return number in row.means
-    return any(agrees(number, held) for held in row.numbers)
+    return any(agrees(number, value) for value in row.numbers)
 
 
-def agrees(number: str, held: str) -> bool:
-    """Whether `number` is `held`, rounded to the decimals of `number`; `held` may be rounded itself."""
-    decimals, known = len(number.partition(".")[2]), len(held.partition(".")[2])
-    return known >= decimals and abs(float(number) - float(held)) <= 0.5 * 10**-decimals + 0.5 * 10**-known * (
+def agrees(number: str, value: str) -> bool:
+    """Whether `number` is `value`, rounded to the decimals of `number`; `value` may be rounded itself."""
+    decimals, known = len(number.partition(".")[2]), len(value.partition(".")[2])
+    return known >= decimals and abs(float(number) - float(value)) <= 0.5 * 10**-decimals + 0.5 * 10**-known * (
         known > decimals
     )
 
@@ -189,9 +195,9 @@ def negated(interval: str) -> str:
     return f"{-mean:+.2f} [{-high:+.2f}, {-low:+.2f}]"
 
 
-def parquet_row(file: Path, phrases: str):
+def parquet_row(file: Path, phrases: str) -> Holds:
     """Whether a number is a value, rounded, of the one row of a parquet file whose text has all phrases."""
-    rows = [held for text, held in parquet_rows(file) if all(phrase in text for phrase in phrases.split(" & "))]
+    rows = [numbers for text, numbers in parquet_rows(file) if all(phrase in text for phrase in phrases.split(" & "))]
     if len(rows) != 1:
         raise LookupError(f"{phrases!r} names {len(rows)} rows of {file.name}")
     return lambda number: any(round(value, len(number.partition(".")[2])) == float(number) for value in rows[0])
@@ -216,7 +222,7 @@ def result_tables(page: str) -> dict[str, list[list[Row]]]:
     """The tables of each section of docs/results.md, by the folder that its command names."""
     sections = {}
     for text in page.split("\n## ")[1:]:
-        folder = re.search(r"analysis\.tables docs/results/(\w+)", text)
+        folder = re.search(r"docs/results/(\w+) --rows", text)
         assert folder, text[:80]
         tables = re.findall(r"((?:^\|.*\n)+)(?:\ndifference from (.+?): )?", text, re.MULTILINE)
         sections[folder[1]] = [result_rows(table, baseline) for table, baseline in tables]
