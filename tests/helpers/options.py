@@ -28,6 +28,8 @@ PURPOSE = {
     "train": "the recipe",
 }
 """Group -> what it chooses."""
+MOUNTED = {"head": "density"}
+"""Where a group's options are, when not under its own name; for heads, the colour head has the same ones."""
 
 
 def made() -> str:
@@ -54,14 +56,14 @@ def group_row(path: Path, files: list[Path]) -> tuple[str, str, str]:
 
 
 def group_tables(group: str, files: list[Path]) -> list[str]:
-    """One table for the choices that have the same options; of a group with a base.yaml that one alone."""
+    """One table for the choices that have the same options; of a group with a base.yaml only one, of that."""
     alike: dict[tuple[str, ...], list[Path]] = {}
     for file in [file for file in files if file.stem == "base"] or files:
         alike.setdefault(tuple(key for key, _, _ in option_rows(file, "")), []).append(file)
     parts = []
     for same in alike.values():
-        prefix = "" if "@package _global_" in same[0].read_text() else f"{group}."
-        parts.append("\n".join(f"- `{group}={file.stem}`: {head(file)}" for file in same if head(file)))
+        prefix = package(group, same[0])
+        parts.append("\n".join(f"- {name(group, file)}: {head(file)}" for file in same if head(file)))
         columns = [option_rows(file, prefix) for file in same]
         rows = [
             (row[0][0], *(value for _, value, _ in row), next((comment for _, _, comment in row if comment), ""))
@@ -70,7 +72,22 @@ def group_tables(group: str, files: list[Path]) -> list[str]:
         ]
         if rows:
             parts.append(table(("option", *(f"`{file.stem}`" for file in same), "what it is"), rows))
+        if same[0].stem == "base":
+            parts.append(
+                "\n".join(f"- {name(group, file)}: {head(file)}" for file in files if head(file) and file not in same)
+            )
     return [part for part in parts if part]
+
+
+def package(group: str, file: Path) -> str:
+    """What comes before the keys of a choice in the configuration, up to the dot."""
+    said = re.search(r"^# @package (\w+)", file.read_text(), re.MULTILINE)
+    mount = said[1] if said else MOUNTED.get(group, group)
+    return "" if mount == "_global_" else f"{mount}."
+
+
+def name(group: str, file: Path) -> str:
+    return "all choices" if file.stem == "base" else f"`{group}={file.stem}`"
 
 
 def head(file: Path) -> str:
