@@ -35,6 +35,7 @@ DECIMAL = r"(?<![\w.:])[+-]?\d+\.\d+(?:e[+-]\d+)?"
 QUOTE = rf"{INTERVAL}|{MEAN}|{DECIMAL}"
 MEASURED = r"|(?<![\w.])\d+(?= (?:ms|s|%)(?:[ ,.|]|$))|(?<=\| )\d+(?= *$)"
 """Whole numbers that were measured: with a unit, or at the end of a table's row."""
+PERCENT = r"|(?<![\w.])\d+(?= %)"
 MUST = re.compile(rf"{INTERVAL}|{MEAN}|\d\.\d+ dB\b")
 """What may not stand in a document without a source."""
 COMMENT = re.compile(r"<!-- (results|from|printed by|checked by) (.*?) ?-->", re.DOTALL)
@@ -66,7 +67,7 @@ def problems(text: str, tables: dict[str, list[list[Row]]], root: Path = ROOT) -
             if kind == "":
                 lines += [f"{number!r}: no source" for number in MUST.findall(plain(span))]
             elif kind == "results":
-                lines += ordered(quoted(span), source, lambda one: result_row(one, tables))
+                lines += ordered(quoted(span, PERCENT), source, lambda one: result_row(one, tables))
             elif kind == "from":
                 file, _, picked = source.partition(": ")
                 lines += ordered(quoted(span, MEASURED), picked, lambda one, file=file: parquet_row(root / file, one))
@@ -244,7 +245,7 @@ def result_rows(table: str, baseline: str) -> list[Row]:
             elif "±" in cell:
                 row.means.append(cell)
                 row.numbers.append(cell.split()[0])
-            elif re.fullmatch(DECIMAL, cell):
-                row.numbers.append(cell)
+            elif re.fullmatch(rf"{DECIMAL}|\d+%", cell):
+                row.numbers.append(cell.removesuffix("%"))
         rows.append(row)
     return rows
