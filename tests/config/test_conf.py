@@ -1,18 +1,21 @@
 """Every choice of every group composes, builds and takes two steps; conf/ and the registries name the same things."""
 
 import json
+import re
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from qnerf.cli.plugins import groups
+from qnerf.config.compatibility import ADDED, neutral
 from qnerf.config.settings import settings_from
-from qnerf.encoders import ENCODERS
-from qnerf.experiment import run
-from qnerf.geometry.contraction import CONTRACTIONS
-from qnerf.geometry.pose_refinement import CAMERAS
-from qnerf.rendering.samplers import SAMPLERS
-from qnerf.rendering.shading import SHADINGS
-from qnerf.scenes import SCENES
+from qnerf.encoders import DIRECTIONS
+from qnerf.experiment import build_head, run
+from qnerf.heads import head_options
+from qnerf.model.activations import ACTIVATIONS
+from qnerf.quantum.circuit import Encoding
+from qnerf.quantum.initial_angles import INITS
+from qnerf.rendering.spacing import SPACINGS
 from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept
 from tests.helpers.scenes import write_scene
 
@@ -22,7 +25,21 @@ def choices(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("base", "auto"))
 
 
-REGISTRIES = {"encoder": ENCODERS, "sampler": SAMPLERS, "scene": SCENES, "cameras": CAMERAS, "gate": SHADINGS}
+REGISTRIES = dict(groups())
+VALUES = {
+    "color.directions": DIRECTIONS,
+    "density.activation": ACTIVATIONS,
+    "qiren.init": INITS,
+    "sampler.spacing": SPACINGS,
+}
+"""Option -> the registry that its value names a component of."""
+
+
+def node_of(group: str, name: str) -> dict:
+    """The part of the configuration that `group=name` sets."""
+    path = ["scene.path=x"] if group == "scene" else []
+    key, part = {"head": ("head@color", "color"), "ansatz": ("ansatz", "qiren")}.get(group, (group, group))
+    return composed(f"{key}={name}", *path)[part]
 
 
 @pytest.mark.parametrize("group", REGISTRIES)
@@ -30,13 +47,44 @@ def test_conf_and_registry_name_the_same_choices(group):
     assert choices(group) == REGISTRIES[group].names()
 
 
-@pytest.mark.parametrize("group", REGISTRIES)
-def test_conf_spells_out_every_option(group):
-    for name in choices(group):
-        path = ["scene.path=x"] if group == "scene" else []
-        node = composed(f"{group}={name}", *path)[group]
-        known = set(REGISTRIES[group].options(name))
-        assert set(node) - {"name"} == known, f"{group}/{name}.yaml and the signature differ"
+@pytest.mark.parametrize(("group", "name"), [(group, name) for group in REGISTRIES for name in choices(group)])
+def test_conf_spells_out_every_option(group, name):
+    node = node_of(group, name)
+    known = set(REGISTRIES[group].options(name))
+    if group == "head":
+        options, chosen = head_options(node), node["name"]
+    elif group == "ansatz":
+        options, chosen = node["ansatz_options"].get(name, {}), node["ansatz"]
+    else:
+        options, chosen = {key: value for key, value in node.items() if key != "name"}, node["name"]
+    assert chosen == name
+    assert set(options) == known, f"{group}/{name}.yaml and the signature differ"
+
+
+@pytest.mark.parametrize("option", VALUES)
+def test_a_comment_in_conf_lists_the_names_that_a_value_may_have(option):
+    """`spacing: piecewise  # piecewise | uniform | ...`; what follows a name after a colon explains it."""
+    group, _, key = option.rpartition(".")
+    files = [CONF / "config.yaml", *sorted((CONF / group).glob("*.yaml"))]
+    lines = [line for file in files for line in file.read_text().splitlines()]
+    comments = [match[1] for line in lines if (match := re.fullmatch(rf" *{key}: \w+ *# (.* \| .*)", line))]
+    assert comments
+    for comment in comments:
+        assert sorted(comment.partition(":")[0].split(" | ")) == VALUES[option].names()
+
+
+def test_added_options_change_nothing_by_default():
+    """Else today's runs would have other ids than the runs of the same command before."""
+    config = composed()
+    values = neutral(config)
+    assert set(values) == set(ADDED)
+    assert {option: value_at(config, option) for option in ADDED} == values
+
+
+def value_at(config: dict, option: str) -> object:
+    for key in option.split("."):
+        config = config[key]
+    return config
 
 
 def finished(config) -> dict:
@@ -67,9 +115,9 @@ def test_every_hash_table_trains(tiny, table):
         assert finished(tiny("field=classical", f"hash={table}"))["hash"] == table
 
 
-@pytest.mark.parametrize("gate", choices("gate"))
-def test_every_gate_trains(tiny, gate):
-    assert finished(tiny("field=qcolor", "qiren.qubits=2", f"shading={gate}"))["gate"] == gate
+@pytest.mark.parametrize("shading", choices("shading"))
+def test_every_shading_trains(tiny, shading):
+    assert finished(tiny("field=qcolor", "qiren.qubits=2", f"shading={shading}"))["shading"] == shading
 
 
 @pytest.mark.parametrize("sampler", choices("sampler"))
@@ -90,7 +138,7 @@ def test_every_way_to_say_what_a_scene_needs_trains(tiny, needs):
     assert finished(tiny(f"needs={needs}", "hash=C7", "visibility.resolution=16"))["hash"] == "C7"
 
 
-@pytest.mark.parametrize("group", ["hash", "cameras", "gate"])
+@pytest.mark.parametrize("group", ["hash", "cameras", "shading", "contraction"])
 def test_auto_of_one_group_trains(tiny, group):
     summary = finished(tiny("field=classical", f"{group}=auto", "visibility.resolution=16"))
     assert any(column.startswith(f"needs.{group}.") for column in summary)
@@ -122,14 +170,30 @@ def test_every_job_of_every_sweep_is_a_configuration(name):
             assert settings_from(composed(f"{key}={value}", "budget=smoke", sweep=name)).train.steps == 100
 
 
-@pytest.mark.parametrize("contraction", CONTRACTIONS.names())
-def test_every_contraction_trains(tiny, contraction):
-    finished(tiny("field=classical", f"contraction.name={contraction}", "visibility.cameras=0"))
+@pytest.mark.parametrize("key", ["contraction", "contraction.name"])
+@pytest.mark.parametrize("contraction", choices("contraction"))
+def test_every_contraction_trains(tiny, key, contraction):
+    finished(tiny("field=classical", f"{key}={contraction}", "visibility.cameras=0"))
 
 
-@pytest.mark.parametrize("name", ["qfgn", "mlp", "qiren"])
-def test_every_head_kind_trains(tiny, name):
-    finished(tiny(f"color.name={name}", "color.directions=sh"))
+@pytest.mark.parametrize("name", choices("head"))
+@pytest.mark.parametrize("key", ["color", "color.name", "density"])
+def test_every_head_trains(tiny, name, key):
+    summary = finished(tiny(f"{key}={name}", "color.directions=sh", "qiren=1L1S", "qiren.qubits=2"))
+    assert summary[f"{key.partition('.')[0]}.name"] == name
+
+
+@pytest.mark.parametrize("ansatz", choices("ansatz"))
+def test_every_ansatz_trains(tiny, ansatz):
+    """The color head sees the group's choice; the density head's is set by value."""
+    summary = finished(tiny("field=qboth", "qiren.qubits=2", f"ansatz={ansatz}", "density.qiren.ansatz=cnot"))
+    assert (summary["color.qiren.ansatz"], summary["density.qiren.ansatz"]) == (ansatz, "cnot")
+
+
+def test_the_options_of_an_ansatz_reach_its_circuits(tiny):
+    config = tiny("ansatz=qiren", "qiren.ansatz_options.qiren.axis=Y", "qiren.ansatz_options.qiren.ranges=[1,2]")
+    head = build_head(config["color"], 4, 2)
+    assert {op.axis for op in head.hybrid[0].circuit.circuit.operations if isinstance(op, Encoding)} == {"Y"}
 
 
 @pytest.mark.parametrize("background", ["white", "black", "random", "last_sample"])

@@ -1,0 +1,123 @@
+"""`plugins=[my_module]`: the example of docs/extending.md, trained as a user would."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from qnerf import records
+from qnerf.cli.plugins import node
+from qnerf.config.plugins import check_plugins, import_plugins
+from qnerf.config.registry import Registry
+from tests.helpers.configs import ROOT, TINY, composed
+
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+SMALL = (
+    "plugins=[my_module]", "scene=poster", "scene.views=6", "scene.width=9", "scene.height=16", "scene.supersample=1",
+    "train.steps=2", "train.rays=8", "train.eval_every=0", "visibility.resolution=16", "device=cpu", "threads=1",
+    "run.progress=false", *TINY,
+)  # fmt: skip
+RUN = "from qnerf.cli.main import run; run()"
+COMMAND = "import sys; from qnerf.cli.main import dispatch; sys.exit(dispatch(sys.argv[1], sys.argv[2:]))"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With the page's module in it, and nothing else."""
+    (module,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "my_module.py").write_text(module)
+    return tmp_path
+
+
+def qnerf(folder: Path, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command in the folder, in a process of its own."""
+    words = [RUN] if command == "run" else [COMMAND, command]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "QNERF_CACHE": str(folder / "cache"), "PYTHONSAFEPATH": "1"}
+    return subprocess.run(
+        [sys.executable, "-c", *words, *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def test_the_page_s_components_train_and_their_runs_are_not_imported_unasked(folder):
+    (command,) = re.findall(r"^    python -m src\.run (plugins=.*)", PAGE, re.MULTILINE)
+    trained = qnerf(folder, "run", *command.split(), *SMALL)
+    assert trained.returncode == 0, trained.stderr
+    (run,) = records.runs(folder / "runs")
+    summary = records.read_summary(run)
+    assert (summary["encoder"], summary["encoder.bands"]) == ("triangle", 6)
+    assert (summary["color"], summary["color.sine.width"], summary["field"]) == ("sine", 64, "classical")
+    (folder / "my_module.py").write_text("raise SystemExit('imported')\n")
+    for words in (["resume", str(run)], ["reproduce", str(run)], ["probe", str(run), "units"]):
+        status = run / "status.json"
+        finished = status.read_text()
+        if words[0] == "resume":
+            status.write_text(finished.replace('"finished"', '"interrupted"'))
+        refused = qnerf(folder, *words)
+        status.write_text(finished)
+        assert refused.returncode == 2
+        assert re.fullmatch(r"error: .*repeat plugins=\[my_module\] on the command line.*\n", refused.stderr)
+
+
+def test_a_sweep_over_processes_and_a_reproduction(folder):
+    swept = qnerf(folder, "run", "-m", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "color=sine,mlp")
+    assert swept.returncode == 0, swept.stderr + swept.stdout
+    heads = {records.read_summary(run)["color"]: run for run in records.runs(folder / "runs")}
+    assert set(heads) == {"sine", "3x64"}
+    again = qnerf(folder, "reproduce", str(heads["sine"]), "plugins=[my_module]")
+    assert "bit for bit" in again.stdout, again.stdout + again.stderr
+
+
+def test_a_module_that_is_not_there_is_one_line(folder):
+    missing = qnerf(folder, "run", "plugins=[nowhere]")
+    assert (missing.returncode, missing.stderr.count("\n")) == (2, 1)
+    assert "plugins: no module 'nowhere'; expected nowhere.py in the current folder" in missing.stderr
+    (folder / "broken.py").write_text("import nothing_of_that_name\n")
+    missing = qnerf(folder, "run", "plugins=[broken]")
+    assert "plugins: broken imports nothing_of_that_name, which is not installed here" in missing.stderr
+
+
+@pytest.mark.parametrize("stored", [["a", "b"], "a", 3, {"a": 1}, None])
+def test_only_the_modules_that_the_user_names_are_imported(stored):
+    with pytest.raises(ValueError, match=r"^run: was trained with plugins="):
+        check_plugins("run", stored, [])
+    check_plugins("run", [], [])
+    check_plugins("run", ["a", "b"], ["b", "a"])
+
+
+def test_the_default_imports_nothing():
+    assert composed()["plugins"] == []
+    import_plugins([])
+
+
+@pytest.mark.parametrize("group", ["encoder", "head", "ansatz", "sampler"])
+def test_the_node_of_a_signature_is_what_conf_has(group):
+    """For a component of the package, so that a plugin's node can be trusted."""
+    name = {"encoder": "rff", "head": "qfgn", "ansatz": "qiren", "sampler": "vanilla"}[group]
+    key = {"head": "head@color"}.get(group, group)
+    part = {"head": "color", "ansatz": "qiren"}.get(group, group)
+    made, config = node(group, name), composed(f"{key}={name}")[part]
+    made.pop("defaults", None)
+    for option, value in made.items():
+        if isinstance(value, dict):
+            assert set(value) <= set(config[option])
+        elif option != "scale":  # conf has another default for the frequencies of rff
+            assert config[option] == value
+
+
+def test_an_option_without_a_default_has_to_be_given(monkeypatch):
+    registry: Registry[object] = Registry("encoder")
+
+    @registry.register("needy")
+    class Needy:
+        def __init__(self, in_dim: int, *, size: int, shape: tuple[int, ...] = (1, 2)) -> None: ...
+
+    monkeypatch.setattr("qnerf.cli.plugins.groups", lambda: {"encoder": registry})
+    assert node("encoder", "needy") == {"name": "needy", "size": "???", "shape": [1, 2]}
