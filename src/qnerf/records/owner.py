@@ -134,24 +134,22 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
     watch: seconds that an old heartbeat of an owner on another machine is watched.
     """
     for _ in range(1000):
-        try:
-            (directory / "owner").mkdir(exist_ok=True)
-            number, record = latest(directory)
-            if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
-                return OwnerInfo.from_record(record)
-            ownership = create(directory, number + 1)
-            if ownership is None:
-                continue
-            if not _succeeds(directory, ownership, record):
+        with reporting(directory, "claim the run"):
+            try:
+                (directory / "owner").mkdir(exist_ok=True)
+                number, record = latest(directory)
+                if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
+                    return OwnerInfo.from_record(record)
+                ownership = create(directory, number + 1)
+                if ownership is None:
+                    continue
+                if _succeeds(directory, ownership, record):
+                    _remove_older(directory, ownership.number)
+                    return ownership
                 _owner_file(directory, ownership.number).unlink(missing_ok=True)
-                continue
-            _remove_older(directory, ownership.number)
-            return ownership
-        except FileNotFoundError:
-            if not directory.is_dir():
-                return None
-        except OSError as error:
-            raise StoreError(f"{directory}: cannot claim the run: {error.strerror or error}") from error
+            except FileNotFoundError:
+                if not directory.is_dir():
+                    return None
     raise StoreError(f"{directory}: cannot claim the run: its owner changes all the time")
 
 
