@@ -68,10 +68,10 @@ def writing(options: argparse.Namespace) -> Iterator[Measured]:
 
 def listing(options: argparse.Namespace) -> Iterator[Measured]:
     """The table of all runs without an index, with one, and as the command prints it."""
-    own = Path(options.store) / ".index"
+    index_folder = Path(options.store) / ".index"
 
     def cold() -> int:
-        shutil.rmtree(own, ignore_errors=True)
+        shutil.rmtree(index_folder, ignore_errors=True)
         return len(load.runs(options.store))
 
     runs = cold()

@@ -28,15 +28,15 @@ class Checkpoints:
     def save(self, content: dict[str, Any]) -> None:
         import torch
 
-        replace(
-            self.current,
-            lambda file: torch.save(content, file),
-            check=None if self._was_read_back else _read_back,
-            before_rename=self._rotate,
-        )
-        self._was_read_back = True
+        replace(self.current, lambda file: torch.save(content, file), before_rename=self._rotate)
 
-    def _rotate(self) -> None:
+    def _rotate(self, new: Path) -> None:
+        if not self._was_read_back:  # content that cannot be loaded should fail now, not when the run is resumed
+            try:
+                load_archive(new)
+            except pickle.UnpicklingError as error:
+                raise ValueError(f"checkpoint: expected tensors and plain values only: {_shortened(error)}") from error
+            self._was_read_back = True
         self._check_owner()
         preserve(self.current, self.previous)
 
@@ -83,14 +83,6 @@ def load_archive(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise pickle.UnpicklingError(f"expected a dict, got {type(content).__name__}")
     return content
-
-
-def _read_back(path: Path) -> None:
-    """Content that cannot be loaded should fail at the first save, not when the run is resumed."""
-    try:
-        load_archive(path)
-    except pickle.UnpicklingError as error:
-        raise ValueError(f"checkpoint: expected tensors and plain values only: {_shortened(error)}") from error
 
 
 def _shortened(error: Exception) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 from qnerf.config.identity import flatten
 
 PACKAGES = (
-    "qnerf", "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
+    "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
     "hydra-core", "omegaconf", "pyyaml", "scikit-image", "pillow",
 )  # fmt: skip
 VARIABLES = (
@@ -48,10 +48,12 @@ def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]
     """
     import torch
 
+    from qnerf import __version__
+
     cuda = torch.cuda.is_available()
     return {
         "git": _git_state(root or checkout()),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {"qnerf": __version__} | {name: _version(name) for name in PACKAGES},
         "torch": {
             "commit": torch.version.git_version,
             "build": [line.strip() for line in torch.__config__.show().splitlines()],
@@ -145,11 +147,7 @@ def _version(package: str) -> str | None:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
-        if package != "qnerf":
-            return None
-        from qnerf import __version__  # a checkout that is not installed
-
-        return __version__
+        return None
 
 
 def _cpu_model() -> str | None:

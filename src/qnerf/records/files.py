@@ -94,24 +94,21 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 class _ErrorKeepingFile:
-    """Remembers its own OSError: torch.save replaces it by an error of its own."""
+    """Remembers its own OSError: torch.save hides it behind an error of its own."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self.file = file
         self.error: OSError | None = None
 
     def write(self, data: Any) -> int:
-        return self._attempt(self.file.write, data)
-
-    def flush(self) -> None:
-        self._attempt(self.file.flush)
-
-    def _attempt(self, operation: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return operation(*arguments)
+            return self.file.write(data)
         except OSError as error:
             self.error = error
             raise
+
+    def flush(self) -> None:
+        """`replace` flushes at the end."""
 
 
 def temporary_path(path: Path, folder: Path | None = None) -> Path:
@@ -125,15 +122,14 @@ def replace(
     *,
     temporary_folder: Path | None = None,
     durable: bool = True,
-    check: Callable[[Path], None] | None = None,
-    before_rename: Callable[[], None] | None = None,
+    before_rename: Callable[[Path], None] | None = None,
 ) -> None:
     """Writes a temporary file and renames it to `path`. If anything fails, the old file stays as it was.
 
     content: bytes, or a function that writes to the file it receives.
     temporary_folder: where the temporary file lies; it must be on the same file system.
     durable: wait until the data are on the disk, so that not even a power cut leaves half a file.
-    check: called with the path of the temporary file. before_rename: called last, just before the rename.
+    before_rename: called with the path of the complete temporary file; may raise.
 
     Raises:
         StoreError: in place of an OSError.
@@ -149,10 +145,8 @@ def replace(
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())
-            if check is not None:
-                check(temporary)
             if before_rename is not None:
-                before_rename()
+                before_rename(temporary)
             os.replace(temporary, path)
         except BaseException:
             with contextlib.suppress(OSError):

@@ -58,11 +58,10 @@ class Process:
         except (KeyError, TypeError, ValueError, OverflowError):
             return None
 
-    def is_on_this_machine(self) -> bool:
-        return bool(self.boot) and self.boot == _boot_id() and self.host == platform.node()
-
     def is_running(self) -> bool | None:
-        """Of a process on this machine. None if the system hides it because it is another user's."""
+        """None if it is a process of another machine, or of another user and hidden by the system."""
+        if not self.boot or (self.boot, self.host) != (_boot_id(), platform.node()):
+            return None
         started = _start_time(self.pid)
         if not started and _is_hidden(self.pid):
             return None
@@ -119,9 +118,8 @@ class Ownership:
 def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:
     """Whether the process in `record` (pid, host, boot, started) runs. heartbeat: Unix time."""
     process = Process.from_record(record)
-    if process is not None and process.is_on_this_machine() and (running := process.is_running()) is not None:
-        return running
-    return is_recent(heartbeat)
+    running = process.is_running() if process else None
+    return is_recent(heartbeat) if running is None else running
 
 
 def is_recent(heartbeat: float | None) -> bool:
@@ -136,24 +134,22 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
     watch: seconds that an old heartbeat of an owner on another machine is watched.
     """
     for _ in range(1000):
-        try:
-            (directory / "owner").mkdir(exist_ok=True)
-            number, record = latest(directory)
-            if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
-                return OwnerInfo.from_record(record)
-            ownership = create(directory, number + 1)
-            if ownership is None:
-                continue
-            if not _succeeds(directory, ownership, record):
+        with reporting(directory, "claim the run"):
+            try:
+                (directory / "owner").mkdir(exist_ok=True)
+                number, record = latest(directory)
+                if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
+                    return OwnerInfo.from_record(record)
+                ownership = create(directory, number + 1)
+                if ownership is None:
+                    continue
+                if _succeeds(directory, ownership, record):
+                    _remove_older(directory, ownership.number)
+                    return ownership
                 _owner_file(directory, ownership.number).unlink(missing_ok=True)
-                continue
-            _remove_older(directory, ownership.number)
-            return ownership
-        except FileNotFoundError:
-            if not directory.is_dir():
-                return None
-        except OSError as error:
-            raise StoreError(f"{directory}: cannot claim the run: {error.strerror or error}") from error
+            except FileNotFoundError:
+                if not directory.is_dir():
+                    return None
     raise StoreError(f"{directory}: cannot claim the run: its owner changes all the time")
 
 
@@ -225,7 +221,7 @@ def _is_active(directory: Path, number: int, record: dict[str, Any], watch: floa
     heartbeat = last_heartbeat(directory, record)
     if is_alive(record, heartbeat):
         return True
-    if process.is_on_this_machine() and process.is_running() is False:
+    if process.is_running() is False:
         return False
     end = time.monotonic() + watch
     while time.monotonic() < end:

@@ -39,12 +39,11 @@ def runs(root: str | Path) -> list[Path]:
 def read_status(run_dir: str | Path) -> dict[str, Any]:
     """status.json; empty if it is absent or damaged."""
     path = Path(run_dir) / "status.json"
-    try:
-        return read_json(path)
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return {}
-    except OSError as error:
-        raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
+    with reporting(path, "read"):
+        try:
+            return read_json(path)
+        except (FileNotFoundError, NotADirectoryError, ValueError):
+            return {}
 
 
 def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:

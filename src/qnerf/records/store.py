@@ -98,10 +98,10 @@ class RunStore:
         for _ in range(1000):
             refuse_links(directory, *(directory / name for name in ("owner", "metrics", "images")))
             if _is_vacant(directory):
-                made = self._publish(self._make_folder(content, 0), directory)
-                if made is None:
+                published = self._publish(self._make_folder(content, 0), directory)
+                if published is None:
                     continue
-                return Claim("new", directory, f"{directory}: new run", self._open(made, resumed=False))
+                return Claim("new", directory, f"{directory}: new run", self._open(published, resumed=False))
             holder = owner.acquire(directory, self.watch)
             if holder is None:
                 continue
@@ -113,10 +113,10 @@ class RunStore:
                 return _finished(directory)
             with _released_on_error(holder):
                 if force:
-                    made = self._replace_run(content, holder)
-                    if made is None:
+                    published = self._replace_run(content, holder)
+                    if published is None:
                         continue
-                    return Claim("new", directory, f"{directory}: done over", self._open(made, resumed=False))
+                    return Claim("new", directory, f"{directory}: done over", self._open(published, resumed=False))
                 _refuse_newer_format(directory)
                 remove_temporary_files(directory)
                 content.complete(directory)
@@ -157,21 +157,21 @@ class RunStore:
                 raise
         return Ownership(directory, made.number, made.nonce)
 
-    def _replace_run(self, content: "_InitialContent", held: Ownership) -> Ownership | None:
+    def _replace_run(self, content: "_InitialContent", current: Ownership) -> Ownership | None:
         # The number stays, so that a contender who looked at the old folder cannot become owner of the new one.
-        made = self._make_folder(content, held.number)
+        new = self._make_folder(content, current.number)
         with contextlib.suppress(StoreError, OSError):  # tags and note are the user's, they are no results
-            annotations = read_bytes(held.directory / "annotations.json", MAX_JSON_BYTES)
-            (made.directory / "annotations.json").write_bytes(annotations)
+            annotations = read_bytes(current.directory / "annotations.json", MAX_JSON_BYTES)
+            (new.directory / "annotations.json").write_bytes(annotations)
         old = self._temporary_folder("old", content.run_id)
         try:
-            with reporting(held.directory, "be done over"):
-                os.rename(held.directory, old)
+            with reporting(current.directory, "be done over"):
+                os.rename(current.directory, old)
         except StoreError:
-            delete(made.directory, ignore_errors=True)
+            delete(new.directory, ignore_errors=True)
             raise
         try:
-            return self._publish(made, held.directory)
+            return self._publish(new, current.directory)
         finally:
             delete(old, ignore_errors=True)
 

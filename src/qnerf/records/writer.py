@@ -53,10 +53,6 @@ class Run:
     another error as failed. If `resumed` is true there was something before, and `resume` must be called before `log`.
     """
 
-    _part: int  # number of the open part
-    _part_rows: int
-    _part_data: bytes
-
     def __init__(self, ownership: Ownership, *, resumed: bool, every: float = HEARTBEAT_INTERVAL) -> None:
         self.dir = ownership.directory
         self.run_id = self.dir.name
@@ -78,6 +74,7 @@ class Run:
         self._key_numbers = array("i")
         self._columns = (self._steps, self._times, self._key_numbers, self._values)
         self._keys: dict[str, int] = {}  # name -> its number
+        self._part_data = b""
         self._open_part(0, 0)
         self._tables = {name: read_table_bytes(self.dir / name) for name in ("eval.parquet", "summary.parquet")}
 

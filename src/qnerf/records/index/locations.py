@@ -66,8 +66,8 @@ class FolderLocation:
                     names = [entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
             except (FileNotFoundError, NotADirectoryError):
                 return {}
-        settled = settled_before()
-        stamps = {name: _stamps(f"{self.root}/{name}", settled) for name in sorted(names) if _is_unicode(name)}
+        settled_time = settled_before()
+        stamps = {name: _stamps(f"{self.root}/{name}", settled_time) for name in sorted(names) if _is_unicode(name)}
         return {name: stamp for name, stamp in stamps.items() if stamp is not None}
 
     def read(self, file: str, runs: Sequence[str]) -> Iterator[bytes | StoreError | None]:
@@ -99,7 +99,7 @@ def settled_before() -> float:
     return time.time() - SETTLED
 
 
-def _stamps(folder: str, settled: float) -> dict[str, str] | None:
+def _stamps(folder: str, settled_time: float) -> dict[str, str] | None:
     """None if the folder is not a run."""
     stamps = {}
     for file in MAX_BYTES:
@@ -111,7 +111,7 @@ def _stamps(folder: str, settled: float) -> dict[str, str] | None:
             stamps[file] = UNSETTLED
             continue
         stamp = f"{status.st_mtime_ns} {status.st_ctime_ns} {status.st_size} {status.st_ino}"
-        stamps[file] = stamp if max(status.st_mtime, status.st_ctime) < settled else UNSETTLED
+        stamps[file] = stamp if max(status.st_mtime, status.st_ctime) < settled_time else UNSETTLED
     is_run = any(file in stamps or os.path.lexists(f"{folder}/{file}") for file in RUN_MARKERS)
     return stamps if is_run else None
 

@@ -44,12 +44,12 @@ class UrlLocation:
         return cached_index(self.url)
 
     def scan(self) -> Stamps:
-        settled = settled_before()
+        settled_time = settled_before()
         stamps: dict[str, dict[str, str]] = {}
         for path, information in self._find().items():
             run, _, file = path.partition("/")
             if file in (*MAX_BYTES, *RUN_MARKERS) and not run.startswith("."):
-                stamps.setdefault(run, {})[file] = _stamp(information, settled)
+                stamps.setdefault(run, {})[file] = _stamp(information, settled_time)
         return {run: stamps[run] for run in sorted(stamps) if not stamps[run].keys().isdisjoint(RUN_MARKERS)}
 
     def read(self, file: str, runs: Sequence[str]) -> Iterator[bytes | StoreError | None]:
@@ -114,11 +114,11 @@ class UrlLocation:
             raise StoreError(f"{self.url}: cannot read: {one_line(error)}") from error
 
 
-def _stamp(information: Mapping[str, Any], settled: float) -> str:
+def _stamp(information: Mapping[str, Any], settled_time: float) -> str:
     size = information.get("size")
     tag = next((information[key] for key in _TAGS if information.get(key)), None)
     if tag is not None:
         return f"{size} {tag}"
     changed = next((information[key] for key in _TIMES if information.get(key)), None)
     seconds = changed.timestamp() if isinstance(changed, datetime) else unix_time(changed)
-    return f"{size} {seconds!r}" if seconds is not None and seconds < settled else UNSETTLED
+    return f"{size} {seconds!r}" if seconds is not None and seconds < settled_time else UNSETTLED

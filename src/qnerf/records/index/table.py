@@ -142,7 +142,7 @@ def _frame(
     """The three tables have one row for each of `runs`, in this order."""
     damage = summary.values(entries.DAMAGED)
     errors = zip(damage, status.values("error"), summary.values("error"), strict=True)
-    own = {
+    run_columns = {
         "run_id": pa.array(runs, pa.string()),
         "state": pa.array(_states(location, runs, damage, status), pa.string()),
         "error": pa.array([next(filter(None, reasons), None) for reasons in errors], pa.string()),
@@ -152,10 +152,10 @@ def _frame(
         "heartbeat": pa.array(status.values("heartbeat"), pa.float64()),
         "note": pa.array(annotations.values("note"), pa.string()),
     }
-    first = {name: own[name] for name in ("run_id", "state", "error")}
+    leading = {name: run_columns[name] for name in ("run_id", "state", "error")}
     results = summary.columns(columns)
     results.pop(entries.DAMAGED, None)
-    frame = pa.table(first | results | own).to_pandas()
+    frame = pa.table(leading | results | run_columns).to_pandas()
     frame["tags"] = pd.Series([tuple(json.loads(tags or "[]")) for tags in annotations.values("tags")], dtype=object)
     return frame if columns is None else frame[[name for name in columns if name in frame.columns]]
 
