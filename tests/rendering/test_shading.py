@@ -77,7 +77,9 @@ def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, e
     evaluated = torch.rand(6, samples, generator=torch.Generator().manual_seed(seed)) < 0.4
     evaluated[:, -1] = True
     weights = weights * evaluated * (not empty)
-    options = {"threshold": {"min_share": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(name, {})
+    options = {"threshold": {"min_share": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(
+        name, {}
+    )
     share = color_shares(weights, background)
     geometry = torch.ones(6, samples, 1, dtype=torch.float64)
     parts, _, mask = SHADINGS.build(name, **options)(share, geometry, evaluated)

@@ -19,20 +19,11 @@ _FIRST_STEPS = 10  # the proposal networks are trained in every one of these
 
 
 class ProposalNetwork(nn.Module):
-    """Unit-cube points (N, 3) -> density (N,): a small hash grid, Linear, ReLU, Linear, trunc_exp."""
+    """Unit-cube points (N, 3) -> density (N,): hash grid (options `grid`), Linear, ReLU, Linear, trunc_exp."""
 
-    def __init__(
-        self, *, levels: int, min_resolution: int, max_resolution: int, log2_table_size: int, features: int, hidden: int
-    ) -> None:
+    def __init__(self, hidden: int, **grid: Any) -> None:
         super().__init__()
-        self.encoder = HashEncoder(
-            3,
-            levels=levels,
-            min_resolution=min_resolution,
-            max_resolution=max_resolution,
-            log2_table_size=log2_table_size,
-            features=features,
-        )
+        self.encoder = HashEncoder(3, **grid)
         self.hidden = nn.Linear(self.encoder.out_dim, hidden)
         self.out = nn.Linear(hidden, 1)
 
@@ -107,15 +98,9 @@ class ProposalSampler(Sampler):
         self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
         self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope
         self._warmup_updates = _warmup_updates(update_every, update_warmup)
+        grid = {"levels": levels, "min_resolution": base_resolution, "features": features}
         self.networks = nn.ModuleList(
-            ProposalNetwork(
-                levels=levels,
-                min_resolution=base_resolution,
-                max_resolution=resolution,
-                log2_table_size=log2_table_size,
-                features=features,
-                hidden=hidden,
-            )
+            ProposalNetwork(hidden, max_resolution=resolution, log2_table_size=log2_table_size, **grid)
             for resolution in max_resolutions
         )
 

@@ -93,32 +93,8 @@ class SpacedSampler(Sampler):
         return SampledRays(Samples(spacing.to_world(s), s), [])
 
 
-@SAMPLERS.register("uniform")
-class UniformSampler(SpacedSampler):
-    """Equal steps in distance."""
-
-    spacing = "uniform"
-
-
-@SAMPLERS.register("disparity")
-class DisparitySampler(SpacedSampler):
-    """Equal steps in inverse distance."""
-
-    spacing = "disparity"
-
-
-@SAMPLERS.register("geometric")
-class GeometricSampler(SpacedSampler):
-    """Distances that grow by a constant factor."""
-
-    spacing = "geometric"
-
-
-@SAMPLERS.register("piecewise")
-class PiecewiseSampler(SpacedSampler):
-    """Equal steps up to distance 1, then equal steps in inverse distance."""
-
-    spacing = "piecewise"
+for _name in SPACINGS.names():  # each spacing is a sampler of the same name
+    SAMPLERS.register(_name)(type(f"{_name.capitalize()}Sampler", (SpacedSampler,), {"spacing": _name}))
 
 
 @SAMPLERS.register("vanilla")

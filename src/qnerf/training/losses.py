@@ -12,8 +12,8 @@ _EPS = 1e-7  # against division by 0
 def mse(color: Tensor, target: Tensor) -> Tensor:
     """Mean squared error of colours (R, 3).
 
-    >>> float(mse(torch.tensor([[0.5, 0.0, 0.0]]), torch.tensor([[0.0, 0.0, 0.5]]))) * 6
-    1.0
+    >>> float(mse(torch.tensor([[0.5, 0.5, 0.0]]), torch.tensor([[0.0, 0.0, 0.5]])))
+    0.25
     """
     return torch.nn.functional.mse_loss(color, target)
 
@@ -27,7 +27,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     >>> edges, outer_edges = torch.tensor([[0.0, 0.5, 1.0]]), torch.tensor([[0.0, 1.0]])
     >>> final, proposal = Samples(edges, edges), Samples(outer_edges, outer_edges)
     >>> weights = torch.tensor([[0.5, 0.25]])
-    >>> [float(interlevel(final, weights, [(proposal, torch.tensor([[w]]))])) for w in (0.5, 0.0)]
+    >>> [round(float(interlevel(final, weights, [(proposal, torch.tensor([[w]]))])), 4) for w in (0.5, 0.0)]
     [0.0, 0.375]
 
     Args:

@@ -99,17 +99,16 @@ def _filled(world: World, light: NDArray, buried: NDArray) -> NDArray:
     """Gives cells inside objects the mean of their neighbours, which avoids dark seams where objects touch."""
     light = light.copy()
     for surface in range(len(world.texture)):
-        part = slice(world.light_offset[surface], world.light_offset[surface + 1])
-        shape = (world.light_height[surface], world.light_width[surface])
-        known = ~buried[part].reshape(shape)
-        values = light[part].reshape(*shape, 3)
+        cells, shape = world.light_cells(surface)
+        known = ~buried[cells].reshape(shape)
+        values = light[cells].reshape(*shape, 3)
         while not known.all() and known.any():
             weight = _neighbours(known.astype(float)[..., None])
             mean = _neighbours(values * known[..., None]) / np.maximum(weight, 1)
             reached = ~known & (weight[..., 0] > 0)
             values = np.where(reached[..., None], mean, values)
             known = known | reached
-        light[part] = values.reshape(-1, 3)
+        light[cells] = values.reshape(-1, 3)
     return light
 
 
@@ -117,10 +116,9 @@ def _smoothed(world: World, light: NDArray) -> NDArray:
     """Averages over 3 x 3 cells of each surface."""
     light = light.copy()
     for surface in range(len(world.texture)):
-        part = slice(world.light_offset[surface], world.light_offset[surface + 1])
-        shape = (world.light_height[surface], world.light_width[surface])
-        values = light[part].reshape(*shape, 3)
-        light[part] = (_neighbours(values) / _neighbours(np.ones((*shape, 1)))).reshape(-1, 3)
+        cells, shape = world.light_cells(surface)
+        values = light[cells].reshape(*shape, 3)
+        light[cells] = (_neighbours(values) / _neighbours(np.ones((*shape, 1)))).reshape(-1, 3)
     return light
 
 

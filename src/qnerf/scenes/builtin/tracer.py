@@ -190,6 +190,11 @@ class World:
         offset, height, width = self.light_offset[surface], self.light_height[surface], self.light_width[surface]
         return bilinear(self.light, offset, height, width, u, v)
 
+    def light_cells(self, surface: int) -> tuple[slice, tuple[int, int]]:
+        """Where `light` has the cells of a surface, and their grid (h, w)."""
+        cells = slice(self.light_offset[surface], self.light_offset[surface + 1])
+        return cells, (self.light_height[surface], self.light_width[surface])
+
     def surface_points(self, surface: NDArray, u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
         """World points and normals (3, M) of surfaces (M,) at u, v: the inverse of `_surface_coordinates`."""
         point, normal = np.zeros((3, len(surface))), np.zeros((3, len(surface)))
