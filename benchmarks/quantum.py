@@ -27,6 +27,7 @@ from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.layer import QuantumLayer
+from qnerf.quantum.normal_form import normal_form
 
 RESULTS = Path(__file__).parent / "results"
 ROOT = Path(__file__).parents[1]
@@ -78,14 +79,14 @@ def engine_step(name: str, data: Arrays, spectral: int) -> Callable[[], tuple[to
             return y.detach(), x.grad, torch.cat([layer.weights1.grad.flatten(0, 1), layer.weights2.grad])
 
         return whole
-    program_engine = compiled.Engine(QuantumLayer(wires, spectral).program)
+    simulator = compiled.StatevectorEngine(normal_form(circuit))
     functions: dict[str, Callable[[torch.Tensor, torch.Tensor], torch.Tensor]] = {
-        "statevector": lambda x, w: compiled.evaluate(program_engine, x, w),
-        "statevector torch": lambda x, w: statevector.evaluate(program_engine.program, x, w),
+        "statevector": lambda x, w: compiled.evaluate(simulator, x, w),
+        "statevector torch": lambda x, w: statevector.evaluate(simulator.form, x, w),
         "lightcone torch": lambda x, w: lightcone.evaluate_reference(circuit, x, w),
     }
     if name == "lightcone":
-        cone = lightcone.LightCone(circuit)
+        cone = lightcone.LightConeEngine(circuit)
         functions["lightcone"] = lambda x, w: lightcone.evaluate(cone, x, w)
     function = functions[name]
     x = torch.from_numpy(data["x"]).requires_grad_()
@@ -232,13 +233,13 @@ def growth(options: argparse.Namespace, limits: dict[str, float]) -> pd.DataFram
     rows = []
     for wires, spectral, batch in dict.fromkeys(cases):
         data = inputs(wires, spectral, batch)
-        plan = QuantumLayer(wires, spectral).plan(batch)
+        cost = QuantumLayer(wires, spectral).cost(batch)
         times = timed(engine_step("auto", data, spectral), 5, budget=4.0)
-        operations = plan.operations * batch + plan.operations_once
+        operations = cost.operations * batch + cost.operations_once
         moved = 4 * batch * wires * 5  # inputs, outputs, gradients of both, and what is kept
         ms = 1e3 * median(times)
-        row = {"wires": wires, "S": spectral, "batch": batch, "method": plan.method, "ms": ms}
-        row |= {"expected_ms": plan.seconds * 1e3, "operations": operations, "bytes": moved}
+        row = {"wires": wires, "S": spectral, "batch": batch, "method": cost.method, "ms": ms}
+        row |= {"expected_ms": cost.seconds * 1e3, "operations": operations, "bytes": moved}
         row |= {"product_ms": operations / limits["gmadds"] / 1e6, "copy_ms": moved / limits["gbytes"] / 1e6}
         rows.append(row)
         print(f"n={wires} S={spectral} B={batch}: {ms:.2f} ms", flush=True)
