@@ -1,8 +1,8 @@
 """How gradients vanish with wires and depth: `python -m benchmarks.plateaus`.
 
-The variance of d<Z_0>/d theta over random circuits, theta the angle of one RY in the middle of the circuit (arXiv:
-1803.11173): a circuit whose variance falls exponentially with its wires cannot be trained from random angles. Saved as
-benchmarks/results/plateaus.parquet, a row a description, start, number of wires and depth.
+Measures the variance of d<Z_0>/d theta over random circuits, with theta the angle of one RY in the middle of the
+circuit (arXiv:1803.11173). If it falls exponentially with the wires, the circuit cannot be trained from random angles.
+Saved as benchmarks/results/plateaus.parquet, one row for each ansatz, start, number of wires and depth.
 """
 
 import argparse
@@ -25,9 +25,9 @@ DEPTHS = tuple(range(1, 9))
 
 
 def gradients(ansatz: str, init: str, wires: int, spectral: int, circuits: int) -> Tensor:
-    """d<Z_0>/d theta (circuits,) float64: random angles and one standard normal input each, the same for every call.
+    """d<Z_0>/d theta, (circuits,) float64, for random angles and one standard normal input each.
 
-    theta is wire 0's in the first sublayer of the block in the middle.
+    theta is the angle of wire 0 in the first sublayer of the middle block. Every call draws the same circuits.
     """
     circuit = ANSATZE.build(ansatz, wires, spectral)
     engine = compiled.StatevectorEngine(normal_form(circuit))

@@ -61,7 +61,7 @@ def engines(circuit: Circuit) -> dict[str, Function]:
 
 
 def _with_range(function: Function, x: Tensor, weights: Tensor) -> Tensor:
-    """The outputs, and a 1: errors count against the range, not against the largest output there happens to be."""
+    """The outputs and a 1, so that errors are relative to the range and not to the largest output."""
     y = function(x, weights)
     return torch.cat([y.flatten(), y.new_ones(1)])
 
@@ -84,7 +84,7 @@ def circuit_case(
 
 
 def normalisation(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """What a hybrid layer does in training."""
+    """The normalisation of a hybrid layer in training."""
     layer = Normalisation(x.shape[1]).to(x.dtype)
     return functional_call(layer, {"weight": weight, "bias": bias}, (x,))
 

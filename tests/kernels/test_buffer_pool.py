@@ -42,17 +42,17 @@ def test_sizes_and_dtypes_do_not_share():
 
 
 def test_gradients_of_large_tables_are_those_of_the_reference_step_after_step():
-    """A table's gradient lies where the one before lay: kept gradients must not change, new ones hold nothing old."""
+    """Each step's gradient reuses the memory of the last: held gradients must not change, new ones hold nothing old."""
     encoder = HashEncoder(3, log2_table_size=17, levels=2, features=2)
-    kept = []
+    held = []
     for step in range(4):
         points = torch.rand(50, 3, generator=torch.Generator().manual_seed(step))
         encoder.table.grad = None
         encoder(points).square().sum().backward()
         gradient = encoder.table.grad
         if step % 2:
-            kept.append((gradient, gradient.clone()))
+            held.append((gradient, gradient.clone()))
         with plain():
             expected = torch.autograd.grad(encoder(points).square().sum(), encoder.table)[0]
         torch.testing.assert_close(gradient, expected, rtol=1e-5, atol=1e-9)
-    assert all(torch.equal(now, then) for now, then in kept)
+    assert all(torch.equal(now, then) for now, then in held)

@@ -77,8 +77,8 @@ def test_sobol_points_agree_with_the_exact_spectrum_within_their_standard_error(
     exact, estimate = spectrum.powers(circuit), spectrum.powers(circuit, max_values=0)
     assert set(estimate["method"]) == {"sobol"}
     assert estimate[["output", "wire", "frequency"]].equals(exact[["output", "wire", "frequency"]])
-    told = exact["power"] > 1e-12  # below, both are rounding errors
-    deviation = (estimate["power"] - exact["power"])[told] / estimate["standard_error"][told]
+    above_rounding = exact["power"] > 1e-12  # below, both are rounding errors
+    deviation = (estimate["power"] - exact["power"])[above_rounding] / estimate["standard_error"][above_rounding]
     assert deviation.abs().max() < 6
     assert 0.5 < deviation.std() < 2
     assert estimate["standard_error"].max() < 1e-2 * exact["power"].max()
@@ -171,7 +171,7 @@ def test_every_strategy_covers_its_ray_without_gaps(tiny):
 
 
 def command(monkeypatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
     return int(stop.value.code or 0)

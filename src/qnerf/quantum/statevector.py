@@ -5,24 +5,17 @@ batch. A diagonal is one complex product; a layer of RY is a few real matrix pro
 go through in chunks that are computed again in the backward pass, so that peak memory does not grow with the batch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import frexp
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from qnerf.quantum.normal_form import (
-    Angles,
-    CNOTs,
-    Diagonal,
-    NormalForm,
-    RYLayer,
-    cnot_permutation,
-    cz_signs,
-    z_eigenvalues,
-)
+from qnerf.quantum.normal_form import Angles, Diagonal, NormalForm, RYLayer, cnot_permutation, cz_signs, z_eigenvalues
 
 GROUP = 4  # wires in one dense real matrix
 CHUNK_BYTES = 2**28  # what autograd may store for one chunk
@@ -70,7 +63,7 @@ def final_state(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
         elif isinstance(step, RYLayer):
             state = _apply_ry(state, *_cos_sin_of_half(step.angles, x, weights))
         else:
-            state = state[_permutation(step, form.wires, x.device)]
+            state = state[_table(cnot_permutation, step.pairs, form.wires, x.device, None)]
     return state.expand(-1, x.shape[0])
 
 
@@ -79,7 +72,7 @@ def _squared(state: Tensor) -> Tensor:
 
 
 def _expectations(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
-    eigenvalues = _eigenvalues(form.measured, form.wires, x.dtype, x.device)
+    eigenvalues = _table(z_eigenvalues, form.measured, form.wires, x.device, x.dtype)
     return clipped((eigenvalues @ _squared(final_state(form, x, weights))).T)
 
 
@@ -119,7 +112,7 @@ def _cos_sin_of_half(angles: Angles, x: Tensor, weights: Tensor) -> tuple[Tensor
 
 
 def _diagonal(step: Diagonal, x: Tensor, weights: Tensor) -> Tensor:
-    sign = _cz_signs(step.pairs, x.shape[1], x.dtype, x.device)[:, None]
+    sign = _table(cz_signs, step.pairs, x.shape[1], x.device, x.dtype)[:, None]
     if step.angles == Angles():
         return sign
     cosine, sine = _cos_sin_of_half(step.angles, x, weights)
@@ -157,16 +150,9 @@ def _apply_ry_per_sample(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     return state
 
 
-@lru_cache(maxsize=512)
-def _cz_signs(pairs: tuple[tuple[int, int], ...], wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return torch.from_numpy(cz_signs(pairs, wires)).to(device, dtype)
-
-
-@lru_cache(maxsize=64)
-def _eigenvalues(measured: tuple[frozenset[int], ...], wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return torch.from_numpy(z_eigenvalues(measured, wires)).to(device, dtype)
-
-
-@lru_cache(maxsize=64)
-def _permutation(step: CNOTs, wires: int, device: torch.device) -> Tensor:
-    return torch.from_numpy(cnot_permutation(step.pairs, wires)).to(device)
+@lru_cache(maxsize=1024)
+def _table(
+    build: Callable[[Any, int], np.ndarray], gates: Any, wires: int, device: torch.device, dtype: torch.dtype | None
+) -> Tensor:
+    """`build(gates, wires)` on a device; `dtype` None keeps its own."""
+    return torch.from_numpy(build(gates, wires)).to(device, dtype)

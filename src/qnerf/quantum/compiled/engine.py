@@ -82,11 +82,12 @@ def _size(n: int, width: int, states: int, encodings: int, steps: int) -> int:
 
 
 @inner
-def _add_angles(x: Any, cosines: int, n: int, width: int, fixed: Any, signs: Any, out: int) -> None:
-    """Vectors of cos and sin of half of (the input's angle + the fixed angle)."""
+def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: Any, signs: Any) -> None:
+    """`half_angles` = cos and sin of half of (the input's angle + the fixed angle)."""
     keep_apart()
+    trig, out = at.trig + 2 * encoding * n * width, at.half_angles
     for j in range(n):
-        c, s = load(x, cosines + j * width), splat(signs[j]) * load(x, cosines + (n + j) * width)
+        c, s = load(x, trig + j * width), splat(signs[j]) * load(x, trig + (n + j) * width)
         u, v = splat(fixed[0, j]), splat(fixed[1, j])
         store(x, out + j * width, u * c - v * s)
         store(x, out + (n + j) * width, u * s + v * c)
@@ -114,11 +115,8 @@ def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: An
             forward_passes.ry_layer(x, here, after, n, width, tangents[step, 0], True)
             here = after
         elif code == RY_PER_SAMPLE:
-            _add_angles(
-                x, at.trig + 2 * encoding * n * width, n, width, tangents[step], angle_signs[step], at.half_angles
-            )
-            sines = at.half_angles + n * width
-            forward_passes.ry_layer_per_sample(x, here, after, n, width, at.half_angles, sines, True)
+            _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
+            forward_passes.ry_layer_per_sample(x, here, after, n, width, at.half_angles, True)
             here = after
         else:
             if not store_states:
@@ -148,11 +146,8 @@ def _backward(
             here -= pair
             backward_passes.ry_gradients(x, here, adjoint, n, width, d)
         elif code == RY_PER_SAMPLE:
-            _add_angles(
-                x, at.trig + 2 * encoding * n * width, n, width, tangents[step], angle_signs[step], at.half_angles
-            )
-            sines = at.half_angles + n * width
-            forward_passes.ry_layer_per_sample(x, adjoint, adjoint, n, width, at.half_angles, sines, False)
+            _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
+            forward_passes.ry_layer_per_sample(x, adjoint, adjoint, n, width, at.half_angles, False)
             here -= pair
             backward_passes.ry_gradients(x, here, adjoint, n, width, d)
         elif code == PERMUTATION:
@@ -242,7 +237,7 @@ def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
             for j in range(n):
                 for i in range(width):
                     x[here + (part * n + j) * width + i] = trig[encoding, part, j, i]
-        forward_passes.input_phases(x, at.phases + encoding * size, n, width, here, here + n * width)
+        forward_passes.input_phases(x, at.phases + encoding * size, n, width, here)
 
 
 @jit

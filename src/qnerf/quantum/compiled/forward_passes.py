@@ -48,17 +48,15 @@ def ry_layer(x: Any, source: int, target: int, n: int, width: int, tangents: Any
 
 
 @inner
-def ry_layer_per_sample(
-    x: Any, source: int, target: int, n: int, width: int, cosines: int, sines: int, forward: bool
-) -> None:
-    """RY on every wire with another angle for each sample, from vectors of cos and sin of half the angle."""
+def ry_layer_per_sample(x: Any, source: int, target: int, n: int, width: int, half_angles: int, forward: bool) -> None:
+    """RY on every wire with another angle for each sample, from n vectors of cos and n of sin of half the angle."""
     keep_apart()
     size = width << n
     sign = splat(x.dtype.type(1 if forward else -1))
     for part in range(2):
         read, write = source + part * size, target + part * size
         for j in range(n):
-            c, s = load(x, cosines + j * width), sign * load(x, sines + j * width)
+            c, s = load(x, half_angles + j * width), sign * load(x, half_angles + (n + j) * width)
             d = width << (n - j - 1)
             for h in range(1 << j):
                 for i in range(h * 2 * d, h * 2 * d + d, width):
@@ -69,17 +67,17 @@ def ry_layer_per_sample(
 
 
 @inner
-def input_phases(x: Any, out: int, n: int, width: int, cosines: int, sines: int) -> None:
+def input_phases(x: Any, out: int, n: int, width: int, trig: int) -> None:
     """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0: real, then imaginary parts at `out`.
 
     The phase of a basis state with first bit 1 is the conjugate of the one with all bits flipped.
     """
     keep_apart()
     half = (width << n) >> 1
-    store(x, out, load(x, cosines))
-    store(x, out + half, splat(x.dtype.type(0)) - load(x, sines))
+    store(x, out, load(x, trig))
+    store(x, out + half, splat(x.dtype.type(0)) - load(x, trig + n * width))
     for j in range(1, n):
-        c, s = load(x, cosines + j * width), load(x, sines + j * width)
+        c, s = load(x, trig + j * width), load(x, trig + (n + j) * width)
         for k in range((1 << (j - 1)) - 1, -1, -1):
             a, b = load(x, out + k * width), load(x, out + half + k * width)
             ac, bs, bc, asine = a * c, b * s, b * c, a * s
