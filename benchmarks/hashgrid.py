@@ -1,6 +1,6 @@
-"""Hash encoding: the compiled CPU path against the plain PyTorch reference. `python -m benchmarks.hashgrid`
+"""The speed of the hash encoding, compiled and in plain PyTorch: `python -m benchmarks.hashgrid`.
 
-Prints a table of medians and saves every figure to benchmarks/results/hashgrid.parquet.
+Prints a table of medians and saves all numbers to benchmarks/results/hashgrid.parquet.
 """
 
 import argparse
@@ -27,7 +27,7 @@ PATHS = {"fast": hash_encode, "reference": hash_encode_reference}
 
 
 def along_rays(points: int, rays: int = 128) -> Tensor:
-    """Points in the order in which a training step asks for them: (N, 3)."""
+    """Points (N, 3) along rays, in the order of a training step."""
     generator = torch.Generator().manual_seed(0)
     origins = 0.4 + 0.2 * torch.rand(rays, 1, 3, generator=generator)
     directions = torch.nn.functional.normalize(torch.randn(rays, 1, 3, generator=generator), dim=-1)

@@ -1,8 +1,8 @@
 """How gradients vanish with wires and depth: `python -m benchmarks.plateaus`.
 
-The variance of d<Z_0>/d theta over random circuits, theta the angle of one RY in the middle of the circuit (arXiv:
-1803.11173): a circuit whose variance falls exponentially with its wires cannot be trained from random angles. Saved as
-benchmarks/results/plateaus.parquet, a row a description, start, number of wires and depth.
+Measures the variance of d<Z_0>/d theta over random circuits, with theta the angle of one RY in the middle of the
+circuit (arXiv:1803.11173). If it falls exponentially with the wires, the circuit cannot be trained from random angles.
+Saved as benchmarks/results/plateaus.parquet, one row for each ansatz, start, number of wires and depth.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from torch import Tensor
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.initial_angles import INITS
-from qnerf.quantum.normal_form import THETA, compile_program
+from qnerf.quantum.normal_form import THETA, normal_form
 
 RESULTS = Path(__file__).parent / "results" / "plateaus.parquet"
 WIRES = tuple(range(2, 13))
@@ -25,22 +25,22 @@ DEPTHS = tuple(range(1, 9))
 
 
 def gradients(ansatz: str, init: str, wires: int, spectral: int, circuits: int) -> Tensor:
-    """d<Z_0>/d theta (circuits,) float64: random angles and one standard normal input each, the same for every call.
+    """d<Z_0>/d theta, (circuits,) float64, for random angles and one standard normal input each.
 
-    theta is wire 0's in the first sublayer of the block in the middle.
+    theta is the angle of wire 0 in the first sublayer of the middle block. Every call draws the same circuits.
     """
     circuit = ANSATZE.build(ansatz, wires, spectral)
-    engine = compiled.Engine(compile_program(circuit))
+    engine = compiled.StatevectorEngine(normal_form(circuit))
     row = circuit.rows // 2
-    found = []
+    samples = []
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(wires * 1000 + spectral)
         for _ in range(circuits):
             weights = INITS.get(init)(circuit).double().transpose(1, 2).contiguous().requires_grad_()
             outputs = compiled.evaluate(engine, torch.randn(1, wires, dtype=torch.float64), weights)
             (gradient,) = torch.autograd.grad(outputs[0, 0], weights)
-            found.append(gradient[row, THETA, 0])
-    return torch.stack(found)
+            samples.append(gradient[row, THETA, 0])
+    return torch.stack(samples)
 
 
 def measure(wires: Sequence[int], depths: Sequence[int], circuits: int) -> pd.DataFrame:
@@ -49,8 +49,8 @@ def measure(wires: Sequence[int], depths: Sequence[int], circuits: int) -> pd.Da
     for init in INITS.names():
         for spectral in depths:
             for count in wires:
-                found = gradients("qiren", init, count, spectral, circuits)
-                squares = (found - found.mean()).square()
+                sampled = gradients("qiren", init, count, spectral, circuits)
+                squares = (sampled - sampled.mean()).square()
                 rows.append(
                     {
                         "ansatz": "qiren",

@@ -1,9 +1,9 @@
-"""The quantum layer against everything else that runs the same circuit: `python -m benchmarks.quantum`.
+"""The speed of the quantum layer and of other packages on the same circuit: `python -m benchmarks.quantum`.
 
-Prints, and saves as benchmarks/results/quantum.parquet, one table: forward + backward of QIREN in float32, medians,
-on 2 threads; errors against float64 default.qubit. Peers run in processes of their own, by default with this
-interpreter; `--peers-python` names another environment that holds them. One that does not run is listed with its error.
-Then growth over batch, wires and S, with operation and byte counts beside the machine's own limits.
+One table is printed and saved as benchmarks/results/quantum.parquet: forward + backward of QIREN in float32, medians on
+2 threads, and errors against float64 default.qubit. Each peer runs in a process of its own, with this interpreter or
+with that of another environment (`--peers-python`). A peer that does not run is listed with its error. A second table
+is the time over batch, wires and S, beside what the machine could do at most.
 """
 
 import argparse
@@ -27,6 +27,7 @@ from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.layer import QuantumLayer
+from qnerf.quantum.normal_form import normal_form
 
 RESULTS = Path(__file__).parent / "results"
 ROOT = Path(__file__).parents[1]
@@ -78,14 +79,14 @@ def engine_step(name: str, data: Arrays, spectral: int) -> Callable[[], tuple[to
             return y.detach(), x.grad, torch.cat([layer.weights1.grad.flatten(0, 1), layer.weights2.grad])
 
         return whole
-    program_engine = compiled.Engine(QuantumLayer(wires, spectral).program)
+    simulator = compiled.StatevectorEngine(normal_form(circuit))
     functions: dict[str, Callable[[torch.Tensor, torch.Tensor], torch.Tensor]] = {
-        "statevector": lambda x, w: compiled.evaluate(program_engine, x, w),
-        "statevector torch": lambda x, w: statevector.evaluate(program_engine.program, x, w),
+        "statevector": lambda x, w: compiled.evaluate(simulator, x, w),
+        "statevector torch": lambda x, w: statevector.evaluate(simulator.form, x, w),
         "lightcone torch": lambda x, w: lightcone.evaluate_reference(circuit, x, w),
     }
     if name == "lightcone":
-        cone = lightcone.LightCone(circuit)
+        cone = lightcone.LightConeEngine(circuit)
         functions["lightcone"] = lambda x, w: lightcone.evaluate(cone, x, w)
     function = functions[name]
     x = torch.from_numpy(data["x"]).requires_grad_()
@@ -167,7 +168,7 @@ def peer(name: str, data: Arrays, options: argparse.Namespace) -> tuple[dict[str
 
 
 def machine(threads: int) -> dict[str, float]:
-    """What the machine can do: multiply-adds of a float32 matrix product, and bytes of a copy, a second."""
+    """Multiply-adds a second of a float32 matrix product, and bytes a second of a copy, on this machine."""
     a, b = torch.randn(2048, 2048), torch.randn(2048, 2048)
     product = median(timed(lambda: a @ b, 7))
     source, target = torch.zeros(2**26), torch.zeros(2**26)
@@ -192,7 +193,7 @@ def comparison(options: argparse.Namespace) -> pd.DataFrame:
         for name in names:
             step = engine_step(name, data, spectral)
             times = timed(step, options.repeats)
-            found = errors(engine_step(name, small, spectral)(), exact)
+            error = errors(engine_step(name, small, spectral)(), exact)
             memory = peak_memory(name, spectral, options.batch, options.threads)
             row = {
                 "engine": f"qnerf {name}",
@@ -202,20 +203,20 @@ def comparison(options: argparse.Namespace) -> pd.DataFrame:
                 "repeats": len(times),
                 "memory": memory,
             }
-            rows.append(row | found)
+            rows.append(row | error)
             print(f"S={spectral} qnerf {name}: {row['ms']:.2f} ms", flush=True)
         for name in options.peers:
-            # What did not run at a smaller S does not run at a larger one either.
+            # A peer that failed at a smaller S would fail at a larger one too.
             row, result = ({"note": failed[name]}, None) if name in failed else peer(name, data, options)
             if result is None:
                 failed[name] = row["note"]
-            found = {}
+            error = {}
             if result is not None:
                 ran = len(result[0])
-                found = errors(result, tuple(part[:ran] for part in exact[:2]) + exact[2:])
-                if ran < len(exact[0]):  # the reference's gradients of the weights are of more samples
-                    found.pop("error_weights", None)
-            rows.append({"engine": name, **common} | row | found)
+                error = errors(result, tuple(part[:ran] for part in exact[:2]) + exact[2:])
+                if ran < len(exact[0]):  # the reference's gradients of the weights are sums over more samples
+                    error.pop("error_weights", None)
+            rows.append({"engine": name, **common} | row | error)
             print(f"S={spectral} {name}: {row.get('ms', float('nan')):.0f} ms {row['note']}", flush=True)
     table = pd.DataFrame(rows)
     ours = table[table.engine == "qnerf auto"].set_index("S")
@@ -225,20 +226,20 @@ def comparison(options: argparse.Namespace) -> pd.DataFrame:
 
 
 def growth(options: argparse.Namespace, limits: dict[str, float]) -> pd.DataFrame:
-    """auto over batch, wires and S, with the operations and bytes that it takes at least."""
+    """Times of method auto over batch, wires and S, and the operations and bytes that are needed at least."""
     cases = [(8, spectral, 2**power) for spectral in (1, 2) for power in range(8, 18)]
     cases += [(wires, spectral, 1024) for spectral in (1, 2) for wires in range(2, 15)]
     cases += [(8, spectral, 6144) for spectral in range(1, 9)]
     rows = []
     for wires, spectral, batch in dict.fromkeys(cases):
         data = inputs(wires, spectral, batch)
-        plan = QuantumLayer(wires, spectral).plan(batch)
+        cost = QuantumLayer(wires, spectral).cost(batch)
         times = timed(engine_step("auto", data, spectral), 5, budget=4.0)
-        operations = plan.operations * batch + plan.operations_once
-        moved = 4 * batch * wires * 5  # inputs, outputs, gradients of both, and what is kept
+        operations = cost.operations * batch + cost.operations_once
+        moved = 4 * batch * wires * 5  # inputs, outputs, gradients of both, and what forward stores for backward
         ms = 1e3 * median(times)
-        row = {"wires": wires, "S": spectral, "batch": batch, "method": plan.method, "ms": ms}
-        row |= {"expected_ms": plan.seconds * 1e3, "operations": operations, "bytes": moved}
+        row = {"wires": wires, "S": spectral, "batch": batch, "method": cost.method, "ms": ms}
+        row |= {"expected_ms": cost.seconds * 1e3, "operations": operations, "bytes": moved}
         row |= {"product_ms": operations / limits["gmadds"] / 1e6, "copy_ms": moved / limits["gbytes"] / 1e6}
         rows.append(row)
         print(f"n={wires} S={spectral} B={batch}: {ms:.2f} ms", flush=True)

@@ -1,7 +1,7 @@
 """The hard cases of `benchmarks.accuracy`: one module a group of parts, each with a function `cases() -> list[Case]`.
 
-A module in this folder is found by its name; nothing else has to know it. Its docstring heads its tables: the title,
-and below it the limits that the reader must know. A case is one differentiable function of a few tensors in several
+Every module in this folder is read; there is no list of them. A module's docstring is printed above its tables: a
+title, then the limits that the reader must know. A case is one differentiable function of a few tensors in several
 forms (`variants`), measured in float32 and in float64 against `exact` in float64. Its inputs are float64 numbers that
 float32 holds exactly, so that no variant is blamed for the rounding of its inputs.
 
@@ -27,9 +27,9 @@ from qnerf.kernels import plain
 EPS = torch.finfo(torch.float32).eps
 """Distance of 1 to the next float32, 2^-23: bounds are multiples of it."""
 BOTH_ROUND = 1e-13
-"""The least bound in float64, where the reference rounds as the variants do."""
+"""The smallest bound in float64, where the reference has rounding errors of its own."""
 ACCEPTED_GRADIENT = 1e-4
-"""What any gradient may be off by, relative to the largest one, in float32."""
+"""The accepted error of any gradient in float32, relative to the largest one."""
 
 Function = Callable[..., Tensor]
 
@@ -44,7 +44,7 @@ class Case:
         variants: name -> function of the inputs, in their dtype, to one tensor.
         inputs: float64 tensors of which float32 holds every value; integer and boolean ones are passed on as they are.
         bound: of the forward error in float32, relative to the largest output, for the variants that are `bounded`.
-        gradient: of the gradients' error, each relative to its largest, likewise; None: there is no gradient.
+        gradient: the same bound for the error of the gradients, each relative to its largest; None for no gradient.
         wanted: numbers of the inputs that have a gradient; default: the floating ones.
         exact: the float64 reference; default: the variant "plain".
         dtypes: those in which the variants are offered.
@@ -66,7 +66,7 @@ class Case:
 
     @property
     def bounded(self) -> list[str]:
-        """The variants that the bounds hold for: those that run where there is a choice, which "plain" does on CUDA."""
+        """The variants that must keep the bounds: all but "plain", if there are others."""
         return [name for name in self.variants if name != "plain"] or ["plain"]
 
     @property

@@ -12,7 +12,7 @@ from qnerf.heads.qiren import Normalisation
 from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
 from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.normal_form import compile_program
+from qnerf.quantum.normal_form import normal_form
 
 CIRCUIT_GRADIENTS = 1e-5
 """Of the inputs and of the weights, each relative to its largest, up to S = 6; beyond, and at 14 wires, where gradients
@@ -45,13 +45,13 @@ def normalised_gradient_error(x: Tensor) -> float:
 
 def engines(circuit: Circuit) -> dict[str, Function]:
     """Variant -> function of inputs (B, n) and stacked weights (rows, 3, n). "plain": the state vector in PyTorch."""
-    program = compile_program(circuit)
+    form = normal_form(circuit)
     functions: dict[str, Function] = {
-        "plain": partial(statevector.evaluate, program),
-        "statevector": partial(compiled.evaluate, compiled.Engine(program)),
+        "plain": partial(statevector.evaluate, form),
+        "statevector": partial(compiled.evaluate, compiled.StatevectorEngine(form)),
     }
     try:
-        cone = lightcone.LightCone(circuit)
+        cone = lightcone.LightConeEngine(circuit)
     except ValueError:  # every output depends on too many inputs
         return functions
     return functions | {
@@ -61,7 +61,7 @@ def engines(circuit: Circuit) -> dict[str, Function]:
 
 
 def _with_range(function: Function, x: Tensor, weights: Tensor) -> Tensor:
-    """The outputs, and a 1: errors count against the range, not against the largest output there happens to be."""
+    """The outputs and a 1, so that errors are relative to the range and not to the largest output."""
     y = function(x, weights)
     return torch.cat([y.flatten(), y.new_ones(1)])
 
@@ -79,12 +79,12 @@ def circuit_case(
 ) -> Case:
     variants = {variant: partial(_with_range, function) for variant, function in engines(circuit).items()}
     gradient = ACCEPTED_GRADIENT if circuit.spectral > 6 or circuit.wires == 14 else CIRCUIT_GRADIENTS
-    given = angles(circuit, inputs=inputs, weights=weights, batch=batch)
-    return Case("circuits", name, variants, given, output_error(circuit), gradient)
+    tensors = angles(circuit, inputs=inputs, weights=weights, batch=batch)
+    return Case("circuits", name, variants, tensors, output_error(circuit), gradient)
 
 
 def normalisation(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """What a hybrid layer does in training."""
+    """The normalisation of a hybrid layer in training."""
     layer = Normalisation(x.shape[1]).to(x.dtype)
     return functional_call(layer, {"weight": weight, "bias": bias}, (x,))
 

@@ -56,16 +56,17 @@ def _within(points: Tensor, norm: float) -> Tensor:
 
 
 def _order(order: str, points: dict[str, Tensor], contracted: Tensor) -> list[Case]:
-    def there(x: Tensor) -> Tensor:
+    def contracted_point(x: Tensor) -> Tensor:
         return contract(x, order)
 
-    def back(y: Tensor) -> Tensor:
+    def world_point(y: Tensor) -> Tensor:
         return uncontract(y, order)
 
     cases = [
-        Case("contraction", f"{order}, {text}", only(there), (rounded(x),), CONTRACTED) for text, x in points.items()
+        Case("contraction", f"{order}, {text}", only(contracted_point), (rounded(x),), CONTRACTED)
+        for text, x in points.items()
     ]
-    return [*cases, Case("contraction", f"{order}, inverse", only(back), (contracted,), 10 * UNCONTRACTED)]
+    return [*cases, Case("contraction", f"{order}, inverse", only(world_point), (contracted,), 10 * UNCONTRACTED)]
 
 
 def _poses() -> list[Case]:

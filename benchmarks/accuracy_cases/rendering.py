@@ -68,8 +68,8 @@ class SmallField(nn.Module):
         points = self.origins[:, None] + self.directions[:, None] * samples.mids[..., None]
         cameras = torch.zeros(len(edges), dtype=torch.int64)
         density, color = self.field(points, self.directions, cameras)
-        found = volume_weights(density * 3, samples.deltas)
-        return render(found, color, samples, background="last_sample")[0].color
+        weights = volume_weights(density * 3, samples.deltas)
+        return render(weights, color, samples, background="last_sample")[0].color
 
 
 def pixels(name: str, encoder: str, rays: int = 256, samples: int = 32, **options: int) -> Case:

@@ -1,1 +1,1 @@
-"""How a user would run the same circuit with other packages today."""
+"""The same work with other packages, written as their users would write it today."""

@@ -1,7 +1,7 @@
-"""The QIREN circuit in each package's own words: `PEERS[name](wires, spectral)` gives step(x, w, g) -> (y, dx, dw).
+"""The QIREN circuit written for each package: `PEERS[name](wires, spectral)` gives step(x, w, g) -> (y, dx, dw).
 
-x (B, n) inputs, w (rows, n, 3) angles, g (B, n) gradient of the outputs y (B, n); NumPy arrays in, NumPy arrays out.
-Nothing here imports qnerf: the file runs in any environment that has the package in question.
+x (B, n) are the inputs, w (rows, n, 3) the angles, g (B, n) the gradient of the outputs y (B, n), all NumPy arrays.
+Nothing here imports qnerf, so that the file runs in any environment with the package at hand.
 """
 
 from collections.abc import Callable, Iterator
@@ -207,7 +207,7 @@ def pyqtorch(wires: int, spectral: int) -> Step:
 
 
 PEERS: dict[str, tuple[Callable[[int, int], Step], str, int | None]] = {
-    # name: builder, package, samples that are really run (then scaled up) where the whole batch takes minutes
+    # name: builder, package, and how many samples are run (then scaled up) if the whole batch would take minutes
     "pennylane default.qubit torch": (pennylane_torch, "pennylane", None),
     "pennylane default.qubit jax jit": (pennylane_jax, "jax", None),
     "pennylane default.qubit jax jit vmap": (pennylane_jax_vmap, "jax", None),

@@ -1,4 +1,4 @@
-"""Peak memory of one step, from Linux's own high-water mark, which can be reset; -1 elsewhere."""
+"""Peak memory of one step, from the high-water mark of Linux, which can be reset."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +12,7 @@ def _kibibytes(key: str) -> int:
 
 
 def growth(step: Callable[[], object]) -> int:
-    """Bytes by which the resident set exceeds, at its peak during `step`, what it was before."""
+    """How many bytes the resident set grows at its peak during `step`; -1 where this cannot be measured."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
         before = _kibibytes("VmRSS")

@@ -1,6 +1,6 @@
-"""The same runs and the same rows in MLflow: `python -m benchmarks.peers.mlflow_runs write|search|log DATABASE ...`.
+"""The same runs and rows in MLflow: `python -m benchmarks.peers.mlflow_runs write|search|log DATABASE ...`.
 
-Nothing here imports qnerf: the file runs in any environment that has MLflow. What was measured is printed as JSON.
+Nothing here imports qnerf, so that the file runs in any environment with MLflow. Measurements are printed as JSON.
 """
 
 import argparse
@@ -17,15 +17,15 @@ from mlflow import MlflowClient
 from mlflow.entities import Metric, Param
 
 EXPERIMENT = "0"
-MOST_PARAMS = 100  # that one request may hold
+MAX_PARAMS = 100  # in one request
 
 
 def write(client: MlflowClient, file: Path, seconds: float) -> dict[str, Any]:
-    """Logs the runs of a file of JSON lines, after those that are there, until the time is up."""
-    there = len(mlflow.search_runs([EXPERIMENT], max_results=50_000, output_format="list"))
+    """Logs the runs of a file of JSON lines until the time is up; runs that the database has already are skipped."""
+    existing = len(mlflow.search_runs([EXPERIMENT], max_results=50_000, output_format="list"))
     written, start = 0, time.perf_counter()
     with open(file) as lines:
-        for line in itertools.islice(lines, there, None):
+        for line in itertools.islice(lines, existing, None):
             if time.perf_counter() - start > seconds:
                 break
             _write_one(client, json.loads(line))
@@ -38,8 +38,8 @@ def _write_one(client: MlflowClient, run: dict[str, Any]) -> None:
     run_id = client.create_run(EXPERIMENT, start_time=now, run_name=run["name"]).info.run_id
     params = [Param(key, str(value)[:500]) for key, value in run["params"].items()]
     metrics = [Metric(key, value, now, 0) for key, value in run["metrics"].items()]
-    for first in range(0, len(params), MOST_PARAMS):
-        client.log_batch(run_id, params=params[first : first + MOST_PARAMS])
+    for first in range(0, len(params), MAX_PARAMS):
+        client.log_batch(run_id, params=params[first : first + MAX_PARAMS])
     client.log_batch(run_id, metrics=metrics)
     client.set_terminated(run_id)
 
@@ -55,7 +55,7 @@ def search(repeats: int) -> dict[str, Any]:
 
 
 def log(client: MlflowClient, steps: int, keys: list[str]) -> dict[str, Any]:
-    """Seconds a step of one row of metrics, by log_metrics and by log_batch."""
+    """Seconds for each step that logs one row of metrics, by log_metrics and by log_batch."""
     values = dict.fromkeys(keys, 0.5)
     with mlflow.start_run(experiment_id=EXPERIMENT) as run:
         fluent = []

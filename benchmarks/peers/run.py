@@ -1,4 +1,4 @@
-"""Times one peer in a process of its own: `python -m benchmarks.peers.run NAME IN.npz OUT.npz REPEATS THREADS`."""
+"""Times one peer: `python -m benchmarks.peers.run NAME IN.npz OUT.npz REPEATS THREADS`."""
 
 import importlib.metadata
 import json

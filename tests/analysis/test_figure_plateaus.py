@@ -10,7 +10,7 @@ from benchmarks.plateaus import gradients, measure
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.initial_angles import INITS
-from qnerf.quantum.normal_form import compile_program
+from qnerf.quantum.normal_form import normal_form
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_lines_and_bars_are_the_benchmark_s(table: pd.DataFrame, tmp_path) -> No
 
 def test_variances_are_those_of_parameter_shifts(table: pd.DataFrame) -> None:
     circuit = ANSATZE.build("qiren", 3, 2)
-    program = compile_program(circuit)
+    form = normal_form(circuit)
     torch.manual_seed(3 * 1000 + 2)
     found = []
     for _ in range(12):
@@ -48,7 +48,7 @@ def test_variances_are_those_of_parameter_shifts(table: pd.DataFrame) -> None:
         for shift in (np.pi / 2, -np.pi / 2):
             moved = w.clone()
             moved[circuit.rows // 2, 1, 0] += shift
-            turned.append(float(statevector.evaluate(program, x, moved)[0, 0]))
+            turned.append(float(statevector.evaluate(form, x, moved)[0, 0]))
         found.append((turned[0] - turned[1]) / 2)
     row = table[(table["init"] == "uniform") & (table["wires"] == 3) & (table["S"] == 2)]
     squares = (np.array(found) - np.mean(found)) ** 2

@@ -214,10 +214,10 @@ def test_gradients_are_computed_where_they_are_needed_and_add_up():
     parameter = torch.nn.Parameter(table.clone())
     hash_encode(x, parameter, cells).backward(weight)
     assert torch.equal(parameter.grad, both[1])
-    kept = parameter.grad
+    first = parameter.grad
     hash_encode(x, parameter, cells).backward(weight)
-    assert parameter.grad is kept
-    assert torch.equal(kept, 2 * both[1])
+    assert parameter.grad is first
+    assert torch.equal(first, 2 * both[1])
 
 
 def test_strided_and_expanded_tensors():

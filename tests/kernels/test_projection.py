@@ -19,24 +19,24 @@ whole = st.integers(-40, 40).map(float)
     matrices=arrays.arrays(np.float64, st.tuples(st.integers(1, 7), st.just(3), st.just(4)), elements=whole),
     width=st.integers(1, 50),
     height=st.integers(1, 50),
-    most=st.integers(1, 8),
+    max_views=st.integers(1, 8),
 )
-def test_the_loop_counts_what_its_reference_counts(points, matrices, width, height, most):
-    given_ = torch.from_numpy(points), torch.from_numpy(matrices), width, height, most
-    counted = count_views(*given_)
+def test_the_loop_counts_what_its_reference_counts(points, matrices, width, height, max_views):
+    arguments = torch.from_numpy(points), torch.from_numpy(matrices), width, height, max_views
+    counted = count_views(*arguments)
     assert counted.dtype == torch.int64
-    assert torch.equal(counted, count_views_reference(*given_))
+    assert torch.equal(counted, count_views_reference(*arguments))
     with plain():
-        assert torch.equal(counted, count_views(*given_))
+        assert torch.equal(counted, count_views(*arguments))
 
 
-@given(seed=st.integers(0, 2**20), most=st.integers(1, 9))
-def test_more_than_most_count_as_most(seed, most):
+@given(seed=st.integers(0, 2**20), max_views=st.integers(1, 9))
+def test_counts_stop_at_max_views(seed, max_views):
     generator = torch.Generator().manual_seed(seed)
     points = torch.randn(60, 3, dtype=torch.float64, generator=generator)
     matrices = torch.randn(8, 3, 4, dtype=torch.float64, generator=generator) * torch.tensor([5.0, 5, 1]).view(3, 1)
     every = count_views(points, matrices, 8, 8, 8)
-    assert torch.equal(count_views(points, matrices, 8, 8, most), every.clamp(max=most))
+    assert torch.equal(count_views(points, matrices, 8, 8, max_views), every.clamp(max=max_views))
 
 
 def test_borders_belong_to_the_image_and_what_lies_behind_does_not():

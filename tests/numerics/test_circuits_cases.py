@@ -14,7 +14,7 @@ from benchmarks.accuracy_cases.circuits import angles, cases, engines, output_er
 from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
 from qnerf.quantum.compiled import engine as compiled_engine
-from qnerf.quantum.normal_form import Angles, Program, Turn, compile_program
+from qnerf.quantum.normal_form import Angles, NormalForm, RYLayer, normal_form
 from tests.helpers.hard_inputs import held
 
 CASES = {case.name: case for case in cases() if case.part == "circuits"}
@@ -91,12 +91,12 @@ def test_norm_drift(spectral: int, dtype: torch.dtype) -> None:
     circuit = with_norm(ANSATZE.build("qiren", 6, spectral))
     bound = output_error(circuit) * torch.finfo(dtype).eps / EPS
     x, w = (t.to(dtype) for t in angles(circuit, inputs=3.0, weights=6.0, batch=16))
-    engine = compiled_engine.Engine(compile_program(circuit))
-    compiled = engine.bound(compiled_engine.flat_weights(w), compiled_engine.numpy_dtype(dtype))
-    trig = compiled_engine.trigonometry(compiled_engine.blocked(x.numpy(), compiled.width), engine.tape.scales)
-    norm, _ = compiled.forward(trig)
+    engine = compiled_engine.StatevectorEngine(normal_form(circuit))
+    bound_engine = engine.bind(compiled_engine.flat_weights(w), compiled_engine.numpy_dtype(dtype))
+    blocks = compiled_engine.to_blocks(x.numpy(), bound_engine.width)
+    norm, _ = bound_engine.forward(compiled_engine.cos_sin_of_half(blocks, engine.arrays.encoding_scales))
     assert abs(norm - 1).max() <= bound
-    state = statevector.final_state(compile_program(circuit), x, w)
+    state = statevector.final_state(normal_form(circuit), x, w)
     assert (state.abs().square().sum(0) - 1).abs().max() <= bound
 
 
@@ -104,12 +104,12 @@ def test_norm_drift(spectral: int, dtype: torch.dtype) -> None:
 def test_unitarity_drift(dtype: torch.dtype) -> None:
     """What the circuit makes of all basis states stays orthonormal."""
     circuit = ANSATZE.build("qiren", 3, 32)
-    program = compile_program(circuit)
+    form = normal_form(circuit)
     x, w = (t.to(dtype) for t in angles(circuit, inputs=3.0, weights=6.0, batch=1))
     columns = []
     for basis in range(8):
         flips = tuple(math.pi * (basis >> (2 - wire) & 1) for wire in range(3))
-        started = Program(circuit, (Turn(Angles(constant=flips)), *program.steps), program.words)
+        started = NormalForm(circuit, (RYLayer(Angles(constant=flips)), *form.steps), form.measured)
         columns.append(statevector.final_state(started, x, w)[:, 0])
     u = torch.stack(columns, dim=1)
     assert u.dtype == dtype.to_complex()
@@ -189,8 +189,8 @@ def test_float32_keeps_its_bounds_at_angles_of_any_size(
     for name, function in functions.items():
         bound = output_error(circuit) * (SERIES if name == "lightcone plain" else 1)
         assert (function(x, w) - y).abs().max() <= bound
-        for found, expected in zip(gradient(function, x, w, g), (dx, dw), strict=True):
-            assert (found - expected).abs().max() <= GRADIENTS * bound
+        for actual, expected in zip(gradient(function, x, w, g), (dx, dw), strict=True):
+            assert (actual - expected).abs().max() <= GRADIENTS * bound
 
 
 @pytest.mark.parametrize("method", ["statevector", "lightcone"])

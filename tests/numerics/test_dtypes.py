@@ -19,14 +19,14 @@ from qnerf.config.settings import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
-from qnerf.quantum.normal_form import compile_program
+from qnerf.quantum.normal_form import normal_form
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer
 
 SOURCE = Path(qnerf.__file__).parent
 ON_PURPOSE = {
     "encoders/frequency.py": "phases of up to 256 turns are reduced before they are rounded",
-    "quantum/adjoint.py": "angles become tables once a step",
+    "quantum/compiled/engine.py": "angles become tables once a step",
     "quantum/statevector.py": "angles become tables once a step; products that float32 would round",
 }
 """Files in which a float32 step makes float64 tensors, and why."""
@@ -59,7 +59,7 @@ def _place() -> str:
         if path.is_relative_to(SOURCE):
             name = path.relative_to(SOURCE).as_posix()
             line = linecache.getline(frame.f_code.co_filename, frame.f_lineno)
-            return "backward" if name == "train.py" and ".backward()" in line else name
+            return "backward" if name == "training/trainer.py" and ".backward()" in line else name
         frame = frame.f_back
     return "elsewhere"
 
@@ -79,14 +79,14 @@ def stepped(config: dict[str, Any]) -> Watcher:
 
 
 STEPS = {
-    "all circuits": (["field=qboth", "qiren=1L2S", "qiren.qubits=4"], {"quantum/adjoint.py"}),
-    "polynomials": (["field=qboth", "qiren=1L1S", "qiren.qubits=3", "train.rays=64"], {"quantum/adjoint.py"}),
+    "all circuits": (["field=qboth", "qiren=1L2S", "qiren.qubits=4"], {"quantum/compiled/engine.py"}),
+    "polynomials": (["field=qboth", "qiren=1L1S", "qiren.qubits=3", "train.rays=64"], {"quantum/compiled/engine.py"}),
     "in plain PyTorch": (["field=qboth", "qiren.qubits=3", "color.directions=sh"], {"quantum/statevector.py"}),
     "no circuits": (["field=classical", "cameras=se3"], set()),
     "frequencies": (["field=classical", "encoder=pe", "appearance=2"], {"encoders/frequency.py"}),
     "random features": (
         ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "shading=top"],
-        {"encoders/frequency.py", "quantum/adjoint.py"},
+        {"encoders/frequency.py", "quantum/compiled/engine.py"},
     ),
 }
 """Options, and the files of `ON_PURPOSE` that take part in a step."""
@@ -114,7 +114,7 @@ def test_a_float64_step_makes_no_float32(tiny: Callable[..., dict[str, Any]], na
 def test_a_silent_float64_is_seen(tiny: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("qnerf.training.trainer.distortion", lambda samples, weights: weights.double().square().sum())
     found = stepped(tiny(*STEPS["no circuits"][0], "train.distortion=0.01")).found
-    assert "aten.stack.default" in found["train.py"]
+    assert "aten.stack.default" in found["training/trainer.py"]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -133,13 +133,13 @@ def test_complex_numbers_of_the_reference_engine_stay_of_their_size(dtype: torch
             complexes.update(t.dtype for t in tree_leaves(out) if isinstance(t, torch.Tensor) and t.is_complex())
             return out
 
-    program = compile_program(circuit)
+    form = normal_form(circuit)
     with Amplitudes():
-        y = statevector.evaluate(program, x, w)
+        y = statevector.evaluate(form, x, w)
         y.square().sum().backward()
     assert y.dtype == x.grad.dtype == w.grad.dtype == dtype
     assert complexes == {dtype.to_complex()}
-    assert statevector.final_state(program, x, w).dtype == dtype.to_complex()
+    assert statevector.final_state(form, x, w).dtype == dtype.to_complex()
 
 
 @pytest.mark.parametrize("method", ["statevector", "lightcone"])

@@ -74,11 +74,11 @@ def test_scaled_encodings_have_their_own_frequencies():
 
 def test_sobol_points_agree_with_the_exact_spectrum_within_their_standard_error():
     circuit = layer(4, 2)
-    exact, estimate = spectrum.powers(circuit), spectrum.powers(circuit, most_values=0)
+    exact, estimate = spectrum.powers(circuit), spectrum.powers(circuit, max_values=0)
     assert set(estimate["method"]) == {"sobol"}
     assert estimate[["output", "wire", "frequency"]].equals(exact[["output", "wire", "frequency"]])
-    told = exact["power"] > 1e-12  # below, both are rounding errors
-    deviation = (estimate["power"] - exact["power"])[told] / estimate["standard_error"][told]
+    above_rounding = exact["power"] > 1e-12  # below, both are rounding errors
+    deviation = (estimate["power"] - exact["power"])[above_rounding] / estimate["standard_error"][above_rounding]
     assert deviation.abs().max() < 6
     assert 0.5 < deviation.std() < 2
     assert estimate["standard_error"].max() < 1e-2 * exact["power"].max()
@@ -144,7 +144,7 @@ def test_the_samples_along_rays_are_those_that_the_model_renders(tiny):
         rendering, sampled, _ = trained.model(every, background="last_sample", step=trained.step, watch=watch)
     assert set(table["image"]) == {trained.scene.names[view]}
     pixels = table[["pixel_x", "pixel_y"]].drop_duplicates()
-    assert len(pixels) == len(rays.PLACES)
+    assert len(pixels) == len(rays.PIXELS)
     for x, y in pixels.itertuples(index=False):
         index = y * trained.scene.cameras.width + x
         here = table[(table["pixel_x"] == x) & (table["pixel_y"] == y)]
@@ -171,7 +171,7 @@ def test_every_strategy_covers_its_ray_without_gaps(tiny):
 
 
 def command(monkeypatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
     return int(stop.value.code or 0)

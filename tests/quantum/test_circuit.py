@@ -1,11 +1,12 @@
-"""The description and its normal form."""
+"""The circuit as data, its drawings, and its normal form."""
 
 import numpy as np
 import pytest
 
 from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, ring
 from qnerf.quantum.cones import TooLarge, find_cones
-from qnerf.quantum.normal_form import Permute, Phase, Turn, compile_program, signs, sources
+from qnerf.quantum.normal_form import CNOTs, Diagonal, RYLayer, cnot_permutation, cz_signs, normal_form
+from qnerf.quantum.pennylane import draw
 
 
 def test_qiren_is_strongly_entangling_layers_with_cz() -> None:
@@ -15,33 +16,40 @@ def test_qiren_is_strongly_entangling_layers_with_cz() -> None:
     entanglers = [operation for operation in circuit.operations if isinstance(operation, Entangler)]
     assert entanglers[0].pairs == ring(8, 1)
     assert entanglers[1].pairs == ring(8, 2)
-    assert circuit.shapes == ((2, 2, 8, 3), (2, 8, 3))
+    assert circuit.weight_shapes == ((2, 2, 8, 3), (2, 8, 3))
+
+
+@pytest.mark.parametrize("name", ANSATZE.names())
+def test_each_ansatz_is_drawn_in_its_docstring(name: str) -> None:
+    documented = [line.strip() for line in (ANSATZE.get(name).__doc__ or "").splitlines()]
+    first = next(index for index, line in enumerate(documented) if line.startswith("0: "))
+    assert documented[first : first + 3] == draw(ANSATZE.build(name, 3, 1)).splitlines()
 
 
 def test_normal_form_drops_what_does_not_matter() -> None:
-    program = compile_program(ANSATZE.build("qiren", 8, 3))
-    kinds = [type(step) for step in program.steps]
-    assert kinds == [Turn, *[Phase, Turn] * 7]  # one diagonal between any two layers of RY, nothing at the ends
-    entries = [entry for step in program.steps if not isinstance(step, Permute) for entry in step.angles.entries]
-    assert len(entries) == len(set(entries)) == 8 * 3 - 2
-    assert (0, 0) not in entries  # phi of the first sublayer: a global phase
-    assert (7, 2) not in entries  # omega of the last: commutes with Z
-    assert program.fixed_steps == 3
-    assert program.local
+    form = normal_form(ANSATZE.build("qiren", 8, 3))
+    kinds = [type(step) for step in form.steps]
+    assert kinds == [RYLayer, *[Diagonal, RYLayer] * 7]  # one diagonal between any two RY layers, nothing at the ends
+    weights = [weight for step in form.steps if not isinstance(step, CNOTs) for weight in step.angles.weights]
+    assert len(weights) == len(set(weights)) == 8 * 3 - 2
+    assert (0, 0) not in weights  # phi of the first sublayer: a global phase
+    assert (7, 2) not in weights  # omega of the last: commutes with Z
+    assert form.fixed_steps == 3
+    assert form.measures_last_layer
 
 
 def test_rings_that_cancel_vanish() -> None:
     """At n = 2 both rings visit the pair twice; at n = 4 the second one does."""
-    two = compile_program(ANSATZE.build("qiren", 2, 1))
-    assert all(not step.pairs for step in two.steps if isinstance(step, Phase))
-    four = [step.pairs for step in compile_program(ANSATZE.build("qiren", 4, 1)).steps if isinstance(step, Phase)]
+    two = normal_form(ANSATZE.build("qiren", 2, 1))
+    assert all(not step.pairs for step in two.steps if isinstance(step, Diagonal))
+    four = [step.pairs for step in normal_form(ANSATZE.build("qiren", 4, 1)).steps if isinstance(step, Diagonal)]
     assert [len(pairs) for pairs in four] == [4, 0, 4]
 
 
 def test_diagonals_and_permutations() -> None:
-    assert signs(((0, 1),), 2).tolist() == [1, 1, 1, -1]
-    once = sources(Permute(((0, 1), (1, 2))), 3)
-    state = np.arange(8)[sources(Permute(((0, 1),)), 3)][sources(Permute(((1, 2),)), 3)]
+    assert cz_signs(((0, 1),), 2).tolist() == [1, 1, 1, -1]
+    once = cnot_permutation(((0, 1), (1, 2)), 3)
+    state = np.arange(8)[cnot_permutation(((0, 1),), 3)][cnot_permutation(((1, 2),), 3)]
     assert np.array_equal(np.arange(8)[once], state)
 
 

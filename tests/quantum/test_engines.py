@@ -11,24 +11,24 @@ from torch import Tensor
 from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Operation, Rotations
 from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.normal_form import compile_program
+from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.pennylane import make_node
 
 Function = Callable[[Tensor, Tensor], Tensor]
 
 
 def torch_engine(circuit: Circuit) -> Function:
-    program = compile_program(circuit)
-    return lambda x, w: statevector.evaluate(program, x, w)
+    form = normal_form(circuit)
+    return lambda x, w: statevector.evaluate(form, x, w)
 
 
 def compiled_engine(circuit: Circuit) -> Function:
-    engine = compiled.Engine(compile_program(circuit))
+    engine = compiled.StatevectorEngine(normal_form(circuit))
     return lambda x, w: compiled.evaluate(engine, x, w)
 
 
 def cone_engine(circuit: Circuit) -> Function:
-    cone = lightcone.LightCone(circuit)
+    cone = lightcone.LightConeEngine(circuit)
     return lambda x, w: lightcone.evaluate(cone, x, w)
 
 
@@ -194,8 +194,8 @@ def test_nan_in_a_cone_stays_in_the_cone() -> None:
 def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> None:
     circuit = ANSATZE.build("qiren", 3, 2)
     whole = results(torch_engine(circuit), circuit, batch=23)
-    monkeypatch.setattr(statevector, "TAPE_BYTES", 20_000)
-    assert statevector.chunk_size(compile_program(circuit), 8) < 10
+    monkeypatch.setattr(statevector, "CHUNK_BYTES", 20_000)
+    assert statevector.chunk_size(normal_form(circuit), 8) < 10
     assert_same(results(torch_engine(circuit), circuit, batch=23), whole, 1e-14, 1e-13)
 
 

@@ -10,6 +10,7 @@ import torch
 from qnerf.quantum import hardware_conditions, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.layer import QuantumLayer
+from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.pennylane import Noise, apply, draw, make_node, observables
 
 
@@ -39,10 +40,10 @@ def test_shots_of_a_pennylane_device() -> None:
 def exact_correlation(layer: QuantumLayer, x: torch.Tensor) -> np.ndarray:
     """Correlation of the signs read on all wires, from the exact probabilities."""
     weights = statevector.stacked(layer.weights1, layer.weights2).detach()
-    chances = statevector.probabilities(layer.program, x, weights)[0].numpy()
+    probabilities = statevector.probabilities(normal_form(layer.circuit), x, weights)[0].numpy()
     signs = 1 - 2 * ((np.arange(8)[:, None] >> np.arange(2, -1, -1)) & 1)
-    mean = chances @ signs
-    covariance = (signs - mean).T @ ((signs - mean) * chances[:, None])
+    mean = probabilities @ signs
+    covariance = (signs - mean).T @ ((signs - mean) * probabilities[:, None])
     return covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
 
 
@@ -66,10 +67,10 @@ def test_finite_shots_have_the_statistics_of_measuring_all_wires(joint: bool) ->
     assert torch.equal(layer(x)[0].detach(), exact)  # the conditions end with the block
 
 
-@pytest.mark.parametrize("given", [{"shots": 10}, {"shots": 10, "joint": False}, {"noise": Noise(depolarizing=0.1)}])
-def test_no_samples_are_measured_as_none(given: dict[str, Any]) -> None:
+@pytest.mark.parametrize("options", [{"shots": 10}, {"shots": 10, "joint": False}, {"noise": Noise(depolarizing=0.1)}])
+def test_no_samples_are_measured_as_none(options: dict[str, Any]) -> None:
     layer = QuantumLayer(3, 1)
-    with hardware_conditions.conditions(layer, **given):
+    with hardware_conditions.conditions(layer, **options):
         assert layer(torch.zeros(0, 3)).shape == (0, 3)
 
 

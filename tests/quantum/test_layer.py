@@ -48,23 +48,23 @@ def test_methods_agree_through_one_checkpoint(method: str, backend: str) -> None
 
 
 def test_auto_picks_by_cost() -> None:
-    assert QuantumLayer(8, 1).plan(6144).method == "lightcone"
-    assert QuantumLayer(8, 1).plan(4).method == "statevector"  # a few samples do not pay for the grid
-    assert QuantumLayer(1, 3).plan(6144).method == "lightcone"
-    plan = QuantumLayer(8, 2).plan(6144)
-    assert plan.method == "statevector"
-    assert "depends on 8 inputs" in plan.others["lightcone"]
-    assert "statevector (compiled) for 6144 samples" in str(plan)
-    assert plan.operations > QuantumLayer(8, 1).plan(6144).operations
-    assert QuantumLayer(8, 2, backend="torch").plan().backend == "torch"
+    assert QuantumLayer(8, 1).cost(6144).method == "lightcone"
+    assert QuantumLayer(8, 1).cost(4).method == "statevector"  # a few samples do not pay for the grid
+    assert QuantumLayer(1, 3).cost(6144).method == "lightcone"
+    cost = QuantumLayer(8, 2).cost(6144)
+    assert cost.method == "statevector"
+    assert "depends on 8 inputs" in cost.others["lightcone"]
+    assert "statevector (compiled) for 6144 samples" in str(cost)
+    assert cost.operations > QuantumLayer(8, 1).cost(6144).operations
+    assert QuantumLayer(8, 2, backend="torch").cost().backend == "torch"
 
 
 def test_a_grid_too_large_to_interpolate_on_is_one_line() -> None:
     """Small cones that few wires share a colour in: 19,683 points for 243 coefficients."""
     options = {"ranges": (1, 1), "observable": "X"}
-    plan = QuantumLayer(9, 1, ansatz_options=options).plan(100)
-    assert plan.method == "statevector"
-    assert "interpolation grid of 19,683 points" in plan.others["lightcone"]
+    cost = QuantumLayer(9, 1, ansatz_options=options).cost(100)
+    assert cost.method == "statevector"
+    assert "interpolation grid of 19,683 points" in cost.others["lightcone"]
     with pytest.raises(ValueError, match="choose method=statevector or auto"):
         QuantumLayer(9, 1, method="lightcone", ansatz_options=options)
 

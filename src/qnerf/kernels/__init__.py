@@ -1,4 +1,4 @@
-"""Compiled CPU loops, each beside its plain PyTorch reference."""
+"""Compiled CPU loops. Each has a plain PyTorch reference, and tests that both agree."""
 
 import contextlib
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ _plain = False
 
 
 def compiled(*tensors: Tensor) -> bool:
-    """Whether the compiled loops take these tensors: all on the CPU, all float32 or all float64, not inside `plain`."""
+    """Whether the compiled loops take these tensors: on the CPU, all float32 or all float64, and not inside `plain`."""
     dtype = tensors[0].dtype
     known = dtype in (torch.float32, torch.float64)
     return known and not _plain and all(t.device.type == "cpu" and t.dtype == dtype for t in tensors)
@@ -18,7 +18,7 @@ def compiled(*tensors: Tensor) -> bool:
 
 @contextlib.contextmanager
 def plain() -> Iterator[None]:
-    """Inside, every compiled loop gives way to its plain PyTorch reference: what tests and benchmarks compare with."""
+    """Inside, every compiled loop is replaced by its plain PyTorch reference. Tests and benchmarks compare with it."""
     global _plain
     before, _plain = _plain, True
     try:

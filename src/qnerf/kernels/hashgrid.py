@@ -1,18 +1,18 @@
-"""Multiresolution hash encoding (Sec. 3, arXiv:2201.05989): the plain PyTorch form and a fast CPU one.
+"""Multiresolution hash encoding (Sec. 3, arXiv:2201.05989): a compiled CPU loop and its plain PyTorch reference.
 
-Level l has a grid of `resolutions[l]` cells along each side of the unit cube, with its vertices at k / resolution,
-k = 0..resolution. A point's features at that level are interpolated trilinearly from the 8 vertices of its cell. Vertex
-(i, j, k) finds its features in row
+Level l has a grid of `resolutions[l]` cells along each side of the unit cube, with vertices at k / resolution,
+k = 0..resolution. A point's features at that level are interpolated trilinearly from the 8 vertices of its cell. The
+features of vertex (i, j, k) are in row
 
     i + j s + k s^2, s = resolution + 1                      where the whole grid fits into the table (`dense`)
     (i xor j * 2654435761 xor k * 805459861) mod T           elsewhere (Eq. 4, arXiv:2201.05989)
 
-Where a point lies in its cell is computed in float64: at 2,048 cells a float32 product alone is off by 1e-4 of a cell,
-and near a border it picks the wrong one. So computed, float32 features and gradients hold to a few roundings for the
-given points at any resolution.
+The position of a point in its cell is computed in float64. At 2,048 cells a float32 product alone would be off by 1e-4
+of a cell and would pick the wrong cell near a border. In this way float32 features and gradients are exact to a few
+roundings at any resolution.
 
-At the edges: points outside [0, 1] are moved to the nearest face, and their gradient across it is 0; a point on a
-border belongs to the cell above it, at 1 to the last cell; a NaN coordinate gives NaN features.
+Points outside [0, 1] are moved to the nearest face, and their gradient across it is 0. A point on a border belongs to
+the cell above it, at 1 to the last cell. A NaN coordinate gives NaN features.
 """
 
 from typing import Any
@@ -22,23 +22,35 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import compiled
-from qnerf.kernels.buffer_pool import spare
+from qnerf.kernels.buffer_pool import pooled_empty
 from qnerf.kernels.jit import jit, run
 
 PRIMES = (1, 2654435761, 805459861)
 CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]
 FINEST = 2**20  # cells along a side: beyond, float32 coordinates cannot tell cells apart
-BLOCK = 128  # points worked on at a time: their corner rows and weights stay in the first-level cache
-GRAIN = 1024  # points worth waking a thread for
+BLOCK = 128  # points at a time: their corner rows and weights stay in the first-level cache
+GRAIN = 1024  # points that are worth waking a thread for
 
 
 def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:
-    """Features of points (N, 3) in [0, 1] from a table (L, T, F): (N, L F), level-major.
+    """Features (N, L F) of points, level by level.
 
-    `resolutions` (L,) int64: cells along a side, 1 to 2^20. T is a power of two. On the CPU this is a compiled loop
-    that gives the values of `hash_encode_reference` to the last bit and its gradients with respect to points and table
-    to rounding, the same bits for any number of threads; higher derivatives come from the reference, and off the CPU
-    everything does. ValueError where shapes, dtypes or resolutions do not fit.
+    On the CPU this is a compiled loop. Its values equal `hash_encode_reference` to the last bit and its gradients
+    (of points and table) to rounding, and they do not depend on the number of threads. Second derivatives, and
+    everything on other devices, come from the reference.
+
+    >>> table = torch.ones(2, 2**4, 1)
+    >>> hash_encode(torch.rand(5, 3), table, torch.tensor([2, 8])).shape
+    torch.Size([5, 2])
+
+    Args:
+        points: (N, 3) in the unit cube.
+        table: (L, T, F); T is a power of two.
+        resolutions: (L,) int64, cells along a side, 1 to 2^20.
+        dense: index grids that fit into the table without hashing.
+
+    Raises:
+        ValueError: shapes, dtypes or resolutions do not fit.
     """
     _check(points, table, resolutions)
     if compiled(points):
@@ -102,14 +114,17 @@ class _HashEncode(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
         points, table, resolutions = ctx.saved_tensors
-        if torch.is_grad_enabled():  # asked for with create_graph=True, to be differentiated again
-            again = _differentiable_gradients(ctx.needs_input_grad, gradient, points, table, resolutions, ctx.dense)
-            return *again, None, None
+        if torch.is_grad_enabled():  # create_graph=True: the gradients are differentiated again
+            wanted = ctx.needs_input_grad
+            gradients = _differentiable_gradients(wanted, gradient, points, table, resolutions, ctx.dense)
+            return *gradients, None, None
         levels, _, features = table.shape
         common = (_flat(points), _flat(gradient), _flat(resolutions), ctx.dense, features)
         to_points = to_table = None
         if ctx.needs_input_grad[1]:
-            to_table = spare(tuple(table.shape), _flat(table).dtype)  # each level is zeroed by the thread that owns it
+            to_table = pooled_empty(
+                tuple(table.shape), _flat(table).dtype
+            )  # each level is zeroed by the thread that owns it
             run(_table_gradient, levels, *common, _flat(to_table), grain=1)
         if ctx.needs_input_grad[0]:
             to_points = torch.empty(points.shape, dtype=points.dtype)
@@ -122,21 +137,24 @@ def _differentiable_gradients(
 ) -> tuple[Tensor | None, Tensor | None]:
     out = hash_encode_reference(points, table, resolutions, dense)
     inputs = [tensor for tensor, need in zip((points, table), needed[:2], strict=True) if need]
-    found = iter(torch.autograd.grad(out, inputs, gradient, create_graph=True))
-    return next(found) if needed[0] else None, next(found) if needed[1] else None
+    gradients = iter(torch.autograd.grad(out, inputs, gradient, create_graph=True))
+    return next(gradients) if needed[0] else None, next(gradients) if needed[1] else None
 
 
 def _flat(tensor: Tensor) -> np.ndarray:
     return tensor.detach().reshape(-1).numpy()
 
 
-# The loops below index flat arrays with unsigned integers, because numba tests every signed index for wrap-around.
+# The loops below index flat arrays with unsigned integers: Numba tests every signed index for wrap-around.
 U = np.uintp
 
 
 @jit
 def _corners(points, first, count, resolution, direct, mask, row, weight, fraction):  # type: ignore[no-untyped-def]
-    """Of points first..first + count: corner rows and weights (8, BLOCK), `fraction` (3, BLOCK) across the cell."""
+    """For points first..first + count: rows and weights of the 8 corners (8, BLOCK), and `fraction` (3, BLOCK).
+
+    `fraction` is the position in the cell along each axis, in [0, 1].
+    """
     number = points.dtype.type
     zero, one, cells = number(0), number(1), np.float64(resolution)
     last = np.int32(resolution - 1)
@@ -148,8 +166,8 @@ def _corners(points, first, count, resolution, direct, mask, row, weight, fracti
     for i in range(U(count)):
         j = U(3) * (U(first) + i)
         x, y, z = points[j], points[j + U(1)], points[j + U(2)]
-        # Both comparisons are false for NaN, which so stays; the cell is then that of 0: a NaN has no integer.
-        # float64 holds the product of a float32 and the resolution exactly: no digit of the fraction is lost.
+        # Both comparisons are false for NaN, so that it stays; its cell is that of 0, because a NaN has no integer.
+        # float64 holds the product of a float32 and the resolution exactly.
         x = (zero if x < zero else (one if x > one else x)) * cells
         y = (zero if y < zero else (one if y > one else y)) * cells
         z = (zero if z < zero else (one if z > one else z)) * cells
@@ -184,7 +202,7 @@ def _corners(points, first, count, resolution, direct, mask, row, weight, fracti
 
 @jit
 def _forward(start, stop, points, table, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
-    """Owns the features of points start..stop."""
+    """Writes the features of points start..stop."""
     levels = resolutions.size
     width = U(table.size // levels)
     size = table.size // (levels * features)
@@ -234,7 +252,7 @@ def _forward(start, stop, points, table, resolutions, dense, features, out):  # 
 
 @jit
 def _table_gradient(start, stop, points, gradient, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
-    """Owns the gradient of levels start..stop; adds the points in their order."""
+    """Writes the table's gradient of levels start..stop; adds the points in their order."""
     levels = resolutions.size
     width = U(out.size // levels)
     size = out.size // (levels * features)
@@ -275,7 +293,7 @@ def _table_gradient(start, stop, points, gradient, resolutions, dense, features,
 
 @jit
 def _points_gradient(start, stop, points, gradient, resolutions, dense, features, table, out):  # type: ignore[no-untyped-def]
-    """Owns the gradient of points start..stop."""
+    """Writes the gradient of points start..stop."""
     levels = resolutions.size
     width = U(table.size // levels)
     size = table.size // (levels * features)
@@ -285,7 +303,7 @@ def _points_gradient(start, stop, points, gradient, resolutions, dense, features
     row = np.empty(8 * BLOCK, np.uint32)
     weight = np.empty(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
-    dot = np.empty(8 * BLOCK, points.dtype)  # of the gradient with each corner's features
+    dot = np.empty(8 * BLOCK, points.dtype)  # gradient times features at each corner
     total = np.empty(3 * BLOCK, points.dtype)
     number = points.dtype.type
     zero, one = number(0), number(1)

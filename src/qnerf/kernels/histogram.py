@@ -1,6 +1,7 @@
-"""Compiled loops over the histograms of rays: drawing edges, the interlevel and distortion losses with their gradients.
+"""Compiled loops over the histograms of rays: sampling edges, and the interlevel and distortion losses with gradients.
 
-Each walks a ray once and sums in float64. Their plain PyTorch references are in pdf.py and losses.py.
+Each goes along a ray once and sums in float64. The plain PyTorch references are in `qnerf.rendering.pdf` and
+`qnerf.training.losses`.
 """
 
 from typing import Any
@@ -23,13 +24,13 @@ def _grain(weights: Tensor) -> int:
 
 
 @jit
-def _draw(start, stop, s, w, jitter, padding, least, out):  # type: ignore[no-untyped-def]
+def _draw(start, stop, s, w, jitter, padding, min_total, out):  # type: ignore[no-untyped-def]
     bins, count = w.shape[1], out.shape[1]
     for ray in range(start, stop):
         total = 0.0
         for j in range(bins):
             total += np.float64(w[ray, j]) + padding
-        fill = max(least - total, 0.0) / bins
+        fill = max(min_total - total, 0.0) / bins
         total += fill * bins
         j = 0
         below = 0.0
@@ -47,12 +48,12 @@ def _draw(start, stop, s, w, jitter, padding, least, out):  # type: ignore[no-un
             out[ray, k] = min(low + share * (high - low), high)
 
 
-def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None, least: float) -> Tensor:
-    """`qnerf.rendering.pdf.sample_edges` of tensors that are `qnerf.kernels.compiled`."""
+def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None, min_total: float) -> Tensor:
+    """`qnerf.rendering.pdf.sample_edges` for tensors that `qnerf.kernels.compiled` takes."""
     out = torch.empty(s.shape[0], count, dtype=s.dtype)
     offset = torch.full((s.shape[0],), 0.5, dtype=s.dtype) if jitter is None else jitter[:, 0]
     arrays = (_array(s), _array(w), _array(offset))
-    run(_draw, s.shape[0], *arrays, padding, least, out.numpy(), grain=_grain(w))
+    run(_draw, s.shape[0], *arrays, padding, min_total, out.numpy(), grain=_grain(w))
     return out
 
 
@@ -76,7 +77,7 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
                 above += 1
             high = min(above, outer_bins)
             excess = w[ray, i] - (cumulative[high] - cumulative[low])
-            if not excess <= 0:  # also where it is NaN
+            if not excess <= 0:  # true for NaN too
                 total += excess * excess / (w[ray, i] + eps)
                 step = -2 * excess / (w[ray, i] + eps)
                 slope[low] += step
@@ -89,7 +90,10 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
 
 
 class Interlevel(torch.autograd.Function):
-    """Sum over rays and intervals of max(0, w - w_outer)^2 / (w + eps); gradient for w_outer's weights alone."""
+    """Sum over rays and intervals of max(0, w - w_outer)^2 / (w + eps) (Eq. 13, arXiv:2111.12077).
+
+    Only w_outer, the proposal's weights, gets a gradient.
+    """
 
     @staticmethod
     def forward(ctx: Any, w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float) -> Tensor:
@@ -110,7 +114,7 @@ class Interlevel(torch.autograd.Function):
 def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
     bins = w.shape[1]
     for ray in range(start, stop):
-        # L = sum_i w_i (sum_{k<i} gap_k W_k + 1/3 w_i (s_(i+1) - s_i)), of positive terms alone
+        # L = sum_i w_i (sum_{k<i} gap_k W_k + 1/3 w_i (s_(i+1) - s_i)); every term is positive, so nothing cancels.
         # dL/dw_i = sum_{k<i} gap_k W_k + sum_{k>=i} gap_k (W - W_k) + 2/3 w_i (s_(i+1) - s_i), gap_k = s_(k+2) - s_k
         before = 0.0
         cumulative = 0.0
@@ -134,7 +138,7 @@ def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
 
 
 class Distortion(torch.autograd.Function):
-    """Sum over rays of the distortion loss; gradient for the weights alone."""
+    """Sum over rays of the distortion loss (Eq. 15, arXiv:2111.12077). Only the weights get a gradient."""
 
     @staticmethod
     def forward(ctx: Any, w: Tensor, s: Tensor) -> Tensor:

@@ -1,8 +1,8 @@
-"""Compiled CPU loops: one decorator, one way to share a loop among threads.
+"""Compiled CPU loops: the decorator `jit`, and `run`, which shares a loop among threads.
 
-A kernel is a function `kernel(start, stop, *arrays)` that owns the outputs of items start..stop, so that the result
-does not depend on the number of threads. Kernels release the GIL and run on plain Python threads: no second OpenMP pool
-competes with PyTorch's.
+A kernel is a function `kernel(start, stop, *arrays)` that writes the outputs of items start..stop and no others. The
+result therefore does not depend on the number of threads. Kernels release the GIL and run on plain Python threads. A
+second OpenMP pool would compete with PyTorch's.
 """
 
 import os
@@ -18,16 +18,16 @@ import torch
 from numba.core import event
 
 Kernel: TypeAlias = Callable[..., Any]
-SECONDS_PER_KERNEL = 0.7  # to compile one, measured on one core
+SECONDS_PER_KERNEL = 0.7  # of compilation, measured on one core
 
 _kernels: set[Any] = set()
 _uncached: set[Any] = set()
 
 
 def jit(function: Kernel, **options: Any) -> Kernel:
-    """Compiles on first use for the given types, with numba's further `options`; the machine code is cached on disk.
+    """Compiles on first use for the types at hand and caches the machine code on disk. `options` are those of Numba.
 
-    The cache lies beside the source file, else in the user's cache folder, else (neither can be written) there is none.
+    The cache is beside the source file, or in the user's cache folder. If neither can be written there is none.
     """
     options |= {"nogil": True, "error_model": "numpy"}
     try:
@@ -40,14 +40,14 @@ def jit(function: Kernel, **options: Any) -> Kernel:
 
 
 class _Announcer(event.Listener):
-    """Says once, on stderr, that kernels are being compiled; numba sends the event on a cache miss only."""
+    """Says once, on stderr, that kernels are being compiled. Numba sends the event on a cache miss only."""
 
     def __init__(self) -> None:
-        self.said = False
+        self.announced = False
 
     def on_start(self, event: Any) -> None:
-        if not self.said and event.data["dispatcher"] in _kernels and "pytest" not in sys.modules:
-            self.said = True
+        if not self.announced and event.data["dispatcher"] in _kernels and "pytest" not in sys.modules:
+            self.announced = True
             seconds = max(round(SECONDS_PER_KERNEL * len(_kernels)), 1)
             after = "not cached: no folder for it can be written" if _uncached else "cached afterwards"
             print(f"compiling CPU kernels for first use, about {seconds} s; {after}", file=sys.stderr, flush=True)
@@ -60,18 +60,18 @@ event.register("numba:compile", _Announcer())
 
 
 class _Job:
-    """One loop over `parts`, taken one by one by whichever thread is free."""
+    """One loop over `parts`. Any thread that is free takes the next one."""
 
     def __init__(self, kernel: Kernel, arguments: tuple[Any, ...], parts: list[tuple[int, int]]) -> None:
         self.kernel, self.arguments = kernel, arguments
-        self.left = iter(parts)  # next() on a list iterator and on a count is atomic
+        self.remaining = iter(parts)  # next() on a list iterator and on a count is atomic
         self.last, self.ended = len(parts), count(1)
         self.failure: BaseException | None = None
         self.running = Lock()
         self.running.acquire()
 
     def work(self) -> None:
-        for start, stop in self.left:
+        for start, stop in self.remaining:
             try:
                 self.kernel(start, stop, *self.arguments)
             except BaseException as failure:
@@ -80,8 +80,8 @@ class _Job:
                 self.running.release()
 
 
-class _Helpers:
-    """Threads that wait for jobs. A queue written in C: futures of the standard pool cost more than small kernels."""
+class _Workers:
+    """Threads that wait for jobs in a queue written in C. Futures of the standard pool cost more than small kernels."""
 
     def __init__(self) -> None:
         self.jobs: SimpleQueue[_Job] = SimpleQueue()
@@ -102,14 +102,18 @@ class _Helpers:
             self.jobs.get().work()
 
 
-_helpers = _Helpers()
+_workers = _Workers()
 
 if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
-    os.register_at_fork(after_in_child=lambda: _helpers.__init__())  # type: ignore[misc]
+    os.register_at_fork(after_in_child=lambda: _workers.__init__())  # type: ignore[misc]
 
 
 def split(items: int, parts: int) -> list[tuple[int, int]]:
-    """Contiguous, nearly equal ranges that cover range(items); empty ones are left out."""
+    """Contiguous ranges of nearly equal length that cover range(items), without empty ones.
+
+    >>> split(7, 3)
+    [(0, 2), (2, 4), (4, 7)]
+    """
     edges = [items * i // parts for i in range(parts + 1)]
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
@@ -117,11 +121,11 @@ def split(items: int, parts: int) -> list[tuple[int, int]]:
 def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
     """Calls `kernel(start, stop, *arguments)` over range(items), on as many threads as PyTorch uses.
 
-    A thread takes about `grain` items at a time (default: an equal share), and the next ones when it is done: give it
-    where items cost different amounts, or where few items are not worth waking a thread for.
+    A thread takes about `grain` items at a time; by default each takes an equal share. Pass it where items cost
+    different amounts, or where few items are not worth waking a thread for.
 
-    The calling thread takes parts too and waits only for those that another has begun: it never depends on a free
-    thread, so that kernels may be run from any thread, even from inside a part.
+    The calling thread works too and waits only for parts that another thread has begun. It never needs a free thread,
+    so kernels may run from any thread, even from inside another kernel's part.
     """
     threads = torch.get_num_threads()
     parts = split(items, threads if grain is None else max(items // grain, 1))
@@ -130,7 +134,7 @@ def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -
             kernel(0, items, *arguments)
         return
     job = _Job(kernel, arguments, parts)
-    _helpers.call(job, min(threads, len(parts)) - 1)
+    _workers.call(job, min(threads, len(parts)) - 1)
     job.work()
     with job.running:
         pass

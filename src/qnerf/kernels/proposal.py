@@ -1,8 +1,8 @@
-"""A proposal network on the CPU in one loop: hash grid, hidden layer, output, of points where density may be.
+"""A proposal network on the CPU in one loop: hash grid, hidden layer and output, for the points inside a mask.
 
-The plain form is `ProposalNetwork.forward` times the mask. Here a block of points stays in the first-level cache from
-its cells to its output, and points outside the mask cost nothing. There is no gradient: it serves the steps, four of
-five, in which the networks do not learn, and evaluation.
+The plain reference is `ProposalNetwork.forward` times the mask. Here a block of points stays in the first-level cache
+from its cells to its output, and points outside the mask cost nothing. There is no gradient: this is for evaluation
+and for the four of five training steps in which the proposal networks do not learn.
 """
 
 import numpy as np
@@ -21,10 +21,11 @@ def propose(
     hidden: tuple[Tensor, Tensor],
     out: tuple[Tensor, Tensor],
 ) -> Tensor:
-    """Raw outputs (N,) of the network at unit-cube points (N, 3), before trunc_exp; -inf outside the mask.
+    """Raw outputs (N,) of the network, before trunc_exp; -inf outside the mask.
 
     Args:
-        mask: (n, n, n) bool over the unit cube: where density may be; None for everywhere.
+        points: (N, 3) in the unit cube.
+        mask: (n, n, n) bool over the unit cube, true where density may be; None for everywhere.
         table, resolutions, dense: of the hash grid, as `hash_encode` takes them.
         hidden, out: weight and bias of Linear(L F, H) and Linear(H, 1).
     """
@@ -39,13 +40,13 @@ def propose(
 
 @jit
 def _propose(start, stop, points, grid, cells, table, resolutions, dense, features, w1, b1, w2, b2, out):  # type: ignore[no-untyped-def]
-    """Owns the outputs of points start..stop."""
+    """Writes the outputs of points start..stop."""
     number = points.dtype.type
     b = U(BLOCK)
     nf = U(features)
     width = resolutions.size * features
-    some = np.empty(3 * BLOCK, points.dtype)  # the points of a block that the mask lets through, and where they belong
-    place = np.empty(BLOCK, np.int64)
+    inside = np.empty(3 * BLOCK, points.dtype)  # a block of points inside the mask, and their numbers
+    number_of = np.empty(BLOCK, np.int64)
     row = np.empty(8 * BLOCK, np.uint32)
     weight = np.empty(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
@@ -60,13 +61,13 @@ def _propose(start, stop, points, grid, cells, table, resolutions, dense, featur
         cy = min(max(np.int64(y * n), 0), last)
         cz = min(max(np.int64(z * n), 0), last)
         if grid[(cx * cells + cy) * cells + cz]:
-            some[3 * count], some[3 * count + 1], some[3 * count + 2] = x, y, z
-            place[count] = i
+            inside[3 * count], inside[3 * count + 1], inside[3 * count + 2] = x, y, z
+            number_of[count] = i
             count += 1
         else:
             out[i] = -np.inf
         if count == BLOCK or (i == stop - 1 and count > 0):
-            _encode(some, count, table, resolutions, dense, nf, row, weight, fraction, encoded)
+            _encode(inside, count, table, resolutions, dense, nf, row, weight, fraction, encoded)
             for k in range(U(count)):
                 total[k] = b2[0]
             for h in range(U(b1.size)):
@@ -81,13 +82,13 @@ def _propose(start, stop, points, grid, cells, table, resolutions, dense, featur
                 for k in range(U(count)):
                     total[k] += w * max(unit[k], zero)
             for k in range(count):
-                out[place[k]] = total[k]
+                out[number_of[k]] = total[k]
             count = 0
 
 
 @jit
 def _encode(points, count, table, resolutions, dense, nf, row, weight, fraction, encoded):  # type: ignore[no-untyped-def]
-    """Features (L F, BLOCK) of the first `count` points, the sums in the order of `hash_encode`."""
+    """Features (L F, BLOCK) of the first `count` points, summed in the order of `hash_encode`."""
     levels = resolutions.size
     width = U(table.size // levels)
     size = table.size // levels // np.int64(nf)

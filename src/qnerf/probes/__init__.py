@@ -1,4 +1,4 @@
-"""What only a trained model can tell, written into its run's folder as `<probe>.parquet` for `analysis/` to draw."""
+"""Probes: tables computed from a trained model and saved in its run's folder as `<probe>.parquet`."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,10 +18,10 @@ PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
 
 
 def probe(trained: Trained, name: str) -> Path:
-    """Computes a probe and replaces `<name>.parquet` in the run's folder; returns its path.
+    """Computes a probe, replaces `<name>.parquet` in the run's folder and returns its path.
 
     Raises:
-        ValueError: an unknown probe, or one that the run cannot answer (a spectrum without circuits).
+        ValueError: an unknown probe, or one that the run has no parts for (a spectrum without circuits).
     """
     if name not in PROBES:
         raise ValueError(f"unknown probe {name!r}; known: {', '.join(PROBES)}")

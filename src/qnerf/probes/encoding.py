@@ -1,4 +1,4 @@
-"""What the encoders make of a plane of the scene."""
+"""The features of the encoders on a plane through the scene."""
 
 from collections.abc import Iterator
 
@@ -9,20 +9,19 @@ from torch import Tensor, nn
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.probes.trained import Trained
 
-RESOLUTION = 160  # pixels an axis of the slice: two a period of the eighth positional band, 75 cycles
+RESOLUTION = 160  # pixels along each side: two for each period of the eighth positional band, 75 cycles
 CHANNELS = 8
 
 
 def table(trained: Trained) -> pd.DataFrame:
     """One row for each pixel of each encoder's slice.
 
-    The slice is the plane z = 0 of the world in contracted space, the unit cube's z = 1/2. Spherical harmonics encode
-    directions and have no slice: theirs are the directions over the whole sphere, x the longitude and y the cosine of
-    the angle from +z.
+    The slice is the plane z = 0 of the world in contracted space, z = 1/2 of the unit cube. Spherical harmonics encode
+    directions instead of points: their pixels cover the sphere.
 
-    Columns: encoder; trained: this run's own, the others are as they are built; row, column; x, y: the pixel's
-    centre in the unit cube (over the sphere: longitude / 2 pi and (1 + cos) / 2); channel_0 .. channel_7, NaN where
-    the encoder has fewer.
+    Columns: encoder; trained: true for this run's own encoder, false for the others as built; row, column; x, y: the
+    pixel's centre in the unit cube (on the sphere: longitude / 2 pi, and (1 + cos of the angle from +z) / 2);
+    channel_0 .. channel_7, NaN where the encoder has fewer.
     """
     unit = _grid()
     dtype, device = trained.settings.dtype, trained.settings.torch_device
@@ -35,7 +34,7 @@ def table(trained: Trained) -> pd.DataFrame:
 
 
 def _others(own: str) -> Iterator[tuple[str, nn.Module]]:
-    """The other encoders of three coordinates, with their default options."""
+    """The other encoders of points, with their default options."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         for name in ("pe", "rff", "hash"):
@@ -51,7 +50,7 @@ def _grid() -> Tensor:
 
 
 def _sphere(unit: Tensor) -> Tensor:
-    """Unit square (N, 2) -> unit directions (N, 3), area-preserving."""
+    """Unit square (N, 2) -> unit directions (N, 3); areas keep their proportions."""
     longitude, z = 2 * torch.pi * unit[:, 0], 2 * unit[:, 1] - 1
     radius = (1 - z.square()).sqrt()
     return torch.stack([radius * longitude.cos(), radius * longitude.sin(), z], dim=-1)
@@ -62,8 +61,8 @@ def _rows(name: str, trained: bool, unit: Tensor, encoder: nn.Module, inputs: Te
     features = encoder(inputs).float().cpu()[:, :CHANNELS]
     missing = torch.full((len(features), CHANNELS - features.shape[1]), torch.nan)
     channels = torch.cat([features, missing], dim=1)
-    places = pd.DataFrame({"encoder": name, "trained": trained}, index=range(len(unit)))
-    places["row"], places["column"] = places.index // RESOLUTION, places.index % RESOLUTION
-    places[["x", "y"]] = unit.float().numpy()
-    places[[f"channel_{index}" for index in range(CHANNELS)]] = channels.numpy()
-    return places
+    pixels = pd.DataFrame({"encoder": name, "trained": trained}, index=range(len(unit)))
+    pixels["row"], pixels["column"] = pixels.index // RESOLUTION, pixels.index % RESOLUTION
+    pixels[["x", "y"]] = unit.float().numpy()
+    pixels[[f"channel_{index}" for index in range(CHANNELS)]] = channels.numpy()
+    return pixels

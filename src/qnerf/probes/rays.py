@@ -1,4 +1,4 @@
-"""Where rays are sampled: the run's own sampler level by level, and spacings that look at nothing."""
+"""Where rays are sampled: by the run's own sampler, level by level, and by fixed spacings for comparison."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,32 +7,32 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from qnerf.experiment import ray_table
 from qnerf.probes.trained import Trained
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.types import Rays, Samples
 
-PLACES = ((0.5, 0.5), (0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
-"""Pixels, as shares of the image's width and height; the centre first."""
+PIXELS = ((0.5, 0.5), (0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
+"""As shares of the image's width and height; the centre first."""
 
-OTHERS = ("uniform", "disparity", "piecewise")
+FIXED_SPACINGS = ("uniform", "disparity", "piecewise")
 
 
 def table(trained: Trained) -> pd.DataFrame:
     """One row for each interval of each strategy on a few rays of the first held-out view.
 
-    Columns: image; pixel_x, pixel_y; strategy: the run's sampler, or a spacing for comparison, with as many intervals
-    as the run renders; own: whether it is the run's; level: network 0, 1, ..., final; interval; start, end: distance
-    along the ray, world units; weight: share in the ray's colour, from the level's own density (a proposal network's,
-    finally the field's); transmittance in front of the interval; depth: true distance, NaN where unknown.
+    Columns: image; pixel_x, pixel_y; strategy: the run's sampler, or a fixed spacing with as many intervals as the run
+    renders; own: true for the run's sampler; level: network 0, 1, ..., final; interval; start, end: distances along the
+    ray, world units; weight: share of the ray's colour, from the density of the level (a proposal network's, or the
+    field's at the final level); transmittance in front of the interval; depth: true distance in world units, NaN where
+    unknown.
     """
     view = trained.scene.eval[0]
-    table = ray_table(trained.settings, trained.scene)
-    width, height = table.width, table.height
-    columns = torch.tensor([int(x * (width - 1)) for x, _ in PLACES], device=table.device)
-    rows = torch.tensor([int(y * (height - 1)) for _, y in PLACES], device=table.device)
-    rays = table.rays(torch.full_like(rows, view), rows * width + columns)
+    all_rays = trained.ray_table()
+    width, height = all_rays.width, all_rays.height
+    columns = torch.tensor([int(x * (width - 1)) for x, _ in PIXELS], device=all_rays.device)
+    rows = torch.tensor([int(y * (height - 1)) for _, y in PIXELS], device=all_rays.device)
+    rays = all_rays.rays(torch.full_like(rows, view), rows * width + columns)
     rays = replace(rays, cameras=torch.full_like(rays.cameras, -1))
     parts = [_rows(*level) for level in _levels(trained, rays)]
     depth = None if trained.scene.depth is None else trained.scene.depth[view][rows.cpu(), columns.cpu()].numpy()
@@ -43,7 +43,7 @@ def table(trained: Trained) -> pd.DataFrame:
 
 @torch.no_grad()
 def _levels(trained: Trained, rays: Rays) -> Iterator[tuple[str, bool, str, Samples, Tensor]]:
-    """Strategy, whether it is the run's, level, intervals, weights (R, K)."""
+    """Strategy, whether it is the run's own, level, intervals, weights (R, K)."""
     field, sampler = trained.model.field, trained.model.sampler
     name = trained.settings.sampler["name"]
     sampled = sampler(rays, field.density, step=trained.step)
@@ -51,7 +51,7 @@ def _levels(trained: Trained, rays: Rays) -> Iterator[tuple[str, bool, str, Samp
         yield name, True, f"network {number}", samples, weights
     count = sampled.samples.mids.shape[1]
     yield name, True, "final", sampled.samples, _weights(trained, rays, sampled.samples)
-    for other in OTHERS:
+    for other in FIXED_SPACINGS:
         if other != name:
             samples = SAMPLERS.build(other, field.contraction, samples=count)(rays, field.density).samples
             yield other, False, "final", samples, _weights(trained, rays, samples)

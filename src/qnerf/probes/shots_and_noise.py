@@ -1,4 +1,4 @@
-"""A trained run as hardware would render it: its circuits with finitely many shots, or with noisy gates."""
+"""A trained run rendered as on hardware: with finitely many shots, or with noisy gates."""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -10,26 +10,27 @@ import torch
 from torch import Tensor
 
 from qnerf.config.checks import at_least
-from qnerf.experiment import ray_table
 from qnerf.probes.trained import Trained
-from qnerf.quantum import QuantumLayer
-from qnerf.quantum.hardware_conditions import conditions
+from qnerf.quantum import QuantumLayer, hardware_conditions
 from qnerf.quantum.pennylane import Noise
 from qnerf.records.files import replace
-from qnerf.timing import Stopwatch
 from qnerf.training.evaluation import Evaluator
 
 FILE = "eval_hardware.parquet"
 CHANNELS = tuple(field.name for field in fields(Noise))
-DENSITY_SECONDS = 3e-7  # per wire and entry of a sample's density matrix, one core; to a factor of 3, 4 to 8 wires
-RAYS = 64  # from which the samples of a view are counted
+DENSITY_SECONDS = 3e-7  # for each wire and entry of a density matrix, one core; within a factor of 3 at 4 to 8 wires
+RAYS = 64  # on which the samples of a view are estimated
 KEYS = ["shots", "noise", "p", "seed"]
-"""What tells the rows of one image apart: shots (0: exact), channel ("none": no noise), its probability, seed."""
+"""A row is one image under one condition: shots (0: exact), channel ("none": no noise), its probability, seed."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One way to measure: `shots` 0 is exact, `noise` "none" is noiseless."""
+    """How circuits are measured: `shots` 0 is exact, `noise` "none" is without noise.
+
+    Raises:
+        ValueError: an unknown channel, no probability, or one without the other.
+    """
 
     shots: int = 0
     noise: str = "none"
@@ -47,26 +48,30 @@ class Condition:
 
 
 def grid(shots: Sequence[int], noise: str, p: Sequence[float], seed: int) -> list[Condition]:
-    """The exact rendering, then every number of shots with every probability of the channel."""
-    chosen = itertools.product(shots or [0], p or [0.0])
-    asked = [Condition(count, noise if chance else "none", chance, seed) for count, chance in chosen]
-    return list(dict.fromkeys([Condition(seed=seed), *asked]))
+    """The exact rendering, then every number of shots with every probability of the channel.
+
+    >>> [(c.shots, c.noise, c.p) for c in grid([100], "bit_flip", [0.01, 0.1], seed=0)]
+    [(0, 'none', 0.0), (100, 'bit_flip', 0.01), (100, 'bit_flip', 0.1)]
+    """
+    pairs = itertools.product(shots or [0], p or [0.0])
+    conditions = [Condition(count, noise if chance else "none", chance, seed) for count, chance in pairs]
+    return list(dict.fromkeys([Condition(seed=seed), *conditions]))
 
 
 def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
-    """ValueError where exact noise would take hours: with S > 1 every sample has a density matrix of 4^n entries."""
+    """ValueError if exact noise would take hours: with S > 1 every sample has a density matrix of 4^n entries."""
     layers = [m for m in evaluator.model.modules() if isinstance(m, QuantumLayer) and m.spectral > 1]
-    rows: list[float] = []  # wires times entries of each sample that a circuit sees
+    work: list[float] = []  # wires times entries, of all samples in one call of a circuit
 
-    def note(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
-        rows.append(len(inputs[0]) * layer.wires * 4.0**layer.wires)
+    def record(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
+        work.append(len(inputs[0]) * layer.wires * 4.0**layer.wires)
 
     rays = evaluator.table.view(evaluator.scene.eval[0])[:RAYS]
     with ExitStack() as hooks, torch.no_grad():
         for layer in layers:
-            hooks.callback(layer.register_forward_pre_hook(note).remove)
+            hooks.callback(layer.register_forward_pre_hook(record).remove)
         evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
-    hours = sum(rows) / len(rays) * views * evaluator.table.pixels * DENSITY_SECONDS / 3600
+    hours = sum(work) / len(rays) * views * evaluator.table.pixels * DENSITY_SECONDS / 3600
     if hours > 1:
         raise ValueError(
             f"noise: circuits with spectral > 1 need a density matrix a sample: about {hours:,.0f} hours "
@@ -76,7 +81,7 @@ def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
 
 def evaluate_hardware(
     trained: Trained,
-    asked: Iterable[Condition],
+    conditions: Iterable[Condition],
     *,
     views: int = 0,
     tell: Callable[[str], None] = lambda line: None,
@@ -85,8 +90,8 @@ def evaluate_hardware(
 
     Args:
         trained: the run.
-        asked: conditions; rows of the same condition and image that are there already are replaced.
-        views: how many held-out views, the first ones; 0 for all.
+        conditions: rows of the same condition and image that the table already has are replaced.
+        views: render the first so many held-out views; 0 for all.
         tell: takes a line of progress.
 
     Returns:
@@ -95,30 +100,30 @@ def evaluate_hardware(
     Raises:
         ValueError: the run has no circuit, or the noise would take hours.
     """
-    folder, settings, scene, model = trained.folder, trained.settings, trained.scene, trained.model
+    folder, scene, model = trained.folder, trained.scene, trained.model
     if not any(isinstance(module, QuantumLayer) for module in model.modules()):
         raise ValueError(f"{folder}: has no circuit to measure, both of its heads are MLPs")
     evaluator = Evaluator(
         scene,
-        ray_table(settings, scene),
+        trained.ray_table(),
         model,
-        background=settings.render.background,
-        chunk=settings.train.chunk,
-        watch=Stopwatch(settings.torch_device, model, QuantumLayer),
+        background=trained.settings.render.background,
+        chunk=trained.settings.train.chunk,
+        watch=trained.stopwatch(model),
     )
-    asked = list(asked)
-    if any(condition.noise != "none" for condition in asked):
+    conditions = list(conditions)
+    if any(condition.noise != "none" for condition in conditions):
         check_noise_feasible(evaluator, views or len(scene.eval))
     path = folder / FILE
     table = pd.DataFrame()
-    for condition in asked:
+    for condition in conditions:
         noise = Noise(**{condition.noise: condition.p}) if condition.noise != "none" else None
         rows = []
-        with conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
+        with hardware_conditions.conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
             for _, row in evaluator.views(scene.eval[: views or None], trained.step):
                 rows.append(row | vars(condition))
         new = pd.DataFrame(rows).astype({"lpips": "float64", "depth_error": "float64", "depth_error_median": "float64"})
-        # Read and written after each condition: what was computed stays, here and by another command meanwhile.
+        # Read and written after each condition, so that no row is lost if this stops or another command writes too.
         table = pd.concat([pd.read_parquet(path), new]) if path.exists() else new
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())

@@ -5,10 +5,10 @@ A measured value f is a trigonometric polynomial of its n angles, of degree D_w 
 
     P_w(m) = sum over k with |k_w| = m of |c_k|^2,        sum_m P_w(m) = E f^2,
 
-the mean over uniform angles of the squared part of f that has frequency m in angle w. Where the values of f on the
-whole grid of 2 D_w + 1 equispaced angles a wire fit into memory, a discrete Fourier transform gives all of it without
-error (method "exact"). Beyond, the transform is taken along one angle and the mean over the others by scrambled
-Sobol points, whose standard error over independent scramblings is told (method "sobol").
+the mean over uniform angles of the squared part of f that has frequency m in angle w. If the values of f on the whole
+grid of 2 D_w + 1 equispaced angles for each wire fit into memory, a discrete Fourier transform gives all powers without
+error (method "exact"). Otherwise the transform is taken along one angle and the mean over the others by scrambled
+Sobol points; independent scramblings give the standard error (method "sobol").
 """
 
 import math
@@ -24,10 +24,10 @@ from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import Circuit, Encoding
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cones import Cone, TooLarge, find_cones
-from qnerf.quantum.normal_form import compile_program
+from qnerf.quantum.normal_form import normal_form
 
-MOST_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
-CHUNK = 2**14  # samples a call of the engine
+MAX_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
+CHUNK = 2**14  # samples for each call of the engine
 SCRAMBLINGS = 16
 POINTS = 1024  # of each scrambling
 
@@ -37,15 +37,14 @@ def table(trained: Trained) -> pd.DataFrame:
 
     Columns: head (density | color), circuit (0: the first hybrid layer), output, wire, frequency (radians^-1), power
     and its standard_error (0 where exact), mean (c_0) and variance (E f^2 - c_0^2) of the output over uniform angles,
-    method (exact | sobol), and angle_mean, angle_std: of this angle over the training samples as the normalisation
-    has them, radians (NaN in front of circuits without one).
+    method (exact | sobol), and angle_mean, angle_std: this angle over the training samples according to the
+    normalisation before the circuit, radians (NaN for circuits without one).
 
     Raises:
         ValueError: the run has no circuit.
     """
-    heads = {"density": trained.model.field.density_head, "color": trained.model.field.color_head}
     parts = []
-    for name, head in heads.items():
+    for name, head in trained.heads.items():
         if isinstance(head, QirenHead):
             for index, layer in enumerate(head.hybrid):
                 circuit = layer.circuit
@@ -59,10 +58,10 @@ def table(trained: Trained) -> pd.DataFrame:
 
 
 def angles(layer: torch.nn.Module, wires: int) -> pd.DataFrame:
-    """wire, angle_mean, angle_std (radians): of a hybrid layer's angles over the training samples.
+    """Columns wire, angle_mean, angle_std (radians): a hybrid layer's angles over the training samples.
 
-    The normalisation leaves mean 0 and variance 1, so that its own shift, scale and the layer's input_scale tell; NaN
-    where the statistics are those of the first batch.
+    The normalisation gives mean 0 and variance 1 before its own shift and scale, so these and the layer's input_scale
+    are enough. NaN if the statistics are those of the first batch.
     """
     if not isinstance(layer, HybridLayer) or layer.norm.statistics != "batch":
         return pd.DataFrame({"wire": range(wires), "angle_mean": np.nan, "angle_std": np.nan})
@@ -70,11 +69,11 @@ def angles(layer: torch.nn.Module, wires: int) -> pd.DataFrame:
     return pd.DataFrame({"wire": range(wires), "angle_mean": mean, "angle_std": np.abs(std)})
 
 
-def powers(layer: QuantumLayer, *, most_values: int = MOST_VALUES) -> pd.DataFrame:
-    """The spectrum of a circuit with its present weights, in float64, noiseless.
+def powers(layer: QuantumLayer, *, max_values: int = MAX_VALUES) -> pd.DataFrame:
+    """The spectrum of a circuit with its present weights, in float64 and without noise.
 
-    Columns output, wire, frequency, power, standard_error, mean, variance, method. Wires outside an output's light
-    cone have all of its power at frequency 0. `most_values` bounds the grid of the exact method.
+    Columns output, wire, frequency, power, standard_error, mean, variance, method. For a wire outside an output's light
+    cone all power is at frequency 0. `max_values` limits the grid of the exact method.
     """
     circuit = layer.circuit
     values = _evaluator(layer)
@@ -84,7 +83,7 @@ def powers(layer: QuantumLayer, *, most_values: int = MOST_VALUES) -> pd.DataFra
         shared.setdefault(cone, []).append(output)
     parts = []
     for cone, outputs in shared.items():
-        exact = cone.coefficients * len(circuit.observables) <= most_values
+        exact = cone.coefficients * len(circuit.observables) <= max_values
         method = _exact if exact else _sobol
         for output, rows in method(values, circuit.wires, cone, outputs, bases):
             rows["frequency"] *= np.array(bases)[rows["wire"]]
@@ -98,7 +97,7 @@ Values = Callable[[np.ndarray], np.ndarray]
 
 
 def _evaluator(layer: QuantumLayer) -> Values:
-    engine = compiled.Engine(compile_program(layer.circuit))
+    engine = compiled.StatevectorEngine(normal_form(layer.circuit))
     weights = statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
 
     def values(x: np.ndarray) -> np.ndarray:
@@ -109,10 +108,10 @@ def _evaluator(layer: QuantumLayer) -> Values:
 
 
 def _cones(circuit: Circuit) -> tuple[tuple[Cone, ...], tuple[float, ...]]:
-    """The light cones; where they are large, every wire with its full degree for every output."""
+    """The light cones and base frequencies. If cones are large, every output is taken to depend on every wire."""
     try:
-        found = find_cones(circuit)
-        return found.cones, tuple(base or 1.0 for base in found.bases)
+        cones = find_cones(circuit)
+        return cones.cones, tuple(base or 1.0 for base in cones.base_frequencies)
     except TooLarge:
         scales = np.array([step.scales for step in circuit.operations if isinstance(step, Encoding)])
         bases = np.abs(scales).min(0)
@@ -158,15 +157,15 @@ def _sobol(
     """Fourier transform along one angle, mean over scrambled Sobol points in the others."""
     estimates: dict[int, np.ndarray] = {}  # by wire: (scramblings, frequencies, outputs)
     means = np.empty((SCRAMBLINGS, len(outputs)))
-    clouds = [
+    point_sets = [
         torch.quasirandom.SobolEngine(wires, scramble=True, seed=seed).draw(POINTS, dtype=torch.float64).numpy()
         for seed in range(SCRAMBLINGS)
     ]
     for wire, degree in zip(cone.wires, cone.degrees, strict=True):
         size = 2 * degree + 1
         scrambled = []
-        for number, cloud in enumerate(clouds):
-            x = np.repeat(cloud * (2 * np.pi / np.array(bases)), size, axis=0)
+        for number, points in enumerate(point_sets):
+            x = np.repeat(points * (2 * np.pi / np.array(bases)), size, axis=0)
             x[:, wire] = np.tile(np.arange(size) * (2 * np.pi / size / bases[wire]), POINTS)
             lines = values(x)[:, outputs].reshape(POINTS, size, -1)
             spectrum = np.fft.fft(lines, axis=1, norm="forward")
@@ -176,17 +175,17 @@ def _sobol(
     for column, output in enumerate(outputs):
         mean = means[:, column].mean()
         tables = []
-        for wire, found in estimates.items():
-            power = found[..., column]
+        for wire, powers_of_wire in estimates.items():
+            power = powers_of_wire[..., column]
             error = power.std(0, ddof=1) / math.sqrt(SCRAMBLINGS)
-            spread = pd.DataFrame({"power": power.mean(0), "standard_error": error})
+            rows = pd.DataFrame({"power": power.mean(0), "standard_error": error})
             variance = power.sum(1).mean() - mean**2
-            tables.append(spread.assign(wire=wire, frequency=range(len(spread)), mean=mean, variance=variance))
+            tables.append(rows.assign(wire=wire, frequency=range(len(rows)), mean=mean, variance=variance))
         yield output, pd.concat(tables, ignore_index=True)
 
 
 def _folded(power: np.ndarray) -> np.ndarray:
-    """Power (..., 2 D + 1) in the order of a Fourier transform -> (..., D + 1): frequencies m and -m together."""
+    """Power (..., 2 D + 1) in the order of a Fourier transform -> (..., D + 1): frequencies m and -m added up."""
     degree = power.shape[-1] // 2
     both = power[..., : degree + 1].copy()
     both[..., 1:] += power[..., :degree:-1]

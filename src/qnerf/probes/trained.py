@@ -5,19 +5,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from torch import nn
+
 from qnerf.config.plugins import check_plugins
 from qnerf.config.settings import Settings
-from qnerf.experiment import build_model, prepare
+from qnerf.experiment import build_model, prepare, ray_table
+from qnerf.geometry.rays import RayTable
 from qnerf.model.model import Model
+from qnerf.quantum import QuantumLayer
 from qnerf.records import read_config, state
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import reporting
 from qnerf.scenes import Scene
+from qnerf.timing import Stopwatch
 
 
 @dataclass(frozen=True)
 class Trained:
-    """The model is in evaluation mode, on the run's device, in the run's dtype."""
+    """A finished run. The model is in evaluation mode, on the run's device and in its dtype."""
 
     folder: Path
     settings: Settings
@@ -25,11 +30,29 @@ class Trained:
     model: Model
     step: int
 
+    @property
+    def heads(self) -> dict[str, nn.Module]:
+        return heads_of(self.model)
+
+    def ray_table(self) -> RayTable:
+        """The rays of the scene as training had them."""
+        return ray_table(self.settings, self.scene)
+
+    def stopwatch(self, model: Model) -> Stopwatch:
+        """The stopwatch that a model needs to render."""
+        return Stopwatch(self.settings.torch_device, model, QuantumLayer)
+
+
+def heads_of(model: Model) -> dict[str, nn.Module]:
+    return {"density": model.field.density_head, "color": model.field.color_head}
+
 
 def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
-    """Builds the run's scene and model and fills in its last checkpoint.
+    """Builds the run's scene and model and loads its last checkpoint.
 
-    config: the run's configuration where the stored one is older than this version; None: as stored.
+    Args:
+        run: the run's folder.
+        config: the configuration to use if the stored one is from an older version; None for the stored one.
 
     Raises:
         ValueError: not a finished run, or its scene or checkpoint cannot be read.
@@ -52,7 +75,7 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
             step = int(checkpoint["step"])
         except OSError:
             raise
-        except Exception as error:  # whatever a damaged archive makes its readers raise
+        except Exception as error:  # a damaged archive can raise anything
             raise ValueError(f"{path}: expected the checkpoint of this run, got {type(error).__name__}") from error
     model.field.encoder.progress = step / settings.train.steps
     return Trained(folder, settings, scene, model.eval(), step)

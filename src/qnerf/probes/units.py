@@ -1,4 +1,4 @@
-"""How alive heads are: which hidden units never act, and how much a head's values vary over the scene."""
+"""Dead units of the heads, and how much each layer's values vary over the scene."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -8,12 +8,11 @@ import pandas as pd
 import torch
 from torch import Tensor, nn
 
-from qnerf.experiment import build_model, ray_table
+from qnerf.experiment import build_model
 from qnerf.model.model import Model
-from qnerf.probes.trained import Trained
+from qnerf.probes.trained import Trained, heads_of
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.background import evaluation_background
-from qnerf.timing import Stopwatch
 
 RAYS = 1024
 
@@ -21,9 +20,9 @@ RAYS = 1024
 def table(trained: Trained) -> pd.DataFrame:
     """One row for each layer of each head, before training and after, on 1,024 training rays.
 
-    Columns: when: start (the run's own seed) or end; head: density or color; layer: 0, 1, ...; kind: relu, circuit, or
-    output for the head's raw values; units; dead: share of ReLU units that are 0 on all samples, NaN for the others;
-    std: root mean square over the units of their standard deviation over the samples.
+    Columns: when: start (built from the run's own seed) or end; head: density or color; layer: 0, 1, ...; kind: relu,
+    circuit, or output for the head's raw values; units; dead: the share of ReLU units that are 0 on all samples, NaN
+    for other kinds; std: the standard deviation over the samples, as a root mean square over the units.
     """
     fresh = build_model(trained.settings, trained.scene)
     fresh.field.encoder.progress = 0.0
@@ -35,28 +34,25 @@ def table(trained: Trained) -> pd.DataFrame:
 
 @torch.no_grad()
 def _measured(trained: Trained, model: Model, step: int) -> Iterator[dict[str, object]]:
-    """A fresh model is measured in training mode: its normalisations know no statistics yet."""
-    settings = trained.settings
-    rays, _ = ray_table(settings, trained.scene).batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
-    seen: dict[nn.Module, list[Tensor]] = {}
-    heads = {"density": model.field.density_head, "color": model.field.color_head}
+    """The rows of one model. A fresh one is in training mode, because its normalisations have no statistics yet."""
+    rays, _ = trained.ray_table().batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
+    outputs: dict[nn.Module, list[Tensor]] = {}
     layers = {
         name: [*(module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))), head]
-        for name, head in heads.items()
+        for name, head in heads_of(model).items()
     }
 
-    def note(module: nn.Module, _: tuple[Tensor, ...], out: Tensor) -> None:
-        seen.setdefault(module, []).append(out.clone())  # the next layer may work in place
+    def record(module: nn.Module, _: tuple[Tensor, ...], out: Tensor) -> None:
+        outputs.setdefault(module, []).append(out.clone())  # the next layer may work in place
 
     with ExitStack() as hooks:
         for module in chain(*layers.values()):
-            hooks.callback(module.register_forward_hook(note).remove)
-        background = evaluation_background(settings.render.background)
-        watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-        model(rays, background=background, step=step, watch=watch)
+            hooks.callback(module.register_forward_hook(record).remove)
+        background = evaluation_background(trained.settings.render.background)
+        model(rays, background=background, step=step, watch=trained.stopwatch(model))
     for name, modules in layers.items():
         for number, module in enumerate(modules):
-            values = torch.cat(seen[module]).double().reshape(-1, seen[module][0].shape[-1])
+            values = torch.cat(outputs[module]).double().reshape(-1, outputs[module][0].shape[-1])
             kind = {nn.ReLU: "relu", QuantumLayer: "circuit"}.get(type(module), "output")
             dead = float((values <= 0).all(0).double().mean()) if kind == "relu" else None
             std = float(values.var(0, unbiased=False).mean().sqrt())

@@ -1,5 +1,14 @@
-"""Exact evaluation of batched data re-uploading circuits; `QuantumLayer` is the way in."""
+"""Data re-uploading circuits, evaluated exactly and in batches. `QuantumLayer` is the way in.
 
+The files, in the order in which a circuit passes through them: `circuit` (the description), `initial_angles`,
+`normal_form` (what is left after merging gates), `cones` (which inputs an output depends on), `cost_model` (which
+engine), `compiled.engine` and `lightcone` (the two engines on the CPU), `statevector` (the plain PyTorch reference),
+`density` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of everything).
+"""
+
+from qnerf.quantum import hardware_conditions
 from qnerf.quantum.layer import QuantumLayer
 
-__all__ = ["QuantumLayer"]
+hardware = hardware_conditions  # the earlier name
+
+__all__ = ["QuantumLayer", "hardware", "hardware_conditions"]

@@ -1,38 +1,54 @@
-"""What the circuit is: plain data, from which every engine and the PennyLane reference are derived.
+"""A circuit as plain data: the list of its gates and what is measured at the end.
 
-A data re-uploading circuit starts in |0...0>, alternates trainable rotations, entanglers and encodings of the input,
-and ends with the expectation values of Pauli words. `ANSATZE` names the known descriptions; a new one is a function
-that returns a `Circuit`:
+Every engine, the drawing and the PennyLane circuit are derived from this description. The circuits here are data
+re-uploading circuits: they start in |0...0>, alternate trainable rotations, entanglers and encodings of the input, and
+end with expectation values of Pauli words.
 
->>> @ANSATZE.register("mine")
-... def mine(wires: int, spectral: int) -> Circuit:
-...     return reuploading("mine", wires, spectral, entangler="CNOT", ranges=(1, 1))
+`ANSATZE` holds the circuits that have a name. A new one is a function of the wires and the spectral layers that
+returns a `Circuit`; its keyword-only parameters are options that a configuration can set:
+
+    @ANSATZE.register("mine")
+    def mine(wires: int, spectral: int, *, axis: str = "Y") -> Circuit:
+        return reuploading("mine", wires, spectral, entangler="CNOT", ranges=(1, 1), axis=axis)
+
+A circuit that is not of the re-uploading family lists its operations itself:
+
+>>> bell = Circuit(
+...     "bell", wires=2, spectral=1, sublayers=1,
+...     operations=(Rotations(0), Entangler("CNOT", ((0, 1),)), Encoding("Z", (1.0, 2.0)), Rotations(1)),
+...     observables=(((0, "Z"), (1, "Z")),),
+... )
+>>> bell.weight_shapes
+((1, 1, 2, 3), (1, 2, 3))
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
+from typing import Any
 
 from qnerf.config.registry import Registry
 
 MAX_WIRES = 14
-GATES = ("CZ", "CNOT")
-LETTERS = ("X", "Y", "Z")
+ENTANGLING_GATES = ("CZ", "CNOT")
+PAULIS = ("X", "Y", "Z")
 
-Word = tuple[tuple[int, str], ...]
-"""A Pauli word: (wire, letter) pairs; wires that are left out carry the identity."""
+PauliWord = tuple[tuple[int, str], ...]
+"""A product of Pauli operators as (wire, letter) pairs. Wires that are left out carry the identity."""
 
 
 @dataclass(frozen=True)
 class Rotations:
-    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire, angles from row `row` of the stacked
-    weights."""
+    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire.
+
+    The angles, in radians, are row `row` of the stacked weights (see `Circuit`).
+    """
 
     row: int
 
 
 @dataclass(frozen=True)
 class Entangler:
-    """`gate` on each pair of wires (control, target), in this order."""
+    """`gate` (CZ or CNOT) on each pair of wires (control, target), in this order."""
 
     gate: str
     pairs: tuple[tuple[int, int], ...]
@@ -40,7 +56,7 @@ class Entangler:
 
 @dataclass(frozen=True)
 class Encoding:
-    """Rotation about `axis` on every wire j by the angle `scales[j]` x_j (radians)."""
+    """A rotation about `axis` (X, Y or Z) on every wire j, by the angle `scales[j]` x_j in radians."""
 
     axis: str
     scales: tuple[float, ...]
@@ -51,10 +67,15 @@ Operation = Rotations | Entangler | Encoding
 
 @dataclass(frozen=True)
 class Circuit:
-    """A circuit on `wires` wires with `spectral` encodings and S + 1 trainable blocks of `sublayers` sublayers each.
+    """A circuit on n = `wires` wires with S = `spectral` encodings.
 
-    Angles come from `weights1` (S, sublayers, n, 3) and `weights2` (sublayers, n, 3), stacked in this order:
-    row r = block * sublayers + sublayer. The k-th output is the expectation value of `observables[k]`, in [-1, 1].
+    The S + 1 trainable blocks have L = `sublayers` sublayers each. Their angles are `weights1` (S, L, n, 3) and
+    `weights2` (L, n, 3), stacked in this order: row r = block * L + sublayer. Output k is the expectation value of
+    `observables[k]`, in [-1, 1]. Wire 0 is the most significant bit of a basis state, as in PennyLane.
+
+    Raises:
+        ValueError: a row, wire, gate, axis or Pauli letter that does not exist, or one wire measured in two letters.
+            All outputs can therefore be read in the same shot.
     """
 
     name: str
@@ -62,59 +83,57 @@ class Circuit:
     spectral: int
     sublayers: int
     operations: tuple[Operation, ...]
-    observables: tuple[Word, ...]
+    observables: tuple[PauliWord, ...]
 
     def __post_init__(self) -> None:
         check_wires(self.wires)
-        if self.spectral < 1:
-            raise ValueError(f"ansatz {self.name}: spectral layers must be at least 1, got {self.spectral}")
-        if self.sublayers < 1:
-            raise ValueError(f"ansatz {self.name}: sublayers must be at least 1, got {self.sublayers}")
+        for name, value in (("spectral layers", self.spectral), ("sublayers", self.sublayers)):
+            if value < 1:
+                raise self._error(f"{name} must be at least 1, got {value}")
         for operation in self.operations:
             self._check(operation)
-        letters: dict[int, str] = {}
+        measured: dict[int, str] = {}
         for word in self.observables:
             for wire, letter in word:
-                if not 0 <= wire < self.wires or letter not in LETTERS:
-                    known = ", ".join(LETTERS)
-                    raise ValueError(
-                        f"ansatz {self.name}: observable {word} needs wires below {self.wires}, letters {known}"
-                    )
-                if letters.setdefault(wire, letter) != letter:
-                    both = f"{letters[wire]} and {letter}"
-                    raise ValueError(
-                        f"ansatz {self.name}: wire {wire} is measured in {both}; give each wire one letter"
-                    )
+                if not 0 <= wire < self.wires or letter not in PAULIS:
+                    known = ", ".join(PAULIS)
+                    raise self._error(f"observable {word} needs wires below {self.wires}, letters {known}")
+                if measured.setdefault(wire, letter) != letter:
+                    both = f"{measured[wire]} and {letter}"
+                    raise self._error(f"wire {wire} is measured in {both}; give each wire one letter")
+
+    def _error(self, message: str) -> ValueError:
+        return ValueError(f"ansatz {self.name}: {message}")
 
     def _check(self, operation: Operation) -> None:
         n, rows = self.wires, self.rows
         if isinstance(operation, Rotations) and not 0 <= operation.row < rows:
-            raise ValueError(f"ansatz {self.name}: rotations use row {operation.row}, weights have rows 0..{rows - 1}")
+            raise self._error(f"rotations use row {operation.row}, weights have rows 0..{rows - 1}")
         if isinstance(operation, Entangler):
-            if operation.gate not in GATES:
-                raise ValueError(f"ansatz {self.name}: unknown gate {operation.gate!r}; known: {', '.join(GATES)}")
+            if operation.gate not in ENTANGLING_GATES:
+                raise self._error(f"unknown gate {operation.gate!r}; known: {', '.join(ENTANGLING_GATES)}")
             for pair in operation.pairs:
                 if len(pair) != 2 or pair[0] == pair[1] or not all(0 <= wire < n for wire in pair):
-                    raise ValueError(f"ansatz {self.name}: pair {pair} needs two different wires below {n}")
+                    raise self._error(f"pair {pair} needs two different wires below {n}")
         if isinstance(operation, Encoding):
-            if operation.axis not in LETTERS:
-                raise ValueError(f"ansatz {self.name}: unknown axis {operation.axis!r}; known: {', '.join(LETTERS)}")
+            if operation.axis not in PAULIS:
+                raise self._error(f"unknown axis {operation.axis!r}; known: {', '.join(PAULIS)}")
             if len(operation.scales) != n or not all(isfinite(scale) for scale in operation.scales):
-                raise ValueError(f"ansatz {self.name}: encoding needs {n} finite scales, got {operation.scales}")
+                raise self._error(f"encoding needs {n} finite scales, got {operation.scales}")
 
     @property
     def rows(self) -> int:
-        """Rows of the stacked weights."""
+        """Rows of the stacked weights, (S + 1) L."""
         return (self.spectral + 1) * self.sublayers
 
     @property
-    def shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def weight_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Shapes of `weights1` and `weights2`."""
         return (self.spectral, self.sublayers, self.wires, 3), (self.sublayers, self.wires, 3)
 
 
 def check_wires(wires: int) -> None:
-    """ValueError unless 1 <= wires <= 14; it says what one state vector would take."""
+    """ValueError unless 1 <= wires <= 14. The message says how much memory one state vector would take."""
     if isinstance(wires, bool) or not isinstance(wires, int) or not 1 <= wires <= MAX_WIRES:
         size = ""
         if isinstance(wires, int) and wires > MAX_WIRES:
@@ -123,61 +142,26 @@ def check_wires(wires: int) -> None:
 
 
 def readable_bytes(count: float) -> str:
-    for unit in ("B", "KiB", "MiB", "GiB", "TiB", "PiB"):
-        if count < 1024 or unit == "PiB":
+    """
+    >>> readable_bytes(3 * 2**20)
+    '3 MiB'
+    """
+    for unit in ("B", "KiB", "MiB", "GiB", "TiB"):
+        if count < 1024:
             return f"{count:.3g} {unit}"
         count /= 1024
-    raise AssertionError
+    return f"{count:.3g} PiB"
 
 
 def ring(wires: int, distance: int) -> tuple[tuple[int, int], ...]:
-    """Pairs (i, (i + distance) mod n) for every wire i; none for a single wire."""
+    """Pairs (i, (i + distance) mod n) for every wire i; none for a single wire.
+
+    >>> ring(4, 1)
+    ((0, 1), (1, 2), (2, 3), (3, 0))
+    """
     if wires == 1:
         return ()
     return tuple((i, (i + distance) % wires) for i in range(wires))
-
-
-def reuploading(
-    name: str,
-    wires: int,
-    spectral: int,
-    *,
-    sublayers: int = 2,
-    entangler: str = "CZ",
-    ranges: tuple[int, ...] | None = None,
-    axis: str = "Z",
-    scaling: str = "unit",
-    scale: float = 1.0,
-    observable: str = "Z",
-) -> Circuit:
-    """The family around QIREN: S times (trainable block, encoding), one closing block, one Pauli letter on every wire.
-
-    ranges   distance of the entangling ring in each sublayer; None: 1 + (l mod (n - 1)), PennyLane's
-             StronglyEntanglingLayers
-    scaling  unit: every encoding has the same scale; ternary: the s-th encoding is scaled by 3^s, which makes the
-             3^S frequencies of a wire all different (Shin et al., arXiv:2206.12105)
-    scale    factor on every encoding angle
-    """
-    check_wires(wires)
-    if scaling not in ("unit", "ternary"):
-        raise ValueError(f"ansatz {name}: unknown scaling {scaling!r}; known: ternary, unit")
-    if observable not in LETTERS:
-        raise ValueError(f"ansatz {name}: unknown observable {observable!r}; known: {', '.join(LETTERS)}")
-    distances = ranges or tuple(1 + (layer % (wires - 1)) if wires > 1 else 0 for layer in range(sublayers))
-    if len(distances) != sublayers or (wires > 1 and any(distance % wires == 0 for distance in distances)):
-        raise ValueError(
-            f"ansatz {name}: ranges needs {sublayers} distances, none a multiple of {wires}, got {distances}"
-        )
-    operations: list[Operation] = []
-    for block in range(spectral + 1):
-        for layer in range(sublayers):
-            operations.append(Rotations(block * sublayers + layer))
-            operations.append(Entangler(entangler, ring(wires, distances[layer])))
-        if block < spectral:
-            factor = scale * (3.0**block if scaling == "ternary" else 1.0)
-            operations.append(Encoding(axis, (factor,) * wires))
-    observables = tuple(((wire, observable),) for wire in range(wires))
-    return Circuit(name, wires, spectral, sublayers, tuple(operations), observables)
 
 
 ANSATZE: Registry[Circuit] = Registry("ansatz")
@@ -196,53 +180,118 @@ def qiren(
     scale: float = 1.0,
     observable: str = "Z",
 ) -> Circuit:
-    """QIREN (Zhao et al., arXiv:2406.03873): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every
-    wire."""
-    return reuploading(
-        "qiren",
-        wires,
-        spectral,
-        sublayers=sublayers,
-        entangler=entangler,
-        ranges=ranges,
-        axis=axis,
-        scaling=scaling,
-        scale=scale,
-        observable=observable,
-    )
+    """QIREN (Zhao et al., arXiv:2406.03873): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every wire.
+
+    S times a trainable block and an encoding, then one closing block. With 3 wires and S = 1:
+
+        0: ──Rot─╭●────╭Z──Rot─╭●─╭Z──RZ──Rot──────╭●────╭Z──Rot─╭●─╭Z────┤  <Z>
+        1: ──Rot─╰Z─╭●─│───Rot─│──╰●─╭Z───RZ───Rot─╰Z─╭●─│───Rot─│──╰●─╭Z─┤  <Z>
+        2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RZ───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <Z>
+
+    Args:
+        wires: n, 1 to 14.
+        spectral: S, the encodings of the input, at least 1.
+        sublayers: of each trainable block; each is Rot on every wire and a ring of entanglers.
+        entangler: CZ or CNOT.
+        ranges: the distance of the ring in each sublayer l. None takes 1 + (l mod (n - 1)), as PennyLane's
+            StronglyEntanglingLayers does.
+        axis: of the encodings: X, Y or Z.
+        scaling: unit gives every encoding the same scale. ternary scales encoding s by 3^s, which makes the 3^S
+            frequencies of a wire all different (Shin et al., arXiv:2206.12105).
+        scale: a factor on every encoding angle.
+        observable: the Pauli letter that every wire is measured in.
+
+    Raises:
+        ValueError: an option is unknown, or a ring's distance is a multiple of the number of wires.
+    """
+    check_wires(wires)
+    if scaling not in ("unit", "ternary"):
+        raise ValueError(f"unknown scaling {scaling!r}; known: ternary, unit")
+    if observable not in PAULIS:
+        raise ValueError(f"unknown observable {observable!r}; known: {', '.join(PAULIS)}")
+    distances = ranges or tuple(1 + (layer % (wires - 1)) if wires > 1 else 0 for layer in range(sublayers))
+    if len(distances) != sublayers or (wires > 1 and any(distance % wires == 0 for distance in distances)):
+        raise ValueError(f"ranges needs {sublayers} distances, none a multiple of {wires}, got {distances}")
+    operations: list[Operation] = []
+    for block in range(spectral + 1):
+        for layer in range(sublayers):
+            operations.append(Rotations(block * sublayers + layer))
+            operations.append(Entangler(entangler, ring(wires, distances[layer])))
+        if block < spectral:
+            factor = scale * (3.0**block if scaling == "ternary" else 1.0)
+            operations.append(Encoding(axis, (factor,) * wires))
+    observables = tuple(((wire, observable),) for wire in range(wires))
+    return Circuit("qiren", wires, spectral, sublayers, tuple(operations), observables)
+
+
+def reuploading(name: str, wires: int, spectral: int, **options: Any) -> Circuit:
+    """A circuit of QIREN's family: `qiren` with other options, under a name of its own."""
+    return replace(qiren(wires, spectral, **options), name=name)
 
 
 @ANSATZE.register("cnot")
 def cnot(wires: int, spectral: int) -> Circuit:
-    """QIREN with CNOT, the default imprimitive of StronglyEntanglingLayers."""
+    """QIREN with CNOT, which StronglyEntanglingLayers takes by default.
+
+    0: ──Rot─╭●────╭X──Rot─╭●─╭X──RZ──Rot──────╭●────╭X──Rot─╭●─╭X────┤  <Z>
+    1: ──Rot─╰X─╭●─│───Rot─│──╰●─╭X───RZ───Rot─╰X─╭●─│───Rot─│──╰●─╭X─┤  <Z>
+    2: ──Rot────╰X─╰●──Rot─╰X────╰●───RZ───Rot────╰X─╰●──Rot─╰X────╰●─┤  <Z>
+    """
     return reuploading("cnot", wires, spectral, entangler="CNOT")
 
 
 @ANSATZE.register("neighbours")
 def neighbours(wires: int, spectral: int) -> Circuit:
-    """QIREN with both rings at distance 1: narrower light cones."""
+    """QIREN with both rings at distance 1, which narrows the light cones.
+
+    0: ──Rot─╭●────╭Z──Rot─╭●────╭Z──RZ──Rot─╭●────╭Z──Rot─╭●────╭Z─┤  <Z>
+    1: ──Rot─╰Z─╭●─│───Rot─╰Z─╭●─│───RZ──Rot─╰Z─╭●─│───Rot─╰Z─╭●─│──┤  <Z>
+    2: ──Rot────╰Z─╰●──Rot────╰Z─╰●──RZ──Rot────╰Z─╰●──Rot────╰Z─╰●─┤  <Z>
+    """
     return reuploading("neighbours", wires, spectral, ranges=(1, 1))
 
 
 @ANSATZE.register("ternary")
 def ternary(wires: int, spectral: int) -> Circuit:
-    """QIREN with the s-th encoding scaled by 3^s: exponentially many frequencies."""
+    """QIREN with encoding s = 0, 1, ... scaled by 3^s: 3^S frequencies a wire instead of 2 S + 1.
+
+    With S = 1 it is `qiren`; the encodings of S = 2 are RZ(x_j) and RZ(3 x_j).
+
+        0: ──Rot─╭●────╭Z──Rot─╭●─╭Z──RZ──Rot──────╭●────╭Z──Rot─╭●─╭Z────┤  <Z>
+        1: ──Rot─╰Z─╭●─│───Rot─│──╰●─╭Z───RZ───Rot─╰Z─╭●─│───Rot─│──╰●─╭Z─┤  <Z>
+        2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RZ───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <Z>
+    """
     return reuploading("ternary", wires, spectral, scaling="ternary")
 
 
 @ANSATZE.register("rx")
 def rx(wires: int, spectral: int) -> Circuit:
-    """QIREN with RX encodings."""
+    """QIREN with RX encodings.
+
+    0: ──Rot─╭●────╭Z──Rot─╭●─╭Z──RX──Rot──────╭●────╭Z──Rot─╭●─╭Z────┤  <Z>
+    1: ──Rot─╰Z─╭●─│───Rot─│──╰●─╭Z───RX───Rot─╰Z─╭●─│───Rot─│──╰●─╭Z─┤  <Z>
+    2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RX───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <Z>
+    """
     return reuploading("rx", wires, spectral, axis="X")
 
 
 @ANSATZE.register("ry")
 def ry(wires: int, spectral: int) -> Circuit:
-    """QIREN with RY encodings."""
+    """QIREN with RY encodings.
+
+    0: ──Rot─╭●────╭Z──Rot─╭●─╭Z──RY──Rot──────╭●────╭Z──Rot─╭●─╭Z────┤  <Z>
+    1: ──Rot─╰Z─╭●─│───Rot─│──╰●─╭Z───RY───Rot─╰Z─╭●─│───Rot─│──╰●─╭Z─┤  <Z>
+    2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RY───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <Z>
+    """
     return reuploading("ry", wires, spectral, axis="Y")
 
 
 @ANSATZE.register("pauli_x")
 def pauli_x(wires: int, spectral: int) -> Circuit:
-    """QIREN read out in X instead of Z: the last ring no longer drops out."""
+    """QIREN measured in X instead of Z. The last ring then has an effect; before a Z measurement it has none.
+
+    0: ──Rot─╭●────╭Z──Rot─╭●─╭Z──RZ──Rot──────╭●────╭Z──Rot─╭●─╭Z────┤  <X>
+    1: ──Rot─╰Z─╭●─│───Rot─│──╰●─╭Z───RZ───Rot─╰Z─╭●─│───Rot─│──╰●─╭Z─┤  <X>
+    2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RZ───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <X>
+    """
     return reuploading("pauli_x", wires, spectral, observable="X")

@@ -1,14 +1,20 @@
-"""Light cones: which encodings an output depends on, found by pulling its observable back through the circuit.
+"""Light cones: which inputs each output of a circuit depends on.
 
-Each output is a trigonometric polynomial of the inputs in its cone (arXiv:2008.08605): an encoding with scale s adds
-{-s, 0, s} to the frequencies of its wire. Only two bits a wire are tracked (may the observable act there as X or Y?
-as Z or Y?), so a cone may come out too large, never too small.
+An output is a trigonometric polynomial of the inputs in its cone (arXiv:2008.08605): an encoding with scale s adds
+{-s, 0, s} to the frequencies of its wire. The cone is found by carrying the observable back through the circuit
+(Heisenberg picture). Two bits for each wire are tracked: may the observable act there as X or Y, and as Z or Y? A cone
+may therefore come out too large, never too small.
+
+>>> from qnerf.quantum.circuit import ANSATZE
+>>> cone = find_cones(ANSATZE.build("qiren", 8, 1)).cones[1]
+>>> cone.wires, cone.coefficients
+((0, 1, 2), 27)
 """
 
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from math import gcd, lcm
+from math import gcd, lcm, prod
 
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler
 
@@ -17,42 +23,44 @@ MAX_COEFFICIENTS = 1024  # of one output: beyond that a state vector is cheaper
 
 @dataclass(frozen=True)
 class Cone:
-    """An output's inputs: frequencies of wire j are 0, 1, ..., degrees[j] times base_j (which is the same for all
-    outputs)."""
+    """The inputs of one output. The frequencies of `wires[i]` are 0, 1, ..., `degrees[i]` times its base frequency."""
 
     wires: tuple[int, ...]
     degrees: tuple[int, ...]
 
     @property
     def coefficients(self) -> int:
-        total = 1
-        for degree in self.degrees:
-            total *= 2 * degree + 1
-        return total
+        """Real coefficients of the polynomial, prod (2 degree + 1)."""
+        return prod(2 * degree + 1 for degree in self.degrees)
 
 
 @dataclass(frozen=True)
 class Cones:
-    """One cone an output, and the unit of frequency of every wire."""
+    """The cone of each output, and the base frequency of each wire (1 / radians; 0 if the wire has no encoding)."""
 
     cones: tuple[Cone, ...]
-    bases: tuple[float, ...]
+    base_frequencies: tuple[float, ...]
 
 
 class TooLarge(ValueError):
-    """The circuit has no light cones small enough to be worth a polynomial."""
+    """The circuit has no light cones that are small enough for polynomials."""
 
 
 @lru_cache(maxsize=256)
 def find_cones(circuit: Circuit) -> Cones:
-    """The cones of all outputs. TooLarge, in one line, where one needs more than MAX_COEFFICIENTS coefficients."""
-    reached = [_reach(circuit, dict(word)) for word in circuit.observables]
-    bases = tuple(_base(circuit, wire) for wire in range(circuit.wires))
+    """The cones of all outputs.
+
+    Raises:
+        TooLarge: an output has more than `MAX_COEFFICIENTS` coefficients, or the encoding scales of a wire are not
+            multiples of one frequency.
+    """
+    met = [_encodings_met(circuit, dict(word)) for word in circuit.observables]
+    base = tuple(_base_frequency(circuit, wire) for wire in range(circuit.wires))
     cones = []
-    for output, scales in enumerate(reached):
+    for output, scales in enumerate(met):
         degrees = {}
         for wire, values in sorted(scales.items()):
-            degree = round(sum(abs(value) for value in values) / bases[wire]) if bases[wire] else 0
+            degree = round(sum(abs(value) for value in values) / base[wire]) if base[wire] else 0
             if degree:
                 degrees[wire] = degree
         cone = Cone(tuple(degrees), tuple(degrees.values()))
@@ -63,28 +71,26 @@ def find_cones(circuit: Circuit) -> Cones:
                 f" than {MAX_COEFFICIENTS}; choose method=statevector or auto"
             )
         cones.append(cone)
-    return Cones(tuple(cones), bases)
+    return Cones(tuple(cones), base)
 
 
-def _reach(circuit: Circuit, word: dict[int, str]) -> dict[int, list[float]]:
-    """Scales of the encodings that an observable meets, by wire."""
+def _encodings_met(circuit: Circuit, word: dict[int, str]) -> dict[int, list[float]]:
+    """For each wire, the scales of the encodings that do not commute with the observable on its way back."""
     x = {wire for wire, letter in word.items() if letter in "XY"}
     z = {wire for wire, letter in word.items() if letter in "ZY"}
-    found: dict[int, list[float]] = {}
+    met: dict[int, list[float]] = {}
     for operation in reversed(circuit.operations):
         if isinstance(operation, Entangler):
             for a, b in reversed(operation.pairs):
                 if operation.gate == "CZ":  # X_a -> X_a Z_b and X_b -> Z_a X_b
-                    added = ({b} if a in x else set()) | ({a} if b in x else set())
-                    z |= added
+                    z |= ({b} if a in x else set()) | ({a} if b in x else set())
                 else:  # X_control -> X_control X_target and Z_target -> Z_control Z_target
                     x |= {b} if a in x else set()
                     z |= {a} if b in z else set()
         elif isinstance(operation, Encoding):
             for wire in x | z:
-                acts = {"Z": wire in x, "X": wire in z, "Y": True}[operation.axis]
-                if acts:
-                    found.setdefault(wire, []).append(operation.scales[wire])
+                if {"Z": wire in x, "X": wire in z, "Y": True}[operation.axis]:
+                    met.setdefault(wire, []).append(operation.scales[wire])
             if operation.axis == "Z":
                 z |= x
             elif operation.axis == "X":
@@ -93,11 +99,11 @@ def _reach(circuit: Circuit, word: dict[int, str]) -> dict[int, list[float]]:
                 x, z = x | z, x | z
         else:
             x, z = x | z, x | z
-    return found
+    return met
 
 
-def _base(circuit: Circuit, wire: int) -> float:
-    """The largest frequency of which all scales of a wire are multiples; 0 if there are none."""
+def _base_frequency(circuit: Circuit, wire: int) -> float:
+    """The largest frequency that all encoding scales of a wire are multiples of; 0 if the wire has no encoding."""
     scales = [abs(op.scales[wire]) for op in circuit.operations if isinstance(op, Encoding) and op.scales[wire]]
     if not scales:
         return 0.0

@@ -1,81 +1,103 @@
-"""Which engine, and what it will cost: the cost model behind `method="auto"`.
+"""The cost model behind `method="auto"`: what each engine would cost for a batch, and which one to take.
 
 Operations are multiply-adds on one sample, counted from the normal form of the circuit. The compiled engines reach a
 fixed rate of them (RATE, measured on one core with 512-bit vectors; half of that with 256 bits), plus a fixed overhead
-a step. A light-cone polynomial needs few operations a sample but an exact evaluation on its grid each step, so that
-it wins from some batch size on; with large cones it never does.
+a step. A light-cone polynomial needs few operations a sample, but its circuit has to be evaluated on a grid once a
+step. It is cheaper from some batch size on; with large cones it never is.
+
+>>> from qnerf.quantum.circuit import ANSATZE
+>>> for spectral in (1, 2):
+...     circuit = ANSATZE.build("qiren", 8, spectral)
+...     print(choose_engine(circuit, "auto", 6144, torch.float32, compiled=True).method)
+lightcone
+statevector
 """
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from math import isnan
 
 import torch
 
+from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.compiled.simd import VECTOR_BYTES
 from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import interpolation
-from qnerf.quantum.normal_form import Permute, Phase, Program
-from qnerf.quantum.statevector import TAPE_BYTES
+from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form
 
-RATE = (
-    5e9 * VECTOR_BYTES
-)  # bytes of multiply-add operands a second and thread: 8e10 float32 operations with 64-byte vectors
+# Bytes of multiply-add operands a second and thread: 8e10 float32 operations with 64-byte vectors.
+RATE = 5e9 * VECTOR_BYTES
 OVERHEAD = 3e-4  # seconds a step: Python, autograd, binding the weights
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What `QuantumLayer.plan` tells. Operations are multiply-adds, forward and backward together."""
+class Cost:
+    """The engine that a layer takes for a batch, and what a step costs: forward and backward together.
+
+    Attributes:
+        method: lightcone, statevector or pennylane.
+        backend: compiled or torch.
+        batch: samples.
+        operations: multiply-adds for each sample.
+        operations_once: multiply-adds for each step, whatever the batch.
+        memory: bytes of work space beside inputs and outputs.
+        seconds: expected time of a step; NaN where no rate was measured (GPUs, plain PyTorch, PennyLane).
+        reason: why this engine was taken.
+        others: the methods that were not taken -> why not.
+    """
 
     method: str
-    backend: str  # compiled or torch
+    backend: str
     batch: int
-    operations: int  # a sample
-    operations_once: int  # a step, whatever the batch
-    memory: int  # bytes of work space beside inputs and outputs
-    seconds: float  # expected; nan where no rate was measured (GPUs, plain PyTorch, PennyLane)
+    operations: int
+    operations_once: int
+    memory: int
+    seconds: float
     reason: str
-    others: dict[str, str] = field(default_factory=dict)  # methods not taken, and why
+    others: dict[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        time = f", about {self.seconds * 1e3:.2f} ms" if self.seconds == self.seconds else ""
+        time = "" if isnan(self.seconds) else f", about {self.seconds * 1e3:.2f} ms"
         return (
             f"{self.method} ({self.backend}) for {self.batch} samples: {self.operations:,} operations a sample, "
             f"{self.operations_once:,} a step, {readable_bytes(self.memory)}{time}; {self.reason}"
         )
 
 
-def statevector_operations(program: Program) -> int:
-    """Multiply-adds a sample, forward + backward of the compiled engine."""
-    n = program.wires
+def statevector_operations(form: NormalForm) -> int:
+    """Multiply-adds for each sample, forward and backward, of the compiled state-vector engine."""
+    n = form.wires
     size = 2**n
-    forward, pull = 4 * size, 0  # the input's phases
-    steps = program.steps[program.fixed_steps : len(program.steps) - (1 if program.local else 0)]
+    forward, backward = 4 * size, 0  # the input's phases
+    steps = form.steps[form.fixed_steps : len(form.steps) - (1 if form.measures_last_layer else 0)]
     for step in steps:
-        if isinstance(step, Phase):
+        if isinstance(step, Diagonal):
             each = 8 if step.angles.scales is not None else 4
             forward += each * size
-            pull += (each + 5) * size
-        elif isinstance(step, Permute):
+            backward += (each + 5) * size
+        elif isinstance(step, CNOTs):
             forward += size
-            pull += 2 * size
+            backward += 2 * size
         else:
             each = 4 if step.angles.scales is not None else 2
             forward += each * n * size
-            pull += (each + 2) * n * size
-    measure = (n + 5) * size if program.local else (len(program.words) + 2) * size
-    pull += (2 * n + 4) * size if program.local else (2 * len(program.words) + 2) * size
-    return 2 * forward + measure + pull
+            backward += (each + 2) * n * size
+    measurement = (n + 5) * size if form.measures_last_layer else (len(form.measured) + 2) * size
+    backward += (2 * n + 4) * size if form.measures_last_layer else (2 * len(form.measured) + 2) * size
+    return 2 * forward + measurement + backward  # the backward pass runs the forward pass again
 
 
 @lru_cache(maxsize=256)
-def lightcone_operations(circuit: Circuit) -> tuple[int, int] | str:
-    """Multiply-adds a sample, forward + backward, and circuits a step; or, where cones are too large, how large."""
+def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
+    """Multiply-adds for each sample, forward and backward, and circuit evaluations for each step.
+
+    The error is returned, not raised, so that it is cached too.
+    """
     try:
         grid = interpolation(circuit)
     except TooLarge as error:
-        return str(error)
+        return error
     forward = backward = 0
     for cone in grid.cones.cones:
         terms = cone.coefficients
@@ -83,38 +105,45 @@ def lightcone_operations(circuit: Circuit) -> tuple[int, int] | str:
             forward += terms
             backward += 4 * terms
             terms //= 2 * degree + 1
-    return 2 * (forward + 8 * grid.most * circuit.wires) + backward, len(grid.points)
+    return 2 * (forward + 8 * grid.highest_degree * circuit.wires) + backward, len(grid.points)
 
 
-def make_plan(circuit: Circuit, program: Program, method: str, batch: int, dtype: torch.dtype, compiled: bool) -> Plan:
-    """The engine for a batch. TooLarge if `method` is lightcone and the circuit has no small light cones."""
-    item = torch.finfo(dtype).bits // 8
+def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
+    """The cheaper engine for a batch if `method` is auto, else the one asked for.
+
+    Raises:
+        TooLarge: `method` is lightcone and the circuit has no small light cones.
+    """
+    form = normal_form(circuit)
+    itemsize = torch.finfo(dtype).bits // 8
     threads = torch.get_num_threads()
     backend = "compiled" if compiled else "torch"
-    rate = RATE * threads
 
     def seconds(operations: int, once: int) -> float:
-        return OVERHEAD + (operations * batch * item + once * 8) / rate if compiled else float("nan")
+        total = operations * batch * itemsize + once * 8  # what runs once a step is float64
+        return OVERHEAD + total / (RATE * threads) if compiled else float("nan")
 
-    state = statevector_operations(program)
-    found = lightcone_operations(circuit)
-    if isinstance(found, str):
+    state = statevector_operations(form)
+    counted = lightcone_operations(circuit)
+    if isinstance(counted, TooLarge):
         if method == "lightcone":
-            raise TooLarge(found)
-        why = found
+            raise TooLarge(str(counted))
+        why_not = str(counted)
     else:
-        cone, once = found[0], found[1] * state
-        if method == "lightcone" or (method == "auto" and cone * batch * item + once * 8 < state * batch * item):
+        cone, once = counted[0], counted[1] * state
+        if method == "lightcone" or (
+            method == "auto" and cone * batch * itemsize + once * 8 < state * batch * itemsize
+        ):
             others = {"statevector": f"{state:,} operations a sample, none once a step"}
             grid = interpolation(circuit)
-            memory = 8 * grid.matrix.size + item * batch * 2 * (2 * grid.most + 1) * circuit.wires
+            memory = 8 * grid.matrix.size + itemsize * batch * 2 * (2 * grid.highest_degree + 1) * circuit.wires
             reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
-            return Plan("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason, others)
-        why = f"{cone:,} operations a sample, but {once:,} once a step"
+            return Cost("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason, others)
+        why_not = f"{cone:,} operations a sample, but {once:,} once a step"
     if compiled:
-        kept = 2 * (len(program.steps) + 2) + 10
-        memory = threads * kept * 2**circuit.wires * VECTOR_BYTES + item * batch * 4 * circuit.wires
+        vectors = 2 * (len(form.steps) + 2) + 10
+        memory = threads * vectors * 2**circuit.wires * VECTOR_BYTES + itemsize * batch * 4 * circuit.wires
     else:
-        memory = TAPE_BYTES
-    reason = "asked for" if method == "statevector" else why
-    return Plan("statevector", backend, batch, state, 0, memory, seconds(state, 0), reason, {"lightcone": why})
+        memory = statevector.CHUNK_BYTES
+    reason = "asked for" if method == "statevector" else why_not
+    return Cost("statevector", backend, batch, state, 0, memory, seconds(state, 0), reason, {"lightcone": why_not})

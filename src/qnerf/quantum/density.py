@@ -1,62 +1,125 @@
-"""Exact noisy expectation values by density matrices, in plain PyTorch (complex128).
+"""Exact expectation values of noisy circuits by density matrices, in plain PyTorch (complex128).
 
-The states (2^n, 2^n, B) run forward to the last encoding, B = 1 before the first one; the observables are pulled back
-to the same place by the adjoint channels, once for all samples. What does not depend on the input is thus done once.
-Noise does not widen light cones: with S = 1 it is enough to do this on the interpolation grid.
+The density matrices (2^n, 2^n, B) run forward to the last encoding, with B = 1 up to the first one. The observables
+are carried back to the same place by the adjoint channels, once for all samples. What does not depend on the input is
+thus computed once. Noise does not widen light cones, so with S = 1 the interpolation grid is enough.
 """
 
 from collections.abc import Callable
-from math import sqrt
 
 import torch
 from torch import Tensor
 
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations
-from qnerf.quantum.lightcone import interpolation, polynomials
-from qnerf.quantum.normal_form import signs
+from qnerf.quantum.cones import TooLarge
+from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
+from qnerf.quantum.normal_form import cnot_permutation, cz_signs
 from qnerf.quantum.pennylane import Noise
 
 CHUNK_BYTES = 2**27
 
 _PAULIS = {
+    "I": torch.eye(2, dtype=torch.complex128),
     "X": torch.tensor([[0, 1], [1, 0]], dtype=torch.complex128),
     "Y": torch.tensor([[0, -1j], [1j, 0]], dtype=torch.complex128),
     "Z": torch.tensor([[1, 0], [0, -1]], dtype=torch.complex128),
 }
 
 
-def kraus(noise: Noise) -> list[list[Tensor]]:
-    """Kraus operators (2, 2) of each channel, in the order in which they follow a gate."""
-    one = torch.eye(2, dtype=torch.complex128)
-    raised = torch.tensor([[0, 1], [0, 0]], dtype=torch.complex128)
-    channels = []
-    if p := noise.depolarizing:
-        channels.append([sqrt(1 - p) * one, *(sqrt(p / 3) * pauli for pauli in _PAULIS.values())])
-    if p := noise.amplitude_damping:
-        channels.append([torch.diag(torch.tensor([1, sqrt(1 - p)], dtype=torch.complex128)), sqrt(p) * raised])
-    if p := noise.phase_damping:
-        loses = torch.diag(torch.tensor([0, sqrt(p)], dtype=torch.complex128))
-        channels.append([torch.diag(torch.tensor([1, sqrt(1 - p)], dtype=torch.complex128)), loses])
-    if p := noise.bit_flip:
-        channels.append([sqrt(1 - p) * one, sqrt(p) * _PAULIS["X"]])
+def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: dict[bytes, Tensor]) -> Tensor:
+    """Noisy expectation values (B, outputs) for x (B, n) and stacked weights (rows, 3, n), without gradients.
+
+    `cache` takes the coefficients of circuits with small light cones, so that only the first batch pays for them.
+    """
+    x64, w64 = x.detach().double().cpu(), weights.detach().double().cpu()
+    try:
+        grid = interpolation(circuit)
+    except TooLarge:
+        return _evaluate_directly(circuit, x64, w64, noise).to(x)
+    key = repr((circuit, noise)).encode() + w64.contiguous().numpy().tobytes()
+    if key not in cache:
+        if len(grid.points) >= x.shape[0]:
+            return _evaluate_directly(circuit, x64, w64, noise).to(x)
+        cache[key] = coefficients_of(grid, _evaluate_directly(circuit, torch.from_numpy(grid.points), w64, noise))
+    return polynomials(circuit, x.detach(), cache[key].to(x))
+
+
+@torch.no_grad()
+def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
+    n = circuit.wires
+    channels = [_superoperator(operators) for operators in noise.kraus_operators()]
+    encodings = [i for i, operation in enumerate(circuit.operations) if isinstance(operation, Encoding)]
+    first, last = (encodings[0], encodings[-1] + 1) if encodings else (0, 0)
+
+    def run(matrix: Tensor, operations: tuple[Operation, ...], inputs: Tensor) -> Tensor:
+        for operation in operations:
+            for channel in _channels_of(operation, n, inputs, weights, channels):
+                matrix = channel(matrix, False)
+        return matrix
+
+    observables = _observables(circuit)
+    for operation in reversed(circuit.operations[last:]):
+        for channel in reversed(_channels_of(operation, n, x, weights, channels)):
+            observables = channel(observables, True)
+    flat = observables.transpose(0, 1).reshape(4**n, -1)
+    start = torch.zeros(2**n, 2**n, 1, dtype=torch.complex128)
+    start[0, 0] = 1
+    start = run(start, circuit.operations[:first], x)
+    out = []
+    for part in x.split(max(1, CHUNK_BYTES // (16 * 4**n))):
+        rho = run(start, circuit.operations[first:last], part)
+        out.append((rho.reshape(4**n, -1).T @ flat).real.expand(len(part), -1))
+    return torch.cat(out)
+
+
+Channel = Callable[[Tensor, bool], Tensor]
+"""A map of matrices (2^n, 2^n, B); with True its adjoint, which acts on observables."""
+
+
+def _channels_of(operation: Operation, n: int, x: Tensor, weights: Tensor, noise: list[Tensor]) -> list[Channel]:
+    """The gates of one operation and the noise after each, in the order in which they act on a state."""
+    channels: list[Channel] = []
+
+    def add(superoperator: Tensor, wire: int) -> None:
+        channels.append(lambda matrix, adjoint: _apply(matrix, superoperator, wire, n, adjoint))
+
+    def add_noise(wire: int) -> None:
+        for superoperator in noise:
+            add(superoperator, wire)
+
+    if isinstance(operation, Entangler):
+        for pair in operation.pairs:
+            # CZ and CNOT are their own adjoints.
+            channels.append(lambda matrix, adjoint, pair=pair: _entangle(matrix, operation.gate, pair, n))  # type: ignore[misc]
+            for wire in pair:
+                add_noise(wire)
+    else:
+        for wire in range(n):
+            if isinstance(operation, Rotations):
+                phi, theta, omega = weights[operation.row, :, wire]
+                unitary = _rotation("Z", omega) @ _rotation("Y", theta) @ _rotation("Z", phi)
+            else:
+                unitary = _rotation(operation.axis, operation.scales[wire] * x[:, wire])
+            add(_superoperator([unitary]), wire)
+            add_noise(wire)
     return channels
 
 
 def _rotation(axis: str, angle: Tensor) -> Tensor:
     """exp(-i angle axis / 2): (...) -> (..., 2, 2)."""
     half = (angle / 2).to(torch.complex128)[..., None, None]
-    return half.cos() * torch.eye(2, dtype=torch.complex128) - 1j * half.sin() * _PAULIS[axis]
+    return half.cos() * _PAULIS["I"] - 1j * half.sin() * _PAULIS[axis]
 
 
-def _superoperator(operators: list[Tensor], adjoint: bool) -> Tensor:
-    """sum_K K rho K^dagger as (..., 2, 2, 2, 2), or its adjoint."""
+def _superoperator(kraus: list[Tensor]) -> Tensor:
+    """S[r, s, u, v] of rho -> sum_K K rho K^dagger, from operators (..., 2, 2): (..., 2, 2, 2, 2)."""
+    return torch.stack([torch.einsum("...ru,...sv->...rsuv", k, k.conj()) for k in kraus]).sum(0)
+
+
+def _apply(matrix: Tensor, superoperator: Tensor, wire: int, n: int, adjoint: bool) -> Tensor:
+    """A superoperator (2, 2, 2, 2) or (B, 2, 2, 2, 2), or its adjoint, on one wire of matrices (2^n, 2^n, B)."""
     if adjoint:
-        operators = [operator.mH for operator in operators]
-    return torch.stack([torch.einsum("...ru,...sv->...rsuv", k, k.conj()) for k in operators]).sum(0)
-
-
-def _apply(matrix: Tensor, superoperator: Tensor, wire: int, n: int) -> Tensor:
-    """On (2^n, 2^n, B); the superoperator is (2, 2, 2, 2), or (B, 2, 2, 2, 2)."""
+        superoperator = superoperator.conj().movedim((-4, -3), (-2, -1))
     before, after = 2**wire, 2 ** (n - wire - 1)
     view = matrix.reshape(before, 2, after, before, 2, after, -1)
     if superoperator.ndim == 4:
@@ -69,99 +132,18 @@ def _apply(matrix: Tensor, superoperator: Tensor, wire: int, n: int) -> Tensor:
 
 def _entangle(matrix: Tensor, gate: str, pair: tuple[int, int], n: int) -> Tensor:
     if gate == "CZ":
-        sign = torch.from_numpy(signs((pair,), n))
+        sign = torch.from_numpy(cz_signs((pair,), n))
         return matrix * (sign[:, None] * sign[None, :])[..., None]
-    control, target = pair
-    index = torch.arange(2**n)
-    index = index ^ (((index >> (n - 1 - control)) & 1) << (n - 1 - target))
+    index = torch.from_numpy(cnot_permutation((pair,), n))
     return matrix[index][:, index]
 
 
-def _steps(
-    operation: Operation, n: int, x: Tensor, weights: Tensor, channels: list[list[Tensor]], adjoint: bool
-) -> list[Callable[[Tensor], Tensor]]:
-    """One operation as maps on matrices, in the order in which they are applied (reversed for the adjoint)."""
-    steps: list[Callable[[Tensor], Tensor]] = []
-
-    def gate(wire: int, superoperator: Tensor) -> None:
-        steps.append(lambda matrix: _apply(matrix, superoperator, wire, n))
-
-    def noise(wire: int) -> None:
-        for channel in channels:
-            gate(wire, _superoperator(channel, adjoint))
-
-    if isinstance(operation, Entangler):
-        for pair in operation.pairs:
-            steps.append(lambda matrix, pair=pair: _entangle(matrix, operation.gate, pair, n))  # type: ignore[misc]
-            for wire in pair:
-                noise(wire)
-    else:
-        for wire in range(n):
-            if isinstance(operation, Rotations):
-                phi, theta, omega = weights[operation.row, :, wire]
-                unitary = _rotation("Z", omega) @ _rotation("Y", theta) @ _rotation("Z", phi)
-            else:
-                unitary = _rotation(operation.axis, operation.scales[wire] * x[:, wire])
-            gate(wire, _superoperator([unitary], adjoint))
-            noise(wire)
-    return steps[::-1] if adjoint else steps
-
-
 def _observables(circuit: Circuit) -> Tensor:
-    """(2^n, 2^n, outputs)."""
-    n = circuit.wires
+    """The matrices of the measured Pauli words, (2^n, 2^n, outputs)."""
     matrices = []
     for word in circuit.observables:
         matrix = torch.eye(1, dtype=torch.complex128)
-        letters = dict(word)
-        for wire in range(n):
-            pauli = _PAULIS[letters[wire]] if wire in letters else torch.eye(2, dtype=torch.complex128)
-            matrix = torch.kron(matrix, pauli)
+        for wire in range(circuit.wires):
+            matrix = torch.kron(matrix, _PAULIS[dict(word).get(wire, "I")])
         matrices.append(matrix)
     return torch.stack(matrices, -1)
-
-
-def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, tables: dict[bytes, Tensor]) -> Tensor:
-    """Noisy expectation values (B, outputs) for x (B, n) and stacked weights (rows, 3, n), no gradients.
-
-    `tables` remembers the polynomials of circuits with small light cones, so that only the first batch pays for them.
-    """
-    x64, w64 = x.detach().double().cpu(), weights.detach().double().cpu()
-    try:
-        grid = interpolation(circuit)
-    except ValueError:
-        return _direct(circuit, x64, w64, noise).to(x)
-    key = repr((circuit, noise)).encode() + w64.contiguous().numpy().tobytes()
-    if key not in tables:
-        if len(grid.points) >= x.shape[0]:
-            return _direct(circuit, x64, w64, noise).to(x)
-        values = _direct(circuit, torch.from_numpy(grid.points), w64, noise)
-        tables[key] = torch.einsum("kcp,pk->kc", torch.from_numpy(grid.matrix), values)
-    return polynomials(circuit, x.detach(), tables[key].to(x))
-
-
-@torch.no_grad()
-def _direct(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
-    n, channels = circuit.wires, kraus(noise)
-    encodings = [i for i, operation in enumerate(circuit.operations) if isinstance(operation, Encoding)]
-    meeting = encodings[-1] + 1 if encodings else 0
-    pulled = _observables(circuit)
-    for operation in reversed(circuit.operations[meeting:]):
-        for step in _steps(operation, n, x, weights, channels, True):
-            pulled = step(pulled)
-    flat = pulled.transpose(0, 1).reshape(4**n, -1)
-    first = encodings[0] if encodings else 0
-    start = torch.zeros(2**n, 2**n, 1, dtype=torch.complex128)
-    start[0, 0] = 1
-    for operation in circuit.operations[:first]:
-        for step in _steps(operation, n, x, weights, channels, False):
-            start = step(start)
-    size = max(1, CHUNK_BYTES // (16 * 4**n))
-    out = []
-    for part in x.split(size):
-        rho = start
-        for operation in circuit.operations[first:meeting]:
-            for step in _steps(operation, n, part, weights, channels, False):
-                rho = step(rho)
-        out.append((rho.reshape(4**n, -1).T @ flat).real.expand(len(part), -1))
-    return torch.cat(out)

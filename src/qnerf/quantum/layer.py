@@ -1,5 +1,6 @@
 """QuantumLayer: a batched data re-uploading circuit as an nn.Module."""
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -9,37 +10,52 @@ from torch import Tensor, nn
 from qnerf.quantum import lightcone, measurement, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, check_wires
 from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.cost_model import Plan, make_plan
+from qnerf.quantum.cost_model import Cost, choose_engine
 from qnerf.quantum.initial_angles import INITS
-from qnerf.quantum.normal_form import compile_program
+from qnerf.quantum.normal_form import normal_form
 
 METHODS = ("auto", "lightcone", "statevector", "pennylane")
 BACKENDS = ("auto", "compiled", "torch")
 
 
 class QuantumLayer(nn.Module):
-    """Expectation values of a parameterised circuit: (..., wires) angles in radians -> (..., wires) in [-1, 1].
+    """Expectation values of a trainable circuit: (..., wires) angles in radians -> (..., outputs) in [-1, 1].
 
-    >>> layer = QuantumLayer(8, 2)
-    >>> layer(torch.randn(1024, 48, 8)).shape
-    torch.Size([1024, 48, 8])
+    >>> layer = QuantumLayer(8, 2)  # 8 wires, the input encoded twice
+    >>> x = torch.randn(64, 3, 8, requires_grad=True)
+    >>> y = layer(x)
+    >>> y.shape, bool(y.abs().max() <= 1)
+    (torch.Size([64, 3, 8]), True)
+    >>> y.sum().backward()
+    >>> layer.weights1.grad.shape, layer.weights2.grad.shape
+    (torch.Size([2, 2, 8, 3]), torch.Size([2, 8, 3]))
+    >>> QuantumLayer(8, 1).cost(6144).method, QuantumLayer(8, 2).cost(6144).method
+    ('lightcone', 'statevector')
 
-    wires      n, 1..14
-    spectral   S, encodings of the input (data re-uploadings), at least 1
-    method     auto: the cheaper exact engine for the batch at hand (`plan` tells which); lightcone: trigonometric
-               polynomials; statevector: simulation; pennylane: a PennyLane device
-    ansatz     a name in `circuit.ANSATZE`; ansatz_options are its keyword-only parameters
-    init       a name in `initial.INITS`; drawn from torch's global generator
-    backend    compiled: CPU code with its own backward; torch: plain PyTorch, any device, differentiable twice; auto:
-               compiled wherever it can run
-    device, diff_method, shots, noise, seed    of method=pennylane, see `pennylane.make_node`
+    Every circuit in `ANSATZE` has one output for each wire.
 
-    Parameters: weights1 (S, 2, n, 3) and weights2 (2, n, 3), angles phi, theta, omega in radians, as in published QIREN
-    checkpoints; 2 are the ansatz's sublayers. float32 and float64; an input of another precision is converted. At
-    angles of up to 1e36 rad, float32 outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32), and never
-    beyond 1. NaN or infinite inputs give NaN.
-    ValueError for a wrong last dimension, integer inputs, wires outside 1..14, unknown names, or a lightcone that
-    does not exist.
+    Args:
+        wires: n, 1 to 14.
+        spectral: S, encodings of the input (data re-uploadings), at least 1.
+        method: auto takes the cheaper exact engine for the batch at hand (`cost` says which); lightcone evaluates
+            trigonometric polynomials, statevector simulates, pennylane runs a PennyLane device.
+        ansatz: a name in `qnerf.quantum.circuit.ANSATZE`.
+        ansatz_options: keyword-only parameters of that ansatz.
+        init: a name in `qnerf.quantum.initial_angles.INITS`. Angles are drawn from torch's global generator.
+        backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device, and can be
+            differentiated twice; auto takes compiled wherever it can run.
+        device, diff_method, shots, noise, seed: of method=pennylane, see `qnerf.quantum.pennylane.make_node`.
+
+    Parameters: `weights1` (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in
+    published QIREN checkpoints. L is the number of sublayers of the ansatz, 2 by default.
+
+    Precision is float32 or float64; an input of another precision is converted. For angles up to 1e36 rad, float32
+    outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32) and never beyond 1. Inputs that are NaN or
+    infinite give NaN.
+
+    Raises:
+        ValueError: a wrong last dimension, integer inputs, wires outside 1..14, an unknown name, or method=lightcone
+            for a circuit without small light cones.
     """
 
     def __init__(
@@ -62,28 +78,25 @@ class QuantumLayer(nn.Module):
         check_wires(wires)
         if isinstance(spectral, bool) or not isinstance(spectral, int) or spectral < 1:
             raise ValueError(f"spectral must be an integer of at least 1, got {spectral!r}")
-        for name, value, known in (("method", method, METHODS), ("backend", backend, BACKENDS)):
-            if value not in known:
-                raise ValueError(f"{name}: unknown name {value!r}; known: {', '.join(known)}")
-        options = {"device": device, "diff_method": diff_method, "shots": shots, "noise": noise, "seed": seed}
-        changed = [key for key, value in options.items() if value != _PENNYLANE_DEFAULTS[key]]
-        if method != "pennylane" and changed:
-            raise ValueError(f"{changed[0]} expects method=pennylane, got method={method}")
+        for name, choice, known in (("method", method, METHODS), ("backend", backend, BACKENDS)):
+            if choice not in known:
+                raise ValueError(f"{name}: unknown name {choice!r}; known: {', '.join(known)}")
         self.circuit: Circuit = ANSATZE.build(ansatz, wires, spectral, **(ansatz_options or {}))
-        self.program = compile_program(self.circuit)
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
         self._node: Callable[[Tensor, Tensor], Tensor] | None = None
+        options = {"device": device, "diff_method": diff_method, "shots": shots, "noise": noise, "seed": seed}
         if method == "pennylane":
-            self._node = pennylane.make_node(
-                self.circuit, device=device, diff_method=diff_method, shots=shots, noise=noise, seed=seed
-            )
-        self._engine = compiled.Engine(self.program)
-        self._cone: lightcone.LightCone | None = None
-        self._plans: dict[tuple[Any, ...], Plan] = {}
-        if method == "lightcone":
-            self._cone = lightcone.LightCone(self.circuit)
-        first, second = self.circuit.shapes
+            self._node = pennylane.make_node(self.circuit, **options)  # type: ignore[arg-type]
+        else:
+            defaults = inspect.signature(pennylane.make_node).parameters
+            for name, value in options.items():
+                if value != defaults[name].default:
+                    raise ValueError(f"{name} expects method=pennylane, got method={method}")
+        self._engine = compiled.StatevectorEngine(normal_form(self.circuit))
+        self._cone = lightcone.LightConeEngine(self.circuit) if method == "lightcone" else None
+        self._costs: dict[tuple[Any, ...], Cost] = {}
+        first, second = self.circuit.weight_shapes
         angles = INITS.get(init)(self.circuit)
         self.weights1 = nn.Parameter(angles[: -second[0]].reshape(first))
         self.weights2 = nn.Parameter(angles[-second[0] :].reshape(second))
@@ -99,23 +112,28 @@ class QuantumLayer(nn.Module):
     def extra_repr(self) -> str:
         return f"wires={self.wires}, spectral={self.spectral}, ansatz={self.circuit.name}, method={self.method}"
 
-    def plan(self, batch: int = 6144) -> Plan:
-        """The engine that `forward` takes for a batch of that size with the parameters' device and precision, and its
-        cost."""
-        return self._plan(batch, self.weights2.device, self.weights2.dtype)
+    def cost(self, batch: int = 6144) -> Cost:
+        """The engine that `forward` takes for a batch, and what a step costs.
 
-    def _plan(self, batch: int, device: torch.device, dtype: torch.dtype) -> Plan:
+        Counts for the device and the precision of the parameters and for PyTorch's present number of threads.
+        """
+        return self._cost(batch, self.weights2.device, self.weights2.dtype)
+
+    plan = cost  # the earlier name
+
+    def _cost(self, batch: int, device: torch.device, dtype: torch.dtype) -> Cost:
         if self._node is not None:
-            return Plan("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
-        compiled = self.backend != "torch" and device.type == "cpu"
-        if self.backend == "compiled" and not compiled:
+            return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
+        on_cpu = device.type == "cpu"
+        if self.backend == "compiled" and not on_cpu:
             raise ValueError(f"backend=compiled expects tensors on the CPU, got {device}; choose auto or torch")
         key = batch, device, dtype, torch.get_num_threads()
-        if key not in self._plans:
-            if len(self._plans) > 1000:
-                self._plans.clear()
-            self._plans[key] = make_plan(self.circuit, self.program, self.method, batch, dtype, compiled)
-        return self._plans[key]
+        if key not in self._costs:
+            if len(self._costs) > 1000:
+                self._costs.clear()
+            compiled = on_cpu and self.backend != "torch"
+            self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
+        return self._costs[key]
 
     def forward(self, x: Tensor) -> Tensor:
         if not torch.is_tensor(x) or not x.is_floating_point():
@@ -126,37 +144,27 @@ class QuantumLayer(nn.Module):
         dtype = torch.promote_types(x.dtype, self.weights2.dtype)
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
         with torch.autocast(x.device.type, enabled=False):
-            flat = x.reshape(-1, self.wires).to(dtype)
-            out = self._outputs(flat, dtype)
+            out = self._outputs(x.reshape(-1, self.wires).to(dtype))
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
-    def _outputs(self, x: Tensor, dtype: torch.dtype) -> Tensor:
-        weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
-        given = self.conditions
-        if given is not None:
-            exact = self._exact(x, weights) if given.needs_exact else None
-            return measurement.measure(self.circuit, x, weights, exact, given)
-        return self._exact(x, weights)
+    def _outputs(self, x: Tensor) -> Tensor:
+        weights = statevector.stacked(self.weights1, self.weights2).to(x.dtype)
+        conditions = self.conditions
+        if conditions is None:
+            return self._exact(x, weights)
+        exact = self._exact(x, weights) if conditions.needs_exact else None
+        return measurement.measure(self.circuit, x, weights, exact, conditions)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
         if self._node is not None:
             return self._node(x, weights.transpose(1, 2))
-        plan = self._plan(x.shape[0], x.device, x.dtype)
-        if plan.method == "lightcone":
-            if plan.backend == "torch":
+        engine = self._cost(x.shape[0], x.device, x.dtype)
+        if engine.method == "lightcone":
+            if engine.backend == "torch":
                 return lightcone.evaluate_reference(self.circuit, x, weights)
             if self._cone is None:
-                self._cone = lightcone.LightCone(self.circuit)
+                self._cone = lightcone.LightConeEngine(self.circuit)
             return lightcone.evaluate(self._cone, x, weights)
-        if plan.backend == "torch":
-            return statevector.evaluate(self.program, x, weights)
+        if engine.backend == "torch":
+            return statevector.evaluate(self._engine.form, x, weights)
         return compiled.evaluate(self._engine, x, weights)
-
-
-_PENNYLANE_DEFAULTS: dict[str, Any] = {
-    "device": "default.qubit",
-    "diff_method": "backprop",
-    "shots": None,
-    "noise": None,
-    "seed": None,
-}

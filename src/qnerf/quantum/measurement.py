@@ -1,4 +1,4 @@
-"""A circuit measured as hardware would: finitely many shots, noisy gates. Outputs carry no gradients."""
+"""Circuits measured as on hardware: with finitely many shots or noisy gates. The outputs carry no gradients."""
 
 from dataclasses import dataclass, field
 
@@ -8,21 +8,26 @@ from torch import Tensor
 
 from qnerf.quantum import density, statevector
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.normal_form import compile_program, parities
-from qnerf.quantum.pennylane import Noise
+from qnerf.quantum.normal_form import normal_form, z_eigenvalues
+from qnerf.quantum.pennylane import Noise, check_shots
 
-CHUNK = 4096
+CHUNK = 4096  # samples whose probabilities are computed at once
 
 
 @dataclass
 class Conditions:
     """How a circuit is measured.
 
-    shots   measurements of each circuit; None: exact expectation values
-    noise   channels behind every gate; None: none
-    joint   True: every shot reads all wires at once, as a device does. False: each output is an independent binomial
-            with its exact probability. Every output alone has the same distribution either way, only correlations
-            between outputs of one sample differ; False is faster. Noisy shots are always independent.
+    Args:
+        shots: measurements of each circuit; None for exact expectation values.
+        noise: channels after every gate; None for none.
+        joint: True reads all wires in every shot, as a device does. False draws each output from its own binomial,
+            which is faster. Every single output has the same distribution either way; only the correlations between
+            the outputs of one sample differ. Noisy shots are always drawn independently.
+        seed: of the shots.
+
+    Raises:
+        ValueError: `shots` is not a positive integer, or `noise` is not a `Noise`.
     """
 
     shots: int | None = None
@@ -30,13 +35,10 @@ class Conditions:
     joint: bool = True
     seed: int = 0
     random: np.random.Generator = field(init=False, repr=False)
-    tables: dict[bytes, Tensor] = field(init=False, repr=False, default_factory=dict)
+    noisy_coefficients: dict[bytes, Tensor] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.shots is not None and (
-            isinstance(self.shots, bool) or not isinstance(self.shots, int) or self.shots < 1
-        ):
-            raise ValueError(f"shots expects a positive integer or None, got {self.shots!r}")
+        check_shots(self.shots)
         if self.noise is not None and not isinstance(self.noise, Noise):
             raise ValueError(f"noise expects a Noise, a depolarizing probability or None, got {self.noise!r}")
         self.random = np.random.default_rng(self.seed)
@@ -52,19 +54,20 @@ class Conditions:
 
 
 @torch.no_grad()
-def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, given: Conditions) -> Tensor:
-    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n); `exact`: expectation values if already
-    known.
+def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, conditions: Conditions) -> Tensor:
+    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n).
+
+    `exact` are the exact expectation values, which `conditions.needs_exact` asks for.
     """
-    if given.noise is not None and given.noisy:
-        exact = density.evaluate(circuit, x, weights, given.noise, given.tables)
-    if given.shots is None:
+    if conditions.noise is not None and conditions.noisy:
+        exact = density.evaluate(circuit, x, weights, conditions.noise, conditions.noisy_coefficients)
+    if conditions.shots is None:
         assert exact is not None
         return exact
-    if given.joint and not given.noisy:
-        return torch.cat([_joint(circuit, part, weights, given) for part in x.split(CHUNK)])
+    if conditions.joint and not conditions.noisy:
+        return torch.cat([_measure_all_wires(circuit, part, weights, conditions) for part in x.split(CHUNK)])
     assert exact is not None
-    return binomial(exact, given.shots, given.random)
+    return binomial(exact, conditions.shots, conditions.random)
 
 
 def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
@@ -75,24 +78,28 @@ def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
     return torch.from_numpy(means).to(exact)
 
 
-def _joint(circuit: Circuit, x: Tensor, weights: Tensor, given: Conditions) -> Tensor:
-    program = compile_program(circuit)
-    assert given.shots is not None
-    chances = statevector.probabilities(program, x.double(), weights.double()).cpu().numpy()
-    if not len(chances):
+def _measure_all_wires(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:
+    form = normal_form(circuit)
+    assert conditions.shots is not None
+    probabilities = statevector.probabilities(form, x.double(), weights.double()).cpu().numpy()
+    if not len(probabilities):
         return x.new_zeros(0, len(circuit.observables))
-    counts = multinomial(given.shots, np.nan_to_num(chances), given.random)
-    means = counts @ parities(program.words, program.wires).T / given.shots
-    means[np.isnan(chances).any(1)] = np.nan
+    counts = multinomial(conditions.shots, np.nan_to_num(probabilities), conditions.random)
+    means = counts @ z_eigenvalues(form.measured, form.wires).T / conditions.shots
+    means[np.isnan(probabilities).any(1)] = np.nan
     return torch.from_numpy(means).to(x)
 
 
-def multinomial(shots: int, chances: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Counts (B, 2^n) of `shots` draws from each row: wire after wire, a binomial among those that agree so far."""
-    batch, size = chances.shape
+def multinomial(shots: int, probabilities: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Counts (B, 2^n) of `shots` bit strings for each row of probabilities.
+
+    Wire after wire, a binomial splits the shots that agree so far. NumPy's `Generator.multinomial` would draw other
+    counts from the same seed, and stored results name their seeds.
+    """
+    batch, size = probabilities.shape
     counts = np.full((batch, 1), shots, dtype=np.int64)
     while counts.shape[1] < size:
-        halves = chances.reshape(batch, counts.shape[1] * 2, -1).sum(-1).reshape(batch, -1, 2)
+        halves = probabilities.reshape(batch, counts.shape[1] * 2, -1).sum(-1).reshape(batch, -1, 2)
         total = halves.sum(-1)
         zero = np.divide(halves[..., 0], total, out=np.zeros_like(total), where=total > 0)
         first = random.binomial(counts, np.clip(zero, 0, 1))

@@ -1,6 +1,7 @@
-"""The circuit on PennyLane: the reference of the other engines, and the way to shots, noise and hardware.
+"""The circuit on PennyLane: the reference of the engines, and the way to other devices, their shots and their noise.
 
-Built from the description alone, gate by gate, so that it shares nothing with the engines it checks.
+It is built from the circuit's description gate by gate, and shares nothing with the engines that it checks. PennyLane
+is imported on first use: `import qnerf` stays quick.
 """
 
 from collections.abc import Callable
@@ -14,10 +15,25 @@ from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
 
 DIFF_METHODS = ("backprop", "parameter-shift", "adjoint")
 
+CHANNELS = {
+    "depolarizing": "DepolarizingChannel",
+    "amplitude_damping": "AmplitudeDamping",
+    "phase_damping": "PhaseDamping",
+    "bit_flip": "BitFlip",
+}
+"""Field of `Noise` -> PennyLane's channel, in the order in which they follow a gate."""
+
 
 @dataclass(frozen=True)
 class Noise:
-    """Channels behind every gate, on each wire that it touches; probabilities in [0, 1]."""
+    """Channels after every gate, on each wire that the gate touches; probabilities in [0, 1].
+
+    >>> Noise(depolarizing=0.01, bit_flip=0.002).channels
+    [('DepolarizingChannel', 0.01), ('BitFlip', 0.002)]
+
+    Raises:
+        ValueError: a value that is no probability.
+    """
 
     depolarizing: float = 0.0
     amplitude_damping: float = 0.0
@@ -31,46 +47,58 @@ class Noise:
 
     @property
     def any(self) -> bool:
-        return any(vars(self).values())
+        return bool(self.channels)
+
+    @property
+    def channels(self) -> list[tuple[str, float]]:
+        """PennyLane's name and the probability of each channel that is not 0."""
+        return [(channel, vars(self)[name]) for name, channel in CHANNELS.items() if vars(self)[name]]
+
+    def kraus_operators(self) -> list[list[Tensor]]:
+        """For each channel its Kraus operators (2, 2), complex128."""
+        import pennylane as qml
+
+        return [
+            [torch.from_numpy(k).to(torch.complex128) for k in getattr(qml, name).compute_kraus_matrices(p)]
+            for name, p in self.channels
+        ]
+
+
+def check_shots(shots: int | None) -> None:
+    """ValueError unless `shots` is a positive integer or None."""
+    if shots is not None and (isinstance(shots, bool) or not isinstance(shots, int) or shots < 1):
+        raise ValueError(f"shots expects a positive integer or None, got {shots!r}")
 
 
 def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) -> None:
-    """Queues the circuit's gates. x (n,) or (B, n); weights (rows, n, 3)."""
+    """Queues the circuit's gates inside a QNode, for x (n,) or (B, n) and weights (rows, n, 3)."""
     import pennylane as qml
 
-    def channels(*wires: int) -> None:
-        if noise is None:
-            return
+    def add_noise(*wires: int) -> None:
         for wire in wires:
-            if noise.depolarizing:
-                qml.DepolarizingChannel(noise.depolarizing, wires=wire)
-            if noise.amplitude_damping:
-                qml.AmplitudeDamping(noise.amplitude_damping, wires=wire)
-            if noise.phase_damping:
-                qml.PhaseDamping(noise.phase_damping, wires=wire)
-            if noise.bit_flip:
-                qml.BitFlip(noise.bit_flip, wires=wire)
+            for name, probability in noise.channels if noise is not None else ():
+                getattr(qml, name)(probability, wires=wire)
 
     for operation in circuit.operations:
         if isinstance(operation, Rotations):
             for wire in range(circuit.wires):
                 phi, theta, omega = (weights[operation.row, wire, k] for k in range(3))
                 qml.Rot(phi, theta, omega, wires=wire)
-                channels(wire)
+                add_noise(wire)
         elif isinstance(operation, Entangler):
             for pair in operation.pairs:
                 getattr(qml, operation.gate)(wires=pair)
-                channels(*pair)
+                add_noise(*pair)
         else:
             assert isinstance(operation, Encoding)
             gate = getattr(qml, f"R{operation.axis}")
             for wire in range(circuit.wires):
                 gate(operation.scales[wire] * x[..., wire], wires=wire)
-                channels(wire)
+                add_noise(wire)
 
 
 def observables(circuit: Circuit) -> list[Any]:
-    """PennyLane's observables of the circuit's words."""
+    """The circuit's Pauli words as PennyLane observables."""
     import pennylane as qml
 
     def letter(wire: int, name: str) -> Any:
@@ -80,8 +108,18 @@ def observables(circuit: Circuit) -> list[Any]:
     return [qml.prod(*word) if len(word) > 1 else word[0] if word else qml.Identity(0) for word in words]
 
 
+def _quantum_function(circuit: Circuit, noise: Noise | None) -> Callable[[Any, Any], list[Any]]:
+    import pennylane as qml
+
+    def quantum_function(x: Any, weights: Any) -> list[Any]:
+        apply(circuit, x, weights, noise)
+        return [qml.expval(observable) for observable in observables(circuit)]
+
+    return quantum_function
+
+
 def make_device(name: str, wires: int, seed: int | None = None) -> Any:
-    """A PennyLane device by name; ValueError lists the installed ones."""
+    """A PennyLane device by its name. The ValueError for an unknown one lists those that are installed."""
     import pennylane as qml
 
     try:
@@ -101,29 +139,31 @@ def make_node(
     noise: Noise | None = None,
     seed: int | None = None,
 ) -> Callable[[Tensor, Tensor], Tensor]:
-    """A function of x (B, n) and weights (rows, n, 3) that returns (B, outputs).
+    """A function of x (B, n) in radians and weights (rows, n, 3) that returns expectation values (B, outputs).
 
-    device       any PennyLane device; noise needs one that takes channels, such as default.mixed
-    diff_method  backprop, parameter-shift (the only one with shots) or adjoint
-    shots        None: exact expectation values
+    Args:
+        circuit: what is run.
+        device: any PennyLane device. Noise needs one that takes channels, such as default.mixed.
+        diff_method: backprop, parameter-shift (the only one with shots) or adjoint.
+        shots: of each circuit; None for exact expectation values.
+        noise: channels after every gate.
+        seed: of the device's shots.
+
+    Raises:
+        ValueError: an unknown device or `diff_method`, or options that do not go together.
     """
     import pennylane as qml
 
     if diff_method not in DIFF_METHODS:
         raise ValueError(f"diff_method: unknown name {diff_method!r}; known: {', '.join(DIFF_METHODS)}")
-    if shots is not None and (isinstance(shots, bool) or not isinstance(shots, int) or shots < 1):
-        raise ValueError(f"shots expects a positive integer or None, got {shots!r}")
+    check_shots(shots)
     if shots is not None and diff_method != "parameter-shift":
         raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
     target = make_device(device, circuit.wires, seed)
-    # Broadcasting of the batch is left out where gradients or channels do not know it.
+    # Only backprop without channels can broadcast over the batch.
     broadcast = diff_method == "backprop" and (noise is None or not noise.any)
 
-    def quantum_function(x: Any, weights: Any) -> Any:
-        apply(circuit, x, weights, noise)
-        return [qml.expval(observable) for observable in observables(circuit)]
-
-    node = qml.QNode(quantum_function, target, interface="torch", diff_method=diff_method)
+    node = qml.QNode(_quantum_function(circuit, noise), target, interface="torch", diff_method=diff_method)
     if shots is not None:
         node = qml.set_shots(node, shots)
 
@@ -139,15 +179,15 @@ def make_node(
 
 
 def draw(circuit: Circuit) -> str:
-    """`qml.draw` of the circuit, with x0, x1, ... for the inputs."""
+    """The circuit as `qml.draw` shows it, without angles.
+
+    >>> from qnerf.quantum.circuit import ANSATZE
+    >>> print(draw(ANSATZE.build("rx", 2, 1)))
+    0: ──Rot─╭●─╭Z──Rot─╭●─╭Z──RX──Rot─╭●─╭Z──Rot─╭●─╭Z─┤  <Z>
+    1: ──Rot─╰Z─╰●──Rot─╰Z─╰●──RX──Rot─╰Z─╰●──Rot─╰Z─╰●─┤  <Z>
+    """
     import pennylane as qml
 
     weights = torch.zeros(circuit.rows, circuit.wires, 3)
-    device = qml.device("default.qubit", wires=circuit.wires)
-
-    def quantum_function(x: Any) -> Any:
-        apply(circuit, x, weights)
-        return [qml.expval(observable) for observable in observables(circuit)]
-
-    node = qml.QNode(quantum_function, device)
-    return str(qml.draw(node, decimals=None, max_length=200)(torch.zeros(circuit.wires)))
+    node = qml.QNode(_quantum_function(circuit, None), qml.device("default.qubit", wires=circuit.wires))
+    return str(qml.draw(node, decimals=None, max_length=200)(torch.zeros(circuit.wires), weights))

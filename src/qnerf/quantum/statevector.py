@@ -1,82 +1,91 @@
-"""State-vector simulation in plain PyTorch: any description, any device, the reference of the compiled engine.
+"""State-vector simulation in plain PyTorch: any circuit, any device. It is the reference of the compiled engine.
 
-The state is complex (2^n, B), amplitudes first. Until the first encoding B is 1: that part is done once a step.
-Diagonals are one complex product, a layer of RY a few real matrix products on groups of wires. Large batches go
-through in chunks that are recomputed in the backward pass, so that peak memory does not grow with the batch.
+The state is complex (2^n, B), amplitudes first. Up to the first encoding B is 1, so that part runs once for the whole
+batch. A diagonal is one complex product; a layer of RY is a few real matrix products on groups of wires. Large batches
+go through in chunks that are computed again in the backward pass, so that peak memory does not grow with the batch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import frexp
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from qnerf.quantum.normal_form import Angles, Permute, Phase, Program, Turn, parities, signs, sources
+from qnerf.quantum.normal_form import Angles, Diagonal, NormalForm, RYLayer, cnot_permutation, cz_signs, z_eigenvalues
 
 GROUP = 4  # wires in one dense real matrix
-TAPE_BYTES = 2**28  # what autograd may keep of one chunk
+CHUNK_BYTES = 2**28  # what autograd may store for one chunk
 
 
 def stacked(weights1: Tensor, weights2: Tensor) -> Tensor:
-    """(S, L, n, 3) and (L, n, 3) -> (rows, 3, n)."""
+    """The stacked weights that every engine takes: (S, L, n, 3) and (L, n, 3) -> (rows, 3, n)."""
     n = weights2.shape[-2]
     return torch.cat([weights1.reshape(-1, n, 3), weights2.reshape(-1, n, 3)]).transpose(1, 2)
 
 
-def evaluate(program: Program, x: Tensor, weights: Tensor) -> Tensor:
+def evaluate(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
     """Expectation values (B, outputs) for inputs x (B, n) in radians and stacked weights (rows, 3, n)."""
-    size = chunk_size(program, x.element_size())
+    size = chunk_size(form, x.element_size())
     if x.shape[0] <= size:
-        return _expectations(program, x, weights)
+        return _expectations(form, x, weights)
     if not torch.is_grad_enabled() or not (x.requires_grad or weights.requires_grad):
-        return torch.cat([_expectations(program, part, weights) for part in x.split(size)])
+        return torch.cat([_expectations(form, part, weights) for part in x.split(size)])
     parts = [
-        checkpoint(_expectations, program, part, weights, use_reentrant=False, preserve_rng_state=False)
+        checkpoint(_expectations, form, part, weights, use_reentrant=False, preserve_rng_state=False)
         for part in x.split(size)
     ]
     return torch.cat(parts)
 
 
-def chunk_size(program: Program, item: int) -> int:
-    """Samples whose tape stays below TAPE_BYTES."""
-    kept = 3 * (len(program.steps) - program.fixed_steps + 1)
-    return max(1, TAPE_BYTES // (kept * 2 * item * 2**program.wires))
+def chunk_size(form: NormalForm, itemsize: int) -> int:
+    """How many samples autograd can store in CHUNK_BYTES, at least 1."""
+    stored_states = 3 * (len(form.steps) - form.fixed_steps + 1)
+    return max(1, CHUNK_BYTES // (stored_states * 2 * itemsize * 2**form.wires))
 
 
-def probabilities(program: Program, x: Tensor, weights: Tensor) -> Tensor:
+def probabilities(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
     """Probabilities (B, 2^n) of the measured bit strings; wire 0 is the most significant bit."""
-    state = final_state(program, x, weights)
-    return (state.real.square() + state.imag.square()).T
+    return _squared(final_state(form, x, weights)).T
 
 
-def final_state(program: Program, x: Tensor, weights: Tensor) -> Tensor:
-    """State (2^n, B) before measuring Z, up to phases of the amplitudes."""
-    state = torch.zeros(2**program.wires, 1, dtype=x.dtype.to_complex(), device=x.device)
+def final_state(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
+    """The state (2^n, B) before Z is measured, up to phases of the amplitudes."""
+    state = torch.zeros(2**form.wires, 1, dtype=x.dtype.to_complex(), device=x.device)
     state[0] = 1
     weights = weights.double()  # angles are added up before they are rounded
-    for step in program.steps:
-        if isinstance(step, Phase):
+    for step in form.steps:
+        if isinstance(step, Diagonal):
             state = state * _diagonal(step, x, weights)
-        elif isinstance(step, Turn):
-            state = _turn(state, *_half(step.angles, x, weights))
+        elif isinstance(step, RYLayer):
+            state = _apply_ry(state, *_cos_sin_of_half(step.angles, x, weights))
         else:
-            state = state[_sources(step, program.wires, x.device)]
+            state = state[_table(cnot_permutation, step.pairs, form.wires, x.device, None)]
     return state.expand(-1, x.shape[0])
 
 
-def _expectations(program: Program, x: Tensor, weights: Tensor) -> Tensor:
-    state = final_state(program, x, weights)
-    table = _parities(program.words, program.wires, x.dtype, x.device)
-    values = (table @ (state.real.square() + state.imag.square())).T
-    return values + (values.clamp(-1, 1) - values).detach()  # rounding may lead beyond; gradients pass as they are
+def _squared(state: Tensor) -> Tensor:
+    return state.real.square() + state.imag.square()
 
 
-def waves(x: Tensor, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
+def _expectations(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
+    eigenvalues = _table(z_eigenvalues, form.measured, form.wires, x.device, x.dtype)
+    return clipped((eigenvalues @ _squared(final_state(form, x, weights))).T)
+
+
+def clipped(values: Tensor) -> Tensor:
+    """The values within [-1, 1], which rounding may leave; gradients pass as they are."""
+    return values + (values.clamp(-1, 1) - values).detach()
+
+
+def cos_sin(x: Tensor, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
     """cos and sin (n, B) of the inputs x (B, n) in radians times a factor for each wire.
 
-    Products that the inputs' dtype would round are taken in float64: of an angle of 1e3 an error of 1e-4 would be left.
+    A product that the dtype of the inputs would round is taken in float64: at an angle of 1e3 the rounding alone would
+    be an error of 1e-4.
     """
     exact = all(abs(frexp(factor)[0]) in (0, 0.5) for factor in factors)
     angles = (x if exact else x.double()).T
@@ -84,13 +93,13 @@ def waves(x: Tensor, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
     return angles.cos().to(x.dtype), angles.sin().to(x.dtype)
 
 
-def _half(angles: Angles, x: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """cos and sin of half the angles: (n, 1), or (n, B) where the input takes part. weights: float64.
+def _cos_sin_of_half(angles: Angles, x: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """cos and sin of half the angles: (n, 1), or (n, B) if they depend on the input. weights: float64.
 
-    The input's part is not added to the fixed one: of a large input and a small weight the sum would lose the weight.
+    The input's part and the fixed part are not added up: a large input plus a small weight would round the weight away.
     """
     total = weights.new_zeros(x.shape[1])
-    for row, kind in angles.entries:
+    for row, kind in angles.weights:
         total = total + weights[row, kind]
     if angles.constant is not None:
         total = total + total.new_tensor(angles.constant)
@@ -98,25 +107,25 @@ def _half(angles: Angles, x: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     c, s = half.cos().to(x.dtype), half.sin().to(x.dtype)
     if angles.scales is None:
         return c, s
-    u, v = waves(x, [scale / 2 for scale in angles.scales])
+    u, v = cos_sin(x, [scale / 2 for scale in angles.scales])
     return c * u - s * v, s * u + c * v
 
 
-def _diagonal(step: Phase, x: Tensor, weights: Tensor) -> Tensor:
-    sign = _signs(step.pairs, x.shape[1], x.dtype, x.device)[:, None]
+def _diagonal(step: Diagonal, x: Tensor, weights: Tensor) -> Tensor:
+    sign = _table(cz_signs, step.pairs, x.shape[1], x.device, x.dtype)[:, None]
     if step.angles == Angles():
         return sign
-    cosine, sine = _half(step.angles, x, weights)
+    cosine, sine = _cos_sin_of_half(step.angles, x, weights)
     factors = torch.complex(cosine, -sine)  # of bit 0; bit 1 has the conjugate
-    table = torch.stack([factors[0], factors[0].conj()])
+    phases = torch.stack([factors[0], factors[0].conj()])
     for factor in factors[1:]:
-        table = torch.stack([table * factor, table * factor.conj()], dim=1).flatten(0, 1)
-    return table * sign
+        phases = torch.stack([phases * factor, phases * factor.conj()], dim=1).flatten(0, 1)
+    return phases * sign
 
 
-def _turn(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
+def _apply_ry(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     if cosine.shape[1] != 1:
-        return _turn_each(state, cosine, sine)
+        return _apply_ry_per_sample(state, cosine, sine)
     pairs = torch.view_as_real(state.contiguous())
     for first in range(0, len(cosine), GROUP):
         group = range(first, min(first + GROUP, len(cosine)))
@@ -129,7 +138,7 @@ def _turn(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     return torch.view_as_complex(pairs)
 
 
-def _turn_each(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
+def _apply_ry_per_sample(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     """RY with another angle for each sample."""
     state = state.expand(-1, cosine.shape[1])
     shape = state.shape
@@ -141,16 +150,9 @@ def _turn_each(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     return state
 
 
-@lru_cache(maxsize=512)
-def _signs(pairs: tuple[tuple[int, int], ...], wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return torch.from_numpy(signs(pairs, wires)).to(device, dtype)
-
-
-@lru_cache(maxsize=64)
-def _parities(words: tuple[frozenset[int], ...], wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return torch.from_numpy(parities(words, wires)).to(device, dtype)
-
-
-@lru_cache(maxsize=64)
-def _sources(step: Permute, wires: int, device: torch.device) -> Tensor:
-    return torch.from_numpy(sources(step, wires)).to(device)
+@lru_cache(maxsize=1024)
+def _table(
+    build: Callable[[Any, int], np.ndarray], gates: Any, wires: int, device: torch.device, dtype: torch.dtype | None
+) -> Tensor:
+    """`build(gates, wires)` on a device; `dtype` None keeps its own."""
+    return torch.from_numpy(build(gates, wires)).to(device, dtype)

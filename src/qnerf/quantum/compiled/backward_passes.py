@@ -1,55 +1,62 @@
-"""Compiled passes of the backward sweep; layout as in `passes`.
+"""Compiled backward passes: adjoint differentiation of each step, in the memory layout of `forward_passes`.
 
-The dual state is lambda = sum_k g_k O_k |psi> at the end, and is pulled back gate by gate. The gradient of an angle
-whose generator is G / 2 is Im <lambda| G |psi>. Passes that only read are arranged so that each chunk of states is
-met once.
+The adjoint state starts as sum_k g_k O_k |psi>, with g_k the gradients of the outputs, and is carried back gate by gate
+beside the state. The gradient of an angle whose generator is G / 2 is Im <adjoint| G |psi>. Passes that only read are
+arranged so that each chunk of the states is loaded once.
 """
 
 from typing import Any
 
-from qnerf.quantum.compiled.forward_passes import fold
+from qnerf.quantum.compiled.forward_passes import z_sums
 from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, store
-from qnerf.quantum.compiled.wire_blocks import gradient_block, mix_block
+from qnerf.quantum.compiled.wire_blocks import add_x_block, ry_gradient_block
 
 LOW = 5  # wires whose amplitudes (2^LOW vectors of two states) stay in the first-level cache
 
 
 @inner
-def _gradient(
-    x: Any, state: int, dual: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int
+def _ry_gradient_group(
+    x: Any, state: int, adjoint: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int
 ) -> None:
-    """Adds to the vectors at `out` of a few neighbouring wires."""
+    """Adds the gradients of a few neighbouring wires to the vectors at `out`."""
     keep_apart()
     real, imaginary = zeros, zeros
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
-            real = gradient_block(x, state + i, dual + i, distance, real)
-            imaginary = gradient_block(x, state + i + size, dual + i + size, distance, imaginary)
+            real = ry_gradient_block(x, state + i, adjoint + i, distance, real)
+            imaginary = ry_gradient_block(x, state + i + size, adjoint + i + size, distance, imaginary)
     for j in range(len(zeros) >> 1):
         value = (real[2 * j] - real[2 * j + 1]) + (imaginary[2 * j] - imaginary[2 * j + 1])
         store(x, out + j * width, load(x, out + j * width) + value)
 
 
 @inner
-def _gradients(x: Any, state: int, dual: int, wires: int, below: int, size: int, width: int, out: int) -> None:
-    """`wires` neighbouring wires with `below` less significant ones."""
+def _ry_gradients(x: Any, state: int, adjoint: int, wires: int, below: int, size: int, width: int, out: int) -> None:
+    """Adds the gradients of `wires` neighbouring wires with `below` less significant ones."""
     keep_apart()
     zero = splat(x.dtype.type(0))
     j = 0
     while wires - j >= 3:
         six = (zero, zero, zero, zero, zero, zero)
-        _gradient(x, state, dual, 1 << j, width << (below + wires - j - 3), size, width, six, out + j * width)
+        _ry_gradient_group(
+            x, state, adjoint, 1 << j, width << (below + wires - j - 3), size, width, six, out + j * width
+        )
         j += 3
     if wires - j == 2:
-        _gradient(x, state, dual, 1 << j, width << below, size, width, (zero, zero, zero, zero), out + j * width)
+        _ry_gradient_group(
+            x, state, adjoint, 1 << j, width << below, size, width, (zero, zero, zero, zero), out + j * width
+        )
     elif wires - j == 1:
-        _gradient(x, state, dual, 1 << j, width << below, size, width, (zero, zero), out + j * width)
+        _ry_gradient_group(x, state, adjoint, 1 << j, width << below, size, width, (zero, zero), out + j * width)
 
 
 @inner
-def turn_gradient(x: Any, state: int, dual: int, n: int, width: int, out: int) -> None:
-    """Sum over pairs of Re(conj(dual_1) state_0 - conj(dual_0) state_1), for each wire a vector at `out`."""
+def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int) -> None:
+    """Gradients of an RY layer, one vector for each wire at `out`.
+
+    Each is the sum over pairs of Re(conj(adjoint_1) state_0 - conj(adjoint_0) state_1).
+    """
     keep_apart()
     size = width << n
     zero = splat(x.dtype.type(0))
@@ -58,16 +65,15 @@ def turn_gradient(x: Any, state: int, dual: int, n: int, width: int, out: int) -
     low = min(n, LOW)
     chunk = width << low
     for c in range(1 << (n - low)):
-        _gradients(x, state + c * chunk, dual + c * chunk, low, 0, size, width, out + (n - low) * width)
-    _gradients(x, state, dual, n - low, low, size, width, out)
+        _ry_gradients(x, state + c * chunk, adjoint + c * chunk, low, 0, size, width, out + (n - low) * width)
+    _ry_gradients(x, state, adjoint, n - low, low, size, width, out)
 
 
 @inner
-def phase_pull(
-    x: Any, state: int, dual: int, n: int, width: int, table: Any, phases: int, mask: int, q: int, out: int
+def diagonal_backward(
+    x: Any, state: int, adjoint: int, n: int, width: int, table: Any, phases: int, mask: int, q: int, out: int
 ) -> None:
-    """Gradients sum_b z_j Im(conj(dual) state) for each wire at `out`; then the dual is pulled back through the
-    diagonal."""
+    """Gradients of a diagonal for each wire, sum_b z_j Im(conj(adjoint) state); takes the diagonal off the adjoint."""
     keep_apart()
     size = width << n
     half = size >> 1
@@ -76,10 +82,10 @@ def phase_pull(
         for b in range(1 << n):
             i = b * width
             u, v = splat(table[0, b]), splat(table[1, b])
-            r, s = load(x, dual + i), load(x, dual + size + i)
+            r, s = load(x, adjoint + i), load(x, adjoint + size + i)
             store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
-            store(x, dual + i, u * r + v * s)
-            store(x, dual + size + i, u * s - v * r)
+            store(x, adjoint + i, u * r + v * s)
+            store(x, adjoint + size + i, u * s - v * r)
     else:
         flip = (1 << n) - 1
         for k in range(1 << (n - 1)):
@@ -88,44 +94,44 @@ def phase_pull(
                 b = k ^ mask ^ (flip * side)
                 i = b * width
                 u, v = splat(table[0, b]), splat(table[1, b])
-                r, s = load(x, dual + i), load(x, dual + size + i)
+                r, s = load(x, adjoint + i), load(x, adjoint + size + i)
                 store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
                 r, s = u * r + v * s, u * s - v * r
-                store(x, dual + i, c * r + e * s)
-                store(x, dual + size + i, c * s - e * r)
+                store(x, adjoint + i, c * r + e * s)
+                store(x, adjoint + size + i, c * s - e * r)
                 e = zero - e
-    fold(x, q, n, width, out)
+    z_sums(x, q, n, width, out)
 
 
 @inner
-def start_pull(
-    x: Any, state: int, dual: int, n: int, width: int, phases: int, mask: int, q: int, out: int, total: int
+def start_backward(
+    x: Any, state: int, adjoint: int, n: int, width: int, phases: int, mask: int, q: int, out: int, total: int
 ) -> None:
-    """As `phase_pull` for the first encoding; adds the dual of the common starting state to the vectors at `total`."""
+    """As `diagonal_backward` for the first encoding; adds the adjoint of the common first state to `total`."""
     keep_apart()
     size = width << n
     half = size >> 1
     zero = splat(x.dtype.type(0))
     if phases < 0:
         for k in range(0, 2 * size, width):
-            store(x, total + k, load(x, total + k) + load(x, dual + k))
+            store(x, total + k, load(x, total + k) + load(x, adjoint + k))
         return
     flip = (1 << n) - 1
     for k in range(1 << (n - 1)):
         c, e = load(x, phases + k * width), load(x, phases + half + k * width)
         for side in range(2):
             i = (k ^ mask ^ (flip * side)) * width
-            r, s = load(x, dual + i), load(x, dual + size + i)
+            r, s = load(x, adjoint + i), load(x, adjoint + size + i)
             store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
             store(x, total + i, load(x, total + i) + c * r + e * s)
             store(x, total + size + i, load(x, total + size + i) + c * s - e * r)
             e = zero - e
-    fold(x, q, n, width, out)
+    z_sums(x, q, n, width, out)
 
 
 @inner
-def _sums(x: Any, weight: int, wires: int, width: int, out: int) -> None:
-    """sum_j z_j(b) weight_j for the 2^wires states b of some wires."""
+def _z_sums_of_weights(x: Any, weight: int, wires: int, width: int, out: int) -> None:
+    """sum_j z_j(b) weight_j for the 2^wires basis states b of a few wires."""
     keep_apart()
     store(x, out, splat(x.dtype.type(0)))
     for j in range(wires):
@@ -137,38 +143,39 @@ def _sums(x: Any, weight: int, wires: int, width: int, out: int) -> None:
 
 
 @inner
-def _mix(x: Any, state: int, dual: int, outer: int, distance: int, width: int, weights: Any) -> None:
-    """dual += sum_j weight_j X_j state for a few neighbouring wires."""
+def _add_x_group(x: Any, state: int, adjoint: int, outer: int, distance: int, width: int, weights: Any) -> None:
+    """adjoint += sum_j weight_j X_j state for a few neighbouring wires."""
     keep_apart()
     span = distance << len(weights)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
-            mix_block(x, state + i, dual + i, distance, weights)
+            add_x_block(x, state + i, adjoint + i, distance, weights)
 
 
 @inner
-def _mixes(x: Any, state: int, dual: int, wires: int, below: int, width: int, weight: int) -> None:
+def _add_x(x: Any, state: int, adjoint: int, wires: int, below: int, width: int, weight: int) -> None:
+    """adjoint += sum_j weight_j X_j state for `wires` neighbouring wires with `below` less significant ones."""
     keep_apart()
     j = 0
     while wires - j >= 4:
         k = weight + j * width
         four = (load(x, k), load(x, k + width), load(x, k + 2 * width), load(x, k + 3 * width))
-        _mix(x, state, dual, 1 << j, width << (below + wires - j - 4), width, four)
+        _add_x_group(x, state, adjoint, 1 << j, width << (below + wires - j - 4), width, four)
         j += 4
     while j < wires:
-        _mix(x, state, dual, 1 << j, width << (below + wires - j - 1), width, (load(x, weight + j * width),))
+        _add_x_group(x, state, adjoint, 1 << j, width << (below + wires - j - 1), width, (load(x, weight + j * width),))
         j += 1
 
 
 @inner
-def observe(x: Any, state: int, dual: int, n: int, width: int, weight: int, q: int) -> None:
-    """dual = sum_j (a_j Z_j + b_j X_j) state; the vectors a, then b, lie at `weight`."""
+def apply_observables(x: Any, state: int, adjoint: int, n: int, width: int, weight: int, q: int) -> None:
+    """adjoint = sum_j (a_j Z_j + b_j X_j) state; the vectors a, then b, lie at `weight`."""
     keep_apart()
     size = width << n
     low = min(n, 4)
     inner, high = 1 << low, n - low
-    _sums(x, weight + high * width, low, width, q)
-    _sums(x, weight, high, width, q + inner * width)
+    _z_sums_of_weights(x, weight + high * width, low, width, q)
+    _z_sums_of_weights(x, weight, high, width, q + inner * width)
     flip = weight + n * width
     for h in range(1 << high):
         above = load(x, q + (inner + h) * width)
@@ -176,9 +183,9 @@ def observe(x: Any, state: int, dual: int, n: int, width: int, weight: int, q: i
         for k in range(inner):
             a = above + load(x, q + k * width)
             i = first + k * width
-            store(x, dual + i, a * load(x, state + i))
-            store(x, dual + size + i, a * load(x, state + size + i))
+            store(x, adjoint + i, a * load(x, state + i))
+            store(x, adjoint + size + i, a * load(x, state + size + i))
         for part in range(first, first + 2 * size, size):
-            _mixes(x, state + part, dual + part, low, 0, width, flip + high * width)
+            _add_x(x, state + part, adjoint + part, low, 0, width, flip + high * width)
     for part in range(0, 2 * size, size):
-        _mixes(x, state + part, dual + part, high, low, width, flip)
+        _add_x(x, state + part, adjoint + part, high, low, width, flip)

@@ -1,16 +1,20 @@
-"""The compiled state-vector engine: CPU, float32 and float64, with its own adjoint backward.
+"""The compiled state-vector engine: CPU, float32 and float64, with adjoint differentiation of its own.
 
-Per step: angles become tables (`binding.bind`) and the part of the circuit before the first encoding is applied to one
-state. Per block of samples: the rest of the circuit, and the closing RY layer only as a rotation of what is measured.
-The backward pass runs the block again, keeping the state before each RY layer (in cache, a few hundred KiB), then pulls
-the dual state sum_k g_k O_k |psi> back gate by gate: every gradient is one inner product of the two states. Nothing
-is stored between forward and backward except <Z> and <X>, so memory does not depend on S.
+Once a step, the weights become tables (`tables.bind_weights`), and the part of the circuit before the first encoding is
+applied to one state. Then every block of samples goes through the rest of the circuit. The last RY layer is not
+applied; it only rotates what is measured.
 
-Sums over samples are taken over a fixed number of parts in a fixed order: results do not depend on the number of
+The backward pass runs each block again and stores the state before each RY layer (in cache, a few hundred KiB). Then it
+carries the adjoint state sum_k g_k O_k |psi> back gate by gate, so that every gradient is one inner product of the two
+states. Between forward and backward only <Z> and <X> are stored: memory does not depend on S.
+
+Sums over samples are taken over a fixed number of parts in a fixed order, so results do not depend on the number of
 threads.
+
+Shapes: n wires; `width` samples in a block; `encodings` different scales of the input; `steps` of the normal form.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,125 +22,180 @@ from torch import Tensor
 
 from qnerf.kernels.jit import jit, run
 from qnerf.quantum.compiled import backward_passes, forward_passes
-from qnerf.quantum.compiled.binding import PERMUTE, PHASE, START, TURN, TURN_EACH, Tape, bind, record, unbind
 from qnerf.quantum.compiled.simd import inner, keep_apart, lanes, load, splat, start_of_line, store
-from qnerf.quantum.normal_form import Program
+from qnerf.quantum.compiled.tables import (
+    DIAGONAL,
+    PERMUTATION,
+    RY,
+    RY_PER_SAMPLE,
+    START,
+    CircuitArrays,
+    add_weight_gradients,
+    bind_weights,
+    circuit_arrays,
+)
+from qnerf.quantum.normal_form import NormalForm
 
-PARTS = 32
+PARTS = 32  # sums of gradients over a batch
+
+
+class Layout(NamedTuple):
+    """Where the parts of a thread's flat work array begin. A state takes 2 width 2^n elements."""
+
+    state: int  # one state, or all that the backward pass stores
+    adjoint: int  # the adjoint state, and a spare one
+    scratch: int  # 2^n + 1 vectors
+    first_adjoint: int  # the adjoint of the state that all samples start from
+    phases: int  # encodings x 2^n vectors: the input's phases of the basis states
+    trig: int  # encodings x 2 n vectors: cos and sin of half the encoding angles
+    half_angles: int  # 2 n vectors: cos and sin of half an RY_PER_SAMPLE's angles
+    sums: int  # steps x n vectors: gradients of the angles, summed over blocks
+    inputs: int  # n vectors: gradients of the inputs
+    gradients: int  # 2 n vectors: of the step at hand
+    factors: int  # 2 n vectors: of Z and X in the observable
+    end: int
 
 
 @inner
-def _rotate(x: Any, cosines: int, n: int, width: int, fixed: Any, flips: Any, out: int) -> None:
-    """Vectors of cos and sin of half of (input angle + fixed angle)."""
+def _layout(start: int, n: int, width: int, states: int, encodings: int, steps: int) -> Layout:
+    size = width << n
+    adjoint = start + 2 * states * size
+    scratch = adjoint + 4 * size
+    first_adjoint = scratch + size + width
+    phases = first_adjoint + 2 * size
+    trig = phases + encodings * size
+    half_angles = trig + 2 * encodings * n * width
+    sums = half_angles + 2 * n * width
+    inputs = sums + steps * n * width
+    gradients = inputs + n * width
+    factors = gradients + 2 * n * width
+    end = factors + 2 * n * width
+    return Layout(
+        start, adjoint, scratch, first_adjoint, phases, trig, half_angles, sums, inputs, gradients, factors, end
+    )
+
+
+@inner
+def _size(n: int, width: int, states: int, encodings: int, steps: int) -> int:
+    """Elements of the work array; 64 more than the layout, because it starts at a cache line."""
+    return _layout(0, n, width, states, encodings, steps).end + 64
+
+
+@inner
+def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: Any, signs: Any) -> None:
+    """`half_angles` = cos and sin of half of (the input's angle + the fixed angle)."""
     keep_apart()
+    trig, out = at.trig + 2 * encoding * n * width, at.half_angles
     for j in range(n):
-        c, s = load(x, cosines + j * width), splat(flips[j]) * load(x, cosines + (n + j) * width)
+        c, s = load(x, trig + j * width), splat(signs[j]) * load(x, trig + (n + j) * width)
         u, v = splat(fixed[0, j]), splat(fixed[1, j])
         store(x, out + j * width, u * c - v * s)
         store(x, out + (n + j) * width, u * s + v * c)
 
 
 @inner
-def _apply(
-    x: Any, n: int, width: int, operations: Any, state: int, trig: int, phases: int, mixed: int, keep: bool,
-    psi: Any, tables: Any, tangents: Any, masks: Any, flips: Any, permutations: Any,
-) -> int:  # fmt: skip
-    """Runs the operations; returns where the final state lies. `keep` leaves the state before each layer behind."""
+def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, psi: Any, store_states: bool) -> int:
+    """Runs the operations and returns where the final state lies.
+
+    With `store_states` the state before each operation that is no diagonal stays in the work array.
+    """
     keep_apart()
+    diagonals, tangents, flip_masks, angle_signs, permutations = tables
     pair = 2 * (width << n)
-    here = state
+    here = at.state
     for o in range(len(operations)):
-        code, step, table = operations[o, 0], operations[o, 1], operations[o, 2]
-        p = -1 if table < 0 else phases + table * (pair >> 1)
-        after = here + pair if keep else here
+        code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
+        p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
+        after = here + pair if store_states else here
         if code == START:
-            forward_passes.start(x, here, n, width, psi, p, masks[step] if step >= 0 else 0)
-        elif code == PHASE:
-            forward_passes.phase(x, here, n, width, tables[step], p, masks[step])
-        elif code == TURN:
-            forward_passes.turn(x, here, after, n, width, tangents[step, 0], True)
+            forward_passes.start(x, here, n, width, psi, p, flip_masks[step] if step >= 0 else 0)
+        elif code == DIAGONAL:
+            forward_passes.diagonal(x, here, n, width, diagonals[step], p, flip_masks[step])
+        elif code == RY:
+            forward_passes.ry_layer(x, here, after, n, width, tangents[step, 0], True)
             here = after
-        elif code == TURN_EACH:
-            _rotate(x, trig + 2 * table * n * width, n, width, tangents[step], flips[step], mixed)
-            forward_passes.turn_each(x, here, after, n, width, mixed, mixed + n * width, True)
+        elif code == RY_PER_SAMPLE:
+            _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
+            forward_passes.ry_layer_per_sample(x, here, after, n, width, at.half_angles, True)
             here = after
         else:
-            if not keep:
-                after = state + pair if here == state else state
+            if not store_states:
+                after = at.state + pair if here == at.state else at.state
             forward_passes.permute(x, here, after, n, width, permutations[operations[o, 3]], True)
             here = after
     return here
 
 
 @inner
-def _pull(
-    x: Any, n: int, width: int, operations: Any, here: int, dual: int, trig: int, phases: int, mixed: int, q: int, d:
-    int, sums: int, total: int, inputs: int, gains: Any, tables: Any, tangents: Any, masks: Any, flips: Any,
-    permutations: Any,
-) -> None:  # fmt: skip
-    """Pulls `dual` back through the operations; `here` is the last of the kept states.
+def _backward(
+    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, input_scales: Any, here: int
+) -> None:
+    """Carries the adjoint state back through the operations; `here` is the last of the stored states.
 
-    Adds to sums (steps x n vectors), total (dual of the starting state) and inputs (n vectors).
+    Adds to the work array's `sums`, `first_adjoint` and `inputs`.
     """
     keep_apart()
+    diagonals, tangents, flip_masks, angle_signs, permutations = tables
     pair = 2 * (width << n)
+    adjoint, scratch, d = at.adjoint, at.scratch, at.gradients
     for o in range(len(operations) - 1, -1, -1):
-        code, step, table = operations[o, 0], operations[o, 1], operations[o, 2]
-        p = -1 if table < 0 else phases + table * (pair >> 1)
-        if code == TURN:
-            forward_passes.turn(x, dual, dual, n, width, tangents[step, 0], False)
+        code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
+        p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
+        if code == RY:
+            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[step, 0], False)
             here -= pair
-            backward_passes.turn_gradient(x, here, dual, n, width, d)
-        elif code == TURN_EACH:
-            _rotate(x, trig + 2 * table * n * width, n, width, tangents[step], flips[step], mixed)
-            forward_passes.turn_each(x, dual, dual, n, width, mixed, mixed + n * width, False)
+            backward_passes.ry_gradients(x, here, adjoint, n, width, d)
+        elif code == RY_PER_SAMPLE:
+            _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
+            forward_passes.ry_layer_per_sample(x, adjoint, adjoint, n, width, at.half_angles, False)
             here -= pair
-            backward_passes.turn_gradient(x, here, dual, n, width, d)
-        elif code == PERMUTE:
+            backward_passes.ry_gradients(x, here, adjoint, n, width, d)
+        elif code == PERMUTATION:
             here -= pair
-            forward_passes.permute(x, dual, dual + pair, n, width, permutations[operations[o, 3]], False)
+            forward_passes.permute(x, adjoint, adjoint + pair, n, width, permutations[operations[o, 3]], False)
             for i in range(0, pair, width):
-                store(x, dual + i, load(x, dual + pair + i))
-        elif code == PHASE:
-            backward_passes.phase_pull(x, here, dual, n, width, tables[step], p, masks[step], q, d)
+                store(x, adjoint + i, load(x, adjoint + pair + i))
+        elif code == DIAGONAL:
+            backward_passes.diagonal_backward(
+                x, here, adjoint, n, width, diagonals[step], p, flip_masks[step], scratch, d
+            )
         else:
-            backward_passes.start_pull(x, here, dual, n, width, p, masks[step] if step >= 0 else 0, q, d, total)
-        if step >= 0 and code != PERMUTE:
+            mask = flip_masks[step] if step >= 0 else 0
+            backward_passes.start_backward(x, here, adjoint, n, width, p, mask, scratch, d, at.first_adjoint)
+        if step >= 0 and code != PERMUTATION:
             for j in range(n):
                 value = load(x, d + j * width)
-                at = sums + (step * n + j) * width
-                store(x, at, load(x, at) + value)
-                if table >= 0:
-                    gain = splat(x.dtype.type(gains[step, j] * flips[step, j]))
-                    store(x, inputs + j * width, load(x, inputs + j * width) + gain * value)
+                total = at.sums + (step * n + j) * width
+                store(x, total, load(x, total) + value)
+                if encoding >= 0:
+                    scale = splat(x.dtype.type(input_scales[step, j] * angle_signs[step, j]))
+                    store(x, at.inputs + j * width, load(x, at.inputs + j * width) + scale * value)
 
 
 @inner
-def _sum(x: Any, at: int, width: int) -> float:
+def _fill_zero(x: Any, first: int, vectors: int, width: int) -> None:
+    for i in range(first, first + vectors * width, width):
+        store(x, i, splat(x.dtype.type(0)))
+
+
+@inner
+def _sum(x: Any, first: int, width: int) -> float:
     keep_apart()
     value = 0.0
-    for i in range(at, at + width):
+    for i in range(first, first + width):
         value += x[i]
     return value
 
 
-@inner
-def _room(n: int, width: int, slots: int, tables: int, steps: int) -> int:
-    return (width << n) * (2 * slots + 7 + tables) + width * n * (2 * tables + 8 + steps) + 64
-
-
 @jit
-def prepare(
-    operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, tangents: Any, masks: Any,
-    flips: Any, permutations: Any, psi: Any,
-) -> None:  # fmt: skip
-    """psi (2, 2^n): the state before the first encoding."""
-    x = np.empty(_room(n, width, 2, 0, 0), like.dtype)
-    state = start_of_line(x)
+def prepare(operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, psi: Any) -> None:
+    """Fills psi (2, 2^n), real and imaginary parts: the state before the first encoding."""
+    x = np.empty(_size(n, width, 2, 0, 0), like.dtype)
+    at = _layout(start_of_line(x), n, width, 2, 0, 0)
     size = width << n
     zero = np.zeros((2, 1 << n), like.dtype)
     zero[0, 0] = amplitude
-    end = _apply(x, n, width, operations, state, 0, 0, 0, False, zero, tables, tangents, masks, flips, permutations)
+    end = _forward(x, at, n, width, operations, tables, zero, False)
     for b in range(1 << n):
         psi[0, b] = x[end + b * width]
         psi[1, b] = x[end + size + b * width]
@@ -144,251 +203,241 @@ def prepare(
 
 @jit
 def prepare_backward(
-    operations: Any, n: int, width: int, amplitude: float, dual_psi: Any, tables: Any, tangents: Any, masks: Any,
-    flips: Any, permutations: Any, gains: Any, sums_out: Any,
+    operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, adjoint: Any, input_scales: Any,
+    sums_out: Any,
 ) -> None:  # fmt: skip
-    """sums_out (steps, n) += gradients of the angles before the first encoding, from the dual (2, 2^n) of psi."""
-    steps = len(masks)
-    slots = 1 + len(operations)
-    x = np.zeros(_room(n, width, slots, 0, steps), tables.dtype)
+    """Adds the gradients of the angles before the first encoding to `sums_out` (steps, n).
+
+    `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes.
+    """
+    steps, states = len(sums_out), 1 + len(operations)
+    x = np.zeros(_size(n, width, states, 0, steps), like.dtype)
+    at = _layout(start_of_line(x), n, width, states, 0, steps)
     size = width << n
-    state = start_of_line(x)
-    dual = state + 2 * slots * size
-    q = dual + 4 * size
-    total = q + size
-    d = total + 2 * size
-    sums = d + n * width
-    zero = np.zeros((2, 1 << n), tables.dtype)
+    zero = np.zeros((2, 1 << n), like.dtype)
     zero[0, 0] = amplitude
-    end = _apply(x, n, width, operations, state, 0, 0, 0, True, zero, tables, tangents, masks, flips, permutations)
+    end = _forward(x, at, n, width, operations, tables, zero, True)
     for b in range(1 << n):
-        x[dual + b * width] = dual_psi[0, b]
-        x[dual + size + b * width] = dual_psi[1, b]
-    _pull(
-        x, n, width, operations, end, dual, 0, 0, 0, q, d, sums, total, d, gains, tables, tangents, masks, flips,
-        permutations
-    )  # fmt: skip
+        x[at.adjoint + b * width] = adjoint[0, b]
+        x[at.adjoint + size + b * width] = adjoint[1, b]
+    _backward(x, at, n, width, operations, tables, input_scales, end)
     for step in range(steps):
         for j in range(n):
-            sums_out[step, j] += x[sums + (step * n + j) * width]
+            sums_out[step, j] += x[at.sums + (step * n + j) * width]
+
+
+@inner
+def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
+    """Copies a block's cosines and sines, and forms the phases of all basis states."""
+    keep_apart()
+    size = width << n
+    for encoding in range(trig.shape[0]):
+        here = at.trig + 2 * encoding * n * width
+        for part in range(2):
+            for j in range(n):
+                for i in range(width):
+                    x[here + (part * n + j) * width + i] = trig[encoding, part, j, i]
+        forward_passes.input_phases(x, at.phases + encoding * size, n, width, here)
 
 
 @jit
 def forward(
     first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Any,
-    tangents: Any, masks: Any, flips: Any, permutations: Any, local: bool, wires: Any, parity: Any, closing: Any,
-    kept: Any, out: Any,
+    measurement: Any, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Blocks of the parts first..last. trig (blocks, tables, 2, n, W); kept (blocks, 2, n, W); out (blocks, words,
-    W)."""
-    blocks, count = trig.shape[0], trig.shape[1]
-    size = width << n
-    x = np.empty(_room(n, width, 2, count, 0), psi.dtype)
-    state = start_of_line(x)
-    phases = state + 4 * size
-    q = phases + count * size
-    at = q + size
-    mixed = at + 2 * count * n * width
-    d = mixed + 2 * n * width
+    """The blocks of samples in the parts first..last.
+
+    trig (blocks, encodings, 2, n, width): cos and sin of half the encoding angles
+    expectations (blocks, 2, n, width): <Z> and <X> before the last RY layer, if it is part of the measurement
+    out (blocks, outputs, width)
+    """
+    measures_last_layer, wires, eigenvalues, last_layer = measurement
+    blocks, encodings = trig.shape[0], trig.shape[1]
+    x = np.empty(_size(n, width, 2, encodings, 0), psi.dtype)
+    at = _layout(start_of_line(x), n, width, 2, encodings, 0)
+    q, d = at.scratch, at.gradients
     for block in range(blocks * first // parts, blocks * last // parts):
-        _read(x, at, trig[block], n, width, phases)
-        end = _apply(
-            x, n, width, operations, state, at, phases, mixed, False, psi, tables, tangents, masks, flips, permutations
-        )  # fmt: skip
-        forward_passes.squares(x, end, n, width, q)
-        if local:
-            forward_passes.fold(x, q, n, width, d)
-            forward_passes.flips(x, end, n, width, d + n * width)
+        _read(x, at, trig[block], n, width)
+        end = _forward(x, at, n, width, operations, tables, psi, False)
+        forward_passes.probabilities(x, end, n, width, q)
+        if measures_last_layer:
+            forward_passes.z_sums(x, q, n, width, d)
+            forward_passes.x_expectations(x, end, n, width, d + n * width)
             for j in range(n):
                 for i in range(width):
-                    kept[block, 0, j, i] = x[d + j * width + i]
-                    kept[block, 1, j, i] = x[d + (n + j) * width + i]
+                    expectations[block, 0, j, i] = x[d + j * width + i]
+                    expectations[block, 1, j, i] = x[d + (n + j) * width + i]
             for k in range(len(wires)):
                 j = wires[k]
                 for i in range(width):
-                    out[block, k, i] = closing[0, j] * kept[block, 0, j, i] + closing[1, j] * kept[block, 1, j, i]
+                    z, x_ = expectations[block, 0, j, i], expectations[block, 1, j, i]
+                    out[block, k, i] = last_layer[0, j] * z + last_layer[1, j] * x_
         else:
             for k in range(len(wires)):
                 value = splat(psi.dtype.type(0))
                 for b in range(1 << n):
-                    value = value + splat(parity[k, b]) * load(x, q + b * width)
+                    value = value + splat(eigenvalues[k, b]) * load(x, q + b * width)
                 store(x, d, value)
                 for i in range(width):
                     out[block, k, i] = x[d + i]
 
 
-@inner
-def _read(x: Any, at: int, trig: Any, n: int, width: int, phases: int) -> None:
-    """Copies a block's cosines and sines, and forms the phases of all basis states."""
-    keep_apart()
-    size = width << n
-    for table in range(trig.shape[0]):
-        here = at + 2 * table * n * width
-        for part in range(2):
-            for j in range(n):
-                for i in range(width):
-                    x[here + (part * n + j) * width + i] = trig[table, part, j, i]
-        forward_passes.products(x, phases + table * size, n, width, here, here + n * width)
-
-
 @jit
 def backward(
     first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Any,
-    tangents: Any, masks: Any, flips: Any, permutations: Any, local: bool, wires: Any, parity: Any, closing: Any,
-    kept: Any, slots: int, gains: Any, gradient: Any, inputs_out: Any, sums_out: Any, dual_out: Any,
+    measurement: Any, expectations: Any, states: int, input_scales: Any, gradient: Any, inputs_out: Any, sums_out: Any,
+    adjoint_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients of the inputs (blocks, n, W); of angles (parts, steps, n) and of psi (parts, 2, 2^n), summed over
-    each part."""
-    blocks, count, steps = trig.shape[0], trig.shape[1], len(masks)
+    """Gradients from those of the outputs, `gradient` (blocks, outputs, width); the others as in `forward`.
+
+    inputs_out (blocks, n, width): of the inputs
+    sums_out (parts, steps, n): of the angles, summed over each part
+    adjoint_out (parts, 2, 2^n): of psi, summed over each part
+    """
+    measures_last_layer, wires, eigenvalues, last_layer = measurement
+    blocks, encodings, steps = trig.shape[0], trig.shape[1], sums_out.shape[1]
     size = width << n
-    x = np.zeros(_room(n, width, slots, count, steps), psi.dtype)
-    state = start_of_line(x)
-    dual = state + 2 * slots * size
-    q = dual + 4 * size
-    total = q + size + width  # `backward_passes.observe` needs one vector more than the amplitudes
-    phases = total + 2 * size
-    at = phases + count * size
-    mixed = at + 2 * count * n * width
-    d = mixed + 2 * n * width
-    weight = d + n * width
-    inputs = weight + 2 * n * width
-    sums = inputs + n * width
-    zero = splat(psi.dtype.type(0))
+    x = np.zeros(_size(n, width, states, encodings, steps), psi.dtype)
+    at = _layout(start_of_line(x), n, width, states, encodings, steps)
+    adjoint, d = at.adjoint, at.gradients
     for part in range(first, last):
-        for i in range(sums, sums + steps * n * width, width):
-            store(x, i, zero)
-        for i in range(total, total + 2 * size, width):
-            store(x, i, zero)
+        _fill_zero(x, at.sums, steps * n, width)
+        _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
-            _read(x, at, trig[block], n, width, phases)
-            end = _apply(
-                x, n, width, operations, state, at, phases, mixed, True, psi, tables, tangents, masks, flips,
-                permutations
-            )  # fmt: skip
-            if local:
-                for i in range(weight, weight + 2 * n * width, width):
-                    store(x, i, zero)
+            _read(x, at, trig[block], n, width)
+            end = _forward(x, at, n, width, operations, tables, psi, True)
+            if measures_last_layer:
+                _fill_zero(x, at.factors, 2 * n, width)
                 for k in range(len(wires)):
                     j = wires[k]
-                    a, b, c = weight + j * width, weight + (n + j) * width, sums + ((steps - 1) * n + j) * width
+                    a, b, c = (
+                        at.factors + j * width,
+                        at.factors + (n + j) * width,
+                        at.sums + ((steps - 1) * n + j) * width,
+                    )
                     for i in range(width):
-                        g = gradient[block, k, i]
-                        x[a + i] += closing[0, j] * g
-                        x[b + i] += closing[1, j] * g
-                        x[c + i] += g * (closing[2, j] * kept[block, 0, j, i] + closing[3, j] * kept[block, 1, j, i])
-                backward_passes.observe(x, end, dual, n, width, weight, q)
+                        g, z, x_ = gradient[block, k, i], expectations[block, 0, j, i], expectations[block, 1, j, i]
+                        x[a + i] += last_layer[0, j] * g
+                        x[b + i] += last_layer[1, j] * g
+                        x[c + i] += g * (last_layer[2, j] * z + last_layer[3, j] * x_)
+                backward_passes.apply_observables(x, end, adjoint, n, width, at.factors, at.scratch)
             else:
-                for i in range(0, 2 * size, width):
-                    store(x, dual + i, zero)
+                _fill_zero(x, adjoint, 2 << n, width)
                 for k in range(len(wires)):
                     for i in range(width):
                         x[d + i] = gradient[block, k, i]
-                    g = load(x, d)
+                    g_ = load(x, d)
                     for b in range(1 << n):
                         i = b * width
-                        value = splat(parity[k, b]) * g
-                        store(x, dual + i, load(x, dual + i) + value * load(x, end + i))
+                        value = splat(eigenvalues[k, b]) * g_
+                        store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
                         i += size
-                        store(x, dual + i, load(x, dual + i) + value * load(x, end + i))
-            for i in range(inputs, inputs + n * width, width):
-                store(x, i, zero)
-            _pull(
-                x, n, width, operations, end, dual, at, phases, mixed, q, d, sums, total, inputs, gains, tables,
-                tangents, masks, flips, permutations,
-            )  # fmt: skip
+                        store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
+            _fill_zero(x, at.inputs, n, width)
+            _backward(x, at, n, width, operations, tables, input_scales, end)
             for j in range(n):
                 for i in range(width):
-                    inputs_out[block, j, i] = x[inputs + j * width + i]
+                    inputs_out[block, j, i] = x[at.inputs + j * width + i]
         for step in range(steps):
             for j in range(n):
-                sums_out[part, step, j] = _sum(x, sums + (step * n + j) * width, width)
+                sums_out[part, step, j] = _sum(x, at.sums + (step * n + j) * width, width)
         for b in range(1 << n):
-            dual_out[part, 0, b] = _sum(x, total + b * width, width)
-            dual_out[part, 1, b] = _sum(x, total + size + b * width, width)
+            adjoint_out[part, 0, b] = _sum(x, at.first_adjoint + b * width, width)
+            adjoint_out[part, 1, b] = _sum(x, at.first_adjoint + size + b * width, width)
 
 
-class Engine:
-    """A program ready to run. `forward` and `backward` work on NumPy arrays in blocks of `lanes` samples."""
+class StatevectorEngine:
+    """A circuit ready to run, without its weights."""
 
-    def __init__(self, program: Program) -> None:
-        self.program = program
-        self.tape: Tape = record(program)
+    def __init__(self, form: NormalForm) -> None:
+        self.form = form
+        self.arrays: CircuitArrays = circuit_arrays(form)
 
-    def bound(self, weights: np.ndarray, dtype: Any) -> "Bound":
-        return Bound(self.tape, weights, dtype)
+    def bind(self, weights: np.ndarray, dtype: Any) -> "BoundEngine":
+        """The engine with these weights, (rows * 3, n) float64 in radians, in the given precision."""
+        return BoundEngine(self.arrays, weights, dtype)
 
 
-class Bound:
-    """An engine with its angles: valid for one step."""
+class BoundEngine:
+    """An engine with its weights: valid for one step. It takes NumPy arrays in blocks of `lanes` samples."""
 
-    def __init__(self, tape: Tape, weights: np.ndarray, dtype: Any) -> None:
-        """weights: (rows * 3, n) float64, radians."""
-        self.tape, self.dtype = tape, np.dtype(dtype)
-        steps, n = tape.constants.shape
+    def __init__(self, arrays: CircuitArrays, weights: np.ndarray, dtype: Any) -> None:
+        self.arrays, self.dtype = arrays, np.dtype(dtype)
+        steps, n = arrays.constants.shape
         self.n, self.width = n, lanes(self.dtype.itemsize)
-        tangents, tables = np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n))
-        self.masks, self.flips = np.zeros(steps, dtype=np.int64), np.zeros((steps, n))
-        self.closing, parity = np.zeros((4, n)), np.empty(tape.parities.shape)
-        local = tape.program.local
-        self.amplitude = bind(
-            tape.codes, tape.first, tape.entries, tape.constants, tape.signs, tape.controls, tape.parities, local,
-            weights, tangents, tables, self.masks, self.flips, self.closing, parity,
+        tangents, diagonals = np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n))
+        flip_masks, self.angle_signs = np.zeros(steps, dtype=np.int64), np.zeros((steps, n))
+        last_layer, eigenvalues = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)
+        self.amplitude = bind_weights(
+            arrays.codes, arrays.weight_ranges, arrays.weight_rows, arrays.constants, arrays.cz_signs, arrays.cnots,
+            arrays.eigenvalues, arrays.form.measures_last_layer, weights, tangents, diagonals, flip_masks,
+            self.angle_signs, last_layer, eigenvalues,
         )  # fmt: skip
-        self.tangents, self.tables = tangents.astype(self.dtype), tables.astype(self.dtype)
-        self.parity, self.factors = parity.astype(self.dtype), self.flips.astype(self.dtype)
+        cast = [array.astype(self.dtype) for array in (diagonals, tangents, self.angle_signs)]
+        self.tables = cast[0], cast[1], flip_masks, cast[2], arrays.permutations
+        measures_last_layer = arrays.form.measures_last_layer
+        self.measurement = (
+            measures_last_layer, arrays.wires, eigenvalues.astype(self.dtype), last_layer.astype(self.dtype)
+        )  # fmt: skip
         self.psi = np.empty((2, 2**n), self.dtype)
-        prepare(
-            tape.prelude, n, self.width, self.amplitude, self.psi, self.tables, self.tangents, self.masks, self.factors,
-            tape.permutations, self.psi,
-        )  # fmt: skip
+        prepare(arrays.once, n, self.width, self.amplitude, self.psi, self.tables, self.psi)
+        code, step, _, _ = arrays.per_sample[0]
+        # The fixed phases of a first encoding that is diagonal belong to the state that all samples start from.
+        self.first_diagonal = cast[0][step] if code == START and step >= 0 else None
         self.start = self.psi
-        code, step, _, _ = tape.main[0]
-        self.opening = int(step) if code == START else -1
-        if self.opening >= 0:  # the first encoding's fixed phases belong to the state it starts from
-            u, v = self.tables[self.opening]
+        if self.first_diagonal is not None:
+            u, v = self.first_diagonal
             self.start = np.stack([u * self.psi[0] - v * self.psi[1], u * self.psi[1] + v * self.psi[0]])
 
     def _shared(self, trig: np.ndarray) -> tuple[Any, ...]:
-        tape = self.tape
-        return (
-            tape.main, self.n, self.width, trig, self.start, self.tables, self.tangents, self.masks, self.factors,
-            tape.permutations, tape.program.local, tape.wires, self.parity, self.closing.astype(self.dtype),
-        )  # fmt: skip
+        """Arguments that `forward` and `backward` begin with."""
+        parts = parts_of(trig)
+        return parts, parts, self.arrays.per_sample, self.n, self.width, trig, self.start, self.tables, self.measurement
 
     def forward(self, trig: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """trig (blocks, tables, 2, n, W) -> outputs (blocks, words, W), and <Z>, <X> (blocks, 2, n, W)."""
-        blocks = trig.shape[0]
-        kept = np.empty((blocks if self.tape.program.local else 0, 2, self.n, self.width), self.dtype)
-        out = np.empty((blocks, len(self.tape.wires), self.width), self.dtype)
-        parts = min(PARTS, max(blocks, 1))
-        run(forward, parts, parts, *self._shared(trig), kept, out)
-        return out, kept
+        """trig (blocks, encodings, 2, n, width) -> outputs (blocks, outputs, width), and what `backward` needs.
 
-    def backward(self, trig: np.ndarray, kept: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of the inputs (blocks, n, W) and of the weights (rows * 3, n)."""
-        tape, n = self.tape, self.n
-        blocks, steps = trig.shape[0], len(tape.codes)
-        parts = min(PARTS, max(blocks, 1))
+        `trig` holds cos and sin of half the encoding angles, see `cos_sin_of_half`.
+        """
+        blocks = trig.shape[0] if self.arrays.form.measures_last_layer else 0
+        expectations = np.empty((blocks, 2, self.n, self.width), self.dtype)
+        out = np.empty((trig.shape[0], len(self.arrays.wires), self.width), self.dtype)
+        run(forward, *self._shared(trig), expectations, out)
+        return out, expectations
+
+    def backward(
+        self, trig: np.ndarray, expectations: np.ndarray, gradient: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradients of the inputs (blocks, n, width) and of the weights (rows * 3, n)."""
+        arrays, n = self.arrays, self.n
+        blocks, parts = trig.shape[0], parts_of(trig)
         inputs = np.empty((blocks, n, self.width), self.dtype)
-        sums, dual = np.zeros((parts, steps, n)), np.zeros((parts, 2, 2**n))
-        run(backward, parts, parts, *self._shared(trig), kept, tape.slots, tape.gains, gradient, inputs, sums, dual)
-        total, pulled = sums.sum(0), dual.sum(0)
-        if self.opening >= 0:
-            u, v = self.tables[self.opening].astype(np.float64)
-            pulled = np.stack([u * pulled[0] + v * pulled[1], u * pulled[1] - v * pulled[0]])
-        prepare_backward(
-            tape.prelude, n, self.width, self.amplitude, pulled, self.tables, self.tangents, self.masks, self.factors,
-            tape.permutations, tape.gains, total,
+        sums, adjoints = np.zeros((parts, len(arrays.codes), n)), np.zeros((parts, 2, 2**n))
+        run(
+            backward, *self._shared(trig), expectations, arrays.stored_states, arrays.input_scales, gradient, inputs,
+            sums, adjoints,
         )  # fmt: skip
-        weights = np.zeros((tape.program.circuit.rows * 3, n))
-        unbind(tape.first, tape.entries, self.flips, total, weights)
+        total, adjoint = sums.sum(0), adjoints.sum(0)
+        if self.first_diagonal is not None:
+            u, v = self.first_diagonal.astype(np.float64)
+            adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
+        prepare_backward(
+            arrays.once, n, self.width, self.amplitude, self.psi, self.tables, adjoint, arrays.input_scales, total
+        )
+        weights = np.zeros((arrays.form.circuit.rows * 3, n))
+        add_weight_gradients(arrays.weight_ranges, arrays.weight_rows, self.angle_signs, total, weights)
         return inputs, weights
 
 
-# NumPy rather than torch from here on: these arrays are small, and torch would wake its OpenMP threads for them, which
-# on a busy machine takes far longer than the work.
-def blocked(x: np.ndarray, width: int) -> np.ndarray:
-    """(B, n) -> (blocks, n, W), padded with zeros."""
+# The functions below take NumPy arrays rather than tensors. The arrays are small, and torch would wake its OpenMP
+# threads for them, which on a busy machine takes far longer than the work.
+def parts_of(trig: np.ndarray) -> int:
+    """Into how many parts sums over these blocks (blocks, ...) are split, whatever the number of threads."""
+    return min(PARTS, max(trig.shape[0], 1))
+
+
+def to_blocks(x: np.ndarray, width: int) -> np.ndarray:
+    """(B, n) -> (blocks, n, width), padded with zeros."""
     batch, n = x.shape
     blocks = -(-batch // width)
     if blocks * width != batch:
@@ -396,16 +445,16 @@ def blocked(x: np.ndarray, width: int) -> np.ndarray:
     return np.ascontiguousarray(x.reshape(blocks, width, n).transpose(0, 2, 1))
 
 
-def unblocked(x: np.ndarray, batch: int) -> Tensor:
-    """(blocks, n, W) -> (B, n)."""
+def from_blocks(x: np.ndarray, batch: int) -> Tensor:
+    """(blocks, n, width) -> (B, n)."""
     flat = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(-1, x.shape[1])
     return torch.from_numpy(flat[:batch])
 
 
-def waves(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
-    """out[0], out[1] = cos, sin of the inputs (blocks, n, W) times a factor (n,) for each wire; infinities give NaN.
+def cos_sin(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
+    """out[0], out[1] = cos, sin of the inputs (blocks, n, width) times a factor (n,) for each wire; infinity gives NaN.
 
-    Products that the inputs' dtype would round are taken in float64: of an angle of 1e3 an error of 1e-4 would be left.
+    As in `statevector.cos_sin`, a product that the inputs' dtype would round is taken in float64.
     """
     mantissas = np.abs(np.frexp(factors)[0])
     exact = bool(((mantissas == 0.5) | (mantissas == 0)).all())
@@ -415,31 +464,31 @@ def waves(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
         np.sin(angles, out=out[1], casting="same_kind")
 
 
-def trigonometry(x: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """cos and sin of half the scaled inputs: (blocks, n, W) -> (blocks, tables, 2, n, W)."""
+def cos_sin_of_half(x: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """cos and sin of half the scaled inputs: (blocks, n, width) -> (blocks, encodings, 2, n, width)."""
     out = np.empty((x.shape[0], len(scales), 2, *x.shape[1:]), x.dtype)
-    for table, scale in enumerate(scales):
-        waves(x, 0.5 * scale, out[:, table].swapaxes(0, 1))
+    for encoding, scale in enumerate(scales):
+        cos_sin(x, 0.5 * scale, out[:, encoding].swapaxes(0, 1))
     return out
 
 
 class _Simulate(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, engine: Engine, x: Tensor, weights: Tensor) -> Tensor:
-        bound = engine.bound(flat_weights(weights), numpy_dtype(x.dtype))
-        trig = trigonometry(blocked(x.detach().numpy(), bound.width), engine.tape.scales)
-        out, kept = bound.forward(trig)
-        ctx.saved = bound, trig, kept
+    def forward(ctx: Any, engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
+        bound = engine.bind(flat_weights(weights), numpy_dtype(x.dtype))
+        trig = cos_sin_of_half(to_blocks(x.detach().numpy(), bound.width), engine.arrays.encoding_scales)
+        out, expectations = bound.forward(trig)
+        ctx.saved = bound, trig, expectations
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return unblocked(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
+        return from_blocks(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor]:
-        bound, trig, kept = ctx.saved
+        bound, trig, expectations = ctx.saved
         batch, shape, dtype = ctx.shapes
-        inputs, weights = bound.backward(trig, kept, blocked(gradient.detach().numpy(), bound.width))
-        return None, unblocked(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
+        inputs, weights = bound.backward(trig, expectations, to_blocks(gradient.detach().numpy(), bound.width))
+        return None, from_blocks(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
 
 
 def numpy_dtype(dtype: torch.dtype) -> Any:
@@ -451,6 +500,6 @@ def flat_weights(weights: Tensor) -> np.ndarray:
     return weights.detach().double().reshape(-1, weights.shape[-1]).contiguous().numpy()
 
 
-def evaluate(engine: Engine, x: Tensor, weights: Tensor) -> Tensor:
+def evaluate(engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
     """Expectation values (B, outputs) for inputs x (B, n) in radians and stacked weights (rows, 3, n), on the CPU."""
     return _Simulate.apply(engine, x, weights)

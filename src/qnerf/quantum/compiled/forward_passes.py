@@ -1,82 +1,83 @@
-"""Compiled passes over the states of one block of samples: the inner loops of the state-vector engine.
+"""Compiled forward passes: each applies one step of the normal form to the states of a block of samples.
 
-A block holds as many samples as fit one vector (`simd.lanes`), side by side. Amplitude b of the block is the vector at
-`base + b * W` of a flat array; real and imaginary parts lie in two regions of it. Up to about 10 wires everything stays
-in the first two cache levels from the first gate to the last.
+A block holds as many samples as fit one machine vector (`simd.lanes`), side by side. Amplitude b of the block is the
+vector at `base + b * width` of a flat array x. A state is 2^n vectors of real parts, then 2^n of imaginary parts.
+Wire j is bit n - 1 - j of b. Up to about 10 wires everything stays in the first two cache levels from the first gate to
+the last.
 
-RY layers are applied as (1, -t; t, 1) with t = tan(angle / 2), |t| <= 1: two multiply-adds a pair instead of four
-operations. The missing cosines are factors of the diagonal before (`binding.bind`). Wire j is bit n - 1 - j.
+RY layers are applied as (1, -t; t, 1) with t = tan(angle / 2), |t| <= 1. That is two multiply-adds a pair instead of
+four operations. The missing cosines are factors of the diagonal before (`tables.bind_weights`).
 """
 
 from typing import Any
 
 from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, store
-from qnerf.quantum.compiled.wire_blocks import flip_block, turn_block
+from qnerf.quantum.compiled.wire_blocks import ry_block, x_block
 
 
 @inner
-def _turn(x: Any, source: int, target: int, outer: int, distance: int, width: int, tangents: Any) -> None:
+def _ry_group(x: Any, source: int, target: int, outer: int, distance: int, width: int, tangents: Any) -> None:
+    """`ry_layer` for a few neighbouring wires: those with `outer` = 2^j basis states of the j wires before them."""
     keep_apart()
     span = distance << len(tangents)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
-            turn_block(x, source + i, target + i, distance, tangents)
+            ry_block(x, source + i, target + i, distance, tangents)
 
 
 @inner
-def turn(x: Any, source: int, target: int, n: int, width: int, tangents: Any, forward: bool) -> None:
-    """(1, -t; t, 1) on every wire, from region `source` (real, imaginary part behind each other) to region `target`."""
+def ry_layer(x: Any, source: int, target: int, n: int, width: int, tangents: Any, forward: bool) -> None:
+    """(1, -t; t, 1) on every wire, from the state at `source` to `target`; the transpose if not `forward`."""
     keep_apart()
     size = width << n
     t = tangents if forward else -tangents
     for part in range(0, 2 * size, size):
-        come, go = source + part, target + part
+        read, write = source + part, target + part
         j = 0
         while n - j >= 4:
             four = (splat(t[j]), splat(t[j + 1]), splat(t[j + 2]), splat(t[j + 3]))
-            _turn(x, come, go, 1 << j, width << (n - j - 4), width, four)
-            come = go
+            _ry_group(x, read, write, 1 << j, width << (n - j - 4), width, four)
+            read = write
             j += 4
         if n - j >= 2:
-            _turn(x, come, go, 1 << j, width << (n - j - 2), width, (splat(t[j]), splat(t[j + 1])))
-            come = go
+            _ry_group(x, read, write, 1 << j, width << (n - j - 2), width, (splat(t[j]), splat(t[j + 1])))
+            read = write
             j += 2
         if n - j == 1:
-            _turn(x, come, go, 1 << j, width, width, (splat(t[j]),))
+            _ry_group(x, read, write, 1 << j, width, width, (splat(t[j]),))
 
 
 @inner
-def turn_each(x: Any, source: int, target: int, n: int, width: int, cosines: int, sines: int, forward: bool) -> None:
-    """RY on every wire, with another angle in each lane: vectors of cos and sin of half the angle at those offsets."""
+def ry_layer_per_sample(x: Any, source: int, target: int, n: int, width: int, half_angles: int, forward: bool) -> None:
+    """RY on every wire with another angle for each sample, from n vectors of cos and n of sin of half the angle."""
     keep_apart()
     size = width << n
     sign = splat(x.dtype.type(1 if forward else -1))
     for part in range(2):
-        come, go = source + part * size, target + part * size
+        read, write = source + part * size, target + part * size
         for j in range(n):
-            c, s = load(x, cosines + j * width), sign * load(x, sines + j * width)
+            c, s = load(x, half_angles + j * width), sign * load(x, half_angles + (n + j) * width)
             d = width << (n - j - 1)
             for h in range(1 << j):
                 for i in range(h * 2 * d, h * 2 * d + d, width):
-                    a, b = load(x, come + i), load(x, come + i + d)
-                    store(x, go + i, c * a - s * b)
-                    store(x, go + i + d, s * a + c * b)
-            come = go
+                    a, b = load(x, read + i), load(x, read + i + d)
+                    store(x, write + i, c * a - s * b)
+                    store(x, write + i + d, s * a + c * b)
+            read = write
 
 
 @inner
-def products(x: Any, out: int, n: int, width: int, cosines: int, sines: int) -> None:
-    """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0, real parts then imaginary parts at
-    `out`.
+def input_phases(x: Any, out: int, n: int, width: int, trig: int) -> None:
+    """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0: real, then imaginary parts at `out`.
 
     The phase of a basis state with first bit 1 is the conjugate of the one with all bits flipped.
     """
     keep_apart()
     half = (width << n) >> 1
-    store(x, out, load(x, cosines))
-    store(x, out + half, splat(x.dtype.type(0)) - load(x, sines))
+    store(x, out, load(x, trig))
+    store(x, out + half, splat(x.dtype.type(0)) - load(x, trig + n * width))
     for j in range(1, n):
-        c, s = load(x, cosines + j * width), load(x, sines + j * width)
+        c, s = load(x, trig + j * width), load(x, trig + (n + j) * width)
         for k in range((1 << (j - 1)) - 1, -1, -1):
             a, b = load(x, out + k * width), load(x, out + half + k * width)
             ac, bs, bc, asine = a * c, b * s, b * c, a * s
@@ -88,7 +89,7 @@ def products(x: Any, out: int, n: int, width: int, cosines: int, sines: int) -> 
 
 @inner
 def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: int) -> None:
-    """The same state psi (2, 2^n) in every lane, times the input's phases unless `phases` is negative."""
+    """The same state psi (2, 2^n) for every sample, times the input's phases unless `phases` is negative."""
     keep_apart()
     size = width << n
     half = size >> 1
@@ -111,8 +112,8 @@ def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: 
 
 
 @inner
-def phase(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int) -> None:
-    """In place: times table (2, 2^n) and, unless `phases` is negative, the input's phases."""
+def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int) -> None:
+    """Multiplies the state by the diagonal `table` (2, 2^n) and, unless `phases` is negative, by the input's phases."""
     keep_apart()
     size = width << n
     half = size >> 1
@@ -142,8 +143,8 @@ def phase(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask
 
 
 @inner
-def fold(x: Any, q: int, n: int, width: int, out: int) -> None:
-    """For each wire sum_b z_j(b) q_b, a vector at `out`; destroys q."""
+def z_sums(x: Any, q: int, n: int, width: int, out: int) -> None:
+    """For each wire sum_b z_j(b) q_b, a vector at `out`: of probabilities q these are <Z>. Overwrites q."""
     keep_apart()
     zero = splat(x.dtype.type(0))
     for j in range(n):
@@ -169,8 +170,8 @@ def fold(x: Any, q: int, n: int, width: int, out: int) -> None:
 
 
 @inner
-def squares(x: Any, state: int, n: int, width: int, q: int) -> None:
-    """Probabilities of the basis states."""
+def probabilities(x: Any, state: int, n: int, width: int, q: int) -> None:
+    """Probabilities of the basis states, 2^n vectors at q."""
     keep_apart()
     size = width << n
     for i in range(0, size, width):
@@ -180,7 +181,7 @@ def squares(x: Any, state: int, n: int, width: int, q: int) -> None:
 
 @inner
 def permute(x: Any, source: int, target: int, n: int, width: int, table: Any, forward: bool) -> None:
-    """target[b] = source[table[b]], or its inverse."""
+    """target[b] = source[table[b]]; the inverse if not `forward`."""
     keep_apart()
     size = width << n
     for b in range(1 << n):
@@ -192,14 +193,15 @@ def permute(x: Any, source: int, target: int, n: int, width: int, table: Any, fo
 
 
 @inner
-def _flips(x: Any, state: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int) -> None:
+def _x_group(x: Any, state: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int) -> None:
+    """`x_expectations` of a few neighbouring wires."""
     keep_apart()
     real, imaginary = zeros, zeros
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
         for i in range(state + h * span, state + h * span + distance, width):
-            real = flip_block(x, i, distance, real)
-            imaginary = flip_block(x, i + size, distance, imaginary)
+            real = x_block(x, i, distance, real)
+            imaginary = x_block(x, i + size, distance, imaginary)
     two = splat(x.dtype.type(2))
     for j in range(len(zeros) >> 1):
         value = (real[2 * j] + real[2 * j + 1]) + (imaginary[2 * j] + imaginary[2 * j + 1])
@@ -207,7 +209,7 @@ def _flips(x: Any, state: int, outer: int, distance: int, size: int, width: int,
 
 
 @inner
-def flips(x: Any, state: int, n: int, width: int, out: int) -> None:
+def x_expectations(x: Any, state: int, n: int, width: int, out: int) -> None:
     """<X> of every wire, a vector at `out`."""
     keep_apart()
     size = width << n
@@ -215,8 +217,8 @@ def flips(x: Any, state: int, n: int, width: int, out: int) -> None:
     j = 0
     while n - j >= 3:
         six = (zero, zero, zero, zero, zero, zero)
-        _flips(x, state, 1 << j, width << (n - j - 3), size, width, six, out + j * width)
+        _x_group(x, state, 1 << j, width << (n - j - 3), size, width, six, out + j * width)
         j += 3
     while j < n:
-        _flips(x, state, 1 << j, width << (n - j - 1), size, width, (zero, zero), out + j * width)
+        _x_group(x, state, 1 << j, width << (n - j - 1), size, width, (zero, zero), out + j * width)
         j += 1

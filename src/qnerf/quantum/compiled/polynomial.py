@@ -1,4 +1,9 @@
-"""Compiled evaluation of trigonometric polynomials and of their gradients, a vector of samples at a time."""
+"""Compiled evaluation of trigonometric polynomials and of their gradients, a vector of samples at a time.
+
+Names: `width` samples in a block; `highest` degree of any wire; (blocks, 2, n, width) `trig` with cos and sin of the
+inputs times their base frequency; (outputs, most coefficients) `coefficients`, with zeros after an output's last one;
+`wires`, `basis_sizes` and `wire_counts` as in `lightcone.Interpolation`.
+"""
 
 from typing import Any
 
@@ -9,10 +14,10 @@ from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, start_of
 
 
 @inner
-def _basis(x: Any, at: int, n: int, width: int, most: int, trig: Any) -> None:
-    """For each wire 1, cos(a), sin(a), cos(2 a), sin(2 a), ... at `at`, and their derivatives by a behind all wires."""
+def _basis(x: Any, at: int, n: int, width: int, highest: int, trig: Any) -> None:
+    """For each wire 1, cos(a), sin(a), cos(2 a), sin(2 a), ... at `at`, and after all wires their derivatives by a."""
     keep_apart()
-    row = (2 * most + 1) * width
+    row = (2 * highest + 1) * width
     zero, one = splat(x.dtype.type(0)), splat(x.dtype.type(1))
     for j in range(n):
         value, slope = at + j * row, at + (n + j) * row
@@ -23,7 +28,7 @@ def _basis(x: Any, at: int, n: int, width: int, most: int, trig: Any) -> None:
         store(x, slope, zero)
         c, s = load(x, value + width), load(x, value + 2 * width)
         u, v = c, s
-        for k in range(most):
+        for k in range(highest):
             if k > 0:
                 u, v = u * c - v * s, v * c + u * s
             factor = splat(x.dtype.type(k + 1))
@@ -35,11 +40,11 @@ def _basis(x: Any, at: int, n: int, width: int, most: int, trig: Any) -> None:
 
 @inner
 def _contract(
-    x: Any, basis: int, row: int, width: int, coefficients: Any, wires: Any, sizes: Any, count: int, stages: int
+    x: Any, basis: int, row: int, width: int, coefficients: Any, wires: Any, basis_sizes: Any, count: int, stages: int
 ) -> int:
-    """Contracts the coefficients with the basis of the last wire, the one before, ...; every stage is kept at `stages`.
+    """Contracts the coefficients with the basis of the last wire, then of the one before, and so on.
 
-    Returns where the value lies.
+    Every stage stays in the array, from `stages` on. Returns where the value lies.
     """
     keep_apart()
     if count == 0:
@@ -47,8 +52,8 @@ def _contract(
         return stages
     total = 1
     for w in range(count):
-        total *= sizes[w]
-    size = sizes[count - 1]
+        total *= basis_sizes[w]
+    size = basis_sizes[count - 1]
     b = basis + wires[count - 1] * row
     total //= size
     for m in range(total):
@@ -58,7 +63,7 @@ def _contract(
         store(x, stages + m * width, value)
     here = stages
     for w in range(count - 2, -1, -1):
-        size = sizes[w]
+        size = basis_sizes[w]
         b = basis + wires[w] * row
         after = here + total * width
         total //= size
@@ -72,39 +77,39 @@ def _contract(
 
 
 @inner
-def _pull(
-    x: Any, basis: int, row: int, n: int, width: int, coefficients: Any, wires: Any, sizes: Any, count: int, stages:
-    int, end: int, g: int, duals: int, spare: int, sums: int, inputs: int,
+def _contract_backward(
+    x: Any, basis: int, row: int, n: int, width: int, coefficients: Any, wires: Any, basis_sizes: Any, count: int,
+    stages: int, end: int, g: int, adjoints: int, next_adjoints: int, sums: int, inputs: int,
 ) -> None:  # fmt: skip
-    """The reverse of `_contract`: adds to the coefficients' sums and to the inputs, one vector each."""
+    """The reverse of `_contract`: adds to `sums` of the coefficients and to `inputs`, one vector each."""
     keep_apart()
-    store(x, duals, load(x, g))
+    store(x, adjoints, load(x, g))
     total, here = 1, end
     for w in range(count):
-        size = sizes[w]
+        size = basis_sizes[w]
         b = basis + wires[w] * row
         slope = basis + (n + wires[w]) * row
         change = load(x, inputs + wires[w] * width)
         first = w == count - 1  # this stage read the coefficients themselves
         before = here - total * size * width
         for m in range(total):
-            dual = load(x, duals + m * width)
+            adjoint = load(x, adjoints + m * width)
             if first:
-                store(x, sums + m * size * width, load(x, sums + m * size * width) + dual)
+                store(x, sums + m * size * width, load(x, sums + m * size * width) + adjoint)
             else:
-                store(x, spare + m * size * width, dual)
+                store(x, next_adjoints + m * size * width, adjoint)
             for k in range(1, size):
                 i = (m * size + k) * width
                 f = load(x, b + k * width)
                 if first:
                     value = splat(coefficients[m * size + k])
-                    store(x, sums + i, load(x, sums + i) + dual * f)
+                    store(x, sums + i, load(x, sums + i) + adjoint * f)
                 else:
                     value = load(x, before + i)
-                    store(x, spare + i, dual * f)
-                change = change + (dual * value) * load(x, slope + k * width)
+                    store(x, next_adjoints + i, adjoint * f)
+                change = change + (adjoint * value) * load(x, slope + k * width)
         store(x, inputs + wires[w] * width, change)
-        duals, spare = spare, duals
+        adjoints, next_adjoints = next_adjoints, adjoints
         here = before
         total *= size
     if count == 0:
@@ -113,63 +118,67 @@ def _pull(
 
 @jit
 def evaluate(
-    first: int, last: int, parts: int, trig: Any, width: int, most: int, coefficients: Any, wires: Any, sizes: Any,
-    counts: Any, out: Any,
+    first: int, last: int, parts: int, trig: Any, width: int, highest: int, coefficients: Any, wires: Any,
+    basis_sizes: Any, wire_counts: Any, out: Any,
 ) -> None:  # fmt: skip
-    """trig (blocks, 2, n, W) -> out (blocks, outputs, W). coefficients (outputs, most coefficients), zero behind."""
+    """Fills out (blocks, outputs, width) with the values."""
     blocks, n = trig.shape[0], trig.shape[2]
-    row = (2 * most + 1) * width
+    row = (2 * highest + 1) * width
     x = np.empty(2 * n * row + 2 * coefficients.shape[1] * width + 64, coefficients.dtype)
     basis = start_of_line(x)
     stages = basis + 2 * n * row
     for block in range(blocks * first // parts, blocks * last // parts):
-        _basis(x, basis, n, width, most, trig[block])
-        for k in range(len(counts)):
-            end = _contract(x, basis, row, width, coefficients[k], wires[k], sizes[k], counts[k], stages)
+        _basis(x, basis, n, width, highest, trig[block])
+        for k in range(len(wire_counts)):
+            end = _contract(x, basis, row, width, coefficients[k], wires[k], basis_sizes[k], wire_counts[k], stages)
             for i in range(width):
                 out[block, k, i] = x[end + i]
 
 
 @jit
 def gradients(
-    first: int, last: int, parts: int, trig: Any, width: int, most: int, coefficients: Any, wires: Any, sizes: Any,
-    counts: Any, gradient: Any, inputs_out: Any, sums_out: Any,
+    first: int, last: int, parts: int, trig: Any, width: int, highest: int, coefficients: Any, wires: Any,
+    basis_sizes: Any, wire_counts: Any, gradient: Any, inputs_out: Any, sums_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients of the inputs (blocks, n, W), in units of the base frequency, and of the coefficients of each part."""
-    blocks, n, most_coefficients = trig.shape[0], trig.shape[2], coefficients.shape[1]
-    row = (2 * most + 1) * width
-    outputs = len(counts)
-    x = np.zeros(2 * n * row + ((4 + outputs) * most_coefficients + n + 2) * width + 64, coefficients.dtype)
+    """Gradients from those of the outputs, `gradient` (blocks, outputs, width).
+
+    inputs_out (blocks, n, width): of the inputs, in units of the base frequency
+    sums_out (parts, outputs, most coefficients): of the coefficients, summed over each part
+    """
+    blocks, n, coefficient_count = trig.shape[0], trig.shape[2], coefficients.shape[1]
+    row = (2 * highest + 1) * width
+    outputs = len(wire_counts)
+    x = np.zeros(2 * n * row + ((4 + outputs) * coefficient_count + n + 2) * width + 64, coefficients.dtype)
     basis = start_of_line(x)
     stages = basis + 2 * n * row
-    duals = stages + 2 * most_coefficients * width
-    spare = duals + most_coefficients * width
-    g = spare + most_coefficients * width
+    adjoints = stages + 2 * coefficient_count * width
+    next_adjoints = adjoints + coefficient_count * width
+    g = next_adjoints + coefficient_count * width
     inputs = g + width
     sums = inputs + n * width
     zero = splat(coefficients.dtype.type(0))
     for part in range(first, last):
-        for i in range(sums, sums + outputs * most_coefficients * width, width):
+        for i in range(sums, sums + outputs * coefficient_count * width, width):
             store(x, i, zero)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
-            _basis(x, basis, n, width, most, trig[block])
+            _basis(x, basis, n, width, highest, trig[block])
             for i in range(inputs, inputs + n * width, width):
                 store(x, i, zero)
             for k in range(outputs):
-                end = _contract(x, basis, row, width, coefficients[k], wires[k], sizes[k], counts[k], stages)
+                end = _contract(x, basis, row, width, coefficients[k], wires[k], basis_sizes[k], wire_counts[k], stages)
                 for i in range(width):
                     x[g + i] = gradient[block, k, i]
-                _pull(
-                    x, basis, row, n, width, coefficients[k], wires[k], sizes[k], counts[k], stages, end, g, duals,
-                    spare, sums + k * most_coefficients * width, inputs,
+                _contract_backward(
+                    x, basis, row, n, width, coefficients[k], wires[k], basis_sizes[k], wire_counts[k], stages, end, g,
+                    adjoints, next_adjoints, sums + k * coefficient_count * width, inputs,
                 )  # fmt: skip
             for j in range(n):
                 for i in range(width):
                     inputs_out[block, j, i] = x[inputs + j * width + i]
         for k in range(outputs):
-            for m in range(most_coefficients):
+            for m in range(coefficient_count):
                 value = 0.0
-                at = sums + (k * most_coefficients + m) * width
+                at = sums + (k * coefficient_count + m) * width
                 for i in range(at, at + width):
                     value += x[i]
                 sums_out[part, k, m] = value

@@ -1,12 +1,13 @@
 """Explicit SIMD for Numba kernels: values that hold one machine vector of consecutive floats.
 
-LLVM's loop vectoriser gives up on butterflies with more than a handful of pointers. Here a kernel says what it wants:
+LLVM does not vectorise the loops of `wire_blocks` by itself: they read and write at too many distances. Here a kernel
+says which vectors it wants:
 
->>> a, b = load(x, i), load(x, j)          # `lanes` consecutive elements each
->>> store(x, i, a - t * b)                 # element-wise, multiply-adds are fused
+    a, b = load(x, i), load(x, j)  # `lanes` consecutive elements each
+    store(x, i, a - t * b)         # element by element; a multiplication and an addition are fused
 
-The vector type follows from the array's dtype: VECTOR_BYTES wide, float32 or float64. LLVM splits what the machine at
-hand lacks.
+A vector is VECTOR_BYTES wide and holds float32 or float64, as the array does. If the machine has narrower registers,
+LLVM splits it.
 """
 
 import operator
@@ -23,11 +24,11 @@ from qnerf.kernels.jit import jit
 intrinsic: Any = extending.intrinsic
 
 VECTOR_BYTES = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
-"""Bytes of one vector: samples that travel through the circuit side by side."""
+"""Bytes of one vector, which holds one number of each sample of a block."""
 
 
 def inner(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `jit`, for functions that only compiled code calls: nothing is compiled to call them from Python."""
+    """`jit` for functions that only compiled code calls. What Python would need to call them is not compiled."""
     return jit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
@@ -52,7 +53,7 @@ class _VectorModel(models.PrimitiveModel):
 
 
 def pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: Any) -> Any:
-    """LLVM value: address of the vector that starts at array[index]."""
+    """The address of the vector that starts at array[index], as an LLVM value."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), context.get_value_type(vector).as_pointer())
 
@@ -63,8 +64,8 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
     vector = Vector(array.dtype)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = pointer(context, builder, array, arguments[0], arguments[1], vector)
-        return builder.load(place, align=array.dtype.bitwidth // 8)
+        address = pointer(context, builder, array, arguments[0], arguments[1], vector)
+        return builder.load(address, align=array.dtype.bitwidth // 8)
 
     return vector(array, types.intp), generate
 
@@ -74,8 +75,8 @@ def store(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
     """array[index : index + lanes] = value."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = pointer(context, builder, array, arguments[0], arguments[1], value)
-        builder.store(arguments[2], place, align=array.dtype.bitwidth // 8)
+        address = pointer(context, builder, array, arguments[0], arguments[1], value)
+        builder.store(arguments[2], address, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, value), generate
@@ -116,7 +117,7 @@ _operator(operator.mul, "fmul")
 
 @intrinsic
 def keep_apart(typing_context: Any) -> Any:
-    """Makes the function it stands in a call: large passes would be compiled anew in every caller."""
+    """Keeps the function that calls this from being inlined: large passes would be compiled again in every caller."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.function.attributes.add("noinline")
@@ -138,6 +139,6 @@ def address(typing_context: Any, array: Any) -> Any:
 
 @inner
 def start_of_line(array: Any) -> int:
-    """First index of `array` at the start of a cache line (64 bytes): vectors across two lines are slow."""
+    """First index of `array` at the start of a cache line (64 bytes). Vectors across two lines are slow."""
     misplaced = address(array) % 64
     return 0 if misplaced == 0 else (64 - misplaced) // array.itemsize

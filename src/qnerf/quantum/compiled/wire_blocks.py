@@ -1,8 +1,8 @@
-"""Straight-line vector code over the 2^k amplitudes that k neighbouring wires mix: written by loops, compiled without
-them.
+"""Vector code for a few neighbouring wires at once, so that their amplitudes stay in registers.
 
-Each function acts on the vectors at `base + m * distance`, m < 2^k, of a flat array; the wires' factors are a tuple
-of k vectors, the most significant wire first. Everything in between stays in registers.
+k neighbouring wires mix 2^k amplitudes: the vectors at `base + m * distance`, m < 2^k, of a flat array. Each function
+here is written with loops over the wires but compiled without them. The factors of the wires are a tuple of k vectors,
+the most significant wire first.
 """
 
 from typing import Any
@@ -55,8 +55,8 @@ def _packed(context: Any, builder: Any, kind: Any, values: list[Any]) -> Any:
 
 
 @intrinsic
-def turn_block(typing_context: Any, x: Any, source: Any, target: Any, distance: Any, tangents: Any) -> Any:
-    """(1, -t; t, 1) on each wire."""
+def ry_block(typing_context: Any, x: Any, source: Any, target: Any, distance: Any, tangents: Any) -> Any:
+    """(1, -t; t, 1) on each wire, from `source` to `target`."""
     k, vector = tangents.count, tangents.dtype
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -76,8 +76,8 @@ def turn_block(typing_context: Any, x: Any, source: Any, target: Any, distance: 
 
 
 @intrinsic
-def mix_block(typing_context: Any, x: Any, state: Any, dual: Any, distance: Any, weights: Any) -> Any:
-    """dual += sum_j weight_j X_j state."""
+def add_x_block(typing_context: Any, x: Any, state: Any, adjoint: Any, distance: Any, weights: Any) -> Any:
+    """adjoint += sum_j weight_j X_j state."""
     k, vector = weights.count, weights.dtype
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -94,8 +94,8 @@ def mix_block(typing_context: Any, x: Any, state: Any, dual: Any, distance: Any,
 
 
 @intrinsic
-def flip_block(typing_context: Any, x: Any, state: Any, distance: Any, sums: Any) -> Any:
-    """sums + the products of each wire's pairs, each wire's in two vectors: 2 k of them."""
+def x_block(typing_context: Any, x: Any, state: Any, distance: Any, sums: Any) -> Any:
+    """The tuple `sums` plus the products over the pairs of each wire, each wire's in two vectors: 2 k of them."""
     k, vector = sums.count // 2, sums.dtype
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -113,8 +113,8 @@ def flip_block(typing_context: Any, x: Any, state: Any, distance: Any, sums: Any
 
 
 @intrinsic
-def gradient_block(typing_context: Any, x: Any, state: Any, dual: Any, distance: Any, sums: Any) -> Any:
-    """For each wire two sums over its pairs, of dual_1 state_0 and of dual_0 state_1: 2 k vectors."""
+def ry_gradient_block(typing_context: Any, x: Any, state: Any, adjoint: Any, distance: Any, sums: Any) -> Any:
+    """The tuple `sums` plus, for each wire, the sums over its pairs of adjoint_1 state_0 and of adjoint_0 state_1."""
     k, vector = sums.count // 2, sums.dtype
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
