@@ -136,7 +136,7 @@ def test_evaluate_tells_a_mistake_in_one_line(monkeypatch, capsys, tmp_path, arg
         (tmp_path / "a-run").mkdir()
         arguments = [str(tmp_path / "a-run"), *arguments[1:]]
         (tmp_path / "a-run" / "status.json").write_text("{}")
-    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2

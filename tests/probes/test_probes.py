@@ -171,7 +171,7 @@ def test_every_strategy_covers_its_ray_without_gaps(tiny):
 
 
 def command(monkeypatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
     return int(stop.value.code or 0)

@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
+from qnerf.config.folders import CONF
 from qnerf.config.identity import identity
 from qnerf.records import StoreError, read_config, read_status
 
@@ -100,11 +101,9 @@ def todays_defaults(config: Mapping[str, Any]) -> dict[str, Any]:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from qnerf.cli.launch import conf_folder
-
     choices = {group: node.get("name") for group in GROUPS if isinstance(node := config.get(group), Mapping)}
-    known = [f"{group}={name}" for group, name in choices.items() if (conf_folder() / group / f"{name}.yaml").is_file()]
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    known = [f"{group}={name}" for group, name in choices.items() if (CONF / group / f"{name}.yaml").is_file()]
+    with initialize_config_dir(str(CONF), version_base="1.3"):
         defaults: dict[str, Any] = OmegaConf.to_container(compose("config", known), resolve=True)  # type: ignore[assignment]
     return defaults
 

@@ -1,4 +1,4 @@
-"""`qnerf evaluate RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf evaluate RUN rays`."""
+"""`qnerf probe RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf probe RUN rays`."""
 
 import argparse
 from typing import TYPE_CHECKING, Any
@@ -50,10 +50,10 @@ def main(options: argparse.Namespace) -> None:
 def _check(names: list[str], settings: list[str]) -> None:
     for name in names:
         if name not in PROBES:
-            raise ValueError(f"qnerf evaluate: unknown probe {name!r}; known: {', '.join(PROBES)}")
+            raise ValueError(f"qnerf probe: unknown probe {name!r}; known: {', '.join(PROBES)}")
     for key in (setting.partition("=")[0] for setting in settings):
         if key not in DEFAULTS:
-            raise ValueError(f"qnerf evaluate: unknown option {key!r}; known: {', '.join(DEFAULTS)}")
+            raise ValueError(f"qnerf probe: unknown option {key!r}; known: {', '.join(DEFAULTS)}")
 
 
 def _conditions(settings: list[str]) -> tuple[list[Any], int]:
