@@ -6,12 +6,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from qnerf.config.folders import BENCHMARKS
+
 from .. import style
 from ..selection import select
 from . import points
 
 TIMES = {"step_ms": "median time of a step, ms", "train_s": "training time, s"}
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "quantum.parquet"
+BENCHMARK = BENCHMARKS / "quantum.parquet"
 
 
 def front(cost: pd.Series, loss: pd.Series) -> pd.Series:

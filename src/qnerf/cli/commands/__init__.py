@@ -1,7 +1,8 @@
 """The console commands, one a file.
 
 Each module has `arguments(parser)`, which declares its arguments, and `main(options)`, which runs the command and
-returns the exit code, or None for 0. A module is imported only for its own command: listing runs never waits for PyTorch.
+returns the exit code, or None for 0. A module is imported only for its own command, so listing runs never waits for
+PyTorch.
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
 LLVM's loop vectoriser gives up on butterflies with more than a handful of pointers. Here a kernel says what it wants:
 
->>> a, b = load(x, i), load(x, j)          # `lanes` consecutive elements each
->>> store(x, i, a - t * b)                 # element-wise, multiply-adds are fused
+    a, b = load(x, i), load(x, j)          # `lanes` consecutive elements each
+    store(x, i, a - t * b)                 # element-wise, multiply-adds are fused
 
 The vector type follows from the array's dtype: VECTOR_BYTES wide, float32 or float64. LLVM splits what the machine at
 hand lacks.
