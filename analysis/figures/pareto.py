@@ -44,7 +44,7 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms") -> Figure:
     scenes = points.scenes(table)
     figure = style.new(style.COLUMN if len(scenes) == 1 else style.PAGE, 3.1)
     axes = figure.subplots(1, len(scenes), squeeze=False)[0]
-    named = []
+    named: list[str] = []
     for ax, scene in zip(axes, scenes, strict=True):
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):

@@ -1,6 +1,6 @@
 """Processes for the fault tests: forked from one that has imported everything, so that a round costs milliseconds.
 
-python -m tests.helpers.jobs kills STORE RUNS SEED      short trainings, each killed at four random moments, then finished
+python -m tests.helpers.jobs kills STORE RUNS SEED      short trainings, each killed at four moments, then finished
 python -m tests.helpers.jobs claims STORE ROUNDS        contenders for one run in the same instant, rounds of each kind
 One JSON line a round on standard output.
 """

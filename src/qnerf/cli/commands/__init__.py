@@ -63,7 +63,13 @@ def add_store(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--store", default="runs", metavar="DIR", help="folder of runs (default: %(default)s)")
 
 
-def add_run(parser: argparse.ArgumentParser, nargs: str | None = None, name: str = "run") -> None:
-    """One run or several (`nargs`), as `qnerf.records.find` takes them, and `--store`."""
-    parser.add_argument(name, nargs=nargs, metavar="RUN", help=RUN)
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """One run, as `qnerf.records.find` takes it, and `--store`."""
+    parser.add_argument("run", metavar="RUN", help=RUN)
+    add_store(parser)
+
+
+def add_many_runs(parser: argparse.ArgumentParser) -> None:
+    """One run or more, and `--store`."""
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     add_store(parser)
