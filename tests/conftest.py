@@ -37,7 +37,7 @@ SLOW = (
     "cli/test_main.py",
     "config/test_conf.py::test_every_job_of_every_sweep",
     "faults/",
-    "install/",
+    "install/test_distributions.py",
     "kernels/test_jit.py",
     "numerics/test_bounds.py::test_hard_case",
     "numerics/test_circuits_cases.py",
