@@ -146,9 +146,8 @@ def test_a_configuration_is_composed(installed: Installed) -> None:
 
 
 def test_the_analysis_side_reads_runs(installed: Installed) -> None:
+    """.ci/run writes a report with an installed wheel as well, which takes longer."""
     assert "classical" in installed.qnerf("tables", RUNS, "--rows", "scene_name,field")
-    installed.qnerf("report", RUNS, "--no-images")
-    assert "<html" in (installed.work / "report" / "index.html").read_text()[:500]
 
 
 def test_figures_of_the_benchmarks_are_drawn(installed: Installed) -> None:
