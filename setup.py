@@ -1,15 +1,21 @@
-"""Packages of the distribution: src/qnerf, with conf/, sweeps/ and analysis/ inside. The rest is in pyproject.toml."""
+"""The packages of the distribution; everything else is in pyproject.toml.
+
+A wheel holds conf/, sweeps/, analysis/ and benchmarks/results/ inside the package qnerf, where `qnerf.config.folders`
+finds them.
+"""
 
 from setuptools import find_packages, setup
 
 analysis = ["analysis", *(f"analysis.{name}" for name in find_packages("analysis"))]
+data = {"qnerf.conf": "conf", "qnerf.sweeps": "sweeps", "qnerf.benchmarks.results": "benchmarks/results"}
 setup(
-    packages=[*find_packages("src"), "qnerf.conf", "qnerf.sweeps", *(f"qnerf.{name}" for name in analysis)],
-    package_dir={"": "src", "qnerf.conf": "conf", "qnerf.sweeps": "sweeps", "qnerf.analysis": "analysis"},
+    packages=[*find_packages("src"), *data, *(f"qnerf.{name}" for name in analysis)],
+    package_dir={"": "src", **data, "qnerf.analysis": "analysis"},
     package_data={
         "qnerf": ["py.typed"],
         "qnerf.conf": ["*.yaml", "*/*.yaml", "*/*/*.yaml"],
         "qnerf.sweeps": ["*.yaml"],
+        "qnerf.benchmarks.results": ["*.parquet"],
         "qnerf.analysis": ["paper/*.csv", "report/*.css", "report/*.html", "report/*.js", "notebooks/*.ipynb"],
     },
 )

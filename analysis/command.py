@@ -1,4 +1,4 @@
-"""What the commands of `analysis` share: choosing runs, printing a table, one line for a mistake."""
+"""What the commands of `analysis` share: choosing runs, printing a table, ending on a mistake."""
 
 import argparse
 import sys
@@ -6,44 +6,53 @@ from collections.abc import Callable, Sequence
 
 import pandas as pd
 
+from qnerf.cli.errors import exit_code
+
 from .load import runs
 from .query import HELP
 from .tables.table import Table
 
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
+PROGRAM = "qnerf " if __name__.startswith("qnerf.") else f"python -m {__package__}."
+"""How these commands are started: by `qnerf NAME`, or by `python -m analysis.NAME` in a checkout."""
 
 
-def parser(name: str, description: str, examples: str) -> argparse.ArgumentParser:
-    """A parser of `python -m NAME STORE` with the options that choose runs and the format."""
-    made = argparse.ArgumentParser(
-        prog=f"python -m {name}",
+def parser(name: str, description: str, examples: str = "") -> argparse.ArgumentParser:
+    """The parser of a command; `{}` in its examples stands for how the command is started."""
+    program = f"{PROGRAM}{name}"
+    return argparse.ArgumentParser(
+        prog=program,
         description=description,
-        epilog=f"examples:\n{examples}",
+        epilog=f"examples:\n{examples.replace('{}', program)}" if examples else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    made.add_argument("store", help="folder of runs, or one that analysis.pack made")
-    made.add_argument("--filter", metavar="TEXT", help=HELP)
-    made.add_argument(
+
+
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """Arguments `store` and `--filter`, which `chosen` reads."""
+    parser.add_argument("store", metavar="STORE", help="folder of runs, or of tables that `qnerf pack` made from runs")
+    parser.add_argument("--filter", metavar="TEXT", help=HELP)
+
+
+def add_format(parser: argparse.ArgumentParser) -> None:
+    """`--format`, which `show` takes."""
+    parser.add_argument(
         "--format", choices=FORMATS, default="markdown", help="markdown (default), csv or latex (booktabs)"
     )
-    return made
 
 
 def chosen(options: argparse.Namespace) -> pd.DataFrame:
-    """The runs of the store that the filter lets through."""
+    """The store's runs that pass the filter."""
     return runs(options.store, options.filter)
 
 
 def show(table: Table, form: str) -> None:
-    """Prints the table; the notes of a CSV, which has no place for them, go to standard error."""
+    """Prints the table; a CSV has no room for notes, so its notes go to standard error."""
     print(FORMATS[form](table))
     if form == "csv":
         print("\n".join(table.notes), file=sys.stderr)
 
 
 def run(main: Callable[[Sequence[str] | None], None]) -> None:
-    """Calls `main`; a mistake or a file that cannot be read or written ends the process with one line."""
-    try:
-        main(None)
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {' '.join(str(error).split())}")
+    """Runs a command with the process's arguments and ends the process with its exit code."""
+    sys.exit(exit_code(lambda: main(None)))

@@ -1,4 +1,4 @@
-"""What `qnerf evaluate RUN shots=... noise=...` measured of a run, one number a condition."""
+"""What `qnerf probe RUN shots=... noise=...` measured of a run, one number a condition."""
 
 import pandas as pd
 

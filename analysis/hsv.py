@@ -168,13 +168,15 @@ Hue, saturation and value of the stored renderings against the truth and each ot
 tests and effect sizes for each channel and pair, mean over seeds. Grey pixels have no hue.
 """
 EXAMPLES = """\
-  python -m analysis.hsv runs --filter scene_name=poster
-  python -m analysis.hsv runs --filter scene_name=poster --quantum field=qdensity,qiren=2L2S --grey 0.1
+  {} runs --filter scene_name=poster
+  {} runs --filter scene_name=poster --quantum field=qdensity,qiren=2L2S --grey 0.1
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = command.parser("analysis.hsv", DESCRIPTION, EXAMPLES)
+    parser = command.parser("hsv", DESCRIPTION, EXAMPLES)
+    command.add_runs(parser)
+    command.add_format(parser)
     parser.add_argument("--classical", default="field=classical", metavar="KEY=VALUE,...", help="default: %(default)s")
     parser.add_argument("--quantum", default="field=qcolor", metavar="KEY=VALUE,...", help="default: %(default)s")
     parser.add_argument(

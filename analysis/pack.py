@@ -1,45 +1,39 @@
-"""`python -m analysis.pack STORE FOLDER`: see `--help`."""
+"""`qnerf pack STORE FOLDER` or `python -m analysis.pack`: see `--help`."""
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 from . import command, packed
 from .figures import FIGURES
 from .figures.files import draw, known, title
-from .load import runs
 from .paper import PAPER_TABLES
 
 DESCRIPTION = """\
-Packs the runs of a store into small tables: runs.parquet, views.parquet, and where runs were probed units.parquet and
-eval_hardware.parquet. They are what every table of analysis is made of; `python -m analysis.tables FOLDER` and the
-figures of runs read that folder like a store. What needs the runs' pictures, curves or other probes is drawn at once:
---figures, --paper.
+Packs the runs of a store into small tables: runs.parquet, views.parquet, and for probed runs units.parquet and
+eval_hardware.parquet. `qnerf tables FOLDER` and most figures read the folder like a store. Pictures, curves and other
+probes are not packed: --figures draws what needs them now, --paper writes a table of the paper.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.pack", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("store", help="folder of runs")
-    parser.add_argument("folder", type=Path, help="where the tables go; what is there is replaced")
-    parser.add_argument("--filter", metavar="TEXT", help=command.HELP)
-    parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"kept as PNG: {', '.join(FIGURES)}")
-    parser.add_argument("--paper", choices=PAPER_TABLES, help="a table of the paper beside ours, kept as Markdown")
+    parser = command.parser("pack", DESCRIPTION)
+    command.add_runs(parser)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the tables go; earlier ones are replaced")
+    parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"draw as PNG: {', '.join(FIGURES)}")
+    parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
     options = parser.parse_args(arguments)
     known(options.figures)
     if options.folder.resolve() == Path(options.store).resolve():
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
-    frame = runs(options.store, options.filter)
-    left = len(frame) - int((frame["state"] == "finished").sum())
-    if left == len(frame):
-        raise ValueError(f"{options.store}: none of {left} runs is finished")
-    told = f" finished, {left} not" if left else ""
+    frame = command.chosen(options)
+    unfinished = int((frame["state"] != "finished").sum())
+    if unfinished == len(frame):
+        raise ValueError(f"{options.store}: none of {unfinished} runs is finished")
     for file in [*options.folder.glob("*.png"), *options.folder.glob("*.md")]:
         if title(file.stem) != file.stem or file.stem in PAPER_TABLES:
-            file.unlink()  # drawn of the runs that were there
-    print(f"{packed.pack(frame, options.folder)} runs{told}, in {options.folder}")
+            file.unlink()  # made from the runs that were packed before
+    finished = packed.pack(frame, options.folder)
+    print(f"{finished} runs{f' finished, {unfinished} not' if unfinished else ''}, in {options.folder}")
     if options.figures:
         draw(frame, options.figures, options.folder, ["png"])
     if options.paper:

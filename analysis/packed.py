@@ -13,7 +13,7 @@ from qnerf.records.read import read_table
 
 RUNS, VIEWS = "runs.parquet", "views.parquet"
 PROBES = ("units", "eval_hardware")
-"""Tables that `qnerf evaluate` leaves in a run's folder and that are small enough to keep."""
+"""Tables that `qnerf probe` leaves in a run's folder and that are small enough to keep."""
 _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
 """Columns that say where and how a run was done on somebody's machine."""
 
@@ -67,7 +67,7 @@ def views(path: str | Path) -> pd.DataFrame | None:
 
 
 def has(path: str | Path, probe: str) -> bool:
-    """Whether `qnerf evaluate` left a table of that name for a run, in a store or packed."""
+    """Whether `qnerf probe` left a table of that name for a run, in a store or packed."""
     path = Path(path)
     if not is_packed(path.parent):
         return (path / f"{probe}.parquet").is_file()

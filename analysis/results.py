@@ -1,7 +1,6 @@
 """`python -m analysis.results docs/results --write docs/results.md`: the page of what was found out, one section a
 question, made from the runs that `python -m analysis.pack` keeps in a folder each."""
 
-import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -199,13 +198,13 @@ QUESTIONS = {
     ),
     "sampling": Question(
         "Where are rays to be sampled?",
-        (sweep("sampling"), "qnerf evaluate RUN rays", "python -m analysis.figures runs sampling"),
+        (sweep("sampling"), "qnerf probe RUN rays", "python -m analysis.figures runs sampling"),
         ("scene_name", "field", "sampler"),
         values=("psnr", "ssim", "depth_error"),
     ),
     "encoders": Question(
         "What are points to be encoded by?",
-        (sweep("encoders"), "qnerf evaluate RUN encoding", "python -m analysis.figures runs encodings"),
+        (sweep("encoders"), "qnerf probe RUN encoding", "python -m analysis.figures runs encodings"),
         ("scene_name", "field", "encoder"),
         values=("psnr", "ssim", "depth_error", "params.encoder", "params.density"),
     ),
@@ -232,7 +231,7 @@ QUESTIONS = {
         (
             before("deep"),
             before("deep", "color.mlp.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
-            "qnerf evaluate RUN units",
+            "qnerf probe RUN units",
         ),
         ("scene_name", "color", "color.mlp.init", "train.rates.color"),
         values=("psnr", "ssim", "depth_error"),
@@ -309,8 +308,8 @@ QUESTIONS = {
         "What do finite shots and noisy gates cost a trained circuit?",
         (
             before("shots"),
-            "qnerf evaluate RUN shots=100,1000,10000",
-            "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1",
+            "qnerf probe RUN shots=100,1000,10000",
+            "qnerf probe RUN noise=depolarizing p=0.001,0.01,0.1",
         ),
         ("scene_name", "color"),
         values=("psnr", "params.color"),
@@ -318,7 +317,7 @@ QUESTIONS = {
     ),
     "noise": Question(
         "And two re-uploadings, on few enough qubits for exact noise?",
-        (before("noise"), "qnerf evaluate RUN noise=depolarizing p=0.001,0.01,0.1"),
+        (before("noise"), "qnerf probe RUN noise=depolarizing p=0.001,0.01,0.1"),
         ("scene_name", "color.qiren.qubits"),
         values=("psnr", "params.color"),
         measured=True,
@@ -380,12 +379,15 @@ def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:
     return [f"## {question.title}", commands, f"{len(frame)} runs; {told}; seeds {seeds}.", *tables]
 
 
+DESCRIPTION = """\
+Writes the page of results, docs/results.md: one section a question, made from folders of packed runs named after it.
+"""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.results", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, help="folder of folders that `python -m analysis.pack` wrote")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="the page; default: standard output")
+    parser = command.parser("results", DESCRIPTION)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of folders that `qnerf pack` wrote")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page here (default: standard output)")
     options = parser.parse_args(arguments)
     text = page(options.folder)
     if options.write:

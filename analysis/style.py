@@ -79,7 +79,7 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
     @functools.wraps(draw)
     def drawn(*arguments: Any, theme: str = "light", **options: Any) -> Figure:
-        with mpl.rc_context({**mpl.rcParamsDefault, **settings(theme)}):
+        with mpl.rc_context(dict[str, Any](mpl.rcParamsDefault) | settings(theme)):
             return draw(*arguments, **options)
 
     return drawn
@@ -124,7 +124,7 @@ def _plain(value: float, _: int | None = None) -> str:
 
 def legend(figure: Figure, columns: int = 3) -> None:
     """One legend above all panels: each label once."""
-    found = {}
+    found: dict[str, Any] = {}
     for ax in figure.axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)

@@ -18,7 +18,7 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from qnerf.cli.launch import conf_folder
+from qnerf.config.folders import CONF
 from qnerf.config.identity import run_id
 from qnerf.model.labels import labels, slug
 from qnerf.records import Run, RunStore
@@ -59,7 +59,7 @@ def generate(folder: str | Path, runs: int, jobs: int = 1) -> int:
 def compositions(store: str) -> list[dict[str, Any]]:
     """Resolved configurations of several fields, encoders, hash tables and circuits."""
     choices = itertools.product(FIELDS, ENCODERS, TABLES, CIRCUITS)
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
         return [_composed(store, *choice) for choice in choices]
 
 

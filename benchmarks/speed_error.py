@@ -31,7 +31,7 @@ from omegaconf import OmegaConf
 from analysis import load, statistics
 from benchmarks.training import Plain, in_turn
 from qnerf import experiment
-from qnerf.cli.launch import conf_folder
+from qnerf.config.folders import CONF
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.training.evaluation import Evaluator, RenderedView
@@ -97,7 +97,7 @@ def scene_overrides(text: str) -> tuple[str, ...]:
 
 
 def configuration(overrides: tuple[str, ...]) -> dict[str, Any]:
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
     assert isinstance(config, dict)
     return {str(key): value for key, value in config.items() if key != "hydra"}

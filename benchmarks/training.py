@@ -28,7 +28,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from qnerf import experiment, kernels
-from qnerf.cli.launch import conf_folder
+from qnerf.config.folders import CONF
 from qnerf.encoders import HashEncoder
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import STAGES, Stopwatch
@@ -73,7 +73,7 @@ RATIOS = {  # name -> overrides of the numerator, overrides of the denominator, 
 
 def build(overrides: str) -> tuple[Trainer, Evaluator]:
     """A trainer on the built-in scene with the quick recipe, and an evaluator of its views."""
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
     assert isinstance(config, dict)
     _, settings, scene = experiment.prepare({str(key): value for key, value in config.items() if key != "hydra"})

@@ -21,6 +21,40 @@ hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("long", deadline=None, max_examples=2500)
 hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
+SLOW = (
+    "analysis/test_figure_plateaus.py",
+    "analysis/test_figures.py",
+    "analysis/test_figures_of_files.py",
+    "analysis/test_notebooks.py",
+    "analysis/test_packed.py",
+    "analysis/test_report.py",
+    "analysis/test_report_browser.py",
+    "analysis/test_results.py",
+    "analysis/test_tables.py",
+    "cli/commands/test_reproduce.py",
+    "cli/commands/test_resume.py",
+    "cli/test_launch.py",
+    "cli/test_main.py",
+    "config/test_conf.py::test_every_job_of_every_sweep",
+    "faults/",
+    "install/test_distributions.py",
+    "kernels/test_jit.py",
+    "numerics/test_bounds.py::test_hard_case",
+    "numerics/test_circuits_cases.py",
+    "numerics/test_determinism.py",
+    "numerics/test_losses_cases.py",
+    "numerics/test_schedule.py::test_resumed_exactly",
+    "records/test_index.py::test_a_store_that_changes",
+    "slurm/",
+)
+"""Beginnings of the ids, below tests/, of tests that take more than about four seconds, setup included."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.nodeid.removeprefix("tests/").startswith(SLOW):
+            item.add_marker(pytest.mark.slow)
+
 
 @pytest.fixture
 def config() -> Callable[..., dict[str, Any]]:

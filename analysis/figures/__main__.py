@@ -1,32 +1,30 @@
-"""`python -m analysis.figures STORE --out DIR [NAME ...] [--filter field=qcolor]`."""
+"""`qnerf figures STORE [NAME ...]` or `python -m analysis.figures`: see `--help`."""
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..command import chosen, run
-from ..query import HELP
+from .. import command
 from ..style import FORMATS
 from . import FIGURES
 from .files import draw, known
 
+WIDTH = max(map(len, FIGURES))
+DESCRIPTION = "Draws figures from a store of runs:\n\n" + "\n".join(
+    f"  {name:<{WIDTH}}  {title}" for name, (title, _) in FIGURES.items()
+)
 
-def main(arguments: Sequence[str] | None) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m analysis.figures",
-        description="Draws the figures of a store of runs.",
-        epilog="; ".join(f"{name}: {title}" for name, (title, _) in FIGURES.items()),
-    )
-    parser.add_argument("store", help="folder of runs")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"figures; without any, all: {', '.join(FIGURES)}")
-    parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: figures)")
-    parser.add_argument("--filter", metavar="TEXT", help=HELP)
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = command.parser("figures", DESCRIPTION)
+    command.add_runs(parser)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="figures to draw (default: all that the runs allow)")
+    parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: %(default)s)")
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
     parser.add_argument("--theme", default="light", choices=["light", "dark"])
     options = parser.parse_intermixed_args(arguments)
     known(options.names)
-    draw(chosen(options), options.names, Path(options.out), options.formats.split(","), options.theme)
+    draw(command.chosen(options), options.names, Path(options.out), options.formats.split(","), options.theme)
 
 
 if __name__ == "__main__":
-    run(main)
+    command.run(main)

@@ -5,9 +5,11 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from qnerf.config.folders import BENCHMARKS
+
 from .. import style
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "accuracy.parquet"
+BENCHMARK = BENCHMARKS / "accuracy.parquet"
 LEAST = 1e-17
 """Where results that are equal to the last bit are drawn."""
 

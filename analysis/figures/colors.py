@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .. import circular, hsv, style
@@ -125,7 +126,7 @@ def hsv_study(
     return figure
 
 
-def _boxes(ax, boxes: pd.DataFrame, unit: float, colors: Mapping[str, str]) -> None:
+def _boxes(ax: Axes, boxes: pd.DataFrame, unit: float, colors: Mapping[str, str]) -> None:
     stats = [
         {
             "whislo": row[0.05],

@@ -48,7 +48,7 @@ def _draw(frame: pd.DataFrame, x: str) -> Figure:
     if shown.empty:
         how = "shots=100,1000" if x == "shots" else "noise=depolarizing p=0.001,0.01"
         raise ValueError(
-            f"no condition of this kind was measured for every seed of a configuration; `qnerf evaluate RUN {how}`"
+            f"no condition of this kind was measured for every seed of a configuration; `qnerf probe RUN {how}`"
         )
     panels = list(shown.groupby(["scene_name", "noise"]))
     figure = style.new(style.COLUMN if len(panels) == 1 else style.PAGE, 2.6)

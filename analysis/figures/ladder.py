@@ -6,9 +6,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qnerf.config.folders import BENCHMARKS
+
 from .. import style
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "speed_error.parquet"
+BENCHMARK = BENCHMARKS / "speed_error.parquet"
 
 
 def ladder_points(results: str | Path | pd.DataFrame = BENCHMARK) -> pd.DataFrame:

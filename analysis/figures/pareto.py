@@ -6,12 +6,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from qnerf.config.folders import BENCHMARKS
+
 from .. import style
 from ..selection import select
 from . import points
 
 TIMES = {"step_ms": "median time of a step, ms", "train_s": "training time, s"}
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "quantum.parquet"
+BENCHMARK = BENCHMARKS / "quantum.parquet"
 
 
 def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
@@ -42,7 +44,7 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms") -> Figure:
     scenes = points.scenes(table)
     figure = style.new(style.COLUMN if len(scenes) == 1 else style.PAGE, 3.1)
     axes = figure.subplots(1, len(scenes), squeeze=False)[0]
-    named = []
+    named: list[str] = []
     for ax, scene in zip(axes, scenes, strict=True):
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):

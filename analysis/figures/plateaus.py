@@ -5,9 +5,11 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from qnerf.config.folders import BENCHMARKS
+
 from .. import style
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "plateaus.parquet"
+BENCHMARK = BENCHMARKS / "plateaus.parquet"
 
 
 def plateau_points(results: str | Path | pd.DataFrame = BENCHMARK) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""Tables that `qnerf evaluate` left in a run's folder."""
+"""Tables that `qnerf probe` left in a run's folder."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from .. import packed
 def probed(run: str | Path, name: str) -> pd.DataFrame:
     """A run's `<name>.parquet`. ValueError that says how to make one where there is none."""
     if not packed.has(run, name):
-        raise ValueError(f"{run}: has no {name}.parquet; `qnerf evaluate {Path(run).name} {_argument(name)}` writes it")
+        raise ValueError(f"{run}: has no {name}.parquet; `qnerf probe {Path(run).name} {_argument(name)}` writes it")
     return packed.found(run, name)
 
 
@@ -18,9 +18,7 @@ def having(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     """The runs with a `<name>.parquet`. ValueError where there is none."""
     kept = frame[[packed.has(path, name) for path in frame["path"]]]
     if kept.empty:
-        raise ValueError(
-            f"none of {len(frame)} runs has {name}.parquet; `qnerf evaluate RUN {_argument(name)}` writes it"
-        )
+        raise ValueError(f"none of {len(frame)} runs has {name}.parquet; `qnerf probe RUN {_argument(name)}` writes it")
     return kept
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -63,7 +64,7 @@ def fourier_spectrum(run: str | Path) -> Figure:
 _HEADS = {"color": "colour", "density": "density"}
 
 
-def _totals(ax, rows: pd.DataFrame) -> None:
+def _totals(ax: Axes, rows: pd.DataFrame) -> None:
     """Bars of the mean share at each frequency; an angle outside an output's light cone counts as 0."""
     pairs = rows["output"].nunique() * (rows["wire"].max() + 1)
     mean = rows.groupby("frequency")["share"].sum() / pairs

@@ -1,4 +1,4 @@
-"""`python -m analysis.report STORE --out report`: see `--help`."""
+"""`qnerf report STORE` or `python -m analysis.report`: see `--help`."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -14,24 +14,22 @@ import qnerf
 
 from .. import command
 from ..load import runs
-from ..query import HELP
 from . import content, curves, page, parts, pictures
 
 DESCRIPTION = """\
-Writes one self-contained HTML page about a store of runs: the table of runs, interactive plots, curves, pictures and
-configurations compared, tables with their LaTeX, the paper's numbers beside ours. It opens from disk in any browser and
-loads nothing from the network.
+Writes one self-contained HTML page about a store of runs: a table of runs, interactive plots, curves, pictures and
+configurations side by side, tables with their LaTeX, the paper's numbers beside ours. It opens from disk in any browser
+and loads nothing from the network.
 """
 EXAMPLES = """\
-examples:
-  python -m analysis.report runs --out report
-  python -m analysis.report runs --out sweep.html --filter scene_name=poster --title "Poster, 3 seeds"
-  python -m analysis.report runs --no-images
+  {} runs --out report
+  {} runs --out sweep.html --filter scene_name=poster --title "Poster, 3 seeds"
+  {} runs --no-images
 """
 
 
-Told = Callable[[str, int], Callable[[], None]]
-"""Begins a part of the work of so many steps; what it returns is called after each."""
+Progressing = Callable[[str, int], Callable[[], None]]
+"""Begins a part of the work: its title and number of steps. Returns a function to call after each step."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -43,12 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def read(file: str, done: int, total: int) -> None:
             progress.update(task, description=f"reading {file}", completed=done, total=total)
 
-        def told(what: str, total: int) -> Callable[[], None]:
-            progress.reset(task, description=what, total=total)
+        def begin(title: str, total: int) -> Callable[[], None]:
+            progress.reset(task, description=title, total=total)
             return lambda: progress.advance(task)
 
         frame = runs(options.store, options.filter, progress=read)
-        path = write(page.render(gathered(frame, options, told)), options.out)
+        path = write(page.render(gathered(frame, options, begin)), options.out)
     console.print(
         f"{path}: {len(frame):,} runs, {path.stat().st_size / 1e6:.1f} MB",
         highlight=False,
@@ -58,20 +56,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(
-        prog="python -m analysis.report",
-        description=DESCRIPTION,
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    made.add_argument("store", help="folder of runs")
+    made = command.parser("report", DESCRIPTION, EXAMPLES)
+    command.add_runs(made)
     made.add_argument(
         "--out",
         default="report",
         metavar="DIR",
         help="a folder, which gets index.html, or a .html file (default: report)",
     )
-    made.add_argument("--filter", metavar="TEXT", help=HELP)
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
     images = made.add_mutually_exclusive_group()
     images.add_argument("--no-images", action="store_true", help="leave out the held-out views")
@@ -85,14 +77,14 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def gathered(frame: pd.DataFrame, options: argparse.Namespace, told: Told) -> dict[str, Any]:
-    """What the page's template takes."""
+def gathered(frame: pd.DataFrame, options: argparse.Namespace, begin: Progressing) -> dict[str, Any]:
+    """The values that the page's template needs."""
     frame = content.prepared(frame)
     order = content.order(frame)
     most = 0 if options.no_images else options.max_images
-    drawn = pictures.gather(frame, order if most else [], most, told=told("pictures", len(order)))
-    logged = curves.gather(frame, order, told=told("curves", min(len(order), curves.MOST_RUNS)))
-    sections = parts.parts(frame, told("tables and figures", parts.STEPS))
+    drawn = pictures.gather(frame, order if most else [], most, told=begin("pictures", len(order)))
+    logged = curves.gather(frame, order, told=begin("curves", min(len(order), curves.MOST_RUNS)))
+    sections = parts.parts(frame, begin("tables and figures", parts.STEPS))
     return {
         "title": options.title,
         "store": options.store,

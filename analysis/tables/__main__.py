@@ -1,4 +1,4 @@
-"""`python -m analysis.tables STORE`: see `--help`."""
+"""`qnerf tables STORE` or `python -m analysis.tables`: see `--help`."""
 
 from collections.abc import Sequence
 
@@ -15,38 +15,41 @@ from .units import units
 from .values import VALUES
 
 DESCRIPTION = """\
-Tables over seeds from a folder of runs. A row is a group of finished runs that differ in their seed alone: mean ±
-standard deviation, best of each scene in bold. Runs that are unfinished, failed, damaged or without the metric are
-counted under the table; a row that would mix scenes or configurations is refused with the keys that differ.
+Tables over seeds from a folder of runs. A row is a group of finished runs that differ only in their seed: mean ±
+standard deviation, the best of each scene in bold. Unfinished, failed and damaged runs, and runs without the metric,
+are counted under the table. A row that would mix scenes or configurations is refused with the keys that differ.
 """
 EXAMPLES = """\
-  python -m analysis.tables runs
-  python -m analysis.tables runs --rows field,qiren --filter scene_name=poster
-  python -m analysis.tables runs --rows scene_name,field --baseline field=classical --format latex
-  python -m analysis.tables runs --rows field,hash --needs --tolerance 0.5 --size step_ms
-  python -m analysis.tables runs --rows scene_name,field --stability
-  python -m analysis.tables runs --paper rgb --filter scene_name=poster
+  {} runs
+  {} runs --rows field,qiren --filter scene_name=poster
+  {} runs --rows scene_name,field --baseline field=classical --format latex
+  {} runs --rows field,hash --needs --tolerance 0.5 --size step_ms
+  {} runs --rows scene_name,field --stability
+  {} runs --paper rgb --filter scene_name=poster
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = command.parser("analysis.tables", DESCRIPTION, EXAMPLES)
+    parser = command.parser("tables", DESCRIPTION, EXAMPLES)
+    command.add_runs(parser)
+    command.add_format(parser)
     parser.add_argument(
         "--rows",
         default="scene_name,field,color",
         metavar="KEY,...",
-        help="columns that tell the rows apart: any key of the configuration (color.qiren.spectral) or a short name "
+        help="columns that distinguish the rows: any key of the configuration (color.qiren.spectral) or a short name "
         "(field, density, color, hash, qiren, train); default: %(default)s",
     )
     parser.add_argument(
-        "--values", metavar="NAME,...", help=f"columns to show; default: those given of {', '.join(VALUES)}"
+        "--values",
+        metavar="NAME,...",
+        help=f"columns to show; default: those of {', '.join(VALUES)} that the runs have",
     )
-    parser.add_argument("--metric", default="psnr", help="what runs are judged by; default: %(default)s")
+    parser.add_argument("--metric", default="psnr", help="column that ranks the runs; default: %(default)s")
     parser.add_argument(
         "--baseline",
         metavar="KEY=VALUE,...",
-        help="the row that the others are compared with, seed by seed and view by view: bootstrap interval of the "
-        "difference",
+        help="compare each row with this one, seed by seed and view by view: bootstrap interval of the difference",
     )
     parser.add_argument(
         "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
@@ -57,18 +60,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--units",
         action="store_true",
-        help="instead: dead units and the spread of colours, of runs that `qnerf evaluate RUN units` probed",
+        help="instead: dead units and the spread of colours, of runs probed by `qnerf probe RUN units`",
     )
     parser.add_argument(
         "--hardware",
         action="store_true",
-        help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf evaluate RUN shots=100` measured",
+        help="instead: PSNR with finite shots and noisy gates, of runs probed by `qnerf probe RUN shots=100`",
     )
     parser.add_argument(
         "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
     )
     parser.add_argument(
-        "--size", default="params.total", help="for --needs: what is small, such as step_ms; default: %(default)s"
+        "--size",
+        default="params.total",
+        help="for --needs: the column to minimise, such as step_ms; default: %(default)s",
     )
     titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
     parser.add_argument(

@@ -45,7 +45,7 @@ def references(keys: pd.DataFrame, rows: Sequence[str], baseline: Mapping[str, o
         raise ValueError(f"baseline: {outside[0]!r} is not a row key; the rows are {', '.join(rows)}")
     matches = set(where(keys, baseline).index)
     scenes = [key for key in rows if key in SCENES]
-    found = {}
+    found: dict[Any, int] = {}
     for scene, members in keys.groupby(scenes, dropna=False) if scenes else [("the table", keys)]:
         ours = [number for number in members.index if number in matches]
         if len(ours) != 1:

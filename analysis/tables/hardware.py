@@ -1,4 +1,4 @@
-"""Trained circuits as hardware would measure them, from what `qnerf evaluate RUN shots=... noise=...` measured."""
+"""Trained circuits as hardware would measure them, from what `qnerf probe RUN shots=... noise=...` measured."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ def hardware(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     refuse_mixtures(selection.runs, rows)
     measured = selection.runs[[packed.has(path, FILE) for path in selection.runs["path"]]]
     if measured.empty:
-        raise ValueError("no run was measured: qnerf evaluate RUN shots=100,1000")
+        raise ValueError("no run was measured: qnerf probe RUN shots=100,1000")
     each = pd.concat(
         [means(packed.found(run["path"], FILE)).assign(**run[list(rows)]) for _, run in measured.iterrows()]
     )

@@ -1,4 +1,4 @@
-"""How alive colour heads are before training and after it, from what `qnerf evaluate RUN units` measured."""
+"""How alive colour heads are before training and after it, from what `qnerf probe RUN units` measured."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
     measured = {str(path): _measured(str(path), head) for path in selection.runs["path"]}
     probed = selection.runs[[measured[str(path)] is not None for path in selection.runs["path"]]]
     if probed.empty:
-        raise ValueError("no run was probed: qnerf evaluate RUN units")
+        raise ValueError("no run was probed: qnerf probe RUN units")
     columns = pd.DataFrame([measured[str(path)] for path in probed["path"]], index=probed.index)
     groups = pd.concat([probed[[*rows, "psnr"]], columns], axis=1).groupby(list(rows), dropna=False)
     data = groups.mean().assign(n=groups.size())

@@ -131,12 +131,12 @@ def test_ctrl_c_stops_with_a_checkpoint_and_the_same_command_goes_on(small):
         (["/nowhere", "shots=many"], "shots expects numbers with commas between them, got 'many'"),
     ],
 )
-def test_evaluate_tells_a_mistake_in_one_line(monkeypatch, capsys, tmp_path, arguments, message):
+def test_probe_tells_a_mistake_in_one_line(monkeypatch, capsys, tmp_path, arguments, message):
     if "shot" in message:
         (tmp_path / "a-run").mkdir()
         arguments = [str(tmp_path / "a-run"), *arguments[1:]]
         (tmp_path / "a-run" / "status.json").write_text("{}")
-    monkeypatch.setattr(sys, "argv", ["qnerf", "evaluate", *arguments])
+    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2

@@ -1,4 +1,4 @@
-"""What the terminal shows: the configuration as a tree, a live progress bar, a closing table."""
+"""What a training shows on the terminal: the configuration as a tree, a progress bar, a closing table."""
 
 from collections.abc import Mapping
 from pathlib import Path

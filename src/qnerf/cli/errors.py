@@ -1,9 +1,48 @@
-"""A user's mistake as one line."""
+"""How a command ends: its exit code, and a user's mistake as one line on standard error."""
 
-from qnerf.records.printable import printable
+import os
+import sys
+from collections.abc import Callable
+
+
+def exit_code(command: Callable[[], int | None]) -> int:
+    """Runs a command and returns its exit code.
+
+    A user's mistake (ValueError), a file that cannot be read or written (OSError) and a package that is not installed
+    are one line on standard error and exit code 2. Any other exception is a bug and keeps its traceback.
+    """
+    try:
+        code = command() or 0
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        return closed_pipe()
+    except (ValueError, OSError) as error:
+        return report(error)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] in ("qnerf", "analysis"):
+            raise
+        return report(error)
+
+
+def closed_pipe() -> int:
+    """Drops the rest of the output after its reader, such as `head`, has ended; returns the exit code."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 141
+
+
+def report(error: Exception) -> int:
+    """Prints the error as one line; returns the exit code of a mistake."""
+    print(f"error: {one_line(error)}", file=sys.stderr)
+    return 2
 
 
 def one_line(error: Exception) -> str:
-    if type(error).__name__ == "MissingMandatoryValue":  # OmegaConf's, which commands without Hydra never import
+    """The error's message on one line of printable characters."""
+    from qnerf.records.printable import printable  # imports pandas, which `qnerf --help` does without
+
+    if type(error).__name__ == "MissingMandatoryValue":  # OmegaConf's; only commands with Hydra import it
         return f"{getattr(error, 'full_key', '?')} must be given"
     return printable(" ".join(str(error).split("\n    full_key")[0].split()))

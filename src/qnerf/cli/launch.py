@@ -31,6 +31,7 @@ from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
 from qnerf.cli.errors import one_line
 from qnerf.cli.sweep import Sweep
+from qnerf.config.folders import CONF
 
 LAUNCHERS = {
     "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
@@ -217,12 +218,6 @@ def _report(sweep: Sweep) -> int:
     return 1 if failures else 0
 
 
-def conf_folder() -> Path:
-    """conf/ beside src/ in a checkout, inside the package in an installed wheel."""
-    package = Path(__file__).parents[1]
-    return package / "conf" if (package / "conf").is_dir() else package.parents[1] / "conf"
-
-
 def run_command() -> None:
     """Composes the configuration from conf/ and the command line, and runs it."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # what Hydra would print as a traceback comes through here
@@ -234,7 +229,7 @@ def run_command() -> None:
         print(f"error: {one_line(error)}", file=sys.stderr)
         sys.exit(2)
     try:
-        hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")(job)()
+        hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
     except SystemExit as end:
         code = end.code
     except KeyboardInterrupt:

@@ -9,55 +9,70 @@ import sys
 # spinning threads on a busy two-core machine slow it down more than tenfold.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from qnerf.cli.commands import COMMANDS
-from qnerf.cli.errors import one_line
+from qnerf import __version__
+from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
+from qnerf.cli.errors import closed_pipe, exit_code, report
+from qnerf.cli.sweep import expand_sweep
+
+FIRST_STEPS = """\
+first steps:
+  qnerf run                       train on the built-in scene; the run goes to runs/<id>
+  qnerf runs                      list the runs
+  qnerf report runs               write a page about them, report/index.html
+  qnerf run -m field=classical,qcolor seed=0,1,2
+                                  train a sweep: every combination is a run
+
+`qnerf COMMAND --help` lists the options of a command."""
 
 
 def usage() -> str:
+    """The text of `qnerf --help`: the commands in groups, one line each."""
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {what}" for name, what in {"run": "train and evaluate", **COMMANDS}.items()]
-    return "\n".join(["usage: qnerf COMMAND ...", "", *lines, "", "`qnerf COMMAND --help` says what each one takes"])
+    lines = ["usage: qnerf COMMAND ...", "", "Quantum-classical neural radiance fields.", ""]
+    for title, commands in GROUPS.items():
+        lines += [f"{title}:", *(f"  {name:<{width}}  {purpose}" for name, purpose in commands.items()), ""]
+    return "\n".join([*lines, FIRST_STEPS])
 
 
 def main() -> None:
     """The console command `qnerf`."""
-    command, *rest = sys.argv[1:] or ["--help"]
+    command, *arguments = sys.argv[1:] or ["--help"]
+    if command in RENAMED:
+        print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
+        command = RENAMED[command]
     if command in ("-h", "--help"):
         print(usage())
+    elif command == "--version":
+        print(f"qnerf {__version__}")
     elif command == "run":
-        sys.argv = ["qnerf run", *rest]
+        sys.argv = ["qnerf run", *arguments]
         run()
     elif command in COMMANDS:
-        sys.exit(dispatch(command, rest))
+        sys.exit(dispatch(command, arguments))
     else:
-        sys.exit(report(ValueError(f"unknown command {command!r}; known: run, {', '.join(COMMANDS)}")))
+        sys.exit(report(ValueError(f"unknown command {command!r}; known: {', '.join(COMMANDS)}")))
 
 
 def run() -> None:
     """`qnerf run` and `python -m src.run`: Hydra reads sys.argv."""
+    try:
+        sys.argv[1:] = expand_sweep(sys.argv[1:])
+    except ValueError as error:
+        sys.exit(report(error))
     from qnerf.cli.launch import run_command
 
-    run_command()
+    try:
+        run_command()
+    except BrokenPipeError:
+        sys.exit(closed_pipe())
 
 
 def dispatch(command: str, arguments: list[str]) -> int:
-    """Runs one of `COMMANDS`; its exit code. What the user got wrong is one line on stderr, and exit code 2."""
+    """Runs one of `COMMANDS` other than `run`; returns its exit code."""
+    if command in ANALYSIS:
+        module = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}")
+        return exit_code(lambda: module.main(arguments))
     module = importlib.import_module(f"qnerf.cli.commands.{command}")
     parser = argparse.ArgumentParser(prog=f"qnerf {command}")
     module.arguments(parser)
-    try:
-        code = module.main(parser.parse_intermixed_args(arguments)) or 0
-        sys.stdout.flush()
-        return code
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:  # `| head` has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
-    except (ValueError, OSError) as error:
-        return report(error)
-
-
-def report(error: Exception) -> int:
-    print(f"error: {one_line(error)}", file=sys.stderr)
-    return 2
+    return exit_code(lambda: module.main(parser.parse_intermixed_args(arguments)))

@@ -61,9 +61,9 @@ def is_choice(group: str, name: object) -> bool:
     """Whether `group=name` can be chosen: by a YAML of the package, or since `load` made it so."""
     from hydra.core.config_store import ConfigStore
 
-    from qnerf.cli.launch import conf_folder
+    from qnerf.config.folders import CONF
 
-    return (conf_folder() / group / f"{name}.yaml").is_file() or f"{name}.yaml" in ConfigStore.instance().repo.get(
+    return (CONF / group / f"{name}.yaml").is_file() or f"{name}.yaml" in ConfigStore.instance().repo.get(
         group, {}
     )
 

@@ -1,9 +1,11 @@
-"""What the jobs of a sweep tell the process that started it, and the other way round, on any machine: a folder.
+"""Sweeps by name, and the folder through which the jobs of a sweep report to the process that started it.
+
+The folder works for jobs on any machine that shares the store:
 
 <store>/.sweeps/<time>/
   multirun.yaml    the sweep's configuration, written by Hydra
   failed/3.json    job 3: its overrides and why it failed
-  stop             whoever sees it stops with a checkpoint and starts nothing more
+  stop             when it exists, jobs stop with a checkpoint and no further job starts
   jobs/            scripts and output of a cluster's jobs
 """
 
@@ -11,9 +13,38 @@ import json
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from qnerf.config.folders import SWEEPS
+
+
+def expand_sweep(arguments: Sequence[str]) -> list[str]:
+    """Replaces `--sweep NAME` by the options with which Hydra finds the sweep's file.
+
+    NAME is one of the sweeps that come with qnerf, or the path of a YAML file of the user's.
+
+    Raises:
+        ValueError: no such sweep, or no NAME.
+
+    >>> expand_sweep(["--sweep", "seeds", "budget=short"])
+    ['-cd', '.../sweeps', '-cn', 'seeds', 'budget=short']
+    """
+    expanded = []
+    rest = iter(arguments)
+    for argument in rest:
+        option, equals, name = argument.partition("=")
+        if option != "--sweep":
+            expanded.append(argument)
+            continue
+        name = name if equals else next(rest, "")
+        file = Path(name) if name.endswith(".yaml") else SWEEPS / f"{name}.yaml"
+        if not file.is_file():
+            known = ", ".join(sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml")))
+            raise ValueError(f"--sweep expects a .yaml file or a known sweep, got {name!r}; known: {known}")
+        expanded += ["-cd", str(file.parent.absolute()), "-cn", file.stem]
+    return expanded
+
 
 class Sweep:
-    """The folder of one sweep; it is made by whoever writes first. `common` are overrides that all jobs have."""
+    """The folder of one sweep, created by the first write. `common`: overrides that all jobs share."""
 
     def __init__(self, folder: str | Path, common: Collection[str] = ()) -> None:
         self.folder = Path(folder)
@@ -25,12 +56,12 @@ class Sweep:
         path.write_text(json.dumps({"overrides": list(overrides), "reason": reason}))
 
     def failures(self) -> list[tuple[str, str]]:
-        """What is particular to each job that failed, and the reason, in the order of the jobs."""
+        """Each failed job's own overrides and the reason, in the order of the jobs."""
         paths = sorted((self.folder / "failed").glob("*.json"), key=lambda path: int(path.stem))
         failed = [json.loads(path.read_text()) for path in paths]
-        return [(self._particular(job["overrides"]), job["reason"]) for job in failed]
+        return [(self._own(job["overrides"]), job["reason"]) for job in failed]
 
-    def _particular(self, overrides: Sequence[str]) -> str:
+    def _own(self, overrides: Sequence[str]) -> str:
         return " ".join([item for item in overrides if item not in self.common] or overrides)
 
     def stop(self) -> None:

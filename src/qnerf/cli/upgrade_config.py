@@ -15,6 +15,7 @@ import yaml  # type: ignore[import-untyped]
 from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
 from qnerf.config.compatibility import fill_added, today_noted
+from qnerf.config.folders import CONF
 from qnerf.config.identity import identity
 from qnerf.config.plugins import check_plugins
 from qnerf.records import StoreError, read_config, read_status
@@ -118,13 +119,11 @@ def todays_defaults(config: Mapping[str, Any]) -> dict[str, Any]:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from qnerf.cli.launch import conf_folder
-
     choices = {
         group: node.get("name") for part, group in GROUPS.items() if isinstance(node := config.get(part), Mapping)
     }
     known = [f"{group}={name}" for group, name in choices.items() if plugins.is_choice(group.partition("@")[0], name)]
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
         defaults: dict[str, Any] = OmegaConf.to_container(compose("config", known), resolve=True)  # type: ignore[assignment]
     return defaults
 

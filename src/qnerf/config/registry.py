@@ -19,7 +19,8 @@ class Registry(Generic[T]):
     >>> @ENCODERS.register("identity")
     ... class Identity:
     ...     def __init__(self, in_dim: int, *, scale: float = 1.0): ...
-    >>> ENCODERS.build("identity", 3, scale=2.0)
+    >>> type(ENCODERS.build("identity", 3, scale=2.0)).__name__
+    'Identity'
     """
 
     def __init__(self, group: str) -> None:

@@ -19,7 +19,7 @@ def test_runs_with_one_configuration_say_so(store, make, qnerf):
     other = make("poster-qcolor-s0-1111111111", psnr=21.0)
     out = qnerf("diff", run, other).out
     assert "no differences in configuration" in out
-    assert "the ids differ, so the scene's files do" in out
+    assert "the ids differ, so the scene's files differ" in out
     assert "the ids differ" not in qnerf("diff", run, run).out
 
 

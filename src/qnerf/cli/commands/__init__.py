@@ -1,35 +1,77 @@
 """The console commands, one a file.
 
-Each module has `arguments(parser)`, which says what it takes, and `main(options)`, which does it and returns the exit
-code or None for 0. Modules are imported when their command is asked for, so that listing runs never waits for PyTorch.
+Each module has `arguments(parser)`, which declares its arguments, and `main(options)`, which runs the command and
+returns the exit code, or None for 0. A module is imported only for its own command, so listing runs never waits for
+PyTorch.
 """
 
 import argparse
 
-COMMANDS = {
-    "runs": "list the runs of a store",
-    "show": "everything about one run",
-    "diff": "what differs between two runs: configuration, environment, metrics",
-    "watch": "a run, or the whole store, refreshing while it trains",
-    "tag": "add or remove a run's tags",
-    "note": "read or write a run's note",
-    "rm": "delete runs",
-    "resume": "go on with an interrupted run, or do a failed one again",
-    "reproduce": "run a finished run again and compare every number",
-    "export": "copy a run to MLflow, TensorBoard or CSV",
-    "replay": "repeat the step in which numerics.finite_checks=true found a value that is not finite",
-    "evaluate": "measure a finished run further: finite shots, noisy gates, spectra, encodings, samples",
+GROUPS = {
+    "train": {
+        "run": "train and evaluate one configuration, or a sweep of many",
+        "resume": "continue an interrupted run, or repeat a failed one",
+        "reproduce": "train a finished run again and compare every number",
+        "replay": "repeat the training step that produced a NaN or an infinity",
+    },
+    "look at runs": {
+        "runs": "list the runs of a store",
+        "show": "everything about one run",
+        "diff": "what differs between two runs: configuration, environment, metrics",
+        "watch": "a run, or the whole store, refreshed while it trains",
+    },
+    "organise runs": {
+        "tag": "add or remove a run's tags",
+        "note": "read or write a run's note",
+        "rm": "delete runs",
+        "export": "copy runs to MLflow, TensorBoard or CSV",
+    },
+    "measure a trained model": {
+        "probe": "finite shots, noisy gates, spectra, encodings, ray samples, dead units",
+    },
+    "analyse a store of runs": {
+        "report": "one HTML page: table, plots, curves, pictures",
+        "tables": "tables over seeds as Markdown, CSV or LaTeX",
+        "figures": "figures as PNG, SVG and PDF",
+        "hsv": "hue, saturation and value of renderings against the truth",
+        "pack": "the runs as a few small tables, to keep beside a paper",
+        "results": "one page about several packed folders",
+    },
 }
-"""Name -> what it does, in the order of the help. `run` is not here: Hydra reads its arguments."""
+"""Title -> command -> purpose, in the order of `qnerf --help`."""
+
+COMMANDS = {name: purpose for commands in GROUPS.values() for name, purpose in commands.items()}
+
+ANALYSIS = {
+    "report": "report.__main__",
+    "tables": "tables.__main__",
+    "figures": "figures.__main__",
+    "hsv": "hsv",
+    "pack": "pack",
+    "results": "results",
+}
+"""Commands of the analysis package -> their module in it; its `main` takes the arguments as strings."""
+
+RENAMED = {"evaluate": "probe"}
+"""Former name of a command -> its name."""
+
+RUN = "a run's folder, its id, or a unique part of its id"
 
 
 def add_store(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--store", default="runs", metavar="DIR", help="folder of runs (default: runs)")
+    """`--store`, the folder of runs."""
+    parser.add_argument("--store", default="runs", metavar="DIR", help="folder of runs (default: %(default)s)")
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """One run, as `qnerf.records.find` takes it."""
-    parser.add_argument("run", metavar="RUN", help="a run's folder, its id, or a part of its id that no other has")
+    """One run, as `qnerf.records.find` takes it, and `--store`."""
+    parser.add_argument("run", metavar="RUN", help=RUN)
+    add_store(parser)
+
+
+def add_many_runs(parser: argparse.ArgumentParser) -> None:
+    """One run or more, and `--store`."""
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     add_store(parser)
 
 

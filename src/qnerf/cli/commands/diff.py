@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from qnerf.cli.commands import add_store
+from qnerf.cli.commands import RUN, add_store
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import as_json, console
 from qnerf.config.compatibility import without_neutral
@@ -22,23 +22,26 @@ ABSENT = "-"
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "What differs between two runs: configuration, environment, and the results side by side."
     for name in ("a", "b"):
-        parser.add_argument(name, metavar=name.upper(), help="a run's folder, its id, or a unique part of its id")
+        parser.add_argument(name, metavar=name.upper(), help=RUN)
     add_store(parser)
     parser.add_argument("--json", action="store_true", help="the same as one object, numbers in full")
 
 
 def main(options: argparse.Namespace) -> None:
     a, b = (details.read(find(name, options.store)) for name in (options.a, options.b))
-    found = compare(a, b)
+    compared = compare(a, b)
     if options.json:
-        print(as_json(found))
-        return
-    show(console(), a, b, found)
+        print(as_json(compared))
+    else:
+        show(console(), a, b, compared)
 
 
 def compare(a: Details, b: Details) -> dict[str, Any]:
-    """Keys configuration, execution, environment: name -> [value of A, of B] where they differ; results: of both runs,
-    with the difference B - A where both are numbers."""
+    """What differs, in sections.
+
+    `configuration`, `execution`, `environment`: name -> [value in A, value in B], only where they differ. `results`:
+    name -> [A, B, B - A] for every number; the difference is None where one of the runs has no number.
+    """
     config = differences(*(flatten(without_neutral(run.config)) for run in (a, b)))
     execution = {key: pair for key, pair in config.items() if is_execution(key)}
     return {
@@ -53,42 +56,42 @@ def compare(a: Details, b: Details) -> dict[str, Any]:
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Name -> [value in a, value in b]; None for a name that one does not have."""
+    """Name -> [value in a, value in b], only where they differ; None for a name that is missing."""
     names = list(dict.fromkeys([*a, *b]))
     return {name: [a.get(name), b.get(name)] for name in names if a.get(name) != b.get(name)}
 
 
 def _environment(run: Details) -> dict[str, Any]:
-    """Without the command, of which the configuration is what came."""
+    """Omits the command line; the configuration records it."""
     return flatten({key: value for key, value in run.environment.items() if key != "command"})
 
 
 def results(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Name -> [A, B, B - A] for the numbers that either run has."""
+    """Name -> [A, B, B - A] for every name that is a number in one of the runs."""
     names = [name for name in dict.fromkeys([*a, *b]) if _is_number(a.get(name)) or _is_number(b.get(name))]
-    found: dict[str, list[Any]] = {name: [a.get(name), b.get(name)] for name in names}
-    for pair in found.values():
+    pairs: dict[str, list[Any]] = {name: [a.get(name), b.get(name)] for name in names}
+    for pair in pairs.values():
         pair.append(pair[1] - pair[0] if all(map(_is_number, pair)) else None)
-    return found
+    return pairs
 
 
-def show(out: Console, a: Details, b: Details, found: Mapping[str, Any]) -> None:
+def show(out: Console, a: Details, b: Details, compared: Mapping[str, Any]) -> None:
     for letter, run in (("A", a), ("B", b)):
         out.print(Text.assemble((f"{letter}  ", "bold"), printable(run.run_id), f"  {run.state}"), soft_wrap=True)
         for problem in run.problems:
             out.print(Text(f"   {printable(problem)}", "red"), soft_wrap=True)
     for name in ("configuration", "execution", "environment"):
-        if found[name]:
+        if compared[name]:
             _section(out, name)
-            rows = [{"key": key, "a": pair[0], "b": pair[1]} for key, pair in found[name].items()]
+            rows = [{"key": key, "a": pair[0], "b": pair[1]} for key, pair in compared[name].items()]
             print_table(out, [_text("key"), _text("a"), _text("b")], rows)
         elif name != "execution":
             out.print(f"\nno differences in {name}")
-    if not found["configuration"] and a.run_id != b.run_id and not (a.problems or b.problems):
-        out.print("the ids differ, so the scene's files do")
+    if not compared["configuration"] and a.run_id != b.run_id and not (a.problems or b.problems):
+        out.print("the ids differ, so the scene's files differ")
     _section(out, "results")
     rows = [
-        {"key": key, "a": values[0], "b": values[1], "b - a": values[2]} for key, values in found["results"].items()
+        {"key": key, "a": values[0], "b": values[1], "b - a": values[2]} for key, values in compared["results"].items()
     ]
     print_table(out, [_text("key"), *(_number(name) for name in ("a", "b", "b - a"))], rows)
 

@@ -5,7 +5,7 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 
-from qnerf.cli.commands import add_store
+from qnerf.cli.commands import add_many_runs
 from qnerf.records import find
 from qnerf.records.printable import printable
 
@@ -13,10 +13,9 @@ TARGETS = ("mlflow", "tensorboard", "csv")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Copies runs to MLflow, TensorBoard or CSV files. Again, it brings the copies up to date."
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="a run's folder, its id, or a unique part of its id")
-    add_store(parser)
-    parser.add_argument("--to", required=True, choices=TARGETS)
+    parser.description = "Copies runs to MLflow, TensorBoard or CSV files; a second export updates the copies."
+    add_many_runs(parser)
+    parser.add_argument("--to", required=True, choices=TARGETS, help="where the copies go")
     parser.add_argument(
         "--out", metavar="DIR", help="tensorboard, csv: a folder (default: exports/tensorboard, .../csv)"
     )

@@ -9,7 +9,7 @@ from qnerf.records.printable import printable
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Prints a run's note, or replaces it by TEXT; an empty TEXT removes it."
+    parser.description = "Prints the note of a run, or replaces it by TEXT; an empty TEXT removes the note."
     add_run(parser)
     parser.add_argument("text", nargs="*", metavar="TEXT", help="the new note; - reads it from standard input")
 

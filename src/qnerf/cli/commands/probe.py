@@ -1,4 +1,4 @@
-"""`qnerf evaluate RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf evaluate RUN rays`."""
+"""`qnerf probe RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf probe RUN rays`."""
 
 import argparse
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,10 @@ DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed":
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Measures a finished run further. As hardware would render its held-out views (finite shots, noisy gates): "
-        "eval_hardware.parquet. By a probe of its model: spectrum.parquet (Fourier power of the circuits), "
-        "encoding.parquet (a slice of the encoders), rays.parquet (samples along a few rays), "
-        "units.parquet (dead units and how much each layer's values vary, before training and after)."
+        "Measures the trained model of a finished run; the results go into the run's folder. With shots=... or "
+        "noise=... it renders the held-out views as quantum hardware would: eval_hardware.parquet. PROBE is spectrum "
+        "(Fourier power of the circuits), encoding (a slice of the encoders), rays (samples along a few rays) or units "
+        "(dead units and the spread of each layer's values, before and after training): PROBE.parquet."
     )
     add_run(parser)
     parser.add_argument(
@@ -51,10 +51,10 @@ def main(options: argparse.Namespace) -> None:
 def _check(names: list[str], settings: list[str]) -> None:
     for name in names:
         if name not in PROBES:
-            raise ValueError(f"qnerf evaluate: unknown probe {name!r}; known: {', '.join(PROBES)}")
+            raise ValueError(f"unknown probe {name!r}; known: {', '.join(PROBES)}")
     for key in (setting.partition("=")[0] for setting in settings):
         if key not in DEFAULTS:
-            raise ValueError(f"qnerf evaluate: unknown option {key!r}; known: {', '.join(DEFAULTS)}")
+            raise ValueError(f"unknown option {key!r}; known: {', '.join(DEFAULTS)}")
 
 
 def _conditions(settings: list[str]) -> tuple[list[Any], int]:

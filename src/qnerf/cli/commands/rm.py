@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from qnerf.cli.commands import add_store
+from qnerf.cli.commands import add_many_runs
 from qnerf.cli.text import STATE_STYLES, console, size, styled
 from qnerf.records import StoreError, find, owner, state
 from qnerf.records.files import reporting
@@ -21,9 +21,10 @@ MARKS = ("status.json", "summary.parquet", "owner")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Deletes runs for good. A run that is being written stays. Exit code 1: nothing was deleted."
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="a run's folder, its id, or a unique part of its id")
-    add_store(parser)
+    parser.description = (
+        "Deletes runs for good, after asking. A run that is being written is refused. Exit code 1: nothing was deleted."
+    )
+    add_many_runs(parser)
     parser.add_argument("--yes", "-y", action="store_true", help="delete without asking")
 
 

@@ -8,7 +8,7 @@ from qnerf.records.printable import printable
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Adds and removes a run's tags; without any, prints the ones it has, one a line."
+    parser.description = "Adds or removes tags of a run; without TAG, prints its tags, one a line."
     add_run(parser)
     parser.add_argument("tags", nargs="*", metavar="TAG", help="tags to add; commas work too")
     parser.add_argument("--remove", action="append", default=[], metavar="TAG", help="a tag to remove")

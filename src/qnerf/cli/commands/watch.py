@@ -13,7 +13,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from qnerf.cli.commands import add_store
+from qnerf.cli.commands import RUN, add_store
 from qnerf.cli.commands import runs as listing
 from qnerf.cli.commands.show import state_line
 from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
@@ -32,7 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "Shows a run, or without RUN the store's newest runs, and refreshes until the run ends or Ctrl-C. "
         "Without a terminal it prints once."
     )
-    parser.add_argument("run", nargs="?", metavar="RUN", help="a run's folder, its id, or a unique part of its id")
+    parser.add_argument("run", nargs="?", metavar="RUN", help=RUN)
     add_store(parser)
     parser.add_argument("--every", type=float, default=2.0, metavar="SECONDS", help="between refreshes (default: 2)")
     parser.add_argument("--once", action="store_true", help="print once")

@@ -1,0 +1,16 @@
+"""Where the files beside the code lie: at the top of a checkout, or inside the package of an installed wheel.
+
+`setup.py` maps the folders of a checkout into the package, so both have the same layout below `HOME`.
+"""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parents[1]
+
+HOME = _PACKAGE if (_PACKAGE / "conf").is_dir() else _PACKAGE.parents[1]
+CONF = HOME / "conf"
+"""Hydra's configuration groups."""
+SWEEPS = HOME / "sweeps"
+"""The sweeps that `qnerf run --sweep NAME` knows, one YAML each."""
+BENCHMARKS = HOME / "benchmarks" / "results"
+"""Tables that the benchmarks measured; some figures draw them."""

@@ -1,0 +1,156 @@
+"""What sdist and wheel hold, and that the wheel works far from the checkout, which nothing else in the tests shows."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from qnerf.cli.commands import ANALYSIS
+from tests.helpers.configs import ROOT
+
+pytest.importorskip("setuptools", minversion="77")
+
+IN_WHEEL = {"src/qnerf": "", "conf": "conf", "sweeps": "sweeps", "analysis": "analysis"}
+"""Folder of a checkout -> its folder in the installed package; the benchmarks' tables are there too."""
+RUNS = str(ROOT / "docs" / "results" / "paper")
+NOT_IN_SDIST = {".gitignore", ".github"}
+
+
+def build(kind: str, source: Path, target: Path) -> Path:
+    """Builds an sdist or a wheel with this environment's setuptools, so without network."""
+    code = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(target)!r}))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return target / done.stdout.splitlines()[-1]
+
+
+def tracked() -> set[str]:
+    """The repository's files; without git, such as in an unpacked sdist, what looks like them."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if listed.returncode == 0:
+        return {name for name in listed.stdout.splitlines() if (ROOT / name).is_file()}
+    folders = ("src", "conf", "sweeps", "analysis", "benchmarks", "tests", "docs", ".ci")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
+    files = [path for path in files if "__pycache__" not in path.parts and ".egg-info" not in str(path)]
+    return {path.relative_to(ROOT).as_posix() for path in [*files, *ROOT.glob("*.md"), ROOT / "pyproject.toml"]}
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("source")
+    for name in tracked():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, folder / name)
+    return build("sdist", folder, tmp_path_factory.mktemp("sdist"))
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from the sdist alone."""
+    folder = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    (source,) = folder.iterdir()
+    return build("wheel", source, tmp_path_factory.mktemp("wheel"))
+
+
+def test_the_sdist_holds_the_repository(sdist: Path) -> None:
+    with tarfile.open(sdist) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    assert {name for name in tracked() if name.split("/")[0] not in NOT_IN_SDIST} <= held
+    assert not [name for name in held if "__pycache__" in name]
+
+
+def test_the_wheel_holds_every_file_of_every_folder(wheel: Path) -> None:
+    expected = {name.replace("benchmarks/", "qnerf/benchmarks/", 1) for name in tracked() if name.endswith(".parquet")}
+    expected = {name for name in expected if name.startswith("qnerf/benchmarks/results/")}
+    for folder, inside in IN_WHEEL.items():
+        names = {name.removeprefix(f"{folder}/") for name in tracked() if name.startswith(f"{folder}/")}
+        expected |= {"/".join(filter(None, ["qnerf", inside, name])) for name in names}
+    held = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert held == expected
+    suffixes = {Path(name).suffix for name in held}
+    assert {".py", ".typed", ".yaml", ".csv", ".js", ".css", ".html", ".ipynb", ".parquet"} <= suffixes
+
+
+class Installed:
+    """The unpacked wheel, and an empty folder to work in."""
+
+    def __init__(self, packages: Path, work: Path) -> None:
+        self.work = work
+        self.environment = {**os.environ, "PYTHONPATH": str(packages), "OMP_NUM_THREADS": "1"}
+
+    def python(self, *arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=self.work, env=self.environment,
+            capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def qnerf(self, *arguments: str) -> str:
+        return self.python("-c", "from qnerf.cli.main import main; main()", *arguments)
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    packages = tmp_path_factory.mktemp("packages")
+    zipfile.ZipFile(wheel).extractall(packages)
+    return Installed(packages, tmp_path_factory.mktemp("work"))
+
+
+def test_the_package_is_the_wheels(installed: Installed) -> None:
+    code = "import qnerf, qnerf.analysis.load as load; qnerf.QuantumLayer(2, 1); print(qnerf.__file__, load.__file__)"
+    for file in installed.python("-c", code).split():
+        assert file.startswith(installed.environment["PYTHONPATH"])
+
+
+def test_every_group_and_sweep_is_found(installed: Installed) -> None:
+    shown = installed.qnerf("run", "--help")
+    for group in (path for path in (ROOT / "conf").iterdir() if path.is_dir() and path.name != "hydra"):
+        choices = ", ".join(sorted(path.stem for path in group.glob("*.yaml")))
+        assert f"{group.name}: {choices}" in shown
+    assert "field: classical,qcolor" in installed.qnerf(
+        "run", "--sweep", "seeds", "--cfg", "hydra", "-p", "hydra.sweeper"
+    )
+
+
+def test_help_says_how_each_command_is_called(installed: Installed) -> None:
+    code = """
+import contextlib, sys
+from qnerf.cli.main import main
+for command in sys.argv[1:]:
+    sys.argv = ["qnerf", command, "--help"]
+    with contextlib.suppress(SystemExit):
+        main()
+    print("=====")
+"""
+    *texts, _ = installed.python("-c", code, *ANALYSIS).split("=====\n")
+    for command, text in zip(ANALYSIS, texts, strict=True):
+        assert text.startswith(f"usage: qnerf {command} ")
+        assert "analysis." not in text
+        assert "{}" not in text
+
+
+def test_a_configuration_is_composed(installed: Installed) -> None:
+    """.ci/run trains with an installed wheel; here that would compile every kernel anew."""
+    (installed.work / "mine.yaml").write_text("defaults: [config, _self_]\nseed: 7\n")
+    assert "seed: 7" in installed.qnerf("run", "--sweep", "mine.yaml", "field=qboth", "--cfg", "job")
+
+
+def test_the_analysis_side_reads_runs(installed: Installed) -> None:
+    """.ci/run writes a report with an installed wheel as well, which takes longer."""
+    assert "classical" in installed.qnerf("tables", RUNS, "--rows", "scene_name,field")
+
+
+def test_figures_of_the_benchmarks_are_drawn(installed: Installed) -> None:
+    names = ["engines", "accuracy", "ladder", "plateaus"]
+    installed.qnerf("figures", RUNS, *names, "--formats", "svg")
+    assert sorted(path.stem for path in (installed.work / "figures").iterdir()) == sorted(names)

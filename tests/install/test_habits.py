@@ -1,0 +1,48 @@
+"""The files around the code agree with each other and with it."""
+
+import re
+import subprocess
+import tomllib
+
+import pytest
+import yaml
+
+from qnerf import __version__
+from tests.helpers.configs import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == __version__
+    assert {"cff-version", "title", "message", "authors", "license"} <= set(citation)
+
+
+def test_every_extra_that_a_message_names_exists() -> None:
+    for file in [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").glob("*.md"), ROOT / "README.md"]:
+        for extras in re.findall(r"qnerf\[([a-z0-9,]+)\]", file.read_text()):
+            assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"]), file
+
+
+def test_the_hooks_before_a_commit_are_tools_of_the_dev_extra() -> None:
+    (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    tools = {re.match(r"[a-z-]+", requirement)[0] for requirement in PROJECT["optional-dependencies"]["dev"]}  # type: ignore[index]
+    assert {hook["entry"].split()[0] for hook in repository["hooks"]} <= tools
+
+
+def test_the_workflow_does_what_ci_run_does() -> None:
+    workflow = ROOT / ".github" / "workflows" / "ci.yml"
+    if not workflow.is_file():
+        pytest.skip("a source distribution has no workflow")
+    steps = yaml.safe_load(workflow.read_text())["jobs"]["test"]["steps"]
+    assert [step["run"] for step in steps if "run" in step] == [".ci/run"]
+
+
+def test_ci_run_reads_its_commands_from_readme() -> None:
+    script, readme = (ROOT / ".ci" / "run").read_text(), (ROOT / "README.md").read_text()
+    marks = re.findall(r"\$\(command_after (\w+)\)", script)
+    assert marks == ["install", "test"]
+    for mark in marks:
+        assert f"<!-- {mark} -->\n```" in readme
+    assert subprocess.run(["bash", "-n", ROOT / ".ci" / "run"], check=False).returncode == 0

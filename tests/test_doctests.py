@@ -1,0 +1,23 @@
+"""The examples in docstrings show what really happens."""
+
+import doctest
+import importlib
+
+import pytest
+
+from tests.helpers.configs import ROOT
+
+FILES = [*(ROOT / "src" / "qnerf").rglob("*.py"), *(ROOT / "analysis").rglob("*.py")]
+MODULES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removeprefix("src.").removesuffix(".__init__")
+    for path in FILES
+    if ">>> " in path.read_text()
+)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_a_module_hold(name: str) -> None:
+    module = importlib.import_module(name)
+    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    assert result.attempted, "the examples are where doctest does not look, such as in a compiled function"
+    assert not result.failed
