@@ -11,6 +11,7 @@ from torch import Tensor
 
 from qnerf.config.checks import at_least
 from qnerf.experiment import ray_table
+from qnerf.metrics import image_metrics, metric
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer
 from qnerf.quantum.hardware_conditions import conditions
@@ -117,12 +118,13 @@ def evaluate_hardware(
         with conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
             for _, row in evaluator.views(scene.eval[: views or None], trained.step):
                 rows.append(row | vars(condition))
-        new = pd.DataFrame(rows).astype({"lpips": "float64", "depth_error": "float64", "depth_error_median": "float64"})
+        new = pd.DataFrame(rows).astype({item.key: "float64" for item in image_metrics()})
         # Read and written after each condition: what was computed stays, here and by another command meanwhile.
         table = pd.concat([pd.read_parquet(path), new]) if path.exists() else new
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())
         shots = f"{condition.shots} shots" if condition.shots else "exact"
-        quality = f"PSNR {new['psnr'].mean():.2f} dB, SSIM {new['ssim'].mean():.3f}"
+        shown = [(metric(key).label, metric(key).with_unit(new[key].mean())) for key in ("psnr", "ssim")]
+        quality = ", ".join(map(" ".join, shown))
         tell(f"{shots}, noise {condition.noise} {condition.p:g}: {quality}")
     return table
