@@ -6,9 +6,9 @@ from typing import Any
 
 import pandas as pd
 
-from qnerf.records import index
+from qnerf.records import filters, index
 
-from . import packed, query
+from . import packed
 
 
 def runs(
@@ -36,7 +36,7 @@ def runs(
         if "scene.fingerprint" in frame:  # runs from before it was recorded are taken to be of the scene of that name
             known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
-    return frame if filter is None else query.select(frame, filter)
+    return frame if filter is None else filters.require(frame, filter)
 
 
 def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:

@@ -1,11 +1,12 @@
 """Which runs a table or figure is made of, which are left out and why, and which may not be averaged together."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+
+from qnerf.records.filters import check_column
 
 from .settings import LABELS, acting, configuration, effective, what_acts
 
@@ -74,35 +75,10 @@ def measured(runs: pd.DataFrame) -> list[str]:
     ]
 
 
-def where(frame: pd.DataFrame, conditions: Mapping[str, object]) -> pd.DataFrame:
-    """The rows whose columns have these values. ValueError names an unknown column, or the values that there are."""
-    for key, value in conditions.items():
-        check_keys(frame, [key])
-        number = pd.api.types.is_numeric_dtype(frame[key]) and not pd.api.types.is_bool_dtype(frame[key])
-        same = frame[key].map(float if number else _plain) == (_number(key, value) if number else _plain(value))
-        if not same.any():
-            known = ", ".join(sorted(map(str, frame[key].dropna().unique()))[:8])
-            raise ValueError(f"nothing has {key}={value}; {key} is {known or 'never given'}")
-        frame = frame[same]
-    return frame
-
-
-def conditions(text: str) -> dict[str, str]:
-    """`field=classical,color=3x64` as a dict. ValueError where a part has no `=`."""
-    parts = [part.partition("=") for part in text.split(",")]
-    wrong = [key for key, equals, _ in parts if not equals]
-    if wrong:
-        raise ValueError(f"expected KEY=VALUE with commas between, such as field=classical, got {wrong[0]!r}")
-    return {key.strip(): value.strip() for key, _, value in parts}
-
-
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
     """ValueError where a key is no column; it names the nearest."""
     for key in rows:
-        if key not in frame.columns:
-            near = difflib.get_close_matches(key, frame.columns, n=5) or ["scene_name", *LABELS]
-            known = ", ".join(name for name in near if name in frame.columns)
-            raise ValueError(f"unknown key {key!r}; known: {known} and others of {len(frame.columns)} columns")
+        check_column(key, frame.columns)
 
 
 def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
@@ -156,19 +132,3 @@ def _values(column: pd.Series, most: int = 4) -> str:
 
 def _listed(runs: pd.DataFrame) -> str:
     return ", ".join(measured(runs))
-
-
-def _plain(value: object) -> str:
-    """true and True, null and none, 10 and 10.0 are the same."""
-    text = label(value).lower()
-    try:
-        return label(float(text))
-    except ValueError:
-        return text
-
-
-def _number(key: str, value: object) -> float:
-    try:
-        return float(str(value))
-    except ValueError:
-        raise ValueError(f"{key} is a number, got {value!r}") from None

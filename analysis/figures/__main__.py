@@ -4,8 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..command import chosen, run
-from ..query import HELP
+from ..command import HELP, chosen, run
 from ..style import FORMATS
 from . import FIGURES
 from .files import draw, known

@@ -14,7 +14,6 @@ import qnerf
 
 from .. import command
 from ..load import runs
-from ..query import HELP
 from . import content, curves, page, parts, pictures
 
 DESCRIPTION = """\
@@ -71,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="a folder, which gets index.html, or a .html file (default: report)",
     )
-    made.add_argument("--filter", metavar="TEXT", help=HELP)
+    made.add_argument("--filter", metavar="TEXT", help=command.HELP)
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
     images = made.add_mutually_exclusive_group()
     images.add_argument("--no-images", action="store_true", help="leave out the held-out views")

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from .. import command
 from ..paper import PAPER_TABLES
-from ..selection import conditions
 from .ablation import ablation
 from .hardware import hardware
 from .needs import TOLERANCE, needs
@@ -88,9 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif options.hardware:
         table = hardware(frame, rows)
     else:
-        baseline = conditions(options.baseline) if options.baseline else None
         values = options.values.split(",") if options.values else None
-        table = ablation(frame, rows, metric=options.metric, values=values, baseline=baseline)
+        table = ablation(frame, rows, metric=options.metric, values=values, baseline=options.baseline)
     command.show(table, options.format)
 
 

@@ -17,14 +17,14 @@ def ablation(
     *,
     metric: str = "psnr",
     values: Sequence[str] | None = None,
-    baseline: Mapping[str, object] | None = None,
+    baseline: str | Mapping[str, object] | None = None,
     title: str | None = None,
 ) -> Table:
     """Mean ± standard deviation over seeds, a row each group of `rows`; the best of each scene in bold.
 
-    baseline: row keys and their values that single out one row (one a scene, if scenes are among the rows); the others
-    then have the bootstrap interval of their `metric` minus the baseline's, in the metric's unit. Raises ValueError as
-    `over_seeds` does, and for a baseline that is no row or several.
+    baseline: conditions on the row keys that exactly one row meets (one a scene, where scenes are among the rows); see
+    `qnerf.records.filters`. The other rows then show the bootstrap interval of their `metric` minus the baseline's, in
+    the metric's unit. Raises ValueError as `over_seeds` does, and for a baseline that matches no row or several.
     """
     check_keys(frame, rows)
     selection = select(frame, metric)
