@@ -4,7 +4,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from .. import style
-from ..hardware import FILE, means
+from ..condition_means import FILE, means
 from ..selection import select
 from . import points
 from .probed import having, probed
