@@ -76,6 +76,5 @@ def _text(column: pd.Series, form: str) -> pd.Series:
 
 
 def _best(column: pd.Series, name: str) -> pd.Series:
-    return (column == getattr(column, "min" if metric_of(name).better == "lower" else "max")()) & (
-        column.notna().sum() > 1
-    )
+    sign = metric_of(name).sign
+    return (sign * column == (sign * column).max()) & (column.notna().sum() > 1)
