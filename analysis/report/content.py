@@ -137,11 +137,8 @@ def no_plots(frame: pd.DataFrame) -> str:
 
 def no_curves(logged: dict[int, Any]) -> str:
     """Why there are no curves; empty where there are some."""
-    return (
-        ""
-        if logged
-        else f"No run has logged any of {', '.join(curves.logged_keys())}: they come every train.log_every steps."
-    )
+    keys = ", ".join(curves.logged_keys())
+    return "" if logged else f"No run has logged any of {keys}: they come every train.log_every steps."
 
 
 def _described(name: str) -> dict[str, Any]:
