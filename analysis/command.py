@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import pandas as pd
 
 from qnerf.cli.errors import exit_code
+from qnerf.records.filters import HELP
 
 from .load import runs
-from .query import HELP
 from .tables.table import Table
 
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}

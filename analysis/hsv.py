@@ -8,9 +8,11 @@ import pandas as pd
 from matplotlib.colors import rgb_to_hsv
 from scipy.stats import ks_2samp, wasserstein_distance
 
+from qnerf.records.filters import require
+
 from . import circular, command
 from .images import panels, pictures
-from .selection import conditions, refuse_mixtures, refuse_scenes, select, where
+from .selection import refuse_mixtures, refuse_scenes, select
 from .tables.table import Table
 
 SOURCES = ("truth", "classical", "quantum")
@@ -25,8 +27,8 @@ QUANTUM = {"field": "qcolor"}
 def samples(
     frame: pd.DataFrame,
     *,
-    classical: Mapping[str, object] = CLASSICAL,
-    quantum: Mapping[str, object] = QUANTUM,
+    classical: str | Mapping[str, object] = CLASSICAL,
+    quantum: str | Mapping[str, object] = QUANTUM,
     grey: float = GREY,
 ) -> pd.DataFrame:
     """One row a pixel of the held-out views that all chosen runs have pictures of.
@@ -34,11 +36,11 @@ def samples(
     Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which is there once), image,
     and hue, saturation, value in [0, 1], hue in turns and NaN for a grey pixel, one of saturation <= `grey`.
 
-    classical, quantum: columns and values that choose the runs of `frame`. ValueError where they choose none, several
-    scenes or configurations, or runs that have no view in common.
+    classical, quantum: conditions that choose the runs of `frame`; see `qnerf.records.filters`. ValueError where they
+    choose none, several scenes or configurations, or runs that have no view in common.
     """
     finished = select(frame).runs
-    chosen = {"classical": where(finished, classical), "quantum": where(finished, quantum)}
+    chosen = {"classical": require(finished, classical), "quantum": require(finished, quantum)}
     for source, runs in chosen.items():
         refuse_mixtures(runs.assign(source=source), ["source"])
     both = pd.concat(chosen.values())
@@ -183,7 +185,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--grey", type=float, default=GREY, help="saturation of a grey pixel at most; default: %(default)s"
     )
     options = parser.parse_args(arguments)
-    sources = {name: conditions(getattr(options, name)) for name in ("classical", "quantum")}
+    sources = {name: getattr(options, name) for name in ("classical", "quantum")}
     command.show(table(tests(samples(command.chosen(options), **sources, grey=options.grey))), options.format)
 
 

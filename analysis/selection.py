@@ -1,13 +1,12 @@
-"""Which runs a table or figure is made of, which are left out and why, and which may not be averaged together."""
+"""Which runs a table or figure uses, which are left out and why, and which must not be averaged together."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from qnerf.config.compatibility import today_noted
+from qnerf.records.filters import check_column
 
 from .settings import LABELS, acting, configuration, effective, what_acts
 
@@ -33,21 +32,21 @@ class Selection:
 
 
 def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
-    """The runs of `frame`, one a row as `load.runs` gives them, that finished with a finite `metric`.
+    """The runs of `frame` (from `load.runs`) that finished with a finite `metric`.
 
-    One that repeats another in seed and every setting that acts is left out; settings that do not act are None.
+    A run is left out if another has the same seed and the same effective settings. Settings without effect are None.
     ValueError as `finite` raises it.
     """
-    kept, left = finite(frame, metric)
-    again = what_acts(kept).duplicated()
-    left["repeating another"] = int(again.sum())
-    return Selection(acting(kept[~again]), {reason: count for reason, count in left.items() if count})
+    runs, left_out = finite(frame, metric)
+    repeated = what_acts(runs).duplicated()
+    left_out["repeating another"] = int(repeated.sum())
+    return Selection(acting(runs[~repeated]), {reason: count for reason, count in left_out.items() if count})
 
 
 def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, int]]:
     """The runs that finished with a finite `metric`, and how many did not, by reason.
 
-    ValueError where none did: it says how many runs there are, in which states, and which metrics they have.
+    ValueError where none did; the message counts the states and lists the metrics that runs have.
     """
     states = frame["state"].fillna("unknown").value_counts()
     finished = frame[frame["state"] == "finished"]
@@ -56,18 +55,20 @@ def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, in
     if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
         raise ValueError(f"no metric {metric!r}; the runs have {', '.join(measured(finished))}")
     values = finished[metric].astype(float)
-    kept = finished[np.isfinite(values)]
-    if kept.empty:
+    usable = finished[np.isfinite(values)]
+    if usable.empty:
         reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
         why = f" ({reasons.iloc[0]})" if len(reasons) else ""
-        raise ValueError(f"none of {len(finished)} finished runs has {metric}{why}; have: {_listed(finished)}")
-    left = states.drop("finished").to_dict()
-    left |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
-    return kept, left
+        raise ValueError(
+            f"none of {len(finished)} finished runs has {metric}{why}; have: {', '.join(measured(finished))}"
+        )
+    left_out = states.drop("finished").to_dict()
+    left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
+    return usable, left_out
 
 
 def measured(runs: pd.DataFrame) -> list[str]:
-    """Columns that hold a number in at least one run and are no configuration."""
+    """Columns with a number in at least one run that do not belong to the configuration."""
     settings = set(configuration(runs))
     return [
         name
@@ -76,39 +77,14 @@ def measured(runs: pd.DataFrame) -> list[str]:
     ]
 
 
-def where(frame: pd.DataFrame, conditions: Mapping[str, object]) -> pd.DataFrame:
-    """The rows whose columns have these values. ValueError names an unknown column, or the values that there are."""
-    for key, value in conditions.items():
-        check_keys(frame, [key])
-        number = pd.api.types.is_numeric_dtype(frame[key]) and not pd.api.types.is_bool_dtype(frame[key])
-        same = frame[key].map(float if number else _plain) == (_number(key, value) if number else _plain(value))
-        if not same.any():
-            known = ", ".join(sorted(map(str, frame[key].dropna().unique()))[:8])
-            raise ValueError(f"nothing has {key}={value}; {key} is {known or 'never given'}")
-        frame = frame[same]
-    return frame
-
-
-def conditions(text: str) -> dict[str, str]:
-    """`field=classical,color=3x64` as a dict. ValueError where a part has no `=`."""
-    parts = [part.partition("=") for part in text.split(",")]
-    wrong = [key for key, equals, _ in parts if not equals]
-    if wrong:
-        raise ValueError(f"expected KEY=VALUE with commas between, such as field=classical, got {wrong[0]!r}")
-    return {today_noted(key.strip()): value.strip() for key, _, value in parts}
-
-
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
     """ValueError where a key is no column; it names the nearest."""
     for key in rows:
-        if key not in frame.columns:
-            near = difflib.get_close_matches(key, frame.columns, n=5) or ["scene_name", *LABELS]
-            known = ", ".join(name for name in near if name in frame.columns)
-            raise ValueError(f"unknown key {key!r}; known: {known} and others of {len(frame.columns)} columns")
+        check_column(key, frame.columns)
 
 
 def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where the groups of `rows` compare scenes, or a group mixes configurations."""
+    """ValueError where groups of `rows` compare different scenes, or one group mixes configurations."""
     refuse_scenes(runs, rows)
     groups = runs.groupby(list(rows), dropna=False, sort=False)
     settings = [key for key in (*LABELS, *effective(runs)) if key in runs.columns and key not in rows]
@@ -119,14 +95,14 @@ def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
         if len(mixed):
             keys = mixed.columns[mixed.iloc[0]]
             group = groups.get_group(_as_tuple(mixed.index[0]))
-            told = ", ".join(f"{key} ({_values(group[key])})" for key in keys[:3])
+            different = ", ".join(f"{key} ({_values(group[key])})" for key in keys[:3])
             raise ValueError(
-                f"row {label(mixed.index[0])} mixes runs of different {told}: add a key to the rows or filter"
+                f"row {label(mixed.index[0])} mixes runs of different {different}: add a key to the rows or filter"
             )
 
 
 def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where runs of several scenes would stand in one group, or side by side without saying so."""
+    """ValueError where one group has runs of several scenes, or the row keys do not name the scene."""
     names = sorted(map(str, runs["scene_name"].unique()))
     keys = [key for key in rows if key in SCENES]
     together = not keys or (runs.groupby(keys, dropna=False)["scene_name"].nunique() > 1).any()
@@ -137,7 +113,7 @@ def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
 
 
 def label(key: object) -> str:
-    """A group's key as text: `fox_64, qcolor`. Whole numbers are so however the column holds them."""
+    """A group's key as text: `fox_64, qcolor`. Whole floats are printed as integers."""
     return ", ".join(map(_part, _as_tuple(key)))
 
 
@@ -154,23 +130,3 @@ def _as_tuple(key: object) -> tuple[object, ...]:
 def _values(column: pd.Series, most: int = 4) -> str:
     values = [label(value) for value in column.unique()]
     return ", ".join(values[:most]) + (", ..." if len(values) > most else "")
-
-
-def _listed(runs: pd.DataFrame) -> str:
-    return ", ".join(measured(runs))
-
-
-def _plain(value: object) -> str:
-    """true and True, null and none, 10 and 10.0 are the same."""
-    text = label(value).lower()
-    try:
-        return label(float(text))
-    except ValueError:
-        return text
-
-
-def _number(key: str, value: object) -> float:
-    try:
-        return float(str(value))
-    except ValueError:
-        raise ValueError(f"{key} is a number, got {value!r}") from None

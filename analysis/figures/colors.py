@@ -7,8 +7,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qnerf.records.filters import require
+
 from .. import circular, hsv, style
-from ..selection import select, where
+from ..selection import select
 from . import points
 
 EDGES = {
@@ -38,7 +40,7 @@ def chosen(
         if own.empty:
             raise ValueError(f"no finished {kind} run to compare; fields: {', '.join(sorted(runs['field'].unique()))}")
         if conditions is not None:
-            found[kind] = where(own, conditions)
+            found[kind] = require(own, conditions)
         else:
             found[kind] = own.loc[list(points.points(own, ["psnr"]).iloc[0]["runs"])]
     return found

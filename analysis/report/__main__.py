@@ -28,8 +28,8 @@ EXAMPLES = """\
 """
 
 
-Progressing = Callable[[str, int], Callable[[], None]]
-"""Begins a part of the work: its title and number of steps. Returns a function to call after each step."""
+Track = Callable[[str, int], Callable[[], None]]
+"""Starts a part of the work with so many steps; returns a function to call after each."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -41,12 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def read(file: str, done: int, total: int) -> None:
             progress.update(task, description=f"reading {file}", completed=done, total=total)
 
-        def begin(title: str, total: int) -> Callable[[], None]:
-            progress.reset(task, description=title, total=total)
+        def track(what: str, total: int) -> Callable[[], None]:
+            progress.reset(task, description=what, total=total)
             return lambda: progress.advance(task)
 
         frame = runs(options.store, options.filter, progress=read)
-        path = write(page.render(gathered(frame, options, begin)), options.out)
+        path = write(page.render(page_content(frame, options, track)), options.out)
     console.print(
         f"{path}: {len(frame):,} runs, {path.stat().st_size / 1e6:.1f} MB",
         highlight=False,
@@ -70,21 +70,21 @@ def parser() -> argparse.ArgumentParser:
     images.add_argument(
         "--max-images",
         type=int,
-        default=pictures.MOST_VIEWS,
+        default=pictures.MAX_VIEWS,
         metavar="N",
         help="held-out views on the page, at most (default: %(default)s; each is a render and a depth)",
     )
     return made
 
 
-def gathered(frame: pd.DataFrame, options: argparse.Namespace, begin: Progressing) -> dict[str, Any]:
-    """The values that the page's template needs."""
+def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track) -> dict[str, Any]:
+    """The values of the page's template."""
     frame = content.prepared(frame)
     order = content.order(frame)
     most = 0 if options.no_images else options.max_images
-    drawn = pictures.gather(frame, order if most else [], most, told=begin("pictures", len(order)))
-    logged = curves.gather(frame, order, told=begin("curves", min(len(order), curves.MOST_RUNS)))
-    sections = parts.parts(frame, begin("tables and figures", parts.STEPS))
+    drawn = pictures.gather(frame, order if most else [], most, advance=track("pictures", len(order)))
+    logged = curves.gather(frame, order, advance=track("curves", min(len(order), curves.MAX_RUNS)))
+    sections = parts.parts(frame, track("tables and figures", parts.STEPS))
     return {
         "title": options.title,
         "store": options.store,

@@ -1,6 +1,5 @@
-"""The runs as the page's script reads them, and what its first lines say."""
+"""The runs as the page's script reads them, and the texts at the top of the page."""
 
-import re
 from datetime import UTC, datetime
 from typing import Any
 
@@ -8,29 +7,23 @@ import numpy as np
 import pandas as pd
 
 import qnerf
+from qnerf.metrics import METRICS, image_metrics, metric_of
 
 from .. import style
 from ..figures import points
 from ..selection import select
 from ..settings import LABELS, first_of_each
-from ..tables.values import VALUES, value
 from . import curves, pictures
 from .columns import packed
 from .versions import versions
 
-SHOWN = (
-    "run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed", "psnr", "ssim", "lpips",
-    "depth_error", "params.heads", "params.total", "step_ms", "train_s", "tags",
-)  # fmt: skip
-"""Columns of the table of runs to begin with."""
+LABEL_COLUMNS = ("run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed")
+COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
+"""The table of runs shows these to begin with, and the image metrics between them."""
 
 UNLESS_CONSTANT = ("scene_name", "encoder", "density", "color", "tags")
 
-HEADINGS = {
-    "run_id": "run", "scene_name": "scene", "color": "colour", "params.heads": "head parameters",
-    "params.total": "all parameters", "train_s": "training, s", "eval_s": "evaluation, s",
-    "time.quantum_ms": "circuits, ms a step", "peak_memory_mb": "peak memory, MB",
-}  # fmt: skip
+HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
@@ -39,16 +32,16 @@ NEEDED = (
     "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
     "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
 )  # fmt: skip
-"""What tables and figures read of every run; one of another version may lack some, and says so by having no value."""
+"""Columns that tables and figures read; in runs of another version that lack them they are empty."""
 
 _SETTINGS = ("experiment", "seed", "geo_features", "appearance", "device", "threads")
 _RESULTS = ("params.", "time.", "run.")
 
 
 def prepared(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with what only the page needs: the version that wrote a run, the parameters of both heads, configuration.
+    """`frame` with columns for the page: version of qnerf, parameters of both heads, and configuration.
 
-    A configuration is what `points.points` names; runs that are not finished, or repeat another, have none.
+    The configuration is a name from `points.points`; runs that are unfinished or repeat another have none.
     """
     frame = frame.reset_index(drop=True)
     for name in (*LABELS, *NEEDED):
@@ -71,7 +64,7 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def order(frame: pd.DataFrame) -> list[int]:
-    """Row numbers in the order in which runs get a place on the page: a seed of every configuration before the next."""
+    """Row numbers in the order in which runs get pictures and curves: one seed of every configuration first."""
     ranked = frame.sort_values(["psnr", "run_id"], ascending=[False, True])
     group = ranked["configuration"].fillna(ranked["run_id"])
     number = ranked.groupby([ranked["scene_name"].fillna(""), group]).cumcount()
@@ -80,7 +73,7 @@ def order(frame: pd.DataFrame) -> list[int]:
 
 
 def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) -> dict[str, Any]:
-    """What the page's script reads."""
+    """The data of the page's script."""
     columns = packed(frame.drop(columns=["store", "scene"], errors="ignore"))
     settings = [name for name in columns if name in _SETTINGS or ("." in name and not name.startswith(_RESULTS))]
     finished = frame.loc[frame["state"] == "finished", "scene_name"]
@@ -89,13 +82,16 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "columns": columns,
         "settings": settings,
         "shown": [
-            name for name in SHOWN if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
+            name
+            for name in (*LABEL_COLUMNS, *(metric.key for metric in image_metrics()), *COST_COLUMNS)
+            if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
         ],
-        "headings": {name: _heading(name) for name in {*VALUES, *HEADINGS, *columns}},
+        "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
+        "kinds": {kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("image", "size", "time")},
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "curves": logged,
-        "curve_names": curves.KEYS,
+        "curve_names": {key: metric_of(key).heading for key in curves.logged_keys()},
         "pictures": {"files": drawn.files, "runs": drawn.runs, "none": not drawn.files},
     }
 
@@ -141,13 +137,12 @@ def no_plots(frame: pd.DataFrame) -> str:
 
 def no_curves(logged: dict[int, Any]) -> str:
     """Why there are no curves; empty where there are some."""
-    return (
-        "" if logged else f"No run has logged any of {', '.join(curves.KEYS)}: they come every train.log_every steps."
-    )
+    keys = ", ".join(curves.logged_keys())
+    return "" if logged else f"No run has logged any of {keys}: they come every train.log_every steps."
 
 
-def _heading(name: str) -> dict[str, Any]:
-    known = name in VALUES or name in HEADINGS
-    found = {"text": HEADINGS.get(name, value(name).heading)} if known else {"text": name}
-    digits = re.search(r"\.(\d)f", value(name).form)
-    return found | ({"digits": int(digits[1])} if digits else {"digits": 0} if name == "params.heads" else {})
+def _described(name: str) -> dict[str, Any]:
+    """A column as the page's script reads it; `digits` is null where nothing is to be rounded."""
+    metric = metric_of(name)
+    heading = HEADINGS.get(name, metric.heading)
+    return {"heading": heading, "digits": metric.digits, "sign": metric.sign}

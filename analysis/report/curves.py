@@ -1,4 +1,4 @@
-"""What runs logged while they trained, thinned for the page."""
+"""Logged values of the runs, thinned for the page."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -6,38 +6,38 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from qnerf.metrics import image_metrics
+
 from ..load import metrics
 from .columns import rounded_all
 
-KEYS = {
-    "eval/psnr": "held-out PSNR, dB",
-    "train/psnr": "training PSNR, dB",
-    "train/loss": "training loss",
-    "train/mse": "mean squared colour error",
-    "time/step_ms": "time of a step, ms",
-}
-"""Metric -> what it is called on the page."""
-MOST_RUNS = 300
+MAX_RUNS = 300
 POINTS = 80
 
 
+def logged_keys() -> list[str]:
+    """Keys of metrics.parquet whose curves the page shows."""
+    held_out = [f"eval/{metric.key}" for metric in image_metrics()]
+    return [*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms"]
+
+
 def gather(
-    frame: pd.DataFrame, order: Iterable[int], *, most: int = MOST_RUNS, told: Callable[[], None]
+    frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUNS, advance: Callable[[], None]
 ) -> dict[int, dict[str, Any]]:
-    """Row number -> key -> {step, time, value} of at most `most` runs that have readable metrics."""
-    found: dict[int, dict[str, Any]] = {}
+    """Row number -> key -> {step, time, value} of at max_runs `max_runs` runs that have readable metrics."""
+    result: dict[int, dict[str, Any]] = {}
     for row in order:
-        if len(found) == most:
+        if len(result) == max_runs:
             break
         try:
             logged = metrics(frame["path"].iloc[row])
         except ValueError:  # no metrics yet, or damaged ones
             logged = pd.DataFrame({"key": []})
-        curves = {key: thinned(part) for key, part in logged.groupby("key") if key in KEYS}
+        curves = {key: thinned(part) for key, part in logged.groupby("key") if key in logged_keys()}
         if curves:
-            found[row] = {key: curves[key] for key in KEYS if key in curves}
-        told()
-    return found
+            result[row] = {key: curves[key] for key in logged_keys() if key in curves}
+        advance()
+    return result
 
 
 def thinned(logged: pd.DataFrame, points: int = POINTS) -> dict[str, list[float | int | None]]:

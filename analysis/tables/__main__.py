@@ -3,16 +3,15 @@
 from collections.abc import Sequence
 
 from qnerf.config.compatibility import today_noted
+from qnerf.metrics import METRICS
 
 from .. import command
 from ..paper import PAPER_TABLES
-from ..selection import conditions
 from .ablation import ablation
-from .hardware import hardware
-from .needs import TOLERANCE, needs
+from .shots_and_noise import shots_and_noise
+from .smallest import TOLERANCE, smallest
 from .stability import stability
 from .units import units
-from .values import VALUES
 
 DESCRIPTION = """\
 Tables over seeds from a folder of runs. A row is a group of finished runs that differ only in their seed: mean ±
@@ -23,7 +22,7 @@ EXAMPLES = """\
   {} runs
   {} runs --rows field,qiren --filter scene_name=poster
   {} runs --rows scene_name,field --baseline field=classical --format latex
-  {} runs --rows field,hash --needs --tolerance 0.5 --size step_ms
+  {} runs --rows field,hash --smallest --tolerance 0.5 --size step_ms
   {} runs --rows scene_name,field --stability
   {} runs --paper rgb --filter scene_name=poster
 """
@@ -43,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--values",
         metavar="NAME,...",
-        help=f"columns to show; default: those of {', '.join(VALUES)} that the runs have",
+        help=f"columns to show; default: the metrics that the runs have, of {', '.join(METRICS)}",
     )
     parser.add_argument("--metric", default="psnr", help="column that ranks the runs; default: %(default)s")
     parser.add_argument(
@@ -52,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="compare each row with this one, seed by seed and view by view: bootstrap interval of the difference",
     )
     parser.add_argument(
-        "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
+        "--smallest", "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
     )
     parser.add_argument(
         "--stability", action="store_true", help="instead: the worst seed of each row, and how many fail"
@@ -60,20 +59,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--units",
         action="store_true",
-        help="instead: dead units and the spread of colours, of runs probed by `qnerf probe RUN units`",
+        help="instead: dead units and the spread of colours, of runs that `qnerf probe RUN units` probed",
     )
     parser.add_argument(
+        "--shots-and-noise",
         "--hardware",
         action="store_true",
-        help="instead: PSNR with finite shots and noisy gates, of runs probed by `qnerf probe RUN shots=100`",
+        help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf probe RUN shots=100` measured",
     )
     parser.add_argument(
-        "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
+        "--tolerance",
+        type=float,
+        default=TOLERANCE,
+        help="for --smallest, in the metric's unit; default: %(default)s dB",
     )
     parser.add_argument(
         "--size",
         default="params.total",
-        help="for --needs: the column to minimise, such as step_ms; default: %(default)s",
+        help="for --smallest: the column to minimise, such as step_ms; default: %(default)s",
     )
     titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
     parser.add_argument(
@@ -84,20 +87,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows = [today_noted(name) for name in options.rows.split(",")]
     if options.paper:
         table = PAPER_TABLES[options.paper][1](frame)
-    elif options.needs:
-        table = needs(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
+    elif options.smallest:
+        table = smallest(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
     elif options.stability:
         if options.metric != "psnr":
             raise ValueError(f"--stability counts dB of psnr, got --metric {options.metric}")
         table = stability(frame, rows)
     elif options.units:
         table = units(frame, rows)
-    elif options.hardware:
-        table = hardware(frame, rows)
+    elif options.shots_and_noise:
+        table = shots_and_noise(frame, rows)
     else:
-        baseline = conditions(options.baseline) if options.baseline else None
         values = options.values.split(",") if options.values else None
-        table = ablation(frame, rows, metric=options.metric, values=values, baseline=baseline)
+        table = ablation(frame, rows, metric=options.metric, values=values, baseline=options.baseline)
     command.show(table, options.format)
 
 

@@ -1,19 +1,21 @@
-"""The difference of every row of a table from a baseline row, with its interval."""
+"""The difference of each row of a table from a baseline row, with its interval."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
+from qnerf.records import filters
+
 from .. import statistics
-from ..selection import SCENES, label, where
+from ..selection import SCENES, label
 from ..statistics import Difference
 
 _COLUMNS = ["mean", "low", "high", "seeds", "views"]
 
 
 def against(
-    runs: pd.DataFrame, rows: Sequence[str], keys: pd.DataFrame, baseline: Mapping[str, object], metric: str
+    runs: pd.DataFrame, rows: Sequence[str], keys: pd.DataFrame, baseline: str | Mapping[str, object], metric: str
 ) -> tuple[pd.DataFrame, list[str]]:
     """`Difference` of each group of `rows`, in `groupby`'s order, from the baseline of its scene; notes for under it.
 
@@ -29,7 +31,8 @@ def against(
         for number, base in enumerate(reference)
     ]
     table = pd.DataFrame(lines, columns=_COLUMNS)
-    notes = [f"difference from {label(tuple(baseline.values()))}: {statistics.method()}; * excludes 0"]
+    name = ", ".join(",".join(condition.values) for condition in filters.parse(baseline))
+    notes = [f"difference from {name}: {statistics.method()}; * excludes 0"]
     if (table["seeds"] == 1).any():
         notes.append("pairs of one seed: the interval speaks about views alone")
     without = len(runs) - views["path"].nunique()
@@ -38,12 +41,12 @@ def against(
     return table, notes
 
 
-def references(keys: pd.DataFrame, rows: Sequence[str], baseline: Mapping[str, object]) -> list[int]:
+def references(keys: pd.DataFrame, rows: Sequence[str], baseline: str | Mapping[str, object]) -> list[int]:
     """For each row of `keys` the number of its scene's baseline row. ValueError where that is none or several."""
-    outside = [key for key in baseline if key not in rows]
+    outside = [condition.key for condition in filters.parse(baseline) if condition.key not in rows]
     if outside:
         raise ValueError(f"baseline: {outside[0]!r} is not a row key; the rows are {', '.join(rows)}")
-    matches = set(where(keys, baseline).index)
+    matches = set(filters.require(keys, baseline, "rows").index)
     scenes = [key for key in rows if key in SCENES]
     found: dict[Any, int] = {}
     for scene, members in keys.groupby(scenes, dropna=False) if scenes else [("the table", keys)]:
@@ -55,14 +58,14 @@ def references(keys: pd.DataFrame, rows: Sequence[str], baseline: Mapping[str, o
     return [found[number] for number in keys.index]
 
 
-def interval(row: Any, form: str) -> str:
+def interval(row: Any, text: Callable[..., str]) -> str:
     """`+0.52 [+0.10, +0.93] *`, the star where the interval excludes 0."""
     if pd.isna(row.seeds):
         return "baseline"
     if row.seeds == 0:
         return "no pairs"
     difference = Difference(row.mean, row.low, row.high, int(row.seeds), int(row.views))
-    mean, low, high = (form.replace("{:", "{:+").format(x) for x in (row.mean, row.low, row.high))
+    mean, low, high = (text(x, sign="+") for x in (row.mean, row.low, row.high))
     return f"{mean} [{low}, {high}]" + (" *" if difference.significant else "")
 
 

@@ -1,18 +1,20 @@
-"""How alive colour heads are before training and after it, from what `qnerf probe RUN units` measured."""
+"""Dead units of a head before and after training, from `qnerf probe RUN units`."""
 
 import math
 from collections.abc import Sequence
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from .. import packed
 from ..selection import check_keys, label, refuse_mixtures, select
+from .seeds import mean_and_spread
 from .table import Table
-from .values import shown, value
 
 
 def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> Table:
-    """Dead hidden units and the spread of the raw values that `head` puts out, means over the seeds of each group.
+    """Dead hidden units and the spread of the raw outputs of `head`, as means over the seeds of each group.
 
     Dead: share of all hidden ReLU units that are 0 on all samples of 1,024 training rays. Spread: standard deviation
     of the values before the sigmoid over those samples. Runs that were not probed are left out. Raises ValueError as
@@ -30,7 +32,7 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
     data = groups.mean().assign(n=groups.size())
     text = pd.DataFrame({name: data.index.get_level_values(name).map(label) for name in data.index.names})
     psnr = groups["psnr"].agg(["mean", "std", "count"]).to_numpy()
-    text[value("psnr").heading] = [shown("psnr", mean, std, int(n), int(n)) for mean, std, n in psnr]
+    text[metric_of("psnr").heading] = [mean_and_spread("psnr", mean, std, int(n), int(n)) for mean, std, n in psnr]
     for name in columns:
         form = "{:.0%}" if name.startswith("dead") else "{:.2g}"
         text[name] = ["" if pd.isna(number) else form.format(number) for number in data[name]]

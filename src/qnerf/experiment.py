@@ -22,6 +22,7 @@ from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.activations import ACTIVATIONS
 from qnerf.model.field import Field
 from qnerf.model.labels import labels, slug
@@ -291,7 +292,7 @@ def _execute(
                 # A curve is one of the same views from its first point to its last.
                 curve = means(rows[: train.eval_views or None])
                 store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-                display.note(f"step {trainer.step}: held-out PSNR {measured['psnr']:.2f} dB")
+                display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(measured['psnr'])}")
     finally:
         display.end()
     if not trainer.done:
@@ -325,19 +326,19 @@ def evaluate(
             store.save_image(name, evaluator.picture(rendered))
     store.write_eval(rows)
     measured = means(rows)
-    measured["lpips_reason"] = next((row["lpips_reason"] for row in rows if row["lpips_reason"]), None)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
     store.write_summary(measured | {"steps": step})
     return rows, measured
 
 
 def means(rows: Sequence[Measures]) -> Measures:
-    """Over the views, of each metric; None where no view has it."""
-    found: Measures = {}
-    for key in ("psnr", "ssim", "lpips", "depth_error", "depth_error_median"):
+    """Mean of each image metric over the views, None where no view has it; and the first `<metric>_reason` of each."""
+    result: Measures = {}
+    for key in [item.key for item in image_metrics()]:
         values = [value for row in rows if is_number(value := row[key])]
-        found[key] = sum(values) / len(values) if values else None
-    return found
+        result[key] = sum(values) / len(values) if values else None
+    reasons = dict.fromkeys(key for row in rows for key in row if key.endswith("_reason"))
+    return result | {key: next((row[key] for row in rows if row[key]), None) for key in reasons}
 
 
 def is_number(value: object) -> TypeGuard[float]:

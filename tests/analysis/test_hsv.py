@@ -117,7 +117,7 @@ def test_cliffs_delta_is_the_rank_sum(first, second):
 def test_what_cannot_be_compared_is_refused(store):
     folder, _ = store
     frame = runs(folder)
-    with pytest.raises(ValueError, match="nothing has field=qboth; field is classical, qcolor"):
+    with pytest.raises(ValueError, match="has field=qboth; there are field: classical, qcolor"):
         hsv.samples(frame, quantum={"field": "qboth"})
     write_run(folder, "qcolor", 2, scene="chair")
     with pytest.raises(ValueError, match=r"2 scenes in one table \(chair, poster\)"):

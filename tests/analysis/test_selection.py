@@ -1,7 +1,8 @@
 import pandas as pd
 import pytest
 
-from analysis.selection import conditions, measured, select, where
+from analysis.selection import check_keys, measured, select
+from qnerf.records import filters
 
 FRAME = pd.DataFrame(
     {
@@ -23,7 +24,7 @@ FRAME = pd.DataFrame(
     ("text", "seeds"),
     [
         ("field=qcolor", [1, 2]),
-        ("field=qcolor, experiment=none", [2]),
+        ("field=qcolor,experiment=none", [2]),
         ("encoder.dense=true", [0, 2]),
         ("train.lr=1e-2", [0, 2]),
         ("seed=1", [1]),
@@ -32,15 +33,15 @@ FRAME = pd.DataFrame(
     ],
 )
 def test_conditions_choose_by_value(text, seeds):
-    assert where(FRAME, conditions(text))["seed"].tolist() == seeds
+    assert filters.require(FRAME, text)["seed"].tolist() == seeds
 
 
 def test_mistakes_are_named():
     for message, call in {
-        "nothing has field=qboth; field is classical, qcolor": lambda: where(FRAME, {"field": "qboth"}),
-        "unknown key 'feild'; known: field": lambda: where(FRAME, {"feild": "qboth"}),
-        "train.lr is a number, got 'small'": lambda: where(FRAME, {"train.lr": "small"}),
-        "expected KEY=VALUE with commas between, such as field=classical, got 'qcolor'": lambda: conditions("qcolor"),
+        "no run has a column 'feild'; did you mean field": lambda: check_keys(FRAME, ["feild"]),
+        "none of 3 rows has train.lr=small; there are train.lr: 0.001, 0.01": lambda: filters.require(
+            FRAME, {"train.lr": "small"}, "rows"
+        ),
         r"none of 2 finished runs has lpips \(no weights\); have: psnr": lambda: select(FRAME, "lpips"),
     }.items():
         with pytest.raises(ValueError, match=message):

@@ -114,12 +114,12 @@ def test_scenes_stand_in_one_table_only_under_their_names(store):
 def test_mistakes_are_named(store, tmp_path):
     frame = runs(store)
     for message, call in {
-        r"unknown key 'colour'; known: color": lambda: over_seeds(frame, ["colour"]),
+        r"no run has a column 'colour'; did you mean color": lambda: over_seeds(frame, ["colour"]),
         r"no finished runs among 6: \{'failed': 6\}": lambda: over_seeds(frame.assign(state="failed"), ["field"]),
         r"none of 6 finished runs has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
         r"no metric 'beauty'; the runs have .*psnr": lambda: ablation(frame, ["field"], values=["beauty"]),
         r"no metric 'color'": lambda: ablation(frame, ["field"], metric="color"),
-        r"nothing has field=qubit; field is classical, qcolor": lambda: ablation(
+        r"none of 2 rows has field=qubit; there are field: classical, qcolor": lambda: ablation(
             frame, ["field"], baseline={"field": "qubit"}
         ),
         r"'seed' is not a row key; the rows are field": lambda: ablation(frame, ["field"], baseline={"seed": 0}),
@@ -207,5 +207,5 @@ def test_the_command_prints_what_is_asked(store, capsys):
     assert err.startswith("difference from classical")
     with pytest.raises(ValueError, match="has seed=7; there are seed: 0, 1, 2"):
         main([str(store), "--filter", "seed=7"])
-    with pytest.raises(ValueError, match="expected KEY=VALUE"):
+    with pytest.raises(ValueError, match="baseline: 'run_id' is not a row key"):
         main([str(store), "--rows", "field", "--baseline", "seed"])

@@ -61,7 +61,7 @@ def test_a_large_view_is_shaded_by_some_of_its_pixels(monkeypatch):
     """`torch.quantile` takes 2^24 values at most."""
     depth = torch.rand(64, 65, generator=torch.Generator().manual_seed(0)) + 1
     whole = shade(depth)
-    monkeypatch.setattr("qnerf.training.evaluation.MOST", 1000)
+    monkeypatch.setattr("qnerf.training.evaluation.MAX_PIXELS", 1000)
     torch.testing.assert_close(shade(depth), whole, rtol=0, atol=0.02)
 
 

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from qnerf.cli.text import tree
 from qnerf.experiment import Display, Outcome
+from qnerf.metrics import image_metrics, metric_of
 
 
 def print_config(console: Console, config: Mapping[str, Any]) -> None:
@@ -26,9 +27,7 @@ class LiveDisplay(Display):
             TextColumn("training"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn(
-                "loss {task.fields[loss]:.4f}  PSNR {task.fields[psnr]:.2f} dB  {task.fields[rate]:.1f} steps/s  left"
-            ),
+            TextColumn("{task.fields[status]}  left"),
             TimeRemainingColumn(),
             console=console,
             disable=not live or not console.is_terminal,
@@ -40,15 +39,17 @@ class LiveDisplay(Display):
         self.console.print(line, highlight=False, markup=False, soft_wrap=True)
         self.every = max(1, steps // 10)
         self.steps = steps
-        self.task = self.progress.add_task("training", total=steps, completed=step, loss=0.0, psnr=0.0, rate=0.0)
+        self.task = self.progress.add_task("training", total=steps, completed=step, status="")
         self.progress.start()
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
-        loss, psnr, rate = metrics["train/loss"], metrics["train/psnr"], 1e3 / metrics["time/step_ms"]
-        self.progress.update(self.task, completed=step, loss=loss, psnr=psnr, rate=rate)
+        values = [
+            f"{metric_of(key).label} {metric_of(key).with_unit(metrics[f'train/{key}'])}" for key in ("loss", "psnr")
+        ]
+        status = "  ".join([*values, f"{1e3 / metrics['time/step_ms']:.1f} steps/s"])
+        self.progress.update(self.task, completed=step, status=status)
         if self.progress.disable and step % self.every == 0:
-            line = f"step {step}/{self.steps}  loss {loss:.4f}  PSNR {psnr:.2f} dB  {rate:.1f} steps/s"
-            self.console.print(line, highlight=False)
+            self.console.print(f"step {step}/{self.steps}  {status}", highlight=False)
 
     def note(self, text: str) -> None:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -66,17 +67,17 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
         return
     table = Table(show_header=False, box=None, padding=(0, 2))
     views = f"{summary['eval_views']:.0f} held-out views"
-    table.add_row("PSNR", f"{summary['psnr']:.2f} dB", views)
-    if summary.get("ssim") is not None:  # there is none of views below 3 pixels
-        table.add_row("SSIM", f"{summary['ssim']:.3f}", "")
-    if summary.get("lpips") is not None:
-        table.add_row("LPIPS", f"{summary['lpips']:.4f}", "")
-    if summary.get("depth_error") is not None:
-        table.add_row("depth error", f"{summary['depth_error']:.3f}", "mean of |depth - truth| / the larger")
+    for item in image_metrics():
+        if (value := summary.get(item.key)) is not None:
+            table.add_row(item.label, item.with_unit(value), views if item.key == "psnr" else item.explanation)
     parts = {key.removeprefix("params."): int(value) for key, value in summary.items() if key.startswith("params.")}
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
     table.add_row("parameters", f"{parts['total']:,}", listed)
-    table.add_row("training", f"{summary['train_s']:.1f} s", f"{summary['step_ms']:.1f} ms a step, median")
+    table.add_row(
+        "training",
+        f"{summary['train_s']:.1f} s",
+        f"{metric_of('step_ms').with_unit(summary['step_ms'])} a step, median",
+    )
     console.print(table)
     for name, path, what in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):
         line = f"  {name:<13} {outcome.path / path}  {what}".rstrip()

@@ -63,9 +63,7 @@ def is_choice(group: str, name: object) -> bool:
 
     from qnerf.config.folders import CONF
 
-    return (CONF / group / f"{name}.yaml").is_file() or f"{name}.yaml" in ConfigStore.instance().repo.get(
-        group, {}
-    )
+    return (CONF / group / f"{name}.yaml").is_file() or f"{name}.yaml" in ConfigStore.instance().repo.get(group, {})
 
 
 def node(group: str, name: str) -> dict[str, Any]:

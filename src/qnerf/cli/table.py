@@ -8,6 +8,8 @@ from rich.cells import cell_len, set_cell_size
 from rich.console import Console
 from rich.text import Text
 
+from qnerf.cli.text import measured
+from qnerf.metrics import Metric
 from qnerf.records.printable import ELLIPSIS, printable
 
 GAP = 2
@@ -31,6 +33,17 @@ class Column:
     least: int | None = None
     tail: int = 0
     limit: int = 40  # characters on a terminal
+
+
+def metric_column(metric: Metric, title: str | None = None, rank: int = 0, style: str = "") -> Column:
+    """The metric of each row, under its label."""
+    return Column(
+        title or metric.label,
+        lambda row: measured(row.get(metric.key), metric),
+        rank,
+        right=True,
+        style=lambda _: style,
+    )
 
 
 def print_table(console: Console, columns: Sequence[Column], rows: Sequence[Row]) -> None:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 
+from qnerf.metrics import Metric
 from qnerf.records.printable import printable
 
 STATE_STYLES = {"running": "cyan", "finished": "green", "interrupted": "yellow", "failed": "red", "damaged": "magenta"}
@@ -65,9 +66,9 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def number(value: Any, digits: int = 2) -> str:
-    """`23.91`; `-` where there is none."""
-    return _odd(value) or f"{value:.{digits}f}"
+def measured(value: Any, metric: Metric, unit: bool = False) -> str:
+    """The value of a metric as `23.91`, with its unit if asked; `-` where there is none."""
+    return _odd(value) or (metric.with_unit(value) if unit else metric.text(value))
 
 
 def count(value: Any) -> str:

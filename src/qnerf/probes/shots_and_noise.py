@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config.checks import at_least
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer, hardware_conditions
 from qnerf.quantum.pennylane import Noise
@@ -122,12 +123,13 @@ def evaluate_hardware(
         with hardware_conditions.conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
             for _, row in evaluator.views(scene.eval[: views or None], trained.step):
                 rows.append(row | vars(condition))
-        new = pd.DataFrame(rows).astype({"lpips": "float64", "depth_error": "float64", "depth_error_median": "float64"})
+        new = pd.DataFrame(rows).astype({item.key: "float64" for item in image_metrics()})
         # Read and written after each condition, so that no row is lost if this stops or another command writes too.
         table = pd.concat([pd.read_parquet(path), new]) if path.exists() else new
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())
         shots = f"{condition.shots} shots" if condition.shots else "exact"
-        quality = f"PSNR {new['psnr'].mean():.2f} dB, SSIM {new['ssim'].mean():.3f}"
+        shown = [(metric_of(key).label, metric_of(key).with_unit(new[key].mean())) for key in ("psnr", "ssim")]
+        quality = ", ".join(map(" ".join, shown))
         tell(f"{shots}, noise {condition.noise} {condition.p:g}: {quality}")
     return table

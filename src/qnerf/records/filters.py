@@ -4,11 +4,17 @@ key=value      the column has the value; with commas any of them, with * and ? a
 key!=value     the opposite
 key<number     and <=, >, >=
 text           a part of the id
+
+A run must meet every condition. They are separated by spaces, or by a comma before the next `key=`:
+`field=classical,color=3x64` is two. `analysis/report/filter.js` is the same language on the report's page.
 """
 
 import difflib
+import math
+import operator
 import re
-from collections.abc import Callable, Iterable, Sequence
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
@@ -19,48 +25,67 @@ import pandas as pd
 from qnerf.config.compatibility import today_noted
 
 ALIASES = {"id": "run_id", "tag": "tags"}
-_FILTER = re.compile(r"([^=<>!]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
+HELP = "only these runs, as `qnerf runs` takes it: \"field=qcolor seed=0,1 'psnr>25'\""
+_CONDITION = re.compile(r"([^=<>!,]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
+_NEXT_KEY = re.compile(r",(?=[^=<>!,]+(?:!=|>=|<=|=|>|<))")
 _ORDER: dict[str, Callable[[float, float], bool]] = {
-    ">=": lambda a, b: a >= b,
-    "<=": lambda a, b: a <= b,
-    ">": lambda a, b: a > b,
-    "<": lambda a, b: a < b,
-}
+    ">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Filter:
-    """One condition on a column of the table of runs."""
+    """One condition on a column of a table of runs; `values` are alternatives."""
 
     key: str
     operator: str
-    value: str
+    values: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.key}{self.operator}{','.join(self.values)}"
 
     def matches(self, value: Any) -> bool:
         if self.operator in _ORDER:
-            return isinstance(value, (int, float)) and _ORDER[self.operator](value, float(self.value))
+            return _is_number(value) and _ORDER[self.operator](value, float(self.values[0]))
         if self.operator == "in":
-            return self.value in str(value)
-        found = any(_equals(value, wanted) for wanted in self.value.split(","))
-        return found if self.operator == "=" else not found
+            return self.values[0] in str(value)
+        return any(_equals(value, wanted) for wanted in self.values) == (self.operator == "=")
 
 
-def parse(texts: Iterable[str]) -> list[Filter]:
-    """Raises ValueError where `<` and `>` compare with something that is no number."""
-    return [_parse(text) for text in texts]
+def parse(conditions: str | Iterable[str] | Mapping[str, Any]) -> list[Filter]:
+    """The conditions of a text, of several such as the command line gives, or of values by column.
+
+    >>> [str(condition) for condition in parse("field=qcolor,qboth seed!=0")]
+    ['field=qcolor,qboth', 'seed!=0']
+    >>> parse({"field": "qcolor", "seed": [0, 1]}) == parse("field=qcolor,seed=0,1")
+    True
+
+    Raises:
+        ValueError: a quote is left open, or `<` or `>` compares with something that is no number.
+    """
+    if isinstance(conditions, Mapping):
+        return [Filter(column(key), "=", _alternatives(value)) for key, value in conditions.items()]
+    if isinstance(conditions, str):
+        try:
+            return parse(shlex.split(conditions))
+        except ValueError as error:
+            raise ValueError(f"filter {conditions!r}: {error}") from error
+    return [_parse(part) for text in conditions for part in _NEXT_KEY.split(text)]
 
 
 def _parse(text: str) -> Filter:
-    match = _FILTER.fullmatch(text)
+    match = _CONDITION.fullmatch(text)
     if match is None:
-        return Filter("run_id", "in", text)
-    key, operator, value = (part.strip() for part in match.groups())
-    if operator in _ORDER:
-        try:
-            float(value)
-        except ValueError:
-            raise ValueError(f"{text}: {operator} compares numbers, got {value!r}") from None
-    return Filter(column(key), operator, value)
+        return Filter("run_id", "in", (text,))
+    key, comparison, value = (part.strip() for part in match.groups())
+    if comparison in _ORDER and math.isnan(_number(value)):
+        raise ValueError(f"{text}: {comparison} compares numbers, got {value!r}")
+    return Filter(column(key), comparison, (value,) if comparison in _ORDER else tuple(value.split(",")))
+
+
+def _alternatives(value: Any) -> tuple[str, ...]:
+    several = value if isinstance(value, (list, tuple, set, frozenset, range)) else [value]
+    return tuple(str(item).lower() if item is None or isinstance(item, bool) else str(item) for item in several)
 
 
 def column(name: str) -> str:
@@ -70,11 +95,36 @@ def column(name: str) -> str:
 
 def select(frame: pd.DataFrame, filters: Sequence[Filter]) -> pd.DataFrame:
     """The rows that meet every condition. Raises ValueError for a column that the table does not have."""
-    keep = np.ones(len(frame), dtype=bool)
+    mask = np.ones(len(frame), dtype=bool)
     for condition in filters:
-        check_column(condition.key, frame.columns)
-        keep &= np.array([condition.matches(value) for value in frame[condition.key].tolist()], dtype=bool)
-    return frame[keep]
+        values = frame[check_column(condition.key, frame.columns)]
+        mask &= np.array([condition.matches(value) for value in values.tolist()], dtype=bool)
+    return frame[mask]
+
+
+def require(frame: pd.DataFrame, conditions: str | Mapping[str, Any], rows: str = "runs") -> pd.DataFrame:
+    """`select` of the parsed conditions.
+
+    Raises:
+        ValueError: as `parse` and `select` do, or no row is left; the message lists the columns' values.
+    """
+    filters = parse(conditions)
+    chosen = select(frame, filters)
+    if chosen.empty:
+        text = conditions if isinstance(conditions, str) else ", ".join(f"{key}={v}" for key, v in conditions.items())
+        known = "; ".join(f"{key}: {known_values(frame[key])}" for key in dict.fromkeys(item.key for item in filters))
+        raise ValueError(f"none of {len(frame):,} {rows} has {text}; there are {known}")
+    return chosen
+
+
+def known_values(column: pd.Series, limit: int = 8) -> str:
+    """The values of a column in words: all of them, the first of many, or the range of many numbers."""
+    values = (column.explode() if column.name == "tags" else column).dropna()
+    distinct = sorted(values.unique(), key=lambda value: (str(type(value)), value))
+    if len(distinct) > limit and pd.api.types.is_numeric_dtype(values):
+        return f"{values.min():.6g} to {values.max():.6g}"
+    more = f" and {len(distinct) - limit} more" if len(distinct) > limit else ""
+    return ", ".join(str(value) for value in distinct[:limit]) + more or "no values"
 
 
 def check_column(name: str, known: Iterable[str]) -> str:
@@ -92,11 +142,21 @@ def _equals(value: Any, wanted: str) -> bool:
         return any(_equals(item, wanted) for item in value)
     if value is None or value != value or value in ((), []):
         return wanted.lower() in ("none", "null", "nan")
-    if isinstance(value, bool):
+    if isinstance(value, (bool, np.bool_)):
         return wanted.lower() == str(value).lower()
-    if isinstance(value, (int, float)):
-        try:
-            return value == float(wanted)
-        except ValueError:
-            return False
-    return fnmatchcase(str(value), wanted)
+    # A column that is a number in some runs and text in others holds text: 10 is "10.0" there.
+    return _number(value) == _number(wanted) or (
+        not _is_number(value) and fnmatchcase(str(value), wanted.replace("[", "[[]"))
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _number(value: Any) -> float:
+    """NaN for what is no number."""
+    try:
+        return math.nan if "_" in str(value) else float(value)
+    except (TypeError, ValueError):
+        return math.nan

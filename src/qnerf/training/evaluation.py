@@ -1,4 +1,4 @@
-"""A model's held-out views: rendered, measured, drawn."""
+"""Held-out views of a model: rendered, measured, drawn."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,9 +12,9 @@ from qnerf.model.model import Model
 from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
-from qnerf.training.image_metrics import depth_error, lpips, psnr, ssim
+from qnerf.training.image_metrics import Comparison, measure
 
-MOST = 2**22  # pixels of which percentiles are taken, evenly spread
+MAX_PIXELS = 2**22  # of a depth map, evenly spread, from which its percentiles are computed
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Evaluator:
         self.watch.begin(measure=False)
         refinement = None if view in self.scene.eval else self.model.cameras
         rays = self.table.view(view, refinement)
-        if refinement is None:  # no appearance of its own
+        if refinement is None:  # a held-out view has no appearance vector
             rays = replace(rays, cameras=torch.full_like(rays.cameras, -1))
         pieces = []
         for start in range(0, len(rays), self.chunk):
@@ -65,39 +65,29 @@ class Evaluator:
         return self.scene.colors(view, {"black": 0.0}.get(self.background, 1.0))
 
     def measure(self, rendered: RenderedView) -> dict[str, float | str | None]:
-        """PSNR in dB, SSIM, LPIPS (None with a reason where it cannot be had), depth errors where depth is known."""
+        """The view's name under `image`, and every image metric; see `qnerf.training.image_metrics.measure`."""
         view = rendered.view
-        truth = self.truth(view).double()
-        color = rendered.color.double()
-        perceptual, reason = lpips(color, truth)
-        row: dict[str, float | str | None] = {
-            "image": self.scene.names[view],
-            "psnr": psnr(color, truth),
-            "ssim": ssim(color, truth),
-            "lpips": perceptual,
-            "lpips_reason": reason,
-            "depth_error": None,
-            "depth_error_median": None,
-        }
-        if self.scene.depth is not None:
-            relative, median = depth_error(rendered.depth, self.scene.depth[view])
-            row |= {"depth_error": relative, "depth_error_median": median}
-        return row
+        true_depth = None if self.scene.depth is None else self.scene.depth[view]
+        compared = Comparison(rendered.color.double(), self.truth(view).double(), rendered.depth, true_depth)
+        return {"image": self.scene.names[view]} | measure(compared)
 
     def views(self, views: list[int], step: int) -> Iterator[tuple[RenderedView, dict[str, float | str | None]]]:
         for view in views:
             rendered = self.render(view, step)
             yield rendered, self.measure(rendered)
 
-    def picture(self, rendered: RenderedView, least: int = 240) -> np.ndarray:
-        """truth | render | error (x 4) | depth (near is bright) as one image (h, w, 3) uint8, small views enlarged."""
+    def picture(self, rendered: RenderedView, min_height: int = 240) -> np.ndarray:
+        """truth | render | error (x 4) | depth (near is bright) as one image (h, w, 3) uint8.
+
+        A view of fewer than `min_height` pixels is enlarged by a whole factor.
+        """
         truth = self.truth(rendered.view)
         error = ((rendered.color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
         panels = [truth, rendered.color, error, shade(rendered.depth)]
-        row = torch.cat([panel.to(torch.float32) for panel in panels], dim=1)
-        factor = max(1, -(-least // row.shape[0]))
-        row = row.repeat_interleave(factor, 0).repeat_interleave(factor, 1)
-        return (row * 255).round().to(torch.uint8).numpy()
+        picture = torch.cat([panel.to(torch.float32) for panel in panels], dim=1)
+        factor = max(1, -(-min_height // picture.shape[0]))
+        picture = picture.repeat_interleave(factor, 0).repeat_interleave(factor, 1)
+        return (picture * 255).round().to(torch.uint8).numpy()
 
 
 def shade(depth: Tensor) -> Tensor:
@@ -105,7 +95,7 @@ def shade(depth: Tensor) -> Tensor:
     import matplotlib
 
     inverse = 1 / depth.clamp(min=1e-3)
-    some = inverse.flatten()[:: -(-inverse.numel() // MOST)]
-    low, high = torch.quantile(some, torch.tensor([0.02, 0.98], dtype=inverse.dtype))
+    sample = inverse.flatten()[:: -(-inverse.numel() // MAX_PIXELS)]
+    low, high = torch.quantile(sample, torch.tensor([0.02, 0.98], dtype=inverse.dtype))
     scaled = ((inverse - low) / (high - low).clamp(min=1e-6)).clamp(0, 1)
     return torch.from_numpy(matplotlib.colormaps["magma"](scaled.numpy())[..., :3])

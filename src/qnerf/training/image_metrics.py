@@ -1,14 +1,48 @@
-"""How close a rendered view (H, W, 3) is to the true one. Colours are in [0, 1]; everything is computed in float64."""
+"""How close a rendered view (H, W, 3) is to the true one. Colours are in [0, 1]; everything is computed in float64.
+
+A metric is a `Metric` in `qnerf.metrics` and, under the same key, a function of a `Comparison` here. Every evaluation
+then measures it, and tables, figures, the report and the command line show it.
+"""
 
 import math
+from dataclasses import dataclass
 
 import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
+from qnerf.config.registry import Registry
+from qnerf.metrics import image_metrics
 from qnerf.training.lpips import lpips
 
-__all__ = ["depth_error", "lpips", "psnr", "ssim"]
+__all__ = ["IMAGE_METRICS", "Comparison", "depth_error", "lpips", "measure", "psnr", "ssim"]
+
+Measured = float | None | tuple[float | None, str | None]
+"""A metric's value, None where it cannot be had; or the value and why there is none."""
+
+IMAGE_METRICS: Registry[Measured] = Registry("image metric")
+"""Key of the metric -> function of a `Comparison`."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A rendered view beside the true one."""
+
+    color: Tensor  # (H, W, 3) in [0, 1], float64
+    truth: Tensor  # (H, W, 3) in [0, 1], float64
+    depth: Tensor  # (H, W), world units
+    true_depth: Tensor | None  # (H, W), world units; None where the scene has no depth
+
+
+def measure(view: Comparison) -> dict[str, float | str | None]:
+    """Every image metric of the view under its key, and `<key>_reason` for metrics that say why they have no value."""
+    row: dict[str, float | str | None] = {}
+    for metric in image_metrics():
+        measured = IMAGE_METRICS.get(metric.key)(view)
+        row[metric.key], *reason = measured if isinstance(measured, tuple) else (measured,)
+        row |= {f"{metric.key}_reason": text for text in reason}
+    return row
+
 
 _RADIUS = 5  # pixels: a window of 11 x 11
 
@@ -53,13 +87,13 @@ def ssim(image: Tensor, truth: Tensor) -> float | None:
 
 
 def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
-    """How far a depth map (H, W) is from the true one, over pixels of known depth: two robust figures.
+    """How far a depth map (H, W) is from the true one, over the pixels whose true depth is finite and above 0.
 
-    Known is a true depth that is finite and above 0; NaN, NaN where there is none. A pixel whose ray passes through a
-    hole has a depth of hundreds, which would drown a plain mean.
+    Both numbers are robust: a ray through a hole has a depth of hundreds, which would dominate a plain mean.
 
     Returns:
-        Mean of |depth - truth| / max(depth, truth), in [0, 1); median of |depth - truth| in world units.
+        Mean of |depth - truth| / max(depth, truth), in [0, 1), and median of |depth - truth| in world units. Both are
+        NaN where no true depth is known.
     """
     if depth.shape != truth.shape:
         raise ValueError(f"two depth maps of one size expected, got {tuple(depth.shape)} and {tuple(truth.shape)}")
@@ -70,3 +104,28 @@ def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
     depth, truth = depth[known], truth[known]
     error = (depth - truth).abs()
     return float((error / torch.maximum(depth, truth)).mean()), float(error.median())
+
+
+@IMAGE_METRICS.register("psnr")
+def _psnr(view: Comparison) -> Measured:
+    return psnr(view.color, view.truth)
+
+
+@IMAGE_METRICS.register("ssim")
+def _ssim(view: Comparison) -> Measured:
+    return ssim(view.color, view.truth)
+
+
+@IMAGE_METRICS.register("lpips")
+def _lpips(view: Comparison) -> Measured:
+    return lpips(view.color, view.truth)
+
+
+@IMAGE_METRICS.register("depth_error")
+def _depth_error(view: Comparison) -> Measured:
+    return None if view.true_depth is None else depth_error(view.depth, view.true_depth)[0]
+
+
+@IMAGE_METRICS.register("depth_error_median")
+def _depth_error_median(view: Comparison) -> Measured:
+    return None if view.true_depth is None else depth_error(view.depth, view.true_depth)[1]

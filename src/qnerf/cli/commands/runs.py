@@ -9,8 +9,9 @@ import pandas as pd
 from rich.console import Console
 
 from qnerf.cli.commands import add_store
-from qnerf.cli.table import Column, Row, print_table
-from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing, number
+from qnerf.cli.table import Column, Row, metric_column, print_table
+from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing
+from qnerf.metrics import METRICS
 from qnerf.records import filters, index
 from qnerf.records.printable import ELLIPSIS, printable
 
@@ -130,7 +131,7 @@ def counts(frame: pd.DataFrame, shown: int) -> str:
 
 def columns(rows: Sequence[Row], extra: Sequence[str] = ()) -> list[Column]:
     """The usual columns and `extra`; tags and errors only where a run has some."""
-    usual = [*COLUMNS, *(Column(name, _cell(name), rank=2, right=_is_number(rows, name)) for name in extra)]
+    usual = [*COLUMNS, *(_extra(name, rows) for name in extra)]
     if any(row.get("tags") for row in rows):
         usual.append(Column("tags", tags, rank=5, style=lambda row: "magenta"))
     if any(not missing(row.get("error")) for row in rows):
@@ -169,8 +170,12 @@ def _cell(name: str) -> Callable[[Row], str]:
     return cell
 
 
-def _is_number(rows: Sequence[Row], name: str) -> bool:
-    return all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
+def _extra(name: str, rows: Sequence[Row]) -> Column:
+    """A further column, under the name that it was asked for by; a metric in its own number of digits."""
+    if name in METRICS:
+        return metric_column(METRICS[name], name, rank=2)
+    numbers = all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
+    return Column(name, _cell(name), rank=2, right=numbers)
 
 
 def _heads(row: Row) -> str:
@@ -186,7 +191,7 @@ COLUMNS = (
     Column("qiren", qiren, rank=3),
     Column("params", lambda row: count(row.get("params.total")), rank=7, right=True),
     Column("heads", _heads, rank=4, right=True),
-    Column("PSNR", lambda row: number(row.get("psnr")), right=True, style=lambda row: "bold"),
+    metric_column(METRICS["psnr"], style="bold"),
     Column("steps", steps, right=True),
     Column("time", lambda row: duration(row.get("train_s")), rank=4, right=True),
     Column("age", lambda row: age(row.get("created")), rank=3, right=True),

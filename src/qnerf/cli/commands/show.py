@@ -1,7 +1,6 @@
 """`qnerf show RUN`: everything about one run."""
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +9,13 @@ from rich.table import Table
 from rich.text import Text
 
 from qnerf.cli.commands import add_run
-from qnerf.cli.table import Column, print_table
-from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, number, size, styled, tree
+from qnerf.cli.table import Column, metric_column, print_table
+from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, size, styled, tree
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.details import Details
 from qnerf.records.printable import printable
-
-MEASURES = {
-    "psnr": ("PSNR", 2, " dB"),
-    "ssim": ("SSIM", 3, ""),
-    "lpips": ("LPIPS", 4, ""),
-    "depth_error": ("depth error", 3, ""),
-}
-"""Column of the summary and of eval.parquet -> its title, digits, unit."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,25 +96,24 @@ def state_line(run: Details) -> Text:
 
 def _results(out: Console, run: Details) -> None:
     values = run.results
-    measured = [
-        f"{title} {number(values[key], digits)}{unit}"
-        for key, (title, digits, unit) in MEASURES.items()
-        if _has(values, key)
-    ]
+    shown = [item for item in image_metrics() if not missing(values.get(item.key))]
     parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
-    if not measured and not parts:
+    if not shown and not parts:
         return
     _section(out, "results")
-    if measured:
-        _pair(out, "held out", "   ".join(measured))
+    if shown:
+        texts = (f"{item.label} {measured(values[item.key], item, unit=True)}" for item in shown)
+        _pair(out, "held out", "   ".join(texts))
     if parts:
         listed = "   ".join(f"{name} {count(value)}" for name, value in parts.items() if value and name != "total")
         _pair(out, "parameters", f"{count(parts.get('total'))}: {listed}")
-    if _has(values, "train_s"):
-        _pair(out, "training", f"{duration(values['train_s'])}   {number(values.get('step_ms'), 1)} ms a step, median")
+    step = metric_of("step_ms")
+    if not missing(values.get("train_s")):
+        a_step = f"{measured(values.get('step_ms'), step, unit=True)} a step, {step.explanation}"
+        _pair(out, "training", f"{duration(values['train_s'])}   {a_step}")
     times = {key[5:-3]: value for key, value in values.items() if key.startswith("time.") and key.endswith("_ms")}
     if times:
-        _pair(out, "of a step", "   ".join(f"{name} {number(value, 1)}" for name, value in times.items()) + " ms")
+        _pair(out, "of a step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms")
 
 
 def _views(out: Console, run: Details) -> None:
@@ -130,14 +121,9 @@ def _views(out: Console, run: Details) -> None:
     if not len(views) or "image" not in views:
         return
     _section(out, f"held-out views after step {count(views['step'].iloc[0])}" if "step" in views else "held-out views")
-    known = {key: form for key, form in MEASURES.items() if key in views and views[key].notna().any()}
-    columns = [Column("image", lambda row: str(row["image"]))]
-    columns += [_measure(key, *form[:2]) for key, form in known.items()]
+    shown = [item for item in image_metrics() if item.key in views and views[item.key].notna().any()]
+    columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, shown)]
     print_table(out, columns, views.to_dict("records"))  # type: ignore[arg-type]
-
-
-def _measure(key: str, title: str, digits: int) -> Column:
-    return Column(title, lambda row: number(row[key], digits), right=True)
 
 
 def _environment(out: Console, run: Details) -> None:
@@ -184,10 +170,6 @@ def _pair(out: Console, name: str, text: str, style: str = "", lines: bool = Fal
     grid.add_column(overflow="fold")
     grid.add_row(name, shown)
     out.print(grid)
-
-
-def _has(values: Mapping[str, Any], key: str) -> bool:
-    return number(values.get(key)) != "-"
 
 
 def _dict(value: Any) -> dict[str, Any]:

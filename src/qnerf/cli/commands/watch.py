@@ -19,6 +19,7 @@ from qnerf.cli.commands.show import state_line
 from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
 from qnerf.cli.table import plain_lines, table
 from qnerf.cli.text import console, count, duration, styled
+from qnerf.metrics import metric_of
 from qnerf.records import details, find, read_metrics
 from qnerf.records.details import Details
 from qnerf.records.printable import printable
@@ -96,11 +97,11 @@ def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool =
     if run.steps and run.state == "running":
         lines.append(_bar(run, steps_per_second(loss) if loss is not None else None, width, ascii_only))
     blocks = ASCII if ascii_only else BLOCKS
-    for key, (title, form, transform) in CURVES.items():
+    for key, (title, transform) in CURVES.items():
         if key in curves:
             values = curves[key]["value"].to_numpy()
             drawn = sparkline(transform(values), max(width - BESIDE, 10), blocks)
-            last = f"{form.format(values[-1])} at step {count(curves[key]['step'].iloc[-1])}"
+            last = f"{metric_of(key).with_unit(values[-1])} at step {count(curves[key]['step'].iloc[-1])}"
             lines.append(Text.assemble((f"{title:<10}", "dim"), (drawn, "cyan"), f"  {last}"))
     return lines
 
@@ -109,12 +110,12 @@ def _log(values: np.ndarray) -> np.ndarray:
     return np.log(np.where(values > 0, values, np.nan))
 
 
-CURVES: dict[str, tuple[str, str, Callable[[np.ndarray], np.ndarray]]] = {
-    "train/loss": ("loss, log", "{:.5f}", _log),
-    "train/psnr": ("PSNR", "{:.2f} dB", np.asarray),
-    "eval/psnr": ("held out", "{:.2f} dB", np.asarray),
+CURVES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "train/loss": (f"{metric_of('loss').label}, log", _log),
+    "train/psnr": (metric_of("psnr").label, np.asarray),
+    "eval/psnr": ("held out", np.asarray),
 }
-"""Key of the metrics -> title, form of its last value, what is drawn of a value."""
+"""Key of metrics.parquet -> title, function of the values that are drawn."""
 
 
 def steps_per_second(rows: pd.DataFrame) -> float | None:

@@ -1,0 +1,107 @@
+"""Every number that is shown of a run, declared once: what it is called, its unit, its digits, which way is better.
+
+Tables, figures, the report and the command line read `METRICS`. A metric of held-out images has its computation in
+`qnerf.training.image_metrics` under the same key.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+__all__ = ["METRICS", "Metric", "declare", "image_metrics", "metric_of"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How one column of summary.parquet or eval.parquet is shown.
+
+    >>> psnr = metric_of("psnr")
+    >>> psnr.heading, psnr.text(21.5), psnr.with_unit(21.5)
+    ('PSNR, dB', '21.50', '21.50 dB')
+    """
+
+    key: str
+    """The column's name."""
+    label: str
+    unit: str = ""
+    digits: int | None = None
+    """Decimals; None: four significant digits."""
+    better: Literal["higher", "lower"] | None = None
+    kind: Literal["image", "size", "time", "loss", ""] = ""
+    """`image` metrics are measured on each held-out view."""
+    explanation: str = ""
+    on_request: bool = False
+    """Whether tables leave it out unless it is asked for."""
+
+    @property
+    def heading(self) -> str:
+        """Label and unit, as a column or an axis names it."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    @property
+    def sign(self) -> int:
+        """1 where higher is better, -1 where lower is."""
+        return -1 if self.better == "lower" else 1
+
+    def text(self, value: Any, sign: str = "") -> str:
+        """The number as it is printed; `sign="+"` also marks positive numbers."""
+        return f"{value:{sign}.4g}" if self.digits is None else f"{value:{sign},.{self.digits}f}"
+
+    def with_unit(self, value: Any) -> str:
+        return f"{self.text(value)} {self.unit}".rstrip()
+
+
+METRICS: dict[str, Metric] = {}
+"""Column -> metric, in the order in which tables show them."""
+
+
+def declare(metric: Metric) -> Metric:
+    """Adds a metric; ValueError where its key is taken."""
+    if metric.key in METRICS:
+        raise ValueError(f"metric {metric.key!r} is declared already, as {METRICS[metric.key].label!r}")
+    METRICS[metric.key] = metric
+    return metric
+
+
+def image_metrics() -> list[Metric]:
+    """The metrics that are measured on each held-out view."""
+    return [metric for metric in METRICS.values() if metric.kind == "image"]
+
+
+def metric_of(key: str) -> Metric:
+    """The metric of a column, or of a key of metrics.parquet: `eval/psnr` is the held-out PSNR.
+
+    A column that is not declared is shown under its own name.
+    """
+    if key in METRICS:
+        return METRICS[key]
+    group, _, name = key.partition("/")
+    if group not in _LOGGED or name not in METRICS:
+        return Metric(key, key)
+    return replace(METRICS[name], key=key, label=f"{_LOGGED[group]} {METRICS[name].label}".strip())
+
+
+_LOGGED = {"train": "training", "eval": "held-out", "time": ""}
+
+for _metric in (
+    Metric("psnr", "PSNR", "dB", 2, "higher", "image"),
+    Metric("ssim", "SSIM", "", 3, "higher", "image"),
+    Metric("lpips", "LPIPS", "", 4, "lower", "image"),
+    Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger"),
+    Metric("depth_error_median", "median depth error", "world units", 3, "lower", "image", "median of |depth - truth|"),
+    Metric("params.heads", "head parameters", "", 0, kind="size", on_request=True),
+    Metric("params.encoder", "encoder parameters", "", 0, kind="size"),
+    Metric("params.density", "density parameters", "", 0, kind="size"),
+    Metric("params.color", "colour parameters", "", 0, kind="size"),
+    Metric("params.sampler", "proposal parameters", "", 0, kind="size"),
+    Metric("params.cameras", "camera parameters", "", 0, kind="size"),
+    Metric("params.appearance", "appearance parameters", "", 0, kind="size"),
+    Metric("params.total", "parameters", "", 0, kind="size"),
+    Metric("step_ms", "time of a step", "ms", 1, "lower", "time", "median"),
+    Metric("train_s", "training time", "s", 0, "lower", "time"),
+    Metric("time.quantum_ms", "circuits' part of a step", "ms", 1, "lower", "time", on_request=True),
+    Metric("eval_s", "evaluation time", "s", 1, "lower", "time", on_request=True),
+    Metric("peak_memory_mb", "peak memory", "MB", 0, "lower", on_request=True),
+    Metric("loss", "loss", "", 5, "lower", "loss", on_request=True),
+    Metric("mse", "mean squared colour error", "", 5, "lower", "loss", on_request=True),
+):
+    declare(_metric)
