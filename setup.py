@@ -1,4 +1,4 @@
-"""The packages of the distribution: src/qnerf, and conf/, sweeps/ and analysis/ inside it. The rest is in pyproject.toml."""
+"""Packages of the distribution: src/qnerf, with conf/, sweeps/ and analysis/ inside. The rest is in pyproject.toml."""
 
 from setuptools import find_packages, setup
 

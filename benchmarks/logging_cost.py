@@ -1,7 +1,7 @@
-"""What logging a row of metrics costs a training step: ours and TensorBoard's writer.
+"""What logging a row of metrics costs a training step, with our writer and with TensorBoard's.
 
-`paced` steps like a training whose steps take a while and measures the processor time of the whole process: the call
-and what is done for it in the background. `flat_out` logs as fast as it can, until the rows are on disk.
+`paced` waits between the calls like a training and measures the processor time of the whole process, including threads.
+`flat_out` logs as fast as it can, until the rows are on disk.
 """
 
 import tempfile
@@ -54,7 +54,7 @@ class TensorBoard:
 
 
 class Nothing:
-    """What the measurement itself costs."""
+    """The cost of the measurement itself."""
 
     def __init__(self, folder: Path) -> None: ...
 
@@ -67,7 +67,7 @@ LOGGERS: dict[str, Callable[[Path], Logger]] = {"qnerf": Ours, "TensorBoard": Te
 
 
 def paced(name: str, steps: int, step_s: float) -> dict[str, float]:
-    """us_per_call: median; share: processor time of logging over that of the steps, both until the end of the run."""
+    """us_per_call: median. share: processor time of logging / duration of the steps, until the run is closed."""
     with tempfile.TemporaryDirectory() as folder:
         _, idle = _paced(Nothing(Path(folder)), steps, step_s)
         calls, used = _paced(LOGGERS[name](Path(folder) / "runs"), steps, step_s)

@@ -23,9 +23,9 @@ from qnerf.config.identity import run_id
 from qnerf.model.labels import labels, slug
 from qnerf.records import Run, RunStore
 from qnerf.records.environment import capture
-from qnerf.timing import PARTS
+from qnerf.timing import STAGES
 
-LOGS = 20  # times that a run logs `METRICS`
+LOGS = 20  # how often a run logs `METRICS`
 METRICS = ("train/loss", "train/psnr", "train/interlevel", "train/distortion", "train/lr", "train/rays_per_s")
 FIELDS = ("classical", "qcolor", "qdensity", "qboth")
 TABLES = ("C4", "C5")
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def generate(folder: str | Path, runs: int, jobs: int = 1) -> int:
-    """Adds what is missing to `runs` runs; how many were written. One in 50 failed, one in 50 was interrupted."""
+    """Adds runs until there are `runs`, and returns how many. One in 50 has failed, one in 50 was interrupted."""
     missing = runs - len(RunStore(folder).runs())
     if missing <= 0:
         return 0
@@ -70,7 +70,7 @@ def _composed(store: str, field: str, encoder: str, table: str, circuit: str) ->
 
 
 def configurations(bases: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    """As many as are asked for, all different: seeds, learning rates and scenes of every base."""
+    """An endless series of different configurations: every base with seeds, learning rates and scenes."""
     for seed in itertools.count():
         for rate, scene, base in itertools.product(RATES, SCENES, bases):
             train, path = {**base["train"], "lr": rate}, f"../shared/data/{scene}"
@@ -78,7 +78,7 @@ def configurations(bases: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any
 
 
 def write_some(folder: str | Path, runs: int, bases: Sequence[Mapping[str, Any]]) -> float:
-    """Seconds that writing so many runs takes, one after the other."""
+    """Seconds for writing so many runs, one after the other."""
     start = time.perf_counter()
     written = _generate(str(folder), runs, 1, bases, 0)
     assert written == runs, "the folder holds runs already"
@@ -86,7 +86,7 @@ def write_some(folder: str | Path, runs: int, bases: Sequence[Mapping[str, Any]]
 
 
 def _generate(folder: str, runs: int, jobs: int, bases: Sequence[Mapping[str, Any]], job: int) -> int:
-    """Every `jobs`-th run."""
+    """Writes every `jobs`-th run."""
     store = RunStore(folder)
     there = {path.name for path in store.runs()}
     environment = capture(seed=0)
@@ -130,7 +130,7 @@ def _write(
         run.write_eval({"image": f"{view:03d}.png", "psnr": final + random.normal(0, 0.5)} for view in range(5))
         results = {"psnr": final, "ssim": random.uniform(0.6, 0.9), "train_s": random.uniform(50, 100), "steps": last}
         results |= {"step_ms": random.uniform(20, 60), "eval_views": 5, "eval_s": random.uniform(1, 2)}
-        times = {f"time.{part}_ms": random.uniform(1, 20) for part in PARTS}
+        times = {f"time.{part}_ms": random.uniform(1, 20) for part in STAGES}
         run.finish(results | times | {"peak_memory_mb": 640.0, "lpips_reason": "weights not found"})
 
 

@@ -1,7 +1,7 @@
-"""Listing ten thousand runs, and what logging costs a step: `python -m benchmarks.tracking STORE`.
+"""Times of listing ten thousand runs and of logging a step: `python -m benchmarks.tracking STORE`.
 
-STORE is filled up to `--runs` runs by the real writer first (`benchmarks.many_runs`). With `--mlflow-python` the same
-runs go into MLflow (SQLite), through its client, and are searched there. Prints a table of medians and saves it as
+First STORE is filled with `--runs` runs by the real writer (`benchmarks.many_runs`). With `--mlflow-python`, the same
+runs are written into MLflow (SQLite) through its client and searched there. Prints a table of medians and saves it as
 benchmarks/results/tracking.parquet.
 """
 
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def writing(options: argparse.Namespace) -> Iterator[Measured]:
-    """Fills the store; then times a hundred runs in another one."""
+    """Fills the store, then measures a hundred runs in another one."""
     generate(options.store, options.runs, options.jobs)
     with tempfile.TemporaryDirectory(dir=Path(options.store).parent) as folder:
         seconds = write_some(folder, 100, compositions(folder))
@@ -67,11 +67,11 @@ def writing(options: argparse.Namespace) -> Iterator[Measured]:
 
 
 def listing(options: argparse.Namespace) -> Iterator[Measured]:
-    """The table of all runs without an index, with one, and as the command shows it."""
-    own = Path(options.store) / ".index"
+    """The table of all runs without an index, with one, and as the command prints it."""
+    index_folder = Path(options.store) / ".index"
 
     def cold() -> int:
-        shutil.rmtree(own, ignore_errors=True)
+        shutil.rmtree(index_folder, ignore_errors=True)
         return len(load.runs(options.store))
 
     runs = cold()
@@ -86,7 +86,7 @@ def listing(options: argparse.Namespace) -> Iterator[Measured]:
 
 
 def first_screen(store: str) -> None:
-    """The whole command, from its start."""
+    """The whole command, including the start of Python."""
     command = [sys.executable, "-c", "from qnerf.cli.main import main; main()", "runs", "--store", store]
     command += ["--limit", str(SCREEN)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -96,15 +96,15 @@ def first_screen(store: str) -> None:
 def logging(options: argparse.Namespace) -> Iterator[Measured]:
     """One row of ten metrics a step."""
     for name in LOGGERS:
-        found = [paced(name, round(options.seconds / STEP), STEP) for _ in range(3)]
-        yield measured(name, "log a row of 10", median(part["us_per_call"] for part in found), "us")
-        yield measured(name, "share of a 20 ms step", 100 * median(part["share"] for part in found), "%")
+        parts = [paced(name, round(options.seconds / STEP), STEP) for _ in range(3)]
+        yield measured(name, "log a row of 10", median(part["us_per_call"] for part in parts), "us")
+        yield measured(name, "share of a 20 ms step", 100 * median(part["share"] for part in parts), "%")
         rate = median(flat_out(name, 20_000) for _ in range(3))
         yield measured(name, "values a second", rate, "1/s")
 
 
 def in_mlflow(options: argparse.Namespace) -> Iterator[Measured]:
-    """The same there. Its calls wait for the database: the share of a step is their whole time."""
+    """The same in MLflow. Its calls wait for the database, so their whole time counts as share of a step."""
     database = options.mlflow_database or Path(options.store).with_suffix(".mlflow.db")
     python = options.mlflow_python
     with tempfile.TemporaryDirectory() as folder:
@@ -112,19 +112,19 @@ def in_mlflow(options: argparse.Namespace) -> Iterator[Measured]:
         write_lines(options.store, lines)
         seconds = str(options.mlflow_seconds)
         written = mlflow(python, "write", database, "--runs", str(lines), "--seconds", seconds)
-        found = mlflow(python, "log", Path(folder) / "log.db", "--keys", ",".join(KEYS))
+        seconds_per_call = mlflow(python, "log", Path(folder) / "log.db", "--keys", ",".join(KEYS))
     if written["written"]:
         yield measured("MLflow", "write a run", 1e3 * written["seconds"] / written["written"], "ms", written["written"])
     for what in ("log_metrics", "log_batch"):
-        yield measured("MLflow", f"log a row of 10, {what}", 1e6 * found[what], "us")
-    yield measured("MLflow", "share of a 20 ms step", 100 * found["log_batch"] / STEP, "%")
-    yield measured("MLflow", "values a second", len(KEYS) / found["log_batch"], "1/s")
+        yield measured("MLflow", f"log a row of 10, {what}", 1e6 * seconds_per_call[what], "us")
+    yield measured("MLflow", "share of a 20 ms step", 100 * seconds_per_call["log_batch"] / STEP, "%")
+    yield measured("MLflow", "values a second", len(KEYS) / seconds_per_call["log_batch"], "1/s")
     searched = mlflow(python, "search", database, "--repeats", str(options.repeats))
     yield measured("MLflow", "search_runs", searched["median"], "s", searched["runs"])
 
 
 def verdicts(table: pd.DataFrame) -> Iterator[str]:
-    """Ratios of what was measured in this one go."""
+    """Ratios between the measurements of this call."""
     warm = one(table, "qnerf", "load.runs, warm")
     for search in table[table["what"] == "search_runs"].itertuples():
         ratio = (search.value / search.runs) / (warm["value"] / warm["runs"])

@@ -1,4 +1,4 @@
-"""The runs of a store in MLflow, which runs in a Python of its own."""
+"""Copies the runs of a store into MLflow, which has its own Python environment."""
 
 import json
 import math
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def write_lines(store: str, file: Path) -> int:
-    """Writes {"name", "params", "metrics"} a line, oldest run first; how many."""
+    """Writes one line {"name", "params", "metrics"} per run, the oldest first; returns how many."""
     frame = index.load(store).sort_values("created")
     options = config_columns(frame)
     with open(file, "w") as lines:
@@ -29,13 +29,13 @@ def write_lines(store: str, file: Path) -> int:
 
 
 def config_columns(frame: pd.DataFrame) -> set[str]:
-    """Columns that are options: those of one run of every field and encoder."""
+    """Columns that are options, taken from one run of every field and encoder."""
     paths = frame.drop_duplicates(["field", "encoder"])["path"]
     return {key for path in paths for key in flatten(read_config(path))} - {"field", "encoder"}
 
 
 def mlflow(python: str, what: str, database: Path, *arguments: str) -> dict[str, Any]:
-    """What `benchmarks.peers.mlflow_runs` measured. ValueError with MLflow's last words where it failed."""
+    """The results of `benchmarks.peers.mlflow_runs`. ValueError with the end of MLflow's message if it failed."""
     command = [python, "-m", "benchmarks.peers.mlflow_runs", what, str(database), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     if done.returncode:

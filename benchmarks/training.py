@@ -1,14 +1,14 @@
-"""A whole training step, part by part: `python -m benchmarks.training`.
+"""Measures a whole training step, stage by stage: `python -m benchmarks.training`.
 
 Prints, and saves as benchmarks/results/training.parquet:
 
-- every field x encoder x circuit: milliseconds a step and of each part, medians, with the operations and bytes that the
-  part cannot do without beside what this machine does in that time (a matrix product, a copy);
-- the ratios that the project promises, both sides measured in turn in one run: the compiled loops against their plain
-  PyTorch references, circuits against the classical head and against PennyLane, evaluation against training;
-- the hash tables C1 to C7, whose optimiser and gradient cost what their size costs; the paper's recipe.
+- steps: every field x encoder x circuit, median milliseconds of a step and of each stage, beside the minimum work of
+  the step (operations, bytes) and how fast this machine does such work (a matrix product, a copy);
+- ratios that the project promises, with both sides measured alternately: compiled loops against their plain PyTorch
+  references, circuits against the classical head and against PennyLane, evaluation against training;
+- tables: the hash tables C1 to C7, whose cost grows with their size, and the paper's recipe.
 
-Rows that are not measured again stay in the file.
+Rows of the file that are not measured again stay.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from qnerf import experiment, kernels
 from qnerf.cli.launch import conf_folder
 from qnerf.encoders import HashEncoder
 from qnerf.quantum import QuantumLayer
-from qnerf.timing import PARTS, Stopwatch
+from qnerf.timing import STAGES, Stopwatch
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Trainer
 
@@ -39,18 +39,18 @@ RESULTS = Path(__file__).parent / "results" / "training.parquet"
 FIELDS = ("classical", "qcolor", "qdensity", "qboth")
 ENCODERS = ("hash", "pe", "rff", "none")
 CIRCUITS = tuple(f"{layers}L{spectral}S" for layers in range(1, 5) for spectral in range(1, 5))
-NO_GATE = "shading=none"
+NO_SHADING = "shading=none"
 RAW = "field=classical color.directions=raw color.mlp.init=he"
-RATIOS = {  # name -> overrides above, overrides below, what is promised
+RATIOS = {  # name -> overrides of the numerator, overrides of the denominator, promise
     "plain references / compiled, classical C5": (
-        f"field=classical {NO_GATE}",
-        f"field=classical {NO_GATE}",
+        f"field=classical {NO_SHADING}",
+        f"field=classical {NO_SHADING}",
         "at least 4",
     ),
     **{
         f"{name} / classical, no gate": (
-            f"field=qcolor qiren={name} {NO_GATE}",
-            f"field=classical {NO_GATE}",
+            f"field=qcolor qiren={name} {NO_SHADING}",
+            f"field=classical {NO_SHADING}",
             promised,
         )
         for name, promised in (("1L1S", "at most 1.25"), ("1L2S", "at most 1.8"), ("3L4S", ""))
@@ -62,8 +62,8 @@ RATIOS = {  # name -> overrides above, overrides below, what is promised
     **{f"{field} 1L2S / classical with raw directions, shading=merge": (f"field={field}", RAW, "") for field in FIELDS},
     **{
         f"PennyLane / qnerf, {name}, no gate": (
-            f"field=qcolor qiren={name} qiren.method=pennylane {NO_GATE}",
-            f"field=qcolor qiren={name} {NO_GATE}",
+            f"field=qcolor qiren={name} qiren.method=pennylane {NO_SHADING}",
+            f"field=qcolor qiren={name} {NO_SHADING}",
             "at least 40",
         )
         for name in ("1L1S", "1L2S")
@@ -72,7 +72,7 @@ RATIOS = {  # name -> overrides above, overrides below, what is promised
 
 
 def build(overrides: str) -> tuple[Trainer, Evaluator]:
-    """A trainer on the built-in scene with the quick recipe, and what renders its views."""
+    """A trainer on the built-in scene with the quick recipe, and an evaluator of its views."""
     with initialize_config_dir(str(conf_folder()), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
     assert isinstance(config, dict)
@@ -86,30 +86,26 @@ def build(overrides: str) -> tuple[Trainer, Evaluator]:
     return Trainer(model, table, settings, watch), evaluator
 
 
-def trainer(overrides: str) -> Trainer:
-    return build(overrides)[0]
-
-
 def in_turn(
     steps: Sequence[Callable[[], object]],
     contexts: Sequence[AbstractContextManager[None]],
     rounds: int,
     warm: int,
 ) -> list[list[float]]:
-    """Seconds of each of `steps`, one after the other, `rounds` times, after `warm` that do not count."""
+    """Seconds of each step function: they run alternately, `rounds` times after `warm` uncounted rounds."""
     times: list[list[float]] = [[] for _ in steps]
     for count in range(warm + rounds):
-        for step, context, found in zip(steps, contexts, times, strict=True):
+        for step, context, seconds in zip(steps, contexts, times, strict=True):
             with context:
                 start = time.perf_counter()
                 step()
                 if count >= warm:
-                    found.append(time.perf_counter() - start)
+                    seconds.append(time.perf_counter() - start)
     return times
 
 
 class Plain(AbstractContextManager[None]):
-    """`kernels.plain` that can be entered again and again."""
+    """A reusable `kernels.plain`."""
 
     def __enter__(self) -> None:
         self.inside = kernels.plain()
@@ -119,30 +115,27 @@ class Plain(AbstractContextManager[None]):
         self.inside.__exit__(None, None, None)
 
 
-def work(of: Trainer) -> dict[str, float]:
-    """Operations and bytes that a step cannot do without, forward and backward: matrix products of the heads, table
-    entries read and gradients added, optimiser traffic."""
-    samples = of.train.rays * getattr(of.model.sampler, "final", 0)
-    field = of.model.field
-    products = [m.weight for head in (field.density_head, field.color_head) for m in head.modules() if _is_linear(m)]
+def minimum_work(trainer: Trainer) -> dict[str, float]:
+    """Operations and bytes that a step needs at least, forward and backward: the heads' matrix products, reads and
+    gradients of hash table entries, optimiser traffic."""
+    samples = trainer.train.rays * getattr(trainer.model.sampler, "final", 0)
+    field = trainer.model.field
+    layers = [layer for head in (field.density_head, field.color_head) for layer in head.modules()]
+    products = [layer.weight for layer in layers if isinstance(layer, torch.nn.Linear)]
     table = field.encoder.table.numel() if isinstance(field.encoder, HashEncoder) else 0
     entries = 8 * field.encoder.out_dim if isinstance(field.encoder, HashEncoder) else 0
-    parameters = sum(p.numel() for p in of.model.parameters())
+    parameters = sum(p.numel() for p in trainer.model.parameters())
     return {
         "head_gflop": 6e-9 * samples * sum(weight.numel() for weight in products),
-        "lookup_mb": 4e-6 * samples * entries * 3,  # read; read and written in the gradient
-        "optimiser_mb": 4e-6 * parameters * 7,  # gradient, parameter, two moments: read; the last three written
+        "lookup_mb": 4e-6 * samples * entries * 3,  # reads of the table, reads and writes of its gradient
+        "optimiser_mb": 4e-6 * parameters * 7,  # reads of gradient, parameter, two moments; writes of the last three
         "table_entries": table,
         "samples": samples,
     }
 
 
-def _is_linear(module: torch.nn.Module) -> bool:
-    return isinstance(module, torch.nn.Linear)
-
-
 def machine() -> dict[str, float]:
-    """What this machine does: float32 GFLOP/s of a large product, GB/s of a copy (read and write counted)."""
+    """Speed of this machine: float32 GFLOP/s of a large product, GB/s of a copy (reads plus writes)."""
     square, long = torch.randn(1536, 1536), torch.randn(2**25)
     target = torch.empty_like(long)
     products, copies = in_turn(
@@ -152,30 +145,32 @@ def machine() -> dict[str, float]:
 
 
 def profile(overrides: str, rounds: int, limits: dict[str, float]) -> dict[str, object]:
-    of = trainer(overrides)
+    """A row of kind `step`; `floor_ms` is the time of the minimum work at the machine's speed."""
+    trainer, _ = build(overrides)
     for _ in range(15):
-        of.take_step(measure=False)
-    logged = pd.DataFrame([of.take_step(measure=True) for _ in range(rounds)])
-    needed = work(of)
+        trainer.take_step(measure=False)
+    logged = pd.DataFrame([trainer.take_step(measure=True) for _ in range(rounds)])
+    needed = minimum_work(trainer)
     floor = needed["head_gflop"] / limits["gflops"] + 1e-3 * needed["optimiser_mb"] / limits["gbs"]
     return {
         "kind": "step",
         "name": overrides,
         "ms": logged["time/step_ms"].median(),
-        **{f"{part}_ms": logged[f"time/{part}_ms"].median() for part in PARTS},
-        "parameters": sum(p.numel() for p in of.model.parameters()),
+        **{f"{stage}_ms": logged[f"time/{stage}_ms"].median() for stage in STAGES},
+        "parameters": sum(p.numel() for p in trainer.model.parameters()),
         **needed,
         "floor_ms": 1e3 * floor,
     }
 
 
 def ratio(name: str, rounds: int) -> dict[str, object]:
+    """A row of kind `ratio`: milliseconds a step of both sides."""
     above, below, promised = RATIOS[name]
     slow = "PennyLane" in name
     contexts: list[AbstractContextManager[None]] = [nullcontext(), nullcontext()]
     if name.startswith("plain"):
         contexts[0] = Plain()
-    first, second = trainer(above), trainer(below)
+    (first, _), (second, _) = build(above), build(below)
     for _ in range(30):
         second.take_step(measure=False)
     times = in_turn(
@@ -184,31 +179,31 @@ def ratio(name: str, rounds: int) -> dict[str, object]:
         rounds=3 if slow else rounds,
         warm=1 if slow else 5,
     )
-    numerator, denominator = (1e3 * median(found) for found in times)
+    numerator, denominator = (1e3 * median(seconds) for seconds in times)
     row = {"kind": "ratio", "name": name, "above_ms": numerator, "below_ms": denominator}
     return row | {"ratio": numerator / denominator, "promised": promised}
 
 
 def evaluation(overrides: str, rounds: int) -> dict[str, object]:
-    """Microseconds a sample of rendering a held-out view, over those of a training step."""
-    of, evaluator = build(overrides)
+    """A row of kind `ratio`: microseconds per ray of rendering a held-out view, and of a training step."""
+    trainer, evaluator = build(overrides)
     for _ in range(30):
-        of.take_step(measure=False)
+        trainer.take_step(measure=False)
     view = evaluator.scene.eval[0]
     rendered, stepped = in_turn(
-        [lambda: evaluator.render(view, of.step), lambda: of.take_step(measure=False)],
+        [lambda: evaluator.render(view, trainer.step), lambda: trainer.take_step(measure=False)],
         [nullcontext()] * 2,
         rounds=max(rounds // 4, 3),
         warm=1,
     )
-    above, below = 1e6 * median(rendered) / of.table.pixels, 1e6 * median(stepped) / of.train.rays
+    above, below = 1e6 * median(rendered) / trainer.table.pixels, 1e6 * median(stepped) / trainer.train.rays
     name = f"evaluation / training, microseconds a ray, {overrides}"
     row = {"kind": "ratio", "name": name, "above_ms": above / 1e3, "below_ms": below / 1e3}
     return row | {"ratio": above / below, "promised": "at most 1"}
 
 
-def kept(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame`, and what the file has that was not measured again."""
+def with_old_rows(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame`, and the rows of the file that were not measured again."""
     if not RESULTS.exists():
         return frame
     old = pd.read_parquet(RESULTS)
@@ -249,11 +244,11 @@ def main() -> None:
             rows.append(evaluation(overrides, options.rounds))
             print(f"{rows[-1]['name']:<64} {rows[-1]['ratio']:8.2f}  {rows[-1]['promised']}", flush=True)
     frame = pd.DataFrame(rows).assign(threads=options.threads, **limits)
-    columns = ["name", "ms", *(f"{part}_ms" for part in PARTS), "parameters", "floor_ms"]
+    columns = ["name", "ms", *(f"{stage}_ms" for stage in STAGES), "parameters", "floor_ms"]
     if "ms" in frame:
         print(frame[frame["kind"] == "step"][columns].round(2).to_string(index=False))
     RESULTS.parent.mkdir(exist_ok=True)
-    kept(frame).to_parquet(RESULTS, index=False)
+    with_old_rows(frame).to_parquet(RESULTS, index=False)
     print(f"medians of {options.rounds}; saved to {RESULTS}")
 
 

@@ -1,85 +1,214 @@
-"""What README and docs/ tell a reader to type is understood, what they link to is there, and README's tables are those
-of the committed runs."""
+"""What documents tell a reader to type is understood, what they link to is there, what they quote is in its row."""
 
-import itertools
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 
-from qnerf.config.settings import settings_from
-from tests.helpers.configs import ROOT, composed, swept
+from analysis.figures import FIGURES, ladder_points
+from tests.helpers import commands, options, quotes
+from tests.helpers.configs import ROOT
 
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 HEADERS = [*sorted((ROOT / "conf").rglob("*.yaml")), *sorted((ROOT / "sweeps").glob("*.yaml"))]
-MEAN = r"\d+\.\d\d ± \d+\.\d\d"
-INTERVAL = r"([+-]?\d+\.\d\d) \[([+-]?\d+\.\d\d), ([+-]?\d+\.\d\d)\]"
+GENERATED = ("results.md", "numerics.md", "CHANGELOG.md")
+"""Made of measurements, or history: their numbers are not quoted from anywhere."""
+QUOTING = [file for file in DOCUMENTS if file.name not in GENERATED]
 
 
-def commands() -> Iterator[tuple[str, str]]:
-    """File and command of each training that a document or the header of a configuration tells."""
+def names(files: list[Path]) -> list[str]:
+    return [str(file.relative_to(ROOT)) for file in files]
+
+
+def shown() -> Iterator[tuple[str, str]]:
+    """A file and each command that it shows, once."""
+    seen = set()
     for file in (*DOCUMENTS, *HEADERS):
-        text = file.read_text()
-        block = r"^(?:    |#   )(python -m src\.run\b[^#\n]*)"
-        inline = r"`((?:python -m src\.run\b|-cn )[^`]*)`"
-        for command in dict.fromkeys(re.findall(block, text, re.MULTILINE) + re.findall(inline, text)):
-            yield str(file.relative_to(ROOT)), " ".join(command.split())
+        for command in commands.shown(file):
+            past = file.name == "CHANGELOG.md" and "src.run" not in command
+            if command not in seen and not past:
+                seen.add(command)
+                yield str(file.relative_to(ROOT)), command
 
 
-COMMANDS = sorted(set(commands()))
+COMMANDS = sorted(shown())
 
 
-def test_there_are_commands():
-    assert len(COMMANDS) > 60
+def test_there_are_commands_of_every_kind():
+    assert len(COMMANDS) > 120
+    for start in ("python -m src.run", "qnerf run", "qnerf ", "python -m analysis.", "python -m benchmarks.", "pip"):
+        assert any(command.startswith(start) for _, command in COMMANDS), start
 
 
 @pytest.mark.parametrize(("file", "command"), COMMANDS)
 def test_a_command_is_understood(file, command):
-    """Its sweep is there, and with every value of every option that it names it is a valid configuration."""
-    words = command.split()
-    sweep = words[words.index("-cn") + 1] if "-cn" in words else ""
-    if sweep:
-        assert swept(sweep)
-    overrides = OverridesParser.create().parse_overrides([word for word in words if "=" in word])
-    overrides = [override for override in overrides if not override.key_or_group.startswith("hydra")]
-    for job in itertools.zip_longest(*map(told, overrides)):
-        config = composed(*filter(None, job), sweep=sweep)
-        if "auto" not in command:  # which is decided from the scene
-            settings_from(config)
+    commands.check(command)
 
 
-def told(override: Override) -> list[str]:
-    """`key=value` for each value that a sweep would give it."""
-    key, value = override.input_line.split("=", 1)
-    return (
-        [f"{key}={one}" for one in override.sweep_string_iterator()]
-        if override.is_sweep_override()
-        else [f"{key}={value}"]
-    )
+@pytest.mark.parametrize(
+    "command",
+    [
+        "python -m src.run field=nonsense",
+        "python -m src.run qiren.layerz=2",
+        "python -m src.run -cd sweeps -cn nonsense",
+        "qnerf nonsense",
+        "qnerf runs --nonsense",
+        "qnerf show --config",
+        "python -m analysis.tables runs --rowz field",
+        "python -m analysis.figures runs --theme grey",
+        "python -m analysis.nonsense runs",
+        "python -m benchmarks.training --only nonsense",
+        'pip install "qnerf[nonsense]"',
+    ],
+)
+def test_a_command_with_a_mistake_is_found(command):
+    with pytest.raises((Exception, SystemExit)):
+        commands.check(command)
 
 
-def test_results_that_readme_quotes_are_on_the_page_of_results():
-    """Every mean ± deviation and every difference [interval], whichever way round it was taken."""
-    page = (ROOT / "docs" / "results.md").read_text()
-    readme = (ROOT / "README.md").read_text()
-    told = " ".join(
-        readme[readme.index("## Results") : readme.index("## Speed against error")].replace("**", "").split()
-    )
-    means, intervals = set(re.findall(MEAN, told)), set(map(as_numbers, re.findall(INTERVAL, told)))
-    assert len(means) > 20
-    assert len(intervals) > 60
-    assert means <= set(re.findall(MEAN, page))
-    known = set(map(as_numbers, re.findall(INTERVAL, page)))
-    assert intervals <= known | {(-mean, -high, -low) for mean, low, high in known}
+@pytest.mark.parametrize("file", QUOTING, ids=names(QUOTING))
+def test_a_quoted_number_is_in_the_row_that_it_is_quoted_from(file):
+    assert quotes.problems(file.read_text(), quotes.results()) == []
 
 
-def as_numbers(texts: tuple[str, ...]) -> tuple[float, ...]:
-    return tuple(map(float, texts))
+def test_enough_numbers_have_a_row():
+    comments = [comment for file in QUOTING for comment in quotes.COMMENT.findall(file.read_text())]
+    assert sum(kind == "results" for kind, _ in comments) > 40
 
 
-@pytest.mark.parametrize("file", DOCUMENTS, ids=lambda file: file.name)
+def test_a_test_that_a_document_relies_on_is_here():
+    for file in QUOTING:
+        for test in re.findall(r"checked by (\w+)", file.read_text()):
+            assert test in globals(), test
+
+
+RESULTS = """\
+# Results
+
+## Which head?
+
+    python -m analysis.tables docs/results/seeds --rows scene_name,field --baseline field=classical
+
+| scene_name | field | PSNR, dB | SSIM | difference, PSNR, dB | pairs | seeds |
+|---|---|---|---|---|---|---|
+| fox | classical | **25.95 ± 0.33** | 0.899 ± 0.006 | baseline |  | 10 |
+| fox | qcolor | 24.71 ± 0.67 | 0.868 ± 0.019 | -1.24 [-1.74, -0.70] * | 10 x 5 | 10 |
+| room | classical | 27.16 ± 0.34 | 0.931 ± 0.007 | baseline |  | 10 |
+| room | qcolor | 27.10 ± 0.48 | 0.932 ± 0.007 | -0.06 [-0.38, +0.22] | 10 x 22 | 10 |
+
+difference from classical: 95 % percentile interval
+"""
+PROSE = """\
+It gives 24.71 ± 0.67 and 27.10 ± 0.48 dB <!-- results seeds: fox qcolor; room qcolor -->
+and loses 1.24 [+0.70, +1.74] dB <!-- results seeds: fox classical - qcolor -->
+or changes by -0.06 [-0.38, +0.22] dB. <!-- results seeds: room qcolor - classical -->
+
+<!-- each row, results seeds: {1} {2} - classical -->
+| scene | field | PSNR | difference |
+|---|---|---|---|
+| `fox` | `classical` | **25.95 ± 0.33** | |
+| `fox` | `qcolor` | 24.71 ± 0.67 | -1.24 [-1.74, -0.70] |
+| `room` | `qcolor` | 27.1 | -0.06 [-0.38, +0.22] |
+"""
+
+
+def test_numbers_in_their_rows_pass():
+    assert quotes.problems(PROSE, quotes.result_tables(RESULTS)) == []
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("24.71 ± 0.67 and", "27.10 ± 0.48 and"),  # another row's
+        ("24.71 ± 0.67 and 27.10 ± 0.48", "27.10 ± 0.48 and 24.71 ± 0.67"),  # swapped
+        ("1.24 [+0.70, +1.74]", "-1.24 [-1.74, -0.70]"),  # the other way round
+        ("changes by -0.06 [-0.38, +0.22]", "changes by -1.24 [-1.74, -0.70]"),
+        ("24.71 ± 0.67 | -1.24 [-1.74, -0.70]", "27.10 ± 0.48 | -0.06 [-0.38, +0.22]"),  # a table's rows
+        ("27.1 |", "27.2 |"),
+        ("and 27.10 ± 0.48 dB", "dB"),  # a row without its number
+        (" <!-- results seeds: room qcolor - classical -->", ""),  # no source
+        ("fox qcolor; room", "fox; room"),  # several rows
+        ("results seeds: fox qcolor", "results sedes: fox qcolor"),
+        ("room qcolor - classical", "room qcolor - qdensity"),
+    ],
+)
+def test_a_number_in_a_wrong_row_is_found(one, other):
+    assert PROSE.count(one) == 1
+    assert len(quotes.problems(PROSE.replace(one, other), quotes.result_tables(RESULTS))) >= 1
+
+
+def test_the_tables_of_what_computing_less_costs():
+    """Cell by cell, as the benchmark's committed measurements have them."""
+    page = (ROOT / "docs" / "speed.md").read_text()
+    points = ladder_points()
+    for (_, rung), rows in points.groupby(["kind", "rung"], sort=False):
+        cells = {row.scene: ladder_cell(row) for row in rows.itertuples()}
+        assert "| " + " | ".join([rung, *(cells.get(scene, "") for scene in points["scene"].unique())]) + " |" in page
+
+
+def test_the_differences_of_what_computing_less_costs():
+    """Seeds are paired, so that a mean difference is the difference of the means; it lies in its interval."""
+    psnr = ladder_points().set_index(["rung", "scene"])["psnr"]
+    page = (ROOT / "docs" / "speed.md").read_text()
+    rows = re.findall(r"^\| (.+) \| (.+) \| (.+\]) \| (.+\]) \| (.+\]) \|$", page, re.MULTILINE)
+    assert len(rows) == 4
+    for one, other, *cells in rows:
+        for scene, cell in zip(("poster", "fox_64", "chair_64"), cells, strict=True):
+            mean, low, high = quotes.values(cell)
+            assert mean == round(psnr[one, scene] - psnr[other, scene], 2)
+            assert low <= mean <= high
+
+
+def ladder_cell(row) -> str:
+    """Milliseconds a step, PSNR, and the picture's error where the weights are the same."""
+    psnr = f"{row.psnr:.2f} ± {row.psnr_std:.2f}" if row.n > 1 else f"{row.psnr:.2f}"
+    return f"{row.step_ms:.0f} ms, {psnr}" + (f", {row.image_error:.1e}" if row.kind == "same weights" else "")
+
+
+def test_the_page_of_options_is_made_from_the_configuration():
+    assert options.PAGE.read_text().partition(options.MARK)[2].strip() == options.made().strip()
+
+
+def test_every_option_and_group_is_on_the_page_of_options():
+    page = options.PAGE.read_text()
+    for group in (path.name for path in options.CONF.iterdir() if path.is_dir() and path.name != "hydra"):
+        assert f"`{group}`" in page, group
+        assert options.PURPOSE.get(group), f"{group}: say what it chooses in tests/helpers/options.py"
+    for key, _, _ in options.option_rows(options.CONF / "config.yaml", ""):
+        assert key in page, key
+
+
+@pytest.mark.parametrize("file", DOCUMENTS, ids=names(DOCUMENTS))
 def test_what_a_document_links_to_is_there(file):
-    for target in re.findall(r"\]\(([^)#\s]+)", file.read_text()):
-        assert "://" in target or (file.parent / target).exists(), target
+    for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#([^)\s]+))?\)", file.read_text()):
+        if "://" not in target:
+            page = file.parent / target if target else file
+            assert page.exists(), target
+            assert not anchor or anchor in anchors(page), f"{target}#{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """The headings of a document as its host links to them."""
+    headings = re.findall(r"^#+ (.+)$", quotes.FENCE.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def test_every_page_is_in_the_index():
+    index = (ROOT / "docs" / "README.md").read_text()
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "README.md" or f"]({page.name})" in index, page.name
+
+
+def test_every_sweep_and_every_figure_is_named():
+    sweeps = (ROOT / "docs" / "sweeps.md").read_text()
+    figures = (ROOT / "docs" / "analysis.md").read_text()
+    assert [path.stem for path in (ROOT / "sweeps").glob("*.yaml") if f"`{path.stem}`" not in sweeps] == []
+    assert [name for name in FIGURES if f"`{name}`" not in figures] == []
+
+
+def test_the_readme_is_short():
+    text = re.sub(r"<!--.*?-->", "", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    assert len(text.split()) <= 1300
+    prose = re.sub(r"^```.*?^```|^    [^\n]*|^\|[^\n]*|`[^`]*`|\]\([^)]*\)", "", text, flags=re.DOTALL | re.MULTILINE)
+    assert len(re.findall(r"\d[\d.,]*", prose)) <= 45

@@ -15,7 +15,7 @@ from torch import Tensor
 from benchmarks.accuracy_cases import EPS, Case, only, rounded
 from qnerf.encoders import spherical_harmonics
 from qnerf.geometry.contraction import ORDERS, contract, uncontract
-from qnerf.geometry.pose_refinement import exp_se3, exp_so3xr3
+from qnerf.geometry.rotations import exp_se3, exp_so3xr3
 from qnerf.scenes.lens import ITERATIONS, distort, undistort
 
 CONTRACTED = 4 * EPS

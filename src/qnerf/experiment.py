@@ -17,10 +17,10 @@ from qnerf.config.plugins import import_plugins
 from qnerf.config.settings import Settings, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
-from qnerf.geometry.hull import hull
+from qnerf.geometry.hull import visual_hull
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
-from qnerf.geometry.visibility import SpaceMask, visible
+from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.model.activations import ACTIVATIONS
 from qnerf.model.field import Field
@@ -34,10 +34,10 @@ from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
 from qnerf.scenes.pose_noise import add_pose_noise
-from qnerf.timing import PARTS, Stopwatch, median_ms, peak_memory_mb
+from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
+from qnerf.training.checked_trainer import FILE as NONFINITE
+from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator
-from qnerf.training.finite_checks import FILE as NONFINITE
-from qnerf.training.finite_checks import CheckedTrainer, Origin
 from qnerf.training.trainer import Trainer
 
 
@@ -159,9 +159,9 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
     cameras, n = settings.visibility.cameras, settings.visibility.resolution
     grids = []
     if cameras:
-        grids.append(visible(contraction, scene.cameras, scene.train, cameras, n))
+        grids.append(visible_cells(contraction, scene.cameras, scene.train, cameras, n))
     if settings.visibility.alpha:
-        grids.append(hull(contraction, scene, n))
+        grids.append(visual_hull(contraction, scene, n))
     if not grids and not settings.occupancy.every:
         return None
     allowed = torch.stack(grids).all(0) if grids else torch.ones(n, n, n, dtype=torch.bool)
@@ -175,10 +175,12 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
 
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
-    apart = round(1 / settings.stop.share) if settings.stop.every else 0
-    while apart and math.gcd(apart, scene.cameras.width) > 1:  # else they would be the same few columns of each image
-        apart += 1
-    return RayTable(scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, apart=apart)
+    stride = round(1 / settings.stop.share) if settings.stop.every else 0
+    while stride and math.gcd(stride, scene.cameras.width) > 1:  # else the same few columns of every image
+        stride += 1
+    return RayTable(
+        scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, validation_stride=stride
+    )
 
 
 def parameter_counts(model: Model) -> dict[str, int]:
@@ -260,8 +262,8 @@ def _execute(
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     table = ray_table(settings, scene)
     if settings.numerics.finite_checks:
-        origin = Origin(scene.names, store.config, store.dir / NONFINITE)
-        trainer: Trainer = CheckedTrainer(model, table, settings, watch, origin)
+        context = RunContext(scene.names, store.config, store.dir / NONFINITE)
+        trainer: Trainer = CheckedTrainer(model, table, settings, watch, context)
     else:
         trainer = Trainer(model, table, settings, watch)
     evaluator = Evaluator(
@@ -346,4 +348,4 @@ def part_times(path: Path) -> dict[str, float]:
     """Median milliseconds of each part of a step, over the logged steps after the first 50."""
     logged = read_metrics(path)
     times = logged[logged["key"].str.startswith("time/") & (logged["step"] >= 50)].groupby("key")["value"].median()
-    return {f"time.{part}_ms": float(times.get(f"time/{part}_ms", float("nan"))) for part in PARTS}
+    return {f"time.{part}_ms": float(times.get(f"time/{part}_ms", float("nan"))) for part in STAGES}

@@ -1,4 +1,4 @@
-"""Where a training step's time goes."""
+"""How long the stages of a training step take."""
 
 import statistics
 import sys
@@ -14,38 +14,40 @@ try:
 except ImportError:  # not a Unix
     resource = None  # type: ignore[assignment]
 
-PARTS = ("sampling", "field", "quantum", "render", "backward", "optimiser")
+STAGES = ("sampling", "field", "quantum", "render", "backward", "optimiser")
 
 
 class Stopwatch:
-    """Adds up the seconds of a step's parts; `quantum` is the circuits' share of them, of `field` above
-    all.
+    """Adds up the seconds that a step spends in each of `STAGES`.
 
-    On a CUDA device a part is timed to its completion, which serialises host and device: only the steps for which
-    `begin` was asked to watch are measured.
+    `quantum` is the forward time of the modules of type `circuits`. It is contained in the other stages, mostly in
+    `field`. On a CUDA device every measurement waits for the device, which slows the step down: only steps that begin
+    with `measure` are timed.
     """
 
     def __init__(self, device: torch.device, model: nn.Module, circuits: type[nn.Module]) -> None:
         self.device = device
         self.active = False
-        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self.seconds = dict.fromkeys(STAGES, 0.0)
         for module in model.modules():
             if isinstance(module, circuits):
-                module.register_forward_pre_hook(self._enter)
-                module.register_forward_hook(self._leave)
+                module.register_forward_pre_hook(self._enter_circuit)
+                module.register_forward_hook(self._leave_circuit)
 
-    def begin(self, watch: bool) -> None:
-        """A new step; its parts are measured if `watch`."""
-        self.active = watch
-        self.seconds = dict.fromkeys(PARTS, 0.0)
+    def begin(self, measure: bool) -> None:
+        """Starts a new step and sets all stages to 0; they are timed only if `measure`."""
+        self.active = measure
+        self.seconds = dict.fromkeys(STAGES, 0.0)
 
     def now(self) -> float:
+        """Seconds on a monotonic clock, after the device has finished its work."""
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
         return time.perf_counter()
 
     @contextmanager
-    def part(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> Iterator[None]:
+        """Times the body of the `with` statement."""
         if not self.active:
             yield
             return
@@ -53,22 +55,26 @@ class Stopwatch:
         yield
         self.seconds[name] += self.now() - start
 
-    def _enter(self, *_: object) -> None:
+    def _enter_circuit(self, *_: object) -> None:
         self._start = self.now() if self.active else 0.0
 
-    def _leave(self, *_: object) -> None:
+    def _leave_circuit(self, *_: object) -> None:
         if self.active:
             self.seconds["quantum"] += self.now() - self._start
 
 
 def median_ms(seconds: list[float], skip: int = 50) -> float:
-    """Median step in milliseconds after the first `skip`; of all steps where there are no more than that."""
-    kept = seconds[skip:] or seconds
-    return statistics.median(kept) * 1e3 if kept else float("nan")
+    """Median in milliseconds without the first `skip` steps; of all steps if there are no more than that.
+
+    >>> median_ms([9.0, 1.0, 2.0, 3.0], skip=1)
+    2000.0
+    """
+    counted = seconds[skip:] or seconds
+    return statistics.median(counted) * 1e3 if counted else float("nan")
 
 
 def peak_memory_mb(device: torch.device) -> float:
-    """Peak memory in MiB: of the device's allocator on CUDA, else the process' resident set (NaN where unknown)."""
+    """Peak memory in MiB: the allocator's on CUDA, else the resident set of the process (NaN where unknown)."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 2**20
     if resource is None:

@@ -1,4 +1,11 @@
-"""What flows through the pipeline, and the one legend of shape letters used everywhere.
+"""What flows through the pipeline. Read this page first: it is the legend of every shape, unit and convention.
+
+    scene -> rays -> samples -> field (encoder, density head, colour head) -> render -> loss
+
+A pixel becomes a ray. A sampler cuts the ray into intervals. The field gives each interval's midpoint a density and a
+colour. Volume rendering composites them into the pixel's colour.
+
+Shape letters, the same everywhere:
 
     V views      H, W image height and width in pixels
     R rays       K samples on a ray (K + 1 edges)      N points: any number of leading dimensions flattened
@@ -6,8 +13,14 @@
     L levels of a hash grid        T entries of one level's table
     n wires      S spectral layers (data re-uploadings)      B batch of circuit inputs
 
-World units are those of the normalised scene: oriented, centred, the largest absolute camera coordinate 1.
-Depth is distance along the ray's unit direction, in world units. Colours are in [0, 1], sRGB-encoded as in the images.
+Units and conventions:
+
+- World units are those of the normalised scene: +z up, cameras centred, their largest absolute coordinate 1.
+- Depth is the distance along the ray's unit direction, in world units. Density is per world unit.
+- Colours are in [0, 1] and sRGB-encoded, as in the images. Angles are radians.
+- Camera axes are OpenGL's: +x right, +y up, the camera looks along -z. Poses are camera-to-world.
+- The weight w_i of interval i is T_i (1 - e^(-sigma_i delta_i)): sigma is the density, delta the interval's length and
+  T_i the transmittance, the share of light that reaches the interval (`qnerf.rendering.render`).
 """
 
 from dataclasses import dataclass
@@ -17,13 +30,20 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Rays:
-    """R rays. `directions` are unit vectors; `near`, `far` bound the distance along them."""
+    """R rays, each bounded by `near` and `far`.
+
+    >>> import torch
+    >>> bounds = torch.tensor([[0.0]]), torch.tensor([[10.0]])
+    >>> ray = Rays(torch.tensor([[1.0, 0, 0]]), torch.tensor([[0.0, 0, 1]]), torch.tensor([0]), *bounds)
+    >>> ray.along(torch.tensor([[2.0, 3.0]])).tolist()
+    [[[1.0, 0.0, 2.0], [1.0, 0.0, 3.0]]]
+    """
 
     origins: Tensor  # (R, 3) world units
     directions: Tensor  # (R, 3) unit length
-    cameras: Tensor  # (R,) int64: index of the view each ray belongs to
-    near: Tensor  # (R, 1) world units
-    far: Tensor  # (R, 1) world units
+    cameras: Tensor  # (R,) int64: the view that each ray belongs to
+    near: Tensor  # (R, 1) distance along the direction, world units
+    far: Tensor  # (R, 1)
 
     def __len__(self) -> int:
         return self.origins.shape[0]
@@ -32,20 +52,26 @@ class Rays:
         return Rays(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
     def along(self, distance: Tensor) -> Tensor:
-        """Points at `distance` (R, K) along each ray: (R, K, 3)."""
+        """World points (R, K, 3) at `distance` (R, K) along each ray."""
         return self.origins[:, None, :] + self.directions[:, None, :] * distance[..., None]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """K intervals on each ray, contiguous: interval k lies between edges k and k + 1."""
+    """K adjacent intervals on each ray: interval k lies between edges k and k + 1.
+
+    >>> import torch
+    >>> samples = Samples(torch.tensor([[0.0, 1.0, 4.0]]), torch.tensor([[0.0, 0.25, 1.0]]))
+    >>> samples.mids.tolist(), samples.deltas.tolist()
+    ([[0.5, 2.5]], [[1.0, 3.0]])
+    """
 
     edges: Tensor  # (R, K + 1) distance along the ray, world units, non-decreasing
-    spacing: Tensor  # (R, K + 1) the same edges in the sampler's normalised coordinate, in [0, 1]
+    spacing: Tensor  # (R, K + 1) the same edges in the sampler's normalised coordinate s in [0, 1]
 
     @property
     def mids(self) -> Tensor:
-        """(R, K) distance of interval midpoints."""
+        """(R, K) distances of the interval midpoints."""
         return 0.5 * (self.edges[..., 1:] + self.edges[..., :-1])
 
     @property
@@ -56,10 +82,10 @@ class Samples:
 
 @dataclass(frozen=True)
 class Rendering:
-    """What volume rendering gives for R rays."""
+    """The result of volume rendering for R rays."""
 
     color: Tensor  # (R, 3)
     depth: Tensor  # (R,) expected distance, world units
     depth_median: Tensor  # (R,) distance at which the transmittance falls below 1/2
-    accumulation: Tensor  # (R,) sum of the weights, in [0, 1]
+    accumulation: Tensor  # (R,) sum of the weights: opacity, in [0, 1]
     weights: Tensor  # (R, K)

@@ -1,4 +1,4 @@
-"""A full and a read-only disk, for real: needs the right to mount a tmpfs."""
+"""A real full disk and a real read-only disk. The tests need the right to mount a tmpfs."""
 
 import subprocess
 from collections.abc import Iterator

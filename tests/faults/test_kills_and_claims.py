@@ -1,4 +1,4 @@
-"""Kills and contenders in real processes; QNERF_FAULTS=full runs the long form."""
+"""Kills and concurrent claims in real processes; QNERF_FAULTS=full runs the long form."""
 
 import json
 import os
@@ -27,8 +27,8 @@ def finished(process: subprocess.Popen[str]) -> list[dict]:
 
 
 def test_killed_at_random_moments(tmp_path: Path) -> None:
-    """Every run ends with the numbers of an uninterrupted one, and readers never see anything but whole tables."""
-    runs, wanted = (50, 100) if FULL else (3, 4)  # four kills each, some of which come too late
+    """Every run ends with the numbers of an uninterrupted one, and readers see only whole tables."""
+    runs, wanted = (50, 100) if FULL else (3, 4)  # four kills per run; some come too late
     process = jobs("kills", str(tmp_path), str(runs), "0")
     polls = 0
     try:

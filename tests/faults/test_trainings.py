@@ -1,4 +1,4 @@
-"""Trainings that are killed, doubled, or run into a broken disk; QNERF_FAULTS=full runs the long form.
+"""Trainings that are killed, started twice, or meet a broken disk; QNERF_FAULTS=full runs the long form.
 
 The full form, 100 kills and 50 pairs, a few minutes: QNERF_FAULTS=full python -m pytest tests/faults
 """
@@ -34,7 +34,7 @@ SHORT = [
 
 @pytest.fixture
 def job(tmp_path: Path) -> Path:
-    """A second or two of training, with everything in it that a checkpoint has to remember."""
+    """One or two seconds of training, with everything that a checkpoint must store."""
     overrides = ["scene=nerfstudio", f"scene.path={write_scene(tmp_path / 'scene')}", *SHORT]
     content = {"overrides": overrides, "config": composed(*overrides), "store": str(tmp_path)}
     (tmp_path / "job.json").write_text(json.dumps(content))
@@ -57,14 +57,14 @@ def only_run(store: Path) -> Path:
 
 
 def numbers(run: Path) -> pd.DataFrame:
-    """Every logged row without the clocks."""
+    """Every logged row, without times."""
     rows = records.read_metrics(run)
     clocks = rows["key"].str.startswith("time/") | (rows["key"] == "eval/eval_s")
     return rows.loc[~clocks, ["step", "key", "value"]].reset_index(drop=True)
 
 
 def same(one: Any, other: Any) -> bool:
-    """Bit for bit, tensors within containers too."""
+    """Whether two values are bit-equal, also tensors in containers."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, list):
@@ -90,7 +90,7 @@ def assert_equal_runs(run: Path, whole: Path) -> None:
 
 
 def poll(run: Path) -> None:
-    """Whole tables, rows that are there once, states that make sense: what any reader finds at any moment."""
+    """A reader finds whole tables, no row twice, and a sensible state at any moment."""
     metrics = pd.read_parquet(run / "metrics")
     assert not metrics.duplicated(["step", "key"]).any()
     steps = metrics.loc[metrics["key"] == "train/loss", "step"].tolist()
@@ -127,28 +127,28 @@ def test_killed_trainings_resume_to_the_same_numbers(job: Path) -> None:
 
 
 def test_the_same_command_twice_at_once_is_one_training(job: Path) -> None:
-    """One trains; the other says who does, or that it is finished already, and ends with exit code 0."""
+    """One process trains. The other says who does, or that the run is finished, and ends with exit code 0."""
     rounds = lines(start("twins", str(job), str(50 if FULL else 2)))
     for line in rounds:
         assert line["codes"] == [0, 0]
-        trained = [said for said in line["said"] if said[0].startswith("run ")]
-        others = [said for said in line["said"] if said not in trained]
-        assert len(trained) == len(others) == 1, line["said"]
+        trained = [output for output in line["outputs"] if output[0].startswith("run ")]
+        others = [output for output in line["outputs"] if output not in trained]
+        assert len(trained) == len(others) == 1, line["outputs"]
         assert "already being written by process" in others[0][0] or "finished already" in others[0][0]
     runs = records.runs(job.parent / "twins")
     assert len(runs) == len(rounds)
     for run in runs:
         assert records.state(run) == "finished"
         assert numbers(run).query("key == 'train/loss'")["step"].tolist() == list(range(1, 31))
-    busy = sum("being written" in said[0] for line in rounds for said in line["said"])
-    print(f"{len(rounds)} pairs, {busy} told who trains, {len(rounds) - busy} that it is finished")
+    busy = sum("being written" in output[0] for line in rounds for output in line["outputs"])
+    print(f"{len(rounds)} pairs, {busy} say who trains, {len(rounds) - busy} that the run is finished")
 
 
 # Trainings that meet something broken
 
 
 class At(experiment.Display):
-    """Does `action` after a step."""
+    """Calls `action` after a step."""
 
     def __init__(self, step: int, action: Callable[[], Any]) -> None:
         self.when, self.action = step, action
@@ -160,7 +160,7 @@ class At(experiment.Display):
 
 @pytest.fixture(scope="module")
 def training(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Eight steps; the store is that of an undisturbed run, `whole`."""
+    """Eight steps. Its store is the one of an undisturbed run, `whole`."""
     scene = write_scene(tmp_path_factory.mktemp("scene") / "scene")
     steps = ["train.steps=8", "train.eval_every=3", "train.checkpoint_every=0"]
     store = tmp_path_factory.mktemp("whole")
@@ -247,7 +247,7 @@ def test_a_store_that_is_deleted_under_a_training(config: dict[str, Any]) -> Non
 
 
 def test_a_clock_that_jumps_backwards(config: dict[str, Any], whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hours at every look: neither rows nor checkpoints go by the clock of the wall."""
+    """It jumps by hours at every call. Neither rows nor checkpoints depend on the wall clock."""
     now = [time.time()]
 
     def backwards() -> float:
@@ -298,6 +298,6 @@ def test_a_truncated_part_costs_its_own_rows_only(
     assert "part-00001.parquet: damaged" in caplog.messages[0]
     assert "its rows are missing from now on" in caplog.messages[0]
     expected = numbers(whole)
-    kept = [row not in lost for row in zip(expected["step"], expected["key"], strict=True)]
-    assert 0 < sum(kept) < len(kept)
-    pd.testing.assert_frame_equal(numbers(resumed.path), expected[kept].reset_index(drop=True), check_exact=True)
+    remaining = [row not in lost for row in zip(expected["step"], expected["key"], strict=True)]
+    assert 0 < sum(remaining) < len(remaining)
+    pd.testing.assert_frame_equal(numbers(resumed.path), expected[remaining].reset_index(drop=True), check_exact=True)

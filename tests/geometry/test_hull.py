@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from qnerf.geometry.contraction import CONTRACTIONS
-from qnerf.geometry.hull import carved, hull, looks_through, spheres
+from qnerf.geometry.hull import bounding_spheres, carve, sees_through, visual_hull
 from qnerf.geometry.rays import project
 from qnerf.geometry.visibility import SpaceMask
 from tests.helpers.worlds import BALL, ball, balls, cameras, constant, look_at, ring, scene
@@ -36,14 +36,14 @@ def inside_of(centre, radius, count=4000) -> torch.Tensor:
 @pytest.mark.parametrize("name", CONTRACTIONS.names())
 def test_every_point_of_the_object_stays(world, name, resolution):
     contraction = CONTRACTIONS.build(name)
-    mask = SpaceMask(hull(contraction, world, resolution))
+    mask = SpaceMask(visual_hull(contraction, world, resolution))
     assert bool(mask(contraction(inside_of((0, 0, 0), BALL))).all())
 
 
 @pytest.mark.parametrize("name", CONTRACTIONS.names())
 def test_what_a_view_clearly_sees_through_goes(name):
     world, contraction, n = ball(size=96, focal=50.0), CONTRACTIONS.build(name), 60
-    mask = SpaceMask(hull(contraction, world, n))
+    mask = SpaceMask(visual_hull(contraction, world, n))
     points = inside_of((0, 0, 0), 0.9)
     reach = (2.0 if name == "box" else 4.0) / n * np.sqrt(3)  # a cell's diagonal, here
     clear = torch.zeros(len(points), dtype=torch.bool)
@@ -71,14 +71,14 @@ def test_an_object_stays_wherever_it_is_and_even_where_it_leaves_the_images(cent
     of = cameras(ring(5, radius=1.5), 40, 32, focal)
     world = scene(balls(of, (centre, radius)), of)
     contraction = CONTRACTIONS.build(name)
-    left = carved(world, *spheres(contraction, resolution))
+    left = carve(world, *bounding_spheres(contraction, resolution))
     mask = SpaceMask(left.view(resolution, resolution, resolution))
     assert bool(mask(contraction(inside_of(centre, radius, 500))).all())
 
 
 def test_a_finer_grid_leaves_less(world):
     box = CONTRACTIONS.build("box")
-    fractions = [SpaceMask(hull(box, world, resolution)).fraction for resolution in RESOLUTIONS]
+    fractions = [SpaceMask(visual_hull(box, world, resolution)).fraction for resolution in RESOLUTIONS]
     assert fractions == sorted(fractions, reverse=True)
     assert fractions[-1] < 0.5 * fractions[0]
     assert fractions[-1] > 4 / 3 * np.pi * BALL**3 / 8
@@ -88,7 +88,7 @@ def test_the_spheres_hold_their_cells():
     for name in CONTRACTIONS.names():
         contraction = CONTRACTIONS.build(name)
         n = 12
-        points, radius = spheres(contraction, n)
+        points, radius = bounding_spheres(contraction, n)
         random = torch.rand(40, n**3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
         index = torch.arange(n**3)
         corners = torch.stack([index // (n * n), index // n % n, index % n], dim=-1)
@@ -101,25 +101,25 @@ def test_a_view_looks_through_nothing_that_it_does_not_wholly_see():
     empty = scene(torch.zeros(2, 20, 20, 4, dtype=torch.uint8), of)
     points = torch.tensor([[0, 0, 0], [0, -1.9, 0], [0, -3, 0], [0.95, 0, 0], [0, 0, 0.95], [2, 0, 0]]).double()
     radius = torch.full((6,), 0.2, dtype=torch.float64)
-    assert looks_through(empty, 0, points, radius).tolist() == [True, False, False, False, False, False]
-    assert looks_through(empty, 0, points, radius / 10).tolist() == [True, True, False, True, True, False]
+    assert sees_through(empty, 0, points, radius).tolist() == [True, False, False, False, False, False]
+    assert sees_through(empty, 0, points, radius / 10).tolist() == [True, True, False, True, True, False]
 
 
 def test_a_view_that_is_solid_throughout_takes_nothing_away():
     opaque = constant(255, channels=4)
-    assert bool(hull(CONTRACTIONS.build("box"), opaque, 8).all())
+    assert bool(visual_hull(CONTRACTIONS.build("box"), opaque, 8).all())
 
 
 @pytest.mark.parametrize(
     ("world", "message"),
     [
         (constant(100), "visibility.alpha: the images of scene world have no alpha; use visibility.alpha=false"),
-        (constant(0, channels=4), "the silhouettes of scene world leave no space at all"),
+        (constant(0, channels=4), "the silhouettes of scene world leave no space"),
     ],
 )
 def test_images_that_cannot_serve_are_one_line(world, message):
     with pytest.raises(ValueError, match=message) as caught:
-        hull(CONTRACTIONS.build("box", half_extent=0.2), world, 8)
+        visual_hull(CONTRACTIONS.build("box", half_extent=0.2), world, 8)
     assert "\n" not in str(caught.value)
 
 
@@ -127,13 +127,13 @@ def test_silhouettes_that_contradict_each_other_are_one_line(world):
     of = cameras(ring(8), 64, 64, 58.0)
     places = [((0, 0, 0.35), 0.05), ((0, 0, -0.35), 0.05)]
     images = torch.stack([balls(of, places[view % 2])[view] for view in range(8)])
-    with pytest.raises(ValueError, match=r"leave no space at all; use visibility\.alpha=false"):
-        hull(CONTRACTIONS.build("box", half_extent=0.4), scene(images, of), 24)
+    with pytest.raises(ValueError, match=r"leave no space; use visibility\.alpha=false"):
+        visual_hull(CONTRACTIONS.build("box", half_extent=0.4), scene(images, of), 24)
 
 
 def test_a_lens_that_distorts_is_one_line(world):
     lens = torch.full_like(world.cameras.distortion, 0.01)
     bent = dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
-    with pytest.raises(ValueError, match="lens distortion, which silhouettes are not freed of") as caught:
-        hull(CONTRACTIONS.build("box"), bent, 8)
+    with pytest.raises(ValueError, match="lens distortion, which silhouettes do not support") as caught:
+        visual_hull(CONTRACTIONS.build("box"), bent, 8)
     assert "\n" not in str(caught.value)

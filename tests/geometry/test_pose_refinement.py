@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from torch import Tensor
 
-from qnerf.geometry.pose_refinement import CAMERAS, exp_se3, exp_so3, exp_so3xr3, skew
+from qnerf.geometry.pose_refinement import CAMERAS
+from qnerf.geometry.rotations import exp_se3, exp_so3, exp_so3xr3, skew
 
 REFINED = ["se3", "so3xr3"]
 vectors = st.tuples(*[st.floats(-7, 7)] * 3)

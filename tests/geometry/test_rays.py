@@ -12,6 +12,7 @@ import qnerf.geometry.rays
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project, rays_from
 from qnerf.scenes import Cameras, Scene
+from qnerf.scenes.base import composite
 from qnerf.scenes.lens import _distort, distort, invertible, undistort
 
 IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
@@ -156,36 +157,36 @@ def test_batches_draw_every_training_pixel_equally():
 
 
 @given(
-    apart=st.integers(2, 40),
+    stride=st.integers(2, 40),
     width=st.integers(1, 7),
     height=st.integers(1, 6),
     train=st.lists(st.integers(0, 4), min_size=1, max_size=5, unique=True),
 )
 @settings(deadline=None, max_examples=60)
-def test_pixels_kept_apart_are_never_drawn_and_all_others_are(apart, width, height, train):
+def test_pixels_kept_apart_are_never_drawn_and_all_others_are(stride, width, height, train):
     """All draws there are: `randint` is replaced by counting."""
     total = len(train) * width * height
     world = scene(cameras(width=width, height=height), train=train, eval=[])
-    if apart > total:
-        with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart, which is none here"):
-            RayTable(world, apart=apart)
+    if stride > total:
+        with pytest.raises(ValueError, match=r"stop\.share holds out one training pixel in \d+, which is none here"):
+            RayTable(world, validation_stride=stride)
         return
-    table = RayTable(world, apart=apart)
+    table = RayTable(world, validation_stride=stride)
     drawn: list[torch.Tensor] = []
-    table._drawn = lambda numbers, _: drawn.append(numbers)
+    table._training_rays = lambda numbers, _: drawn.append(numbers)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(torch, "randint", lambda high, size, generator: torch.arange(high))
         table.batch(1, torch.Generator())
     table.validation(total)
     training, validation = drawn
-    assert len(validation) == total // apart
+    assert len(validation) == total // stride
     assert torch.equal(torch.cat(drawn).sort().values, torch.arange(total))
     assert len(training) + len(validation) == total
 
 
 def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_time():
     world = scene(cameras(), channels=4)
-    table = RayTable(world, apart=5)
+    table = RayTable(world, validation_stride=5)
     rays, colors = table.validation(10)
     assert len(rays) == len(colors) == 10
     assert colors.shape == (10, 4)
@@ -214,7 +215,7 @@ def test_batches_follow_the_generator():
 def test_the_table_and_the_lens_agree(monkeypatch, per_view):
     world = scene(cameras(per_view=per_view))
     kept = RayTable(world, dtype=torch.float64)
-    monkeypatch.setattr(qnerf.geometry.rays, "MOST_DIRECTIONS", 0)
+    monkeypatch.setattr(qnerf.geometry.rays, "MAX_TABLE_SIZE", 0)
     computed = RayTable(world, dtype=torch.float64)
     assert kept.table is not None
     assert computed.table is None
@@ -267,6 +268,13 @@ def test_a_scene_s_own_bounds_win():
 def test_bounds_in_the_wrong_order_are_refused(near, far):
     with pytest.raises(ValueError, match="near must be at least 0 and below far"):
         RayTable(scene(cameras()), near=near, far=far)
+
+
+def test_alpha_is_composited_on_what_lies_behind():
+    pixels = torch.tensor([[0.2, 0.4, 0.6, 0.5]])
+    behind = torch.tensor([[1.0, 0.0, 0.5]])
+    torch.testing.assert_close(composite(pixels, behind), torch.tensor([[0.6, 0.2, 0.55]]))
+    assert torch.equal(composite(pixels[:, :3], None), pixels[:, :3])
 
 
 def test_colors_composite_straight_alpha():

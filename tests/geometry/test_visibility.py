@@ -3,7 +3,7 @@ import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.rays import project
-from qnerf.geometry.visibility import SpaceMask, count_cameras, visible
+from qnerf.geometry.visibility import SpaceMask, count_cameras, visible_cells
 from qnerf.scenes import SCENES
 from tests.helpers.scenes import write_scene
 
@@ -27,7 +27,7 @@ def test_counting_agrees_with_projecting_each_point_into_each_view(scene):
 @pytest.mark.parametrize("name", CONTRACTIONS.names())
 def test_density_stays_where_enough_cameras_see(scene, name):
     contraction = CONTRACTIONS.build(name)
-    mask = SpaceMask(visible(contraction, scene.cameras, scene.train, 3, 48))
+    mask = SpaceMask(visible_cells(contraction, scene.cameras, scene.train, 3, 48))
     centre = torch.zeros(1, 1, 3)
     behind = scene.cameras.poses[0, :, 2].float() * 3  # behind the first camera, which looks at the centre
     assert mask(contraction(centre)).item() == 1
@@ -39,7 +39,7 @@ def test_density_stays_where_enough_cameras_see(scene, name):
 
 def test_more_cameras_asked_leave_less_space(scene):
     contraction = CONTRACTIONS.build("linf")
-    grids = [visible(contraction, scene.cameras, scene.train, least, 24) for least in (1, 2, 3)]
+    grids = [visible_cells(contraction, scene.cameras, scene.train, least, 24) for least in (1, 2, 3)]
     fractions = [SpaceMask(grid).fraction for grid in grids]
     assert fractions == sorted(fractions, reverse=True)
     assert fractions[0] > fractions[-1]
@@ -47,7 +47,7 @@ def test_more_cameras_asked_leave_less_space(scene):
 
 def test_few_views_are_asked_for_half_of_them(scene):
     contraction = CONTRACTIONS.build("linf")
-    asked = [visible(contraction, scene.cameras, scene.train[:4], least, 24) for least in (2, 50)]
+    asked = [visible_cells(contraction, scene.cameras, scene.train[:4], least, 24) for least in (2, 50)]
     assert torch.equal(*asked)
 
 
@@ -57,5 +57,5 @@ def test_nothing_seen_is_one_line(scene):
     away[:, :, 3] *= 1e6
     cameras = type(scene.cameras)(**{**vars(scene.cameras), "poses": away})
     with pytest.raises(ValueError, match="no cell is seen by") as caught:
-        visible(CONTRACTIONS.build("box"), cameras, scene.train, 8, 8)
+        visible_cells(CONTRACTIONS.build("box"), cameras, scene.train, 8, 8)
     assert "\n" not in str(caught.value)

@@ -1,8 +1,8 @@
-"""Processes for the fault tests: forked from one that has imported everything, so that a round costs milliseconds.
+"""Processes for the fault tests, forked from one that has imported everything, so that a round takes milliseconds.
 
-python -m tests.helpers.jobs kills STORE RUNS SEED      short trainings, each killed at four random moments, then finished
-python -m tests.helpers.jobs claims STORE ROUNDS        contenders for one run in the same instant, rounds of each kind
-One JSON line a round on standard output.
+python -m tests.helpers.jobs kills STORE RUNS SEED   short trainings, each killed at four random moments, then finished
+python -m tests.helpers.jobs claims STORE ROUNDS     several processes claim one run at the same moment; rounds per kind
+Prints one JSON line per round.
 """
 
 import json
@@ -23,7 +23,7 @@ KILLS = 4
 
 
 def train(run: Run, pace: float = 0.0005) -> None:
-    """A walk whose every number depends on all numbers before."""
+    """A random walk: every number depends on all before it."""
     import torch
 
     random_state = torch.Generator().manual_seed(0)
@@ -47,7 +47,7 @@ def train(run: Run, pace: float = 0.0005) -> None:
 
 
 def fork(job: Callable[[], None]) -> int:
-    """A child that does `job`; its pid. Its exit code is 0, that of SystemExit, or 1 with a traceback."""
+    """Runs `job` in a child process and returns its pid. Exit code: 0, the one of SystemExit, or 1 with a traceback."""
     sys.stdout.flush()
     pid = os.fork()
     if pid == 0:
@@ -70,23 +70,23 @@ def kills(root: Path, runs: int, seed: int) -> None:
 
     torch.set_num_threads(1)
     store = RunStore(root, every=0.003)
-    dice = random.Random(seed)
+    rng = random.Random(seed)
 
     def job(name: str) -> None:
         claim = store.claim(name, {"seed": 0})
-        if claim.outcome == "finished":  # killed between the last write and the end of the process
+        if claim.outcome == "finished":  # it was killed after its last write
             return
         assert claim.run is not None, claim.message
         train(claim.run)
 
     begin = time.monotonic()
     assert os.waitpid(fork(lambda: job("whole")), 0)[1] == 0
-    whole = time.monotonic() - begin  # seconds, on this machine as busy as it is now
+    whole = time.monotonic() - begin  # seconds, with the present load of the machine
     for number in range(runs):
         name, killed = f"run-{number}", 0
         for _ in range(KILLS):
             pid = fork(lambda name=name: job(name))
-            time.sleep(dice.uniform(0.0, 0.6 * whole))
+            time.sleep(rng.uniform(0.0, 0.6 * whole))
             os.kill(pid, signal.SIGKILL)
             killed += os.WIFSIGNALED(os.waitpid(pid, 0)[1])
         assert os.waitpid(fork(lambda name=name: job(name)), 0)[1] == 0
@@ -94,7 +94,7 @@ def kills(root: Path, runs: int, seed: int) -> None:
 
 
 def claims(root: Path, rounds: int, kind: str) -> None:
-    """kind: new, the run is not there; stale, its owner was killed; force, it is finished and is to be done over."""
+    """kind: new: there is no such run; stale: its owner was killed; force: it is finished and is started again."""
     store = RunStore(root)
 
     def earlier(name: str) -> None:
@@ -119,7 +119,7 @@ def claims(root: Path, rounds: int, kind: str) -> None:
                 pass
             claim = store.claim(name, {"seed": 0}, force=kind == "force")
             os.write(answers, f"{claim.outcome} ".encode())
-            os.read(gate, 1)  # the winner stays alive until everybody has answered
+            os.read(gate, 1)  # the winner stays alive until all have answered
             if claim.run is not None:
                 claim.run.flush()
                 claim.run.finish()

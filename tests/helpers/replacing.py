@@ -1,4 +1,4 @@
-"""python replacing.py STORE: a run that replaces a part of its metrics as fast as it can."""
+"""python -m tests.helpers.replacing STORE: a run that replaces a part of its metrics as often as it can."""
 
 import sys
 

@@ -1,6 +1,6 @@
 """A Slurm cluster of one node on the loopback: munged, slurmctld and slurmd as root, everything in one folder.
 
-python -m tests.helpers.slurm_cluster COMMAND ...   # runs the command with that cluster's SLURM_CONF, then tears it down
+python -m tests.helpers.slurm_cluster COMMAND ...   # runs it with that cluster's SLURM_CONF
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""A run that a test spoils."""
+"""Runs that the tests for hostile folders damage."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def started(tmp_path: Path, name: str = "a") -> Run:
 
 
 def interrupted(tmp_path: Path, name: str = "a") -> Path:
-    """With ten rows, a checkpoint and the one before."""
+    """An interrupted run with ten rows, a checkpoint and the one before."""
     run = started(tmp_path, name)
     for step in range(10):
         run.log(step, 0.0, {"loss": 1 / (step + 1)})

@@ -1,4 +1,4 @@
-"""A store for tests, and runs in it."""
+"""Runs for the tests of the store."""
 
 import json
 from typing import Any
@@ -21,7 +21,7 @@ def claimed(store: RunStore, name: str = "a", **options: Any) -> Run:
 
 
 def vanish(run: Run) -> None:
-    """As a killed process leaves it: nothing more is written and the recorded owner is no living process."""
+    """Leaves the run as a killed process would: nothing more is written and its owner is not alive."""
     run._stop()
     run._closed = True
     for path in [run.dir / "status.json", *run.dir.glob("owner/*.json")]:

@@ -2,8 +2,8 @@
 
 python -m tests.helpers.trainings kills JOB KILLS SEED    trainings, each killed at a random moment and then finished
 python -m tests.helpers.trainings twins JOB ROUNDS        the same command twice in the same instant
-One JSON line a round on standard output. JOB is a JSON file: `overrides` as a user types them, `config` as they
-compose, and `store`, the folder under which the stores lie.
+Prints one JSON line per round. JOB is a JSON file with `overrides` as a user types them, the `config` that they give,
+and `store`, the folder for the stores.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ SEEDS = 2  # different trainings
 
 
 def ended(pid: int) -> int:
-    """The exit code; minus the signal where one ended it."""
+    """The exit code, or minus the signal that ended the process."""
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
@@ -37,22 +37,22 @@ def train(config: dict[str, Any]) -> None:
 
 
 def kills(config: dict[str, Any], root: Path, wanted: int, seed: int) -> None:
-    """Rows and heartbeats go out fifty times a second, checkpoints too, so that kills meet them."""
+    """Rows, heartbeats and checkpoints are written fifty times a second, so that kills hit them."""
     experiment.RunStore = functools.partial(RunStore, every=0.02)  # type: ignore[assignment,misc]
-    dice = random.Random(seed)
+    rng = random.Random(seed)
     for number in range(SEEDS):
         whole = config | {"seed": number, "store": str(root / "whole")}
         begin = time.monotonic()
         assert ended(fork(lambda whole=whole: train(whole))) == 0
-        latest = time.monotonic() - begin  # seconds, on this machine as busy as it is now
+        latest = time.monotonic() - begin  # seconds, with the present load of the machine
     number = landed = 0
     while landed < wanted:
         mine = config | {"seed": number % SEEDS, "store": str(root / f"killed-{number:03d}")}
         pid = fork(lambda mine=mine: train(mine))
-        after = dice.uniform(0, latest)
+        after = rng.uniform(0, latest)
         time.sleep(after)
         os.kill(pid, signal.SIGKILL)
-        killed = ended(pid) == -signal.SIGKILL  # else it was through already: the machine is less busy by now
+        killed = ended(pid) == -signal.SIGKILL  # else it had finished: the load is smaller by now
         latest *= 1.03 if killed else 0.8
         code = ended(fork(lambda mine=mine: train(mine)))
         print(json.dumps({"number": number, "after": after, "killed": killed, "code": code}), flush=True)
@@ -64,23 +64,23 @@ def twins(overrides: list[str], root: Path, rounds: int) -> None:
     os.environ["COLUMNS"] = "1000"  # lines stay whole
 
     def command(seed: int, start: float) -> None:
-        said = io.StringIO()
+        output = io.StringIO()
         sys.argv = ["qnerf", "run", *overrides, f"store={root / 'twins'}", f"seed={seed}"]
         try:
             while time.monotonic() < start:
                 pass
-            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 main.main()
         finally:
-            (root / f"said-{os.getpid()}").write_text(said.getvalue())
+            (root / f"output-{os.getpid()}").write_text(output.getvalue())
 
     for seed in range(rounds):
         start = time.monotonic() + 0.05
         pids = [fork(lambda seed=seed, start=start: command(seed, start)) for _ in range(2)]
         codes = [ended(pid) for pid in pids]
-        texts = [(root / f"said-{pid}").read_text().splitlines() for pid in pids]
-        said = [[line for line in text if line.startswith(("run ", str(root)))] for text in texts]
-        print(json.dumps({"seed": seed, "codes": codes, "said": said}), flush=True)
+        texts = [(root / f"output-{pid}").read_text().splitlines() for pid in pids]
+        outputs = [[line for line in text if line.startswith(("run ", str(root)))] for text in texts]
+        print(json.dumps({"seed": seed, "codes": codes, "outputs": outputs}), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""python writing_runs.py STORE: runs that begin, log, evaluate and finish, one after the other."""
+"""python -m tests.helpers.writing_runs STORE: runs that start, log, evaluate and finish, one after the other."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ RUNS, STEPS, VIEWS = 12, 20, 3
 if __name__ == "__main__":
     store = RunStore(Path(sys.argv[1]), every=0.02)
     for number in range(RUNS):
-        # the first run's option is absent, others have numbers and text: readers must bring them together
+        # the option is absent in the first run and a number in others: readers must join the types
         option = [None, 0.5, 2.0][number % 3]
         config = {"seed": number, "train": {"lr": 0.01}, "option": option}
         run = store.claim(f"r{number:02d}", config, columns={"field": "qcolor"}).run

@@ -87,7 +87,7 @@ def test_large_images_are_decoded_one_by_one(
             super().__init__(most)
 
     monkeypatch.setattr(images, "ThreadPoolExecutor", Pool)
-    monkeypatch.setattr(images, "MOST_PIXELS", 2100)
+    monkeypatch.setattr(images, "MAX_PIXELS", 2100)
     monkeypatch.setattr("os.cpu_count", lambda: 64)
     scene = SCENES.build("nerfstudio", path=str(folder))
     assert asked == [workers]

@@ -1,4 +1,4 @@
-"""Links in a run's folder lead nowhere: nothing is read through them, nothing written."""
+"""Nothing is read or written through a link in a run's folder."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ READERS = {
 
 
 def lead_away(run: Path, name: str, outside: Path) -> dict[Path, bytes]:
-    """Moves a file or folder out of the run and puts a link in its place; what lies outside now."""
+    """Moves a file or folder out of the run and puts a link in its place. Returns the files outside."""
     outside.mkdir()
     (run / name).rename(outside / Path(name).name)
     (run / name).symlink_to(outside / Path(name).name)
@@ -52,7 +52,7 @@ def test_a_run_that_is_a_link_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="a: is a link"):
         store(tmp_path).claim("a", CONFIG)
     assert contents(tmp_path / "outside") == before
-    assert len(records.read_metrics(run)) == 10  # one that was moved to another disk and linked is still read
+    assert len(records.read_metrics(run)) == 10  # a run that was moved to another disk and linked can still be read
 
 
 @pytest.mark.parametrize("name", ["status.json", "config.yaml", "summary.parquet", "eval.parquet", "checkpoint.pt"])

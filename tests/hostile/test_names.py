@@ -1,4 +1,4 @@
-"""Folders in a store that are called anything."""
+"""Folders in a store may have any name."""
 
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def test_no_run_is_written_under_such_a_name(tmp_path: Path, name: str) -> None:
 
 
 def test_what_else_lies_in_a_store(tmp_path: Path) -> None:
-    """Files, hidden folders and links to nowhere are no runs; a folder with nothing in it is an interrupted one."""
+    """Files, hidden folders and broken links are not runs; an empty folder is an interrupted run."""
     run = interrupted(tmp_path)
     (run.parent / "notes.txt").write_text("x")
     (run.parent / ".hidden").mkdir()

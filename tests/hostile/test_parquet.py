@@ -1,4 +1,4 @@
-"""Tables from elsewhere: one line that names the file, and no more rows than a run writes."""
+"""Tables from elsewhere: damaged or oversized ones give one line that names the file."""
 
 from pathlib import Path
 

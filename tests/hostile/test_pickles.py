@@ -1,4 +1,4 @@
-"""Checkpoints from elsewhere: nothing in them runs, none unpacks to more than it is, all fall back in one line."""
+"""Checkpoints from elsewhere: nothing in them is executed, none fills the memory, the one before is used instead."""
 
 import io
 import logging
@@ -58,7 +58,7 @@ def compressed(_: object) -> bytes:
 
 
 def shared(_: object) -> bytes:
-    """Ten thousand directory entries for the same bytes."""
+    """A thousand directory entries for the same bytes."""
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w") as archive:
         archive.writestr("a/data/0", bytes(10_000))
@@ -124,7 +124,7 @@ def test_what_is_no_file_is_set_aside(tmp_path: Path, caplog: pytest.LogCaptureF
     assert len(caplog.messages) == 1
     claim.run.save_checkpoint({"step": 9})
     assert torch.load(path, weights_only=True) == {"step": 9}
-    assert torch.load(tmp_path / "elsewhere.pt", weights_only=True) == {"step": 9}  # that of before, untouched
+    assert torch.load(tmp_path / "elsewhere.pt", weights_only=True) == {"step": 9}  # the earlier one, untouched
     claim.run.finish()
 
 

@@ -1,4 +1,4 @@
-"""A status.json and owner files from elsewhere: never a crash, never a run that is stuck by what cannot be."""
+"""A status.json and owner files from elsewhere: they neither crash a reader nor block a run."""
 
 import json
 import os
@@ -51,7 +51,7 @@ def test_a_status_that_is_no_small_file(tmp_path: Path, kind: str) -> None:
     if kind == "giant":
         with open(path, "wb") as file:
             file.write(b'{"state": "finished"')
-            file.truncate(2**40)  # a hole: it takes no room on the disk, but would in memory
+            file.truncate(2**40)  # a hole takes no space on the disk, but would in memory
     elif kind == "link":
         (tmp_path / "elsewhere.json").write_text('{"state": "finished"}')
         path.symlink_to(tmp_path / "elsewhere.json")
@@ -73,7 +73,7 @@ def test_a_status_that_is_no_small_file(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("pid", [1, -1, 0, 2**70, 1e308, float("inf"), float("nan"), "1", "../1", None, True, [1], {}])
 def test_a_pid_that_is_not_the_writer_s_does_not_hold_a_run(tmp_path: Path, pid: Any) -> None:
-    """Another user's process, all processes at once (-1), this one's group (0), no number at all."""
+    """Another user's process, all processes (-1), this process's group (0), not a number."""
     run = interrupted(tmp_path)
     spoil(run, state="running", pid=pid, heartbeat=0, since=0, released=False)
     for path in run.glob("owner/*.json"):
@@ -92,7 +92,7 @@ def test_the_owner_is_told_in_one_printable_line(tmp_path: Path) -> None:
     assert claim.outcome == "busy"
     assert claim.message.isprintable()
     assert len(claim.message) < len(str(run.dir)) + 200
-    assert str(owner.holder(run.dir)) in claim.message
+    assert str(owner.describe(run.dir)) in claim.message
     run._stop()
 
 

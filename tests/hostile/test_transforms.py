@@ -129,4 +129,4 @@ def test_a_giant_file_is_not_read(scene: tuple[Path, Path, Build]) -> None:
     with open(file, "r+b") as stream:
         stream.truncate(2**40)  # a hole: it takes no room on the disk, but would in memory
     refused(build, str(file), "more than 256 MiB")
-    assert transforms.MOST_JSON_BYTES == 2**28
+    assert transforms.MAX_JSON_BYTES == 2**28

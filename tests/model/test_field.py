@@ -5,7 +5,7 @@ from qnerf.config.settings import settings_from
 from qnerf.experiment import build_field
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.model.field import Field
-from qnerf.rendering.render import render, shares, volume_weights
+from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.shading import SHADINGS
 from qnerf.types import Rays, Samples
 from tests.helpers.configs import composed
@@ -88,9 +88,9 @@ def masked(field, grid) -> list[torch.Tensor]:
     found = [density, geometry * evaluated[..., None], evaluated]
     for background in ("last_sample", "white"):
         field.zero_grad()
-        shaded = SHADINGS.build("none")(shares(weights, background), geometry, evaluated)
+        shaded = SHADINGS.build("none")(color_shares(weights, background), geometry, evaluated)
         color = field.color(shaded.geometry, rays.directions, rays.cameras, shaded.mask)
-        rendering, _ = render(weights, color, samples, background=background, parts=shaded.shares)
+        rendering, _ = render(weights, color, samples, background=background, shares=shaded.shares)
         rendering.color.square().sum().backward(retain_graph=True)
         found += [rendering.color, *(p.grad.clone() for p in field.parameters() if p.grad is not None)]
     return found

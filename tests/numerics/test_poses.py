@@ -10,7 +10,8 @@ from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.geometry import MOTION, ROTATION
-from qnerf.geometry.pose_refinement import CAMERAS, exp_se3, exp_so3, exp_so3xr3
+from qnerf.geometry.pose_refinement import CAMERAS
+from qnerf.geometry.rotations import exp_se3, exp_so3, exp_so3xr3
 from tests.helpers.hard_inputs import rounded, seeds
 
 ANGLE_GRADIENTS = 1e-4

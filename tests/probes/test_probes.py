@@ -138,7 +138,7 @@ def test_the_samples_along_rays_are_those_that_the_model_renders(tiny):
     table = pd.read_parquet(probe(trained, "rays"))
     settings, view = trained.settings, trained.scene.eval[0]
     watch = Stopwatch(settings.torch_device, trained.model, QuantumLayer)
-    watch.begin(watch=False)
+    watch.begin(measure=False)
     with torch.no_grad():
         every = ray_table(settings, trained.scene).view(view)
         rendering, sampled, _ = trained.model(every, background="last_sample", step=trained.step, watch=watch)

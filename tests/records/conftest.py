@@ -20,19 +20,19 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files count as settled from the moment that they are written."""
+    """Files count as settled as soon as they are written."""
     monkeypatch.setattr(locations, "SETTLED", -3600.0)
 
 
 @pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """(file, run) of all that is read from now on."""
+    """(file, run) of everything that the index reads from now on."""
     seen: list[tuple[str, str]] = []
-    read = locations.Folder.read
+    read = locations.FolderLocation.read
 
-    def noted(place: locations.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+    def recording(location: locations.FolderLocation, file: str, runs: list[str]) -> Iterator[Any]:
         seen.extend((file, run) for run in runs)
-        return read(place, file, runs)
+        return read(location, file, runs)
 
-    monkeypatch.setattr(locations.Folder, "read", noted)
+    monkeypatch.setattr(locations.FolderLocation, "read", recording)
     return seen

@@ -1,4 +1,4 @@
-"""Disks that are full, read-only, gone or no folders at all."""
+"""Disks that are full, read-only or gone, and stores that are not folders."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Who may write a run: skipped, resumed, done over, refused."""
+"""Claims of a run: skipped, resumed, started again, refused."""
 
 import errno
 import os
@@ -52,8 +52,8 @@ def test_a_run_done_over_keeps_its_tags_and_note(store_: RunStore) -> None:
     assert again.outcome == "new"
     assert again.run is not None
     again.run.finish()
-    kept = annotations.read(again.dir)
-    assert (list(kept.tags), kept.note) == (["good"], "look again")
+    annotated = annotations.read(again.dir)
+    assert (list(annotated.tags), annotated.note) == (["good"], "look again")
 
 
 def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> None:

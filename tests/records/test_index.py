@@ -1,4 +1,4 @@
-"""The table of all runs: whole, true, and the same with an index as without one."""
+"""The table of all runs is complete and correct, with an index as without one."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from qnerf.records import RunStore, index, summary_row
 from qnerf.records.index import entries, locations
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
-from tests.helpers.summaries import CONFIG, anew, put, write
+from tests.helpers.summaries import CONFIG, load_without_index, put, write
 
 
 def test_a_row_is_what_the_run_wrote(tmp_path: Path) -> None:
@@ -27,18 +27,18 @@ def test_a_row_is_what_the_run_wrote(tmp_path: Path) -> None:
     claim.run.finish({"psnr": 21.5, "params.total": 491})
     (claim.dir / ANNOTATIONS).write_text('{"tags": ["good", "baseline"], "note": "see the ä"}')
     frame = index.load(tmp_path / "runs")
-    (found,) = frame.to_dict("records")
+    (row,) = frame.to_dict("records")
     expected = {
         "run_id": "a", "state": "finished", "path": str(claim.dir), "step": 4, "tags": ("baseline", "good"),
         "note": "see the ä", "field": "qcolor", "seed": 7, "train.lr": 0.01, "psnr": 21.5, "params.total": 491,
     }  # fmt: skip
-    assert {key: found[key] for key in expected} == expected
-    assert found["heartbeat"] >= found["created"] > 1e9
-    assert pd.isna(found["error"])
-    assert found["experiment"] is None
+    assert {key: row[key] for key in expected} == expected
+    assert row["heartbeat"] >= row["created"] > 1e9
+    assert pd.isna(row["error"])
+    assert row["experiment"] is None
     assert frame.columns.is_unique
     summary = pd.read_parquet(claim.dir / SUMMARY)
-    assert set(frame.columns) == set(summary.columns) | set(index.OWN)
+    assert set(frame.columns) == set(summary.columns) | set(index.RUN_COLUMNS)
 
 
 def test_the_state_is_the_true_one(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:
     assert frame["e"].tolist()[:2] == [str(2**53 + 1), "0.5"]  # no float64 is that number
     assert frame["f"].tolist()[2] == "x"
     assert frame.iloc[2][["a", "b", "c"]].isna().all()
-    # once its odd company is gone a column has its own type again
+    # without the run of another type, a column has its own type again
     shutil.rmtree(store / "r1")
     frame = index.load(store)
     assert frame["b"].tolist()[0] == 1
@@ -157,13 +157,13 @@ def test_what_has_just_changed_is_read_every_time(tmp_path: Path, reads: list[tu
 
 
 def test_a_change_within_the_step_of_a_coarse_clock_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Same size, same times, same inode: on a file system that counts in seconds, or one that uses inodes again."""
+    """Same size, times and inode, as on a file system that counts in seconds or reuses inodes."""
     lstat = os.lstat
 
     def coarse(path: str) -> Any:
-        found = lstat(path)
+        status = lstat(path)
         return SimpleNamespace(
-            st_mtime=int(found.st_mtime), st_ctime=int(found.st_ctime), st_size=found.st_size,
+            st_mtime=int(status.st_mtime), st_ctime=int(status.st_ctime), st_size=status.st_size,
             st_mtime_ns=0, st_ctime_ns=0, st_ino=1,
         )  # fmt: skip
 
@@ -178,14 +178,14 @@ def test_a_change_within_the_step_of_a_coarse_clock_is_seen(tmp_path: Path, monk
 def test_an_older_copy_put_back_with_its_times_is_seen(tmp_path: Path) -> None:
     store = tmp_path / "runs"
     path = write(store, "a", psnr=1.0) / SUMMARY
-    shutil.copy2(path, tmp_path / "kept")
+    shutil.copy2(path, tmp_path / "copy.parquet")
     before = path.stat()
     write(store, "a", psnr=2.0)
     assert path.stat().st_size == before.st_size
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert index.load(store)["psnr"].tolist() == [2.0]
     with open(path, "r+b") as file:
-        file.write((tmp_path / "kept").read_bytes())
+        file.write((tmp_path / "copy.parquet").read_bytes())
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert index.load(store)["psnr"].tolist() == [1.0]
 
@@ -226,7 +226,7 @@ def test_a_store_that_changes_reads_as_if_read_for_the_first_time(
             put(run / STATUS, json.dumps({"state": "failed", "error": str(value)}).encode())
         if look:
             index.load(store)
-    pd.testing.assert_frame_equal(index.load(store), anew(store))
+    pd.testing.assert_frame_equal(index.load(store), load_without_index(store))
 
 
 @pytest.mark.usefixtures("settled")
@@ -250,16 +250,16 @@ def test_progress_is_told_of_what_is_read(tmp_path: Path) -> None:
     store = tmp_path / "runs"
     for name in "abc":
         write(store, name)
-    told: list[tuple[str, int, int]] = []
-    index.load(store, progress=lambda *step: told.append(step))
-    assert [step for step in told if step[0] == SUMMARY] == [(SUMMARY, done, 3) for done in range(3)]
-    told.clear()
-    index.load(store, progress=lambda *step: told.append(step))
-    assert told == []
+    calls: list[tuple[str, int, int]] = []
+    index.load(store, progress=lambda *step: calls.append(step))
+    assert [step for step in calls if step[0] == SUMMARY] == [(SUMMARY, done, 3) for done in range(3)]
+    calls.clear()
+    index.load(store, progress=lambda *step: calls.append(step))
+    assert calls == []
 
 
 def forged(names: list, types: list, values: list) -> bytes:
-    """A summary whose footer says what its columns do not hold, with the right checksum."""
+    """A summary whose footer contradicts its columns, with the right checksum."""
     data = summary_row.encode(pa.table({"psnr": [1.0]}))
     start = data.index(b'["qnerf.row"')
     end = data.index(b"]]", start) + 2
@@ -301,22 +301,22 @@ def test_types_that_a_run_does_not_write_are_read(tmp_path: Path) -> None:
     sink = pa.BufferOutputStream()
     pa.parquet.write_table(small, sink)
     put(store / "a" / SUMMARY, sink.getvalue().to_pybytes())
-    (found,) = index.load(store).to_dict("records")
-    assert (found["int"], found["list"], found["day"]) == (1, "[1, 2]", "1970-01-01")
+    (row,) = index.load(store).to_dict("records")
+    assert (row["int"], row["list"], row["day"]) == (1, "[1, 2]", "1970-01-01")
 
 
 def test_a_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = tmp_path / "runs"
     for name in "ab":
         write(store, name)
-    scan = locations.Folder.scan
+    scan = locations.FolderLocation.scan
 
-    def scan_then_remove(place: locations.Folder) -> locations.Stamps:
-        found = scan(place)
+    def scan_then_remove(location: locations.FolderLocation) -> locations.Stamps:
+        stamps = scan(location)
         shutil.rmtree(store / "a")
-        return found
+        return stamps
 
-    monkeypatch.setattr(locations.Folder, "scan", scan_then_remove)
+    monkeypatch.setattr(locations.FolderLocation, "scan", scan_then_remove)
     assert index.load(store)["run_id"].tolist() == ["b"]
 
 
@@ -325,24 +325,24 @@ def test_a_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch:
 def test_a_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: str
 ) -> None:
-    """Never finished with the numbers of before, nor interrupted because its owner has just let go."""
+    """Never finished with the numbers from before, nor interrupted because its owner has just released it."""
     store = RunStore(tmp_path / "runs")
     run = store.claim("a", CONFIG).run
     assert run is not None
     run.write_summary({"psnr": 1.0})
     index.load(store.root)
     run.status(step=5)
-    read = locations.Folder.read
+    read = locations.FolderLocation.read
 
-    def ending(place: locations.Folder, file: str, runs: list[str]) -> Iterator[Any]:
+    def ending(location: locations.FolderLocation, file: str, runs: list[str]) -> Iterator[Any]:
         if file == late and not run._closed:
             run.finish({"psnr": 2.0})
-        return read(place, file, runs)
+        return read(location, file, runs)
 
-    monkeypatch.setattr(locations.Folder, "read", ending)
-    (found,) = index.load(store.root)[["state", "psnr"]].to_dict("records")
+    monkeypatch.setattr(locations.FolderLocation, "read", ending)
+    (row,) = index.load(store.root)[["state", "psnr"]].to_dict("records")
     assert run._closed
-    assert found in (
+    assert row in (
         {"state": "running", "psnr": 1.0},
         {"state": "running", "psnr": 2.0},
         {"state": "finished", "psnr": 2.0},

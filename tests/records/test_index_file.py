@@ -1,4 +1,4 @@
-"""The index on disk: damaged, of another format, where none may be written, refreshed by several at once."""
+"""The index on disk: damaged, in another format, not writable, refreshed by several processes at once."""
 
 import os
 import threading
@@ -40,7 +40,7 @@ def test_a_damaged_index_counts_as_none(tmp_path: Path, how: str) -> None:
         spoil(path, how)
     pd.testing.assert_frame_equal(index.load(store), expected)
     for path in written:
-        assert index_file.Kept.load([store / ".index"], path.name).keys == ["a", "b"]
+        assert index_file.StoredIndex.load([store / ".index"], path.name).keys == ["a", "b"]
 
 
 @pytest.mark.usefixtures("settled")

@@ -1,4 +1,4 @@
-"""What a run's folder holds, and that every reader understands it."""
+"""The files of a run's folder, read by every reader."""
 
 import json
 from pathlib import Path

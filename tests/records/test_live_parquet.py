@@ -38,7 +38,7 @@ def read(data: bytes) -> pa.Table:
 
 
 def read_late(footer_of: bytes, data: bytes) -> pa.Table:
-    """As one who read the footer of one version and finds another when it opens the file again."""
+    """Like a reader that has the footer of one version and then opens the file again and finds another version."""
     metadata = pq.read_metadata(pa.BufferReader(footer_of))
     return pq.ParquetFile(pa.BufferReader(data), metadata=metadata).read(use_threads=False)
 
@@ -53,11 +53,11 @@ def test_what_is_appended_follows_and_all_earlier_versions_stay_readable(rows: l
             assert read_late(before, versions[-1]).equals(content)
 
 
-@given(sizes, st.sampled_from([0, 2000, live_parquet.MOST_OLD_BYTES]))
+@given(sizes, st.sampled_from([0, 2000, live_parquet.MAX_OLD_BYTES]))
 def test_what_is_rewritten_leaves_the_version_before_readable(rows: list[int], most: int) -> None:
     data, content = first(), table(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(live_parquet, "MOST_OLD_BYTES", most)
+        patch.setattr(live_parquet, "MAX_OLD_BYTES", most)
         for start, count in enumerate(rows):
             after = rewritten(data, partial(encode, table(count, 100 * start)))
             assert read_late(data, after).equals(content)
@@ -74,7 +74,7 @@ def test_a_small_file_keeps_all_its_versions() -> None:
 
 
 def test_a_file_that_is_rewritten_for_ever_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_parquet, "MOST_OLD_BYTES", 0)
+    monkeypatch.setattr(live_parquet, "MAX_OLD_BYTES", 0)
     data, lengths = first(), []
     for start in range(50):
         data = rewritten(data, partial(encode, table(40, start)))
@@ -85,7 +85,7 @@ def test_a_file_that_is_rewritten_for_ever_does_not_grow_for_ever(monkeypatch: p
 
 @pytest.mark.parametrize("reader", ["pandas", "duckdb"])
 def test_readers_that_open_a_file_twice(tmp_path: Path, reader: str) -> None:
-    """A part while another process replaces it."""
+    """They read a part while another process replaces it."""
     duckdb = pytest.importorskip("duckdb") if reader == "duckdb" else None
     process = processes.start("replacing", str(tmp_path))
     part = tmp_path / "a" / "metrics" / "part-00000.parquet"

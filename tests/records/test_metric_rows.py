@@ -1,4 +1,4 @@
-"""Rows of metrics: logged, flushed, cut at a checkpoint's step."""
+"""Rows of metrics: logged, flushed, dropped after a checkpoint's step."""
 
 import logging
 import time
@@ -77,7 +77,7 @@ def test_parts_close_and_stay(store_: RunStore, monkeypatch: pytest.MonkeyPatch)
 @settings(max_examples=15, deadline=None)
 @given(st.integers(1, 7), st.integers(0, 30), st.integers(-1, 32), st.integers(0, 12))
 def test_resume_drops_exactly_what_lies_beyond(
-    tmp_path_factory: pytest.TempPathFactory, part_rows: int, steps: int, kept: int, more: int
+    tmp_path_factory: pytest.TempPathFactory, part_rows: int, steps: int, last_step: int, more: int
 ) -> None:
     store = RunStore(tmp_path_factory.mktemp("runs"), every=60)
     with pytest.MonkeyPatch.context() as patch:
@@ -88,8 +88,8 @@ def test_resume_drops_exactly_what_lies_beyond(
         run.interrupt()
         again = claimed(store)
         assert again.resumed
-        again.resume(kept)
-        expected = list(range(min(steps, kept + 1)))
+        again.resume(last_step)
+        expected = list(range(min(steps, last_step + 1)))
         assert records.read_metrics(run.dir)["step"].tolist() == [step for step in expected for _ in "ab"]
         for step in range(len(expected), len(expected) + more):
             again.log(step, 0.0, {"b": -step, "a": step})

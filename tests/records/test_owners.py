@@ -1,4 +1,4 @@
-"""One owner a run, whatever clocks, pids and late contenders do."""
+"""One owner per run, whatever clocks, pids and late contenders do."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def test_a_recycled_pid_is_not_the_owner(store_: RunStore) -> None:
 
 
 def elsewhere(run: Run, age: float) -> None:
-    """The run as a process on another machine left it `age` seconds ago."""
+    """Leaves the run as a process on another machine would have, `age` seconds ago."""
     run._stop()
     run._closed = True
     for path in [run.dir / "status.json", *run.dir.glob("owner/*.json")]:
@@ -103,15 +103,14 @@ def test_a_writer_that_was_succeeded_stops(store_: RunStore) -> None:
 
 
 def test_a_late_contender_does_not_become_a_second_owner(store_: RunStore) -> None:
-    """One that judged owner n stale, slept, and wants n + 1 when n + 2 owns the run already."""
+    """It found owner n dead, slept, and asks for n + 1 when n + 2 owns the run already."""
     run = claimed(store_)
     run.interrupt()
-    stale = owner.newest(run.dir)[1]
-    held = [claimed(store_), None]
-    held[0].interrupt()
+    stale = owner.latest(run.dir)[1]
+    claimed(store_).interrupt()
     last = claimed(store_)
-    late = owner.write(run.dir, 1)
+    late = owner.create(run.dir, 1)
     assert late is not None
-    assert not owner._follows(run.dir, late, stale)
+    assert not owner._succeeds(run.dir, late, stale)
     last.flush()
     last.finish()

@@ -1,4 +1,4 @@
-"""Stores behind URLs: fsspec's memory, and S3 on a real server on this machine."""
+"""Stores behind URLs: in fsspec's memory, and on a real S3 server on this machine."""
 
 import json
 import time
@@ -37,7 +37,7 @@ def server() -> Iterator[str]:
 
 @pytest.fixture(params=["memory", "s3"])
 def url(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """An empty place for a store."""
+    """URL of an empty store."""
     name = uuid.uuid4().hex
     if request.param == "memory":
         return f"memory://{name}/runs"
@@ -50,7 +50,7 @@ def url(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.fixture
 def store(tmp_path: Path) -> RunStore:
-    """Three runs here: finished, failed, and one that says that it is running."""
+    """Three runs on this machine: finished, failed, and one that says "running"."""
     store = RunStore(tmp_path / "runs", every=60)
     for number, name in enumerate(("done", "broken", "going")):
         run = store.claim(name, CONFIG | {"seed": number}, columns={"field": "qcolor"}).run
@@ -70,16 +70,16 @@ def store(tmp_path: Path) -> RunStore:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The files that are fetched from now on, as run/file."""
+def fetched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Paths of the files that are fetched from now on."""
     seen: list[str] = []
-    contents = remote.Remote._contents
+    contents = remote.UrlLocation._contents
 
-    def noted(place: remote.Remote, paths: list[str]) -> Iterator[Any]:
+    def recording(location: remote.UrlLocation, paths: list[str]) -> Iterator[Any]:
         seen.extend(paths)
-        return contents(place, paths)
+        return contents(location, paths)
 
-    monkeypatch.setattr(remote.Remote, "_contents", noted)
+    monkeypatch.setattr(remote.UrlLocation, "_contents", recording)
     return seen
 
 
@@ -104,22 +104,22 @@ def test_a_remote_store_reads_like_one_here(store: RunStore, url: str) -> None:
 
 
 def test_only_what_changed_is_fetched(
-    store: RunStore, url: str, asked: list[str], monkeypatch: pytest.MonkeyPatch
+    store: RunStore, url: str, fetched: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(locations, "SETTLED", -3600.0)
     upload(store, url)
     index.load(url)
-    assert len(asked) == 7
-    asked.clear()
+    assert len(fetched) == 7
+    fetched.clear()
     index.load(url)
-    assert asked == []
+    assert fetched == []
     system, root = files(url)
     status = json.loads(system.cat_file(f"{root}/broken/{STATUS}"))
     system.pipe_file(f"{root}/broken/{STATUS}", json.dumps(status | {"state": "finished", "error": None}).encode())
     system.pipe_file(f"{root}/going/{SUMMARY}", b"damaged")
     system.rm(f"{root}/done", recursive=True)
     frame = index.load(url)
-    assert asked == [f"broken/{STATUS}", f"broken/{SUMMARY}", f"going/{SUMMARY}"]
+    assert fetched == [f"broken/{STATUS}", f"broken/{SUMMARY}", f"going/{SUMMARY}"]
     assert frame["run_id"].tolist() == ["broken", "going"]
     assert frame["state"].tolist() == ["finished", "damaged"]
 
@@ -146,8 +146,8 @@ def test_only_the_heartbeat_tells_whether_a_remote_run_lives(store: RunStore, ag
 
 def test_metrics_of_a_remote_run(store: RunStore, url: str) -> None:
     upload(store, url)
-    run = remote.Remote(f"{url}/done")
-    pd.testing.assert_frame_equal(run.metrics(), locations.Folder(store.root / "done").metrics())
+    run = remote.UrlLocation(f"{url}/done")
+    pd.testing.assert_frame_equal(run.metrics(), locations.FolderLocation(store.root / "done").metrics())
     system, root = files(url)
     system.pipe_file(f"{root}/done/metrics/notes.txt", b"not a part")
     assert len(run.metrics()) == 10

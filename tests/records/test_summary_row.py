@@ -1,4 +1,4 @@
-"""The one row of a summary, had from the footer: never another one than the columns hold."""
+"""The row in the footer of a summary is always the row of its columns."""
 
 import json
 
@@ -20,18 +20,20 @@ def columns(data: bytes) -> pa.Table:
 
 
 def summary(**results: object) -> bytes:
-    return schemas.encode(schemas.summary({"run_id": "a", "psnr": 21.5} | results, {"seed": 3, "train": {"lr": 0.01}}))
+    return summary_row.encode(
+        schemas.summary({"run_id": "a", "psnr": 21.5} | results, {"seed": 3, "train": {"lr": 0.01}})
+    )
 
 
 @given(rows)
 def test_the_footer_repeats_the_columns(content: dict) -> None:
     table = pa.table({name: pa.array([value]) for name, value in content.items()})
     data = summary_row.encode(table)
-    names, types, had = summary_row.decode(data)
+    names, types, values_read = summary_row.decode(data)
     read = columns(data)
     assert names == read.schema.names
     assert types == [str(kind) for kind in read.schema.types]
-    assert repr(had) == repr(list(read.to_pylist()[0].values()))  # repr, because nan differs from itself
+    assert repr(values_read) == repr(list(read.to_pylist()[0].values()))  # repr, because nan differs from itself
 
 
 def test_without_an_entry_the_columns_are_read() -> None:
@@ -62,8 +64,8 @@ def test_an_entry_that_another_program_carried_over_does_not_count(change: str) 
         file.add_key_value_metadata({"qnerf": metadata[b"qnerf"]})
     data = sink.getvalue().to_pybytes()
     assert b"qnerf.row" in data
-    names, _, had = summary_row.decode(data)
-    assert dict(zip(names, had, strict=True)) == table.to_pylist()[0]
+    names, _, values_read = summary_row.decode(data)
+    assert dict(zip(names, values_read, strict=True)) == table.to_pylist()[0]
     assert summary_row.decode(data) != summary_row.decode(before)
 
 
@@ -73,11 +75,11 @@ def test_a_bit_that_flips_is_noticed_by_the_entry() -> None:
     for position in range(0, entry, 37):
         flipped = data[:position] + bytes([data[position] ^ 1]) + data[position + 1 :]
         try:
-            had = summary_row.decode(flipped)
+            values_read = summary_row.decode(flipped)
         except (ValueError, OSError):
             continue
-        # then the entry was not what was read: the columns were, as any reader finds them
-        assert repr(had[2]) == repr(list(columns(flipped).to_pylist()[0].values()))
+        # the entry was not used: the columns were read
+        assert repr(values_read[2]) == repr(list(columns(flipped).to_pylist()[0].values()))
 
 
 def test_pandas_reads_it_like_any_other_file(tmp_path) -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from qnerf.config.settings import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer
-from qnerf.rendering.render import render, shares, volume_weights
+from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.shading import SHADINGS, SMALL
 from qnerf.timing import Stopwatch
 from qnerf.types import Samples
@@ -28,14 +28,14 @@ def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tens
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 40), least=st.sampled_from([0.0, 1e-4, 1e-2, 0.3]))
 def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, seed, samples, least):
     weights, color, intervals = along(6, samples, seed)
-    share = shares(weights, background)
+    share = color_shares(weights, background)
     geometry = torch.zeros(*share.shape, 1)
     parts, _, mask = SHADINGS.build("threshold", min_share=least)(share, geometry)
     assert bool(mask.any(-1).all())
     left_out = (share * ~mask).sum(-1)
     assert bool((left_out <= samples * least).all())
     full, _ = render(weights, color, intervals, background=background)
-    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, parts=parts)
+    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, shares=parts)
     assert bool(((shaded.color - full.color).abs().amax(-1) <= left_out + 1e-12).all())
     assert torch.equal(shaded.weights, full.weights)
 
@@ -55,11 +55,11 @@ def test_a_head_gets_two_samples_where_one_ray_alone_meets_something(name, optio
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
 def test_top_keeps_the_largest_shares(seed, samples, most):
-    share = shares(along(5, samples, seed)[0], "last_sample")
+    share = color_shares(along(5, samples, seed)[0], "last_sample")
     mask = SHADINGS.build("top", samples=most)(share, torch.zeros(*share.shape, 1)).mask
     assert bool((mask.sum(-1) == min(most, samples)).all())
-    smallest_shaded = share.masked_fill(~mask, 2).amin(-1)
-    assert bool((share.masked_fill(mask, -1).amax(-1) <= smallest_shaded).all())
+    smallest_kept = share.masked_fill(~mask, 2).amin(-1)
+    assert bool((share.masked_fill(mask, -1).amax(-1) <= smallest_kept).all())
 
 
 @pytest.mark.parametrize("name", ["none", "threshold", "top"])
@@ -80,7 +80,7 @@ def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, e
     options = {"threshold": {"min_share": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(
         name, {}
     )
-    share = shares(weights, background)
+    share = color_shares(weights, background)
     geometry = torch.ones(6, samples, 1, dtype=torch.float64)
     parts, _, mask = SHADINGS.build(name, **options)(share, geometry, evaluated)
     assert bool(mask.any(-1).all())
@@ -88,7 +88,7 @@ def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, e
     assert bool((share.masked_fill(~mask, -1).amax(-1) == share.masked_fill(~evaluated, -1).amax(-1)).all())
     torch.testing.assert_close(parts.sum(-1), share.sum(-1))
     assert not bool((parts > 0)[~mask].any())
-    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, parts=parts)
+    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, shares=parts)
     assert bool(torch.isfinite(shaded.color).all())
     if empty and background == "white":
         torch.testing.assert_close(shaded.color, torch.ones_like(shaded.color))
@@ -154,7 +154,7 @@ def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 30), parts=st.integers(1, 40))
 def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
     """A colour that is linear in the features is exact: the features are means weighted by the shares."""
-    share = shares(along(5, samples, seed)[0], "last_sample")
+    share = color_shares(along(5, samples, seed)[0], "last_sample")
     geometry = torch.randn(5, samples, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     merged, features, mask = SHADINGS.build("merge", parts=parts)(share, geometry)
     assert merged.shape == mask.shape == (5, parts)

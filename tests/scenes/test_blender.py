@@ -77,7 +77,7 @@ def test_bad_options_and_files(folder, tmp_path):
     assert len(build(folder, skip_missing=True).eval) == 2
     for name in ("005", "007"):
         (folder / "images" / f"{name}.png").unlink()
-    refused(folder, "no image of the test split exists", skip_missing=True)
+    refused(folder, "no image to evaluate", skip_missing=True)
     (folder / "transforms_test.json").unlink()
     refused(folder, "no transforms_test.json")
     (folder / "transforms.json").write_text("{}")

@@ -235,7 +235,7 @@ def test_rays_meet_boxes_and_balls_where_marching_does():
     assert {0, 1, 2} <= set(np.minimum(hits.surface // 6, 2).tolist())
     assert ((hits.normal * direction).sum(0) < 0).all()
     # a surface's own coordinates lead back to the point, with the same normal
-    point, normal = world.place(hits.surface, hits.u, hits.v)
+    point, normal = world.surface_points(hits.surface, hits.u, hits.v)
     np.testing.assert_allclose(point, origin + direction * hits.distance, atol=1e-9)
     np.testing.assert_allclose(normal, hits.normal, atol=1e-9)
 
@@ -244,12 +244,12 @@ def test_a_small_light_falls_off_as_it_should():
     """E / pi = L A cos cos' / (pi r^2) straight below a small panel, with nothing bounced; nothing in the shadow."""
     panel = Panel((-0.01, -0.01, 0.99), ((0.02, 0, 0), (0, 0.02, 0)), (0, 0, -1), np.full(3, 100.0), side=2)
     world = empty_room()
-    bake(world, [panel], gathered=1, bounces=0)
+    bake(world, [panel], rays=1, bounces=0)
     floor, middle = np.array([5], np.int32), np.array([0.5])
     received = world.baked(floor, middle, middle)[0, 0]
     assert received == pytest.approx(100 * 4e-4 / (np.pi * 1.99**2), rel=0.01)
     shaded = empty_room([((-0.2, -0.2, 0), (0.2, 0.2, 0.1), 0.0)])
-    bake(shaded, [panel], gathered=1, bounces=0)
+    bake(shaded, [panel], rays=1, bounces=0)
     assert shaded.baked(floor, middle, middle)[0, 0] == 0
     assert shaded.baked(floor, np.array([0.05]), middle)[0, 0] > 0
 

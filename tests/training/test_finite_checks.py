@@ -21,40 +21,42 @@ from qnerf.quantum import QuantumLayer
 from qnerf.records import read_status
 from qnerf.rendering.render import render
 from qnerf.timing import Stopwatch
-from qnerf.training import finite_checks, trainer
+from qnerf.training import checked_trainer, finite_checks, trainer
+from qnerf.training.checked_trainer import BACKWARD, FILE, CheckedTrainer, RunContext
+from qnerf.training.finite_checks import NonFinite
 from qnerf.training.trainer import Diverged, Trainer
 
 NAN = math.nan
 SMALL = ("qiren=1L1S", "qiren.qubits=3", "numerics.finite_checks=true")
 WIDTH = 8  # of the tiny scene's images
 
-Make = Callable[..., finite_checks.CheckedTrainer]
+Make = Callable[..., CheckedTrainer]
 Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    return tmp_path / finite_checks.FILE
+    return tmp_path / FILE
 
 
 @pytest.fixture
 def checked(tiny: Callable[..., dict[str, Any]], file: Path) -> Make:
     """`checked("field=qboth")`: a checked trainer that writes `file`."""
 
-    def make(*overrides: str) -> finite_checks.CheckedTrainer:
+    def make(*overrides: str) -> CheckedTrainer:
         config = tiny(*SMALL, *overrides)
         settings = settings_from(config)
         scene = build_scene(settings)
         model = build_model(settings, scene)
         watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-        origin = finite_checks.Origin(scene.names, config, file)
-        return finite_checks.CheckedTrainer(model, ray_table(settings, scene), settings, watch, origin)
+        context = RunContext(scene.names, config, file)
+        return CheckedTrainer(model, ray_table(settings, scene), settings, watch, context)
 
     return make
 
 
-def found(trainer: finite_checks.CheckedTrainer) -> finite_checks.NonFinite:
-    with pytest.raises(finite_checks.NonFinite) as caught:
+def found(trainer: CheckedTrainer) -> NonFinite:
+    with pytest.raises(NonFinite) as caught:
         trainer.take_step(measure=False)
     assert "\n" not in str(caught.value)
     assert f"step {trainer.step}" in str(caught.value)
@@ -68,9 +70,9 @@ def replayed(file: Path, capsys: Capture) -> tuple[int, str]:
     return code, out + err
 
 
-def again(error: finite_checks.NonFinite) -> tuple[int, str]:
+def again(error: NonFinite) -> tuple[int, str]:
     """What `replayed` gives where the step ends as it did."""
-    return 1, f"then: {error.told}\nnow:  {error.told}\nthe same\n"
+    return 1, f"then: {error.message}\nnow:  {error.message}\nthe same\n"
 
 
 def plant(tensor: Tensor, *index: int, value: float = NAN) -> None:
@@ -78,9 +80,9 @@ def plant(tensor: Tensor, *index: int, value: float = NAN) -> None:
         tensor[index] = value
 
 
-def name_of(trainer: finite_checks.CheckedTrainer, ray: int) -> str:
+def name_of(trainer: CheckedTrainer, ray: int) -> str:
     """How a message names a ray of the last batch."""
-    view, pixel = int(trainer.table.last[0].cameras[ray]), int(trainer.table.drawn[ray])
+    view, pixel = int(trainer.table.last[0].cameras[ray]), int(trainer.table.last_pixels[ray])
     return f"ray {ray} of the batch, camera images/{view:03d}.png, pixel x={pixel % WIDTH} y={pixel // WIDTH}"
 
 
@@ -92,7 +94,7 @@ def test_nan_in_a_table_entry(checked: Make, file: Path, capsys: Capture) -> Non
     taken = checked("field=qboth", "visibility.cameras=0")
     plant(taken.model.field.encoder.table, *entry)
     error = found(taken)
-    assert error.part == "encoder"
+    assert error.where == "encoder"
     rows = error.values.isnan().any(1).nonzero()[:, 0]
     assert error.values.isnan().nonzero()[0].tolist() == [int(rows[0]), entry[0]]
     assert error.ray == int(rows[0]) // (len(error.values) // 8)
@@ -113,18 +115,18 @@ def test_nan_at_points_of_one_ray_where_others_are_left_out(checked: Make, ray: 
 
     taken.model.field.encoder.register_forward_hook(spoil)
     error = found(taken)
-    assert (error.part, error.ray) == ("encoder", ray)
+    assert (error.where, error.ray) == ("encoder", ray)
 
 
 def test_nan_in_the_ray_of_an_image_s_pixel(checked: Make, file: Path, capsys: Capture) -> None:
     before = checked("field=classical")
     before.take_step(measure=False)
     taken = checked("field=classical")
-    pixel = int(before.table.drawn[3])
+    pixel = int(before.table.last_pixels[3])
     plant(taken.table.table, pixel, 1)
     error = found(taken)
-    assert error.part == "rays (directions)"
-    first = before.table.drawn.tolist().index(pixel)
+    assert error.where == "rays (directions)"
+    first = before.table.last_pixels.tolist().index(pixel)
     assert error.ray == first
     assert name_of(before, first) in str(error)
     assert replayed(file, capsys) == again(error)  # the scene itself is sound: the file holds the ray
@@ -135,7 +137,7 @@ def test_nan_in_a_gradient_hook(checked: Make, file: Path, capsys: Capture) -> N
     weights = dict(taken.model.named_parameters())["field.density_head.readout.weight"]
     weights.register_hook(lambda gradient: gradient * NAN)
     error = found(taken)
-    assert error.part == "gradient of field.density_head.readout.weight"
+    assert error.where == "gradient of field.density_head.readout.weight"
     assert error.ray is None
     assert taken.step == 0
     code, out = replayed(file, capsys)
@@ -152,7 +154,7 @@ def test_a_gradient_that_overflows(checked: Make, file: Path, capsys: Capture) -
         first.bias.copy_(torch.eye(64)[0] * 1e-42)
         final.weight[0] = 3e38
     error = found(taken)
-    assert error.part == "gradient of field.density_head.net.0.weight"
+    assert error.where == "gradient of field.density_head.net.0.weight"
     assert replayed(file, capsys) == again(error)
 
 
@@ -162,10 +164,10 @@ def test_nan_in_a_circuit_s_input(checked: Make, file: Path, capsys: Capture, fi
     hybrid = {"qdensity": taken.model.field.density_head, "qcolor": taken.model.field.color_head}[field].hybrid
     plant(hybrid[1].linear.bias, 2)
     error = found(taken)
-    assert error.part == f"inputs of circuit 1 of the {head}"
+    assert error.where == f"inputs of circuit 1 of the {head}"
     assert error.values.isnan().any(0).tolist() == [False, False, True]
     assert error.ray is None  # every ray has it
-    assert "ray" not in error.told
+    assert "ray" not in error.message
     assert replayed(file, capsys) == again(error)
 
 
@@ -176,14 +178,14 @@ def test_nan_in_one_camera_s_appearance(checked: Make, gate: list[str]) -> None:
     taken = checked("field=qcolor", "appearance=2", *gate)
     plant(taken.model.field.appearance.weight, 3, 1)
     error = found(taken)
-    assert error.part == "inputs of colour head"
+    assert error.where == "inputs of colour head"
     assert error.ray == taken.table.last[0].cameras.tolist().index(3)
     assert name_of(taken, error.ray) in str(error)
 
 
 def test_nan_in_a_loss_term(checked: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trainer, "distortion", lambda samples, weights: weights.sum() * math.inf)
-    assert found(checked("field=classical", "train.distortion=0.1")).part == "loss term distortion"
+    assert found(checked("field=classical", "train.distortion=0.1")).where == "loss term distortion"
 
 
 def test_nan_in_the_optimiser(checked: Make, file: Path, capsys: Capture) -> None:
@@ -192,7 +194,7 @@ def test_nan_in_the_optimiser(checked: Make, file: Path, capsys: Capture) -> Non
     parameter = taken.model.field.color_head.readout.bias
     plant(taken.optimiser.state[parameter]["exp_avg_sq"], 1)
     error = found(taken)
-    assert error.part == "parameters after the step, field.color_head.readout.bias"
+    assert error.where == "parameters after the step, field.color_head.readout.bias"
     assert replayed(file, capsys) == again(error)
 
 
@@ -200,11 +202,11 @@ def test_infinite_weights_of_a_proposal(checked: Make) -> None:
     taken = checked("field=classical")
     plant(taken.model.sampler.networks[1].out.bias, 0)
     error = found(taken)
-    assert (error.part, error.ray) == ("weights of proposal network 1", None)
+    assert (error.where, error.ray) == ("weights of proposal network 1", None)
 
 
 def test_every_part_with_parameters_has_its_place_in_the_backward_order(checked: Make) -> None:
-    assert set(checked("appearance=2", "cameras=se3").model.parts) == set(finite_checks.BACKWARD)
+    assert set(checked("appearance=2", "cameras=se3").model.parts) == set(BACKWARD)
 
 
 def test_pose_refinement_is_repeated_with_its_gradients(checked: Make, file: Path, capsys: Capture) -> None:
@@ -212,7 +214,7 @@ def test_pose_refinement_is_repeated_with_its_gradients(checked: Make, file: Pat
     taken.take_step(measure=False)
     plant(taken.optimiser.state[taken.model.cameras.motion]["exp_avg"], 0, 4, value=math.inf)
     error = found(taken)
-    assert error.part == "parameters after the step, cameras.motion"
+    assert error.where == "parameters after the step, cameras.motion"
     assert replayed(file, capsys) == again(error)
 
 
@@ -240,7 +242,8 @@ def test_a_run_without_the_option_is_not_looked_at(
     def refuse(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(finite_checks, "look", refuse)
+    for module in (finite_checks, checked_trainer):
+        monkeypatch.setattr(module, "check_finite", refuse)
     config = tiny("field=qboth", "qiren=1L1S", "qiren.qubits=3")
     assert experiment.run(config).state == "finished"
     assert identity(config) == identity(tiny("field=qboth", *SMALL))
@@ -252,11 +255,11 @@ def test_a_run_that_diverges_goes_on_with_checks_and_names_the_part(
     config = tiny("field=classical", "train.lr=1e30", "train.lr_final=1e30", "train.steps=8")
     with pytest.raises(Diverged, match="the same command with numerics"):
         experiment.run(config)
-    with pytest.raises(finite_checks.NonFinite, match="`qnerf replay ") as caught:
+    with pytest.raises(NonFinite, match="`qnerf replay ") as caught:
         experiment.run(config | {"numerics": {"dtype": "float32", "finite_checks": True}})
     (folder,) = (path for path in Path(config["store"]).iterdir() if (path / "config.yaml").exists())
     assert read_status(folder)["error"] == str(caught.value)
-    assert replayed(folder / finite_checks.FILE, capsys) == again(caught.value)
+    assert replayed(folder / FILE, capsys) == again(caught.value)
 
 
 def test_replay_takes_another_place_of_the_scene(checked: Make, file: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -281,7 +284,7 @@ class Command:
 
 @pytest.mark.parametrize("kind", ["pickle", "archive", "other content", "text", "absent"])
 def test_a_hostile_file_is_refused_in_one_line(tmp_path: Path, capsys: Capture, kind: str) -> None:
-    file = tmp_path / finite_checks.FILE
+    file = tmp_path / FILE
     command = Command(f"touch {tmp_path / 'owned'}")
     if kind == "pickle":
         file.write_bytes(pickle.dumps(command))
@@ -305,9 +308,9 @@ def test_nan_while_the_occupancy_is_looked_at(checked: Make, file: Path, capsys:
     taken.take_step(measure=False)
     plant(taken.model.field.density_head.hybrid[0].linear.bias, 1)
     error = found(taken)
-    assert error.part == "inputs of circuit 0 of the density head"
+    assert error.where == "inputs of circuit 0 of the density head"
     assert len(error.values) == len(taken.model.field.mask.cells)
-    assert "ray" not in error.told
+    assert "ray" not in error.message
     assert replayed(file, capsys) == again(error)
 
 
@@ -318,4 +321,4 @@ def test_nan_in_one_depth_of_the_rendering(checked: Make, monkeypatch: pytest.Mo
 
     monkeypatch.setattr("qnerf.model.model.render", spoilt)
     error = found(checked("field=classical"))
-    assert (error.part, error.ray) == ("rendering (depth)", 6)
+    assert (error.where, error.ray) == ("rendering (depth)", 6)

@@ -4,8 +4,8 @@ import torch
 from qnerf.config.settings import settings_from
 from qnerf.experiment import run
 from qnerf.records import read_metrics
-from qnerf.timing import PARTS, median_ms
-from qnerf.training.trainer import composite, learning_rate
+from qnerf.timing import STAGES, median_ms
+from qnerf.training.trainer import all_finite, learning_rate
 from tests.helpers.trainer import trainer
 
 
@@ -49,7 +49,7 @@ def test_configurations_of_one_seed_see_the_same_batches(tiny):
 
 def test_a_measured_step_reports_its_parts(tiny):
     metrics = trainer(tiny("field=qcolor", "cameras=so3xr3")).take_step(measure=True)
-    assert {f"time/{part}_ms" for part in PARTS} <= set(metrics)
+    assert {f"time/{part}_ms" for part in STAGES} <= set(metrics)
     parts = ("mse", "interlevel", "distortion", "poses")
     assert metrics["train/loss"] == pytest.approx(sum(metrics[f"train/{name}"] for name in parts), rel=1e-5)
     assert 0 < metrics["time/quantum_ms"] <= metrics["time/field_ms"]
@@ -67,13 +67,6 @@ def test_parameters_and_gradients_stay_in_their_dtype(tiny, dtype):
     taken.take_step(measure=False)
     assert {p.dtype for p in taken.model.parameters()} == {getattr(torch, dtype)}
     assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {getattr(torch, dtype)}
-
-
-def test_alpha_is_composited_on_what_lies_behind():
-    pixels = torch.tensor([[0.2, 0.4, 0.6, 0.5]])
-    behind = torch.tensor([[1.0, 0.0, 0.5]])
-    torch.testing.assert_close(composite(pixels, behind), torch.tensor([[0.6, 0.2, 0.55]]))
-    assert torch.equal(composite(pixels[:, :3], None), pixels[:, :3])
 
 
 STOP = ("stop.every=2", "stop.share=0.1", "stop.rays=9", "field=classical")
@@ -96,12 +89,12 @@ def test_validation_is_of_the_rays_kept_apart_and_changes_nothing(tiny):
 def test_kept_pixels_are_not_the_same_columns_of_each_image(tiny):
     """The images are 8 wide: one pixel in 4 would be two columns."""
     table = trainer(tiny(*STOP, "stop.share=0.25")).table
-    assert table.apart == 5
-    assert trainer(tiny("field=classical")).table.apart == 0
+    assert table.validation_stride == 5
+    assert trainer(tiny("field=classical")).table.validation_stride == 0
 
 
 def test_a_share_that_keeps_no_pixel_is_one_line(tiny):
-    with pytest.raises(ValueError, match=r"stop\.share keeps one training pixel in \d+ apart") as caught:
+    with pytest.raises(ValueError, match=r"stop\.share holds out one training pixel in \d+") as caught:
         trainer(tiny(*STOP, "stop.share=1e-6"))
     assert "\n" not in str(caught.value)
 
@@ -129,7 +122,7 @@ def test_a_run_goes_on_on_another_kind_of_device(tiny):
     other.load(state)
     other.take_step(measure=False)
     assert other.step == 2
-    assert other.finite()
+    assert all_finite(other.model.parameters())
 
 
 @pytest.mark.parametrize("stop_at", [1, 2, 3, 5])

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS
-from qnerf.geometry.hull import carved, seen, spheres
+from qnerf.geometry.hull import bounding_spheres, carve, project_spheres
 from qnerf.geometry.rays import camera_rays
 from qnerf.geometry.visibility import count_cameras
 from qnerf.scenes import Scene
@@ -28,9 +28,9 @@ def box_half_extent(scene: Scene) -> float | None:
     if scene.images.shape[-1] != 4 or bool(scene.cameras.distortion.any()):
         return None
     box = CONTRACTIONS.build("box", half_extent=2.0)
-    points, radius = spheres(box, CELLS)
-    views = torch.stack([seen(scene, view, points, radius)[-1] for view in scene.train]).sum(0)
-    held = carved(scene, points, radius) & (views >= max(1, len(scene.train) // 2))
+    points, radius = bounding_spheres(box, CELLS)
+    views = torch.stack([project_spheres(scene, view, points, radius)[-1] for view in scene.train]).sum(0)
+    held = carve(scene, points, radius) & (views >= max(1, len(scene.train) // 2))
     cells = held.view(CELLS, CELLS, CELLS).nonzero()
     if len(cells) == 0 or bool(((cells == 0) | (cells == CELLS - 1)).any()):
         return None

@@ -1,4 +1,5 @@
 """Copies of runs for other trackers, one a file: MLflow, TensorBoard, CSV.
 
-Exporting a run twice leaves one copy, up to date. Time stamps are the run's creation plus its seconds of training.
+Exporting a run again updates its copy and doubles nothing. A time stamp is the run's creation plus the seconds of
+training.
 """

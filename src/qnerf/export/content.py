@@ -1,4 +1,4 @@
-"""What there is to export of a run."""
+"""What the exporters copy from a run."""
 
 import re
 from collections.abc import Iterable
@@ -19,8 +19,9 @@ _FILES = ("config.yaml", "overrides.txt", "environment*.json", "dirty*.diff", "e
 class Content:
     """A run as plain values.
 
-    created, ended: Unix time, the latter that of the last heartbeat. config: flat. results: those of summary.parquet.
-    metrics: step, time_s, key, value, in the order of logging. files, images: paths; links are left out.
+    created, ended: Unix times of the start and of the last heartbeat. step: the last one logged. config: flat.
+    results: from summary.parquet. metrics: step, time_s, key, value, in the order of logging. files, images: paths
+    without links.
     """
 
     run_id: str
@@ -39,10 +40,10 @@ class Content:
 
 
 def read(folder: Path) -> Content:
-    """A run's folder as it is now, live or ended.
+    """Reads a run as it is now, running or ended.
 
     Raises:
-        ValueError: the folder's name is no run's id.
+        ValueError: the folder's name is not a run id.
         StoreError: a part of the run is damaged.
     """
     run = details.read(folder)
@@ -72,5 +73,5 @@ def read(folder: Path) -> Content:
 
 
 def _regular(paths: Iterable[Path]) -> list[Path]:
-    # A link could lead to any file of this machine, and what is exported may go to a server.
+    # A link could lead to any file on this machine, and exported files may go to a server.
     return [path for path in paths if path.is_file() and not path.is_symlink() and not path.parent.is_symlink()]

@@ -10,10 +10,11 @@ from qnerf.records.files import replace, reporting
 
 
 def export(content: Content, out: Path) -> Path:
-    """The folder written.
+    """Returns the folder.
 
-    metrics.csv: one row a step: step, time_s, wall_time (Unix seconds), then a column a key; `nan` is a value, an empty
-    cell is none. eval.csv: one row a held-out image. summary.csv: one row: state, tags, note, results, configuration.
+    metrics.csv: one row per step: step, time_s, wall_time (Unix seconds), then one column per key. `nan` is a logged
+    value; an empty cell means that nothing was logged. eval.csv: one row per held-out image. summary.csv: one row with
+    state, tags, note, results and configuration.
     """
     folder = out / content.run_id
     with reporting(folder):
@@ -27,7 +28,7 @@ def export(content: Content, out: Path) -> Path:
 
 
 def wide(metrics: pd.DataFrame, created: float) -> pd.DataFrame:
-    """One row a step, one column a key, values as text in full precision."""
+    """One row per step, one column per key, values as text in full precision."""
     rows = metrics.drop_duplicates(["step", "key"], keep="last")
     values = rows.assign(value=rows["value"].map(repr)).pivot(index="step", columns="key", values="value")
     time_s = rows.groupby("step")["time_s"].max()
@@ -37,12 +38,15 @@ def wide(metrics: pd.DataFrame, created: float) -> pd.DataFrame:
 
 
 def _write(path: Path, frame: pd.DataFrame) -> None:
-    safe = frame.map(harmless)
-    replace(path, safe.to_csv(index=False).encode())
+    replace(path, frame.map(without_formula).to_csv(index=False).encode())
 
 
-def harmless(value: Any) -> Any:
-    """Text that a spreadsheet would take for a formula gets an apostrophe before it; numbers stay."""
+def without_formula(value: Any) -> Any:
+    """Puts an apostrophe before text that a spreadsheet would run as a formula; numbers stay.
+
+    >>> without_formula("=1+1"), without_formula("-1e3"), without_formula(-3)
+    ("'=1+1", '-1e3', -3)
+    """
     if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r")):
         return value
     try:

@@ -1,11 +1,11 @@
-"""MLflow: a run becomes an MLflow run, found again by its tags `qnerf.run_id` and `qnerf.created`."""
+"""MLflow: a run becomes an MLflow run, which is found again by its tags `qnerf.run_id` and `qnerf.created`."""
 
 import logging
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-# An unreachable server is told within seconds instead of minutes, unless the user wants it otherwise.
+# An unreachable server is reported within seconds instead of minutes, unless the user set another number.
 os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
 
 from mlflow import MlflowClient
@@ -13,28 +13,31 @@ from mlflow.entities import Metric, Param, RunTag
 from mlflow.entities import Run as MlflowRun
 from mlflow.exceptions import MlflowException
 
-from qnerf.cli.errors import one_line
 from qnerf.export.content import Content
+from qnerf.records.files import one_line
 
 METRICS, PARAMS = 1000, 100
-"""Most of each that one request may hold."""
+"""The most metrics and parameters in one request."""
 
 TEXT = 5000
-"""Characters of a tag's or parameter's value, which servers limit."""
+"""The most characters in the value of a tag or parameter; servers limit them."""
 
 COPIED = "qnerf.copied"
-"""Tag that says how far a complete copy goes; set last, so that after a kill the server is asked what it has."""
+"""Tag with the state and step of a complete copy. It is set last: after a kill the server is asked what it has."""
 
 _STATUS = {"finished": "FINISHED", "failed": "FAILED", "interrupted": "KILLED"}
 
 
 def export(content: Content, uri: str | None = None, experiment: str = "qnerf") -> str:
-    """Creates the MLflow run or brings it up to date: only rows that it lacks are sent. Returns its MLflow id.
+    """Creates the MLflow run or updates it; only missing rows are sent. Returns its MLflow id.
 
-    uri: of a tracking server or database, by default what MLflow itself takes. A run that was done over
-    (`run.force=true`) is another MLflow run. Raises ValueError when the server refuses or cannot be reached.
+    uri: of a tracking server or database, by default MLflow's own choice. A run that was started again with
+    `run.force=true` is another MLflow run.
+
+    Raises:
+        ValueError: the server refuses or cannot be reached.
     """
-    for name in ("alembic", "mlflow.store", "mlflow.tracking"):  # announce every table that they create
+    for name in ("alembic", "mlflow.store", "mlflow.tracking"):  # they announce every table that they create
         logging.getLogger(name).setLevel(logging.WARNING)
     try:
         client = MlflowClient(tracking_uri=uri)
@@ -46,27 +49,27 @@ def export(content: Content, uri: str | None = None, experiment: str = "qnerf") 
 
 
 def _experiment(client: MlflowClient, name: str) -> str:
-    known = client.get_experiment_by_name(name)
-    return str(known.experiment_id if known else client.create_experiment(name))
+    existing = client.get_experiment_by_name(name)
+    return str(existing.experiment_id if existing else client.create_experiment(name))
 
 
 def _find_or_create(client: MlflowClient, experiment: str, content: Content) -> MlflowRun:
-    marks = {"qnerf.run_id": content.run_id, "qnerf.created": repr(content.created)}
-    query = " and ".join(f"tags.`{key}` = '{value}'" for key, value in marks.items())
-    if found := client.search_runs([experiment], query, max_results=1):
-        return found[0]
+    tags = {"qnerf.run_id": content.run_id, "qnerf.created": repr(content.created)}
+    query = " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
+    if runs := client.search_runs([experiment], query, max_results=1):
+        return runs[0]
     start = round(content.created * 1000)
-    return client.create_run(experiment, start_time=start, tags=marks, run_name=content.run_id)
+    return client.create_run(experiment, start_time=start, tags=tags, run_name=content.run_id)
 
 
 def _log(client: MlflowClient, run: MlflowRun, content: Content) -> None:
     run_id = run.info.run_id
     client.log_batch(run_id, tags=[RunTag(name, text[:TEXT]) for name, text in _tags(content).items()])
-    mark = f"{content.state} at step {content.step}"
-    if run.data.tags.get(COPIED) == mark:
+    progress = f"{content.state} at step {content.step}"
+    if run.data.tags.get(COPIED) == progress:
         return
-    lacking = {name: value for name, value in content.config.items() if name not in run.data.params}
-    params = [Param(name, str(value)[:TEXT]) for name, value in lacking.items()]
+    missing = {name: value for name, value in content.config.items() if name not in run.data.params}
+    params = [Param(name, str(value)[:TEXT]) for name, value in missing.items()]
     for batch in _batches(params, PARAMS):
         client.log_batch(run_id, params=batch)
     last = {key: max(m.step for m in client.get_metric_history(run_id, key)) for key in run.data.metrics}
@@ -80,13 +83,13 @@ def _log(client: MlflowClient, run: MlflowRun, content: Content) -> None:
         client.update_run(run_id, status="RUNNING")
     else:
         client.set_terminated(run_id, _STATUS.get(content.state, "FAILED"), round(content.ended * 1000))
-    client.set_tag(run_id, COPIED, mark)
+    client.set_tag(run_id, COPIED, progress)
 
 
 def _metrics(content: Content, last: dict[str, int]) -> Iterator[Metric]:
-    """The rows beyond what the server has of each key, then the results as `final/...` at the last step."""
-    known = content.metrics["key"].map(last)
-    rows = content.metrics[~(content.metrics["step"] <= known)]
+    """The rows of each key after its last step on the server, then the results as `final/...` at the last step."""
+    last_steps = content.metrics["key"].map(last)
+    rows = content.metrics[~(content.metrics["step"] <= last_steps)]
     for step, time_s, key, value in rows.itertuples(index=False, name=None):
         yield Metric(key, value, round((content.created + time_s) * 1000), step)
     for name, value in content.results.items():
@@ -106,6 +109,6 @@ def _tags(content: Content) -> dict[str, str]:
     }
 
 
-def _batches(items: Sequence[Any], most: int) -> Iterator[Sequence[Any]]:
-    for start in range(0, len(items), most):
-        yield items[start : start + most]
+def _batches(items: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
+    for start in range(0, len(items), size):
+        yield items[start : start + size]

@@ -1,16 +1,21 @@
-"""TensorBoard: one event file a run under `<out>/<run_id>/`, by TensorBoard's own writer, without TensorFlow."""
+"""TensorBoard: one event file per run under `<out>/<run_id>/`, by TensorBoard's own writer, without TensorFlow.
+
+PyTorch's SummaryWriter would decode and re-encode every image, rename the texts, and put hyperparameters into a run of
+their own.
+"""
 
 import json
 import shutil
 import struct
 import tempfile
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tensorboard.compat.proto import event_pb2, summary_pb2, tensor_pb2, types_pb2
+from tensorboard.compat.proto import event_pb2, summary_pb2
 from tensorboard.plugins.hparams import api_pb2, metadata, plugin_data_pb2, summary_v2
-from tensorboard.plugins.text import metadata as text_metadata
+from tensorboard.plugins.text.summary_v2 import text_pb
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
 from qnerf.export.content import Content
@@ -21,9 +26,9 @@ _STATUS = {"finished": api_pb2.STATUS_SUCCESS, "failed": api_pb2.STATUS_FAILURE,
 
 
 def export(content: Content, out: Path) -> Path:
-    """The run's folder under `out`: scalars with step and wall time, images, hyperparameters, tags and note as text.
+    """Returns the run's folder under `out`: scalars with step and wall time, images, hyperparameters, tags and note.
 
-    An event file that an earlier export left there goes when the new one is in place; other files stay.
+    The new event file replaces the one of an earlier export; other files stay.
     """
     folder = out / content.run_id
     with reporting(folder):
@@ -45,10 +50,11 @@ def export(content: Content, out: Path) -> Path:
 
 
 def events(content: Content) -> Iterator[event_pb2.Event]:
-    """Everything of the run, in the order of time."""
+    """All events of the run, in the order of time."""
     yield _event(content.created, 0, _hyperparameters(content))
     for name, text in _texts(content).items():
-        yield _event(content.created, 0, _text(name, text))
+        # Markdown shows indented text literally: no links and no pictures out of a note.
+        yield _event(content.created, 0, text_pb(name, textwrap.indent(text, "    ", lambda line: True)))
     for step, time_s, key, value in content.metrics.itertuples(index=False, name=None):
         scalar = summary_pb2.Summary.Value(tag=key, simple_value=value)
         yield _event(content.created + time_s, step, summary_pb2.Summary(value=[scalar]))
@@ -56,7 +62,7 @@ def events(content: Content) -> Iterator[event_pb2.Event]:
         image = _image(f"images/{path.stem}", path.read_bytes())
         if image is not None:
             yield _event(content.ended, content.step, image)
-    yield _event(content.ended, content.step, _ended(content))
+    yield _event(content.ended, content.step, _session_end(content))
 
 
 def _event(wall_time: float, step: int, summary: Any) -> event_pb2.Event:
@@ -70,7 +76,7 @@ def _hyperparameters(content: Content) -> Any:
     return summary_v2.hparams_pb(values, trial_id=content.run_id, start_time_secs=content.created)
 
 
-def _ended(content: Content) -> Any:
+def _session_end(content: Content) -> Any:
     status = _STATUS.get(content.state, api_pb2.STATUS_UNKNOWN)
     end = plugin_data_pb2.SessionEndInfo(status=status, end_time_secs=content.ended)
     data = plugin_data_pb2.HParamsPluginData(session_end_info=end)
@@ -89,16 +95,8 @@ def _texts(content: Content) -> dict[str, str]:
     return {name: text for name, text in texts.items() if text}
 
 
-def _text(tag: str, text: str) -> Any:
-    # Indented, Markdown takes it literally: no links and no pictures out of a note.
-    literal = "\n".join(f"    {line}" for line in text.splitlines())
-    tensor = tensor_pb2.TensorProto(dtype=types_pb2.DT_STRING, string_val=[literal.encode()])
-    metadata = text_metadata.create_summary_metadata(tag, None)
-    return summary_pb2.Summary(value=[summary_pb2.Summary.Value(tag=tag, tensor=tensor, metadata=metadata)])
-
-
 def _image(tag: str, data: bytes) -> Any:
-    """None for what is no PNG; nothing is decoded."""
+    """The PNG as it is, without decoding it; None for anything else."""
     if not data.startswith(b"\x89PNG\r\n\x1a\n") or len(data) < 24:
         return None
     width, height = struct.unpack(">II", data[16:24])

@@ -1,1 +1,1 @@
-"""Cameras, rays and space."""
+"""Rays, rotations, pose refinement, and the space in which density may be."""

@@ -1,8 +1,7 @@
-"""Pose refinement: a small rigid motion for each training view, learnt with the field.
+"""Pose refinement: a small rigid motion for each training view, learnt with the field (arXiv:2104.06405).
 
-The motion (Ra, ta) acts in the camera's own frame, on the right of the camera-to-world pose: [R | t] becomes
-[R Ra | R ta + t]. It is the exponential of six numbers a view, translation first, which start at zero; it is computed
-anew from them each time, so that it stays a rotation however many steps are taken.
+The motion [Ra | ta] acts in the camera's own frame: the camera-to-world pose [R | t] becomes [R Ra | R ta + t]. It is
+the exponential of six parameters per view, which start at 0. Computing it anew in each step keeps it an exact rotation.
 """
 
 import torch
@@ -10,64 +9,9 @@ from torch import Tensor, nn
 
 from qnerf.config.checks import at_least
 from qnerf.config.registry import Registry
+from qnerf.geometry.rotations import exp_se3, exp_so3xr3
 
 CAMERAS: "Registry[PoseRefinement]" = Registry("cameras")
-
-# (theta - sin theta) / theta^3 as a series in theta^2
-_SERIES = [1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800, -1 / 6227020800, 1 / 1307674368000]
-
-
-def sinc_of_square(square: Tensor) -> Tensor:
-    """sin(theta) / theta from theta^2 >= 0; smooth at 0, gradient included."""
-    small = square < 1e-3
-    theta = torch.where(small, torch.ones_like(square), square).sqrt()
-    near = torch.where(small, square, 0)  # the series overflows at 3e6 radians, and infinity times 0 is no gradient
-    series = 1 - near / 6 * (1 - near / 20 * (1 - near / 42))
-    return torch.where(small, series, theta.sin() / theta)
-
-
-def skew(vector: Tensor) -> Tensor:
-    """(..., 3) -> (..., 3, 3), the matrix of the cross product with it."""
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).view(*vector.shape, 3)
-
-
-def exp_so3(rotation: Tensor) -> Tensor:
-    """Rotation vectors (..., 3), radians, of any length whose square is finite -> rotation matrices (..., 3, 3).
-
-    R = I + sin(theta)/theta K + (1 - cos(theta))/theta^2 K^2, the last factor as half the square of
-    sin(theta/2) / (theta/2): no digits are lost at small angles or near pi.
-    """
-    square = rotation.square().sum(-1)[..., None, None]
-    k = skew(rotation)
-    eye = torch.eye(3, dtype=rotation.dtype, device=rotation.device)
-    return eye + sinc_of_square(square) * k + 0.5 * sinc_of_square(square / 4).square() * (k @ k)
-
-
-def _left_jacobian(rotation: Tensor) -> Tensor:
-    """V = I + (1 - cos(theta))/theta^2 K + (theta - sin(theta))/theta^3 K^2: translation part of a twist."""
-    square = rotation.square().sum(-1)[..., None, None]
-    k = skew(rotation)
-    small = square < 1
-    series = torch.full_like(square, _SERIES[-1])
-    for coefficient in reversed(_SERIES[:-1]):
-        series = series * torch.where(small, square, 0) + coefficient
-    large = torch.where(small, torch.ones_like(square), square)
-    cubic = torch.where(small, series, (1 - sinc_of_square(large)) / large)
-    eye = torch.eye(3, dtype=rotation.dtype, device=rotation.device)
-    return eye + 0.5 * sinc_of_square(square / 4).square() * k + cubic * (k @ k)
-
-
-def exp_se3(motion: Tensor) -> Tensor:
-    """Twists (..., 6), translation part first, then the rotation vector -> rigid motions (..., 3, 4)."""
-    rotation = motion[..., 3:]
-    return torch.cat([exp_so3(rotation), _left_jacobian(rotation) @ motion[..., :3, None]], dim=-1)
-
-
-def exp_so3xr3(motion: Tensor) -> Tensor:
-    """Translation and rotation vector (..., 6) -> rigid motions (..., 3, 4)."""
-    return torch.cat([exp_so3(motion[..., 3:]), motion[..., :3, None]], dim=-1)
 
 
 class PoseRefinement(nn.Module):
@@ -75,7 +19,7 @@ class PoseRefinement(nn.Module):
 
     Args:
         views: number of views of the scene.
-        trained: those that are refined; None for all. The others, and a view of -1, keep their poses.
+        trained: indices of the views that are refined; None: all. The others, and view -1, keep their poses.
     """
 
     def __init__(self, views: int, trained: list[int] | None = None) -> None:
@@ -86,13 +30,13 @@ class PoseRefinement(nn.Module):
         raise NotImplementedError
 
     def penalty(self) -> Tensor | None:
-        """What training adds to the loss; None where there is nothing to add."""
+        """A scalar loss term that keeps the motions small; None: no term."""
         raise NotImplementedError
 
 
 @CAMERAS.register("fixed")
 class FixedPoses(PoseRefinement):
-    """Poses as they are given."""
+    """Poses as they come, without refinement."""
 
     def poses(self, indices: Tensor, poses: Tensor) -> Tensor:
         return poses
@@ -102,7 +46,11 @@ class FixedPoses(PoseRefinement):
 
 
 class RefinedPoses(PoseRefinement):
-    """Six numbers a trained view, `motion` (trained views, 6): translation in world units, then rotation in radians."""
+    """The parameter `motion` (trained views, 6): a translation in world units, then a rotation vector in radians.
+
+    Args:
+        translation_penalty, rotation_penalty: weights of the mean lengths in `penalty`.
+    """
 
     rows: Tensor
 
@@ -119,7 +67,7 @@ class RefinedPoses(PoseRefinement):
             at_least(name, value, 0)
         self.translation_penalty, self.rotation_penalty = translation_penalty, rotation_penalty
         chosen = list(range(views)) if trained is None else trained
-        rows = torch.full((views + 1,), -1)  # the last one answers for view -1
+        rows = torch.full((views + 1,), -1)  # the last entry is for view -1
         rows[chosen] = torch.arange(len(chosen))
         self.register_buffer("rows", rows, persistent=False)
         self.motion = nn.Parameter(torch.zeros(len(chosen), 6))
@@ -136,20 +84,20 @@ class RefinedPoses(PoseRefinement):
         return torch.cat([turned[..., :3], turned[..., 3:] + poses[..., 3:]], dim=-1)
 
     def penalty(self) -> Tensor:
-        """Mean over trained views of 1e-2 |translation| + 1e-3 |rotation vector| (the defaults)."""
+        """Mean over trained views of translation_penalty |translation| + rotation_penalty |rotation vector|."""
         lengths = torch.linalg.vector_norm(self.motion.view(-1, 2, 3), dim=-1).mean(0)
         return self.translation_penalty * lengths[0] + self.rotation_penalty * lengths[1]
 
 
 @CAMERAS.register("so3xr3")
 class SO3xR3Refinement(RefinedPoses):
-    """A rotation vector and a translation, which do not act on each other."""
+    """Rotation and translation are independent parameters."""
 
     exponential = staticmethod(exp_so3xr3)
 
 
 @CAMERAS.register("se3")
 class SE3Refinement(RefinedPoses):
-    """A twist: the translation is carried along the rotation."""
+    """The parameters are a twist: the translation follows the screw motion."""
 
     exponential = staticmethod(exp_se3)

@@ -1,7 +1,7 @@
-"""Pixels -> rays, and the training pixels with their rays ready to be drawn from.
+"""Pixels -> rays, and `RayTable`, from which training draws batches of rays and their colours.
 
-A pixel's direction in the camera's own frame depends on the lens alone. It is computed once for every pixel centre, so
-that a training step turns it by the pose, refined or not, and undoes no distortion.
+A pixel's direction in the camera's frame depends on the lens alone. It is computed once for every pixel centre. A
+training step only rotates it by the pose, refined or not, and does not undo lens distortion again.
 """
 
 import torch
@@ -12,15 +12,23 @@ from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import distort, undistort
 from qnerf.types import Rays
 
-MOST_DIRECTIONS = 2**24  # kept in a table; beyond, directions are computed for each batch
+MAX_TABLE_SIZE = 2**24  # directions in memory; beyond that, they are computed for each batch
 
 
 def camera_directions(cameras: Cameras, views: Tensor, pixels: Tensor) -> Tensor:
-    """Unit directions (R, 3) float64 in the camera's frame.
+    """Unit directions (R, 3) float64 in the camera's frame, lens distortion undone.
+
+    A pinhole ray through the principal point looks along -z:
+
+    >>> one = torch.ones(1, dtype=torch.float64)
+    >>> pose, no_distortion = torch.eye(4, dtype=torch.float64)[None, :3], torch.zeros(1, 4, dtype=torch.float64)
+    >>> cameras = Cameras(pose, 30 * one, 30 * one, 16 * one, 12 * one, no_distortion, 32, 24)
+    >>> camera_directions(cameras, torch.tensor([0]), torch.tensor([[16.0, 12.0]])).tolist()
+    [[0.0, -0.0, -1.0]]
 
     Args:
         views: (R,) int64.
-        pixels: (R, 2) x and y in pixels, continuous: the centre of the first pixel is (0.5, 0.5).
+        pixels: (R, 2) continuous x and y in pixels; the centre of the first pixel is (0.5, 0.5).
     """
     return _directions(cameras.intrinsics[views.to(cameras.poses.device)], pixels)
 
@@ -33,9 +41,9 @@ def _directions(intrinsics: Tensor, pixels: Tensor) -> Tensor:
 
 
 def project(cameras: Cameras, views: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """World points (R, 3) -> where the views (R,) see them: pixels (R, 2) with distortion, and depth along -z (R,).
+    """World points (R, 3) -> their pixels (R, 2) in the views (R,), with lens distortion, and depth along -z (R,).
 
-    Pixels mean nothing where the depth is not above 0.
+    Pixels are valid only where the depth is above 0.
     """
     poses, intrinsics = cameras.poses[views], cameras.intrinsics[views]
     local = ((points.to(poses) - poses[:, :, 3])[:, :, None] * poses[:, :, :3]).sum(1)
@@ -45,23 +53,23 @@ def project(cameras: Cameras, views: Tensor, points: Tensor) -> tuple[Tensor, Te
 
 
 def rays_from(directions: Tensor, poses: Tensor, views: Tensor, near: float, far: float) -> Rays:
-    """Rays in the dtype of `poses`, which they are differentiable in.
+    """Rays in the dtype of `poses` and differentiable with respect to them.
 
     Args:
-        directions: (R, 3) unit, in the camera's frame.
+        directions: (R, 3) unit vectors in the camera's frame.
         poses: (R, 3, 4) camera-to-world.
         views: (R,) int64.
         near, far: world units.
     """
-    turned = (poses[:, :, :3] * directions[:, None, :]).sum(-1)
+    rotated = (poses[:, :, :3] * directions[:, None, :]).sum(-1)
     bounds = (poses.new_tensor([value]).expand(len(views), 1) for value in (near, far))
-    return Rays(poses[:, :, 3], turned, views, *bounds)
+    return Rays(poses[:, :, 3], rotated, views, *bounds)
 
 
 def camera_rays(
     cameras: Cameras, views: Tensor, pixels: Tensor, near: float, far: float, dtype: torch.dtype = torch.float32
 ) -> Rays:
-    """Rays of any views (R,) int64 through any points of their images (R, 2), in pixels."""
+    """Rays through the continuous pixels (R, 2) of the views (R,) int64; near and far in world units."""
     directions = camera_directions(cameras, views, pixels)
     return rays_from(directions.to(dtype), cameras.poses[views].to(dtype), views, near, far)
 
@@ -70,11 +78,14 @@ class RayTable:
     """All pixels of a scene with their rays.
 
     Args:
-        scene: whose training views are drawn from.
-        near, far: world units; where the scene has bounds of its own, the narrower ones hold.
-        device: where rays and pixels are put.
+        scene: training batches are drawn from its training views.
+        near, far: world units; if the scene has bounds too, the narrower ones hold.
+        device: of rays and colours.
         dtype: of rays and colours.
-        apart: one in `apart` training pixels is never drawn for training, and serves validation; 0: none.
+        validation_stride: every `validation_stride`-th training pixel is held out for validation; 0: none.
+
+    Raises:
+        ValueError: near is not below far, or the stride is larger than the number of training pixels.
     """
 
     def __init__(
@@ -85,15 +96,15 @@ class RayTable:
         far: float = 1000.0,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
-        apart: int = 0,
+        validation_stride: int = 0,
     ) -> None:
         cameras = scene.cameras
         self.near = near if scene.near is None else max(near, scene.near)
         self.far = far if scene.far is None else min(far, scene.far)
-        self.apart = apart
-        if apart > len(scene.train) * cameras.width * cameras.height:
+        self.validation_stride = validation_stride
+        if validation_stride > len(scene.train) * cameras.width * cameras.height:
             raise ValueError(
-                f"stop.share keeps one training pixel in {apart} apart, which is none here; make it larger"
+                f"stop.share holds out one training pixel in {validation_stride}, which is none here; make it larger"
             )
         if not 0 <= self.near < self.far:
             raise ValueError(
@@ -108,9 +119,9 @@ class RayTable:
         lenses, self.lens = torch.unique(cameras.intrinsics, dim=0, return_inverse=True)
         self.lens, self.lenses = self.lens.to(self.device), lenses.to(self.device)
         self.table: Tensor | None = None  # (lenses * H * W, 3)
-        if len(lenses) * self.pixels <= MOST_DIRECTIONS:
-            every = torch.arange(self.pixels, device=self.device)
-            self.table = torch.cat([_directions(lens, self._centres(every)).to(dtype) for lens in self.lenses])
+        if len(lenses) * self.pixels <= MAX_TABLE_SIZE:
+            centres = self._centres(torch.arange(self.pixels, device=self.device))
+            self.table = torch.cat([_directions(lens, centres).to(dtype) for lens in self.lenses])
 
     def _centres(self, pixels: Tensor) -> Tensor:
         """Row-major pixel numbers (R,) -> centres (R, 2), float64."""
@@ -132,31 +143,30 @@ class RayTable:
     def batch(
         self, rays: int, generator: torch.Generator, refinement: PoseRefinement | None = None
     ) -> tuple[Rays, Tensor]:
-        """`rays` training pixels drawn uniformly, with replacement: their rays and colours (R, 3 or 4) in [0, 1].
+        """Draws `rays` training pixels uniformly, with replacement: their rays and colours (R, 3 or 4) in [0, 1].
 
-        `generator` is one of the CPU, whatever the device: every device sees the same batches.
+        `generator` is on the CPU, so that all devices see the same batches.
         """
-        total = len(self.train) * self.pixels
-        if not self.apart:
-            drawn = torch.randint(total, (rays,), generator=generator)
-        else:  # every `apart`-th pixel is passed over
-            drawn = torch.randint(total - total // self.apart, (rays,), generator=generator)
-            drawn += drawn // (self.apart - 1)
-        return self._drawn(drawn, refinement)
+        stride, total = self.validation_stride, len(self.train) * self.pixels
+        if not stride:
+            numbers = torch.randint(total, (rays,), generator=generator)
+        else:  # skip every `stride`-th pixel
+            numbers = torch.randint(total - total // stride, (rays,), generator=generator)
+            numbers += numbers // (stride - 1)
+        return self._training_rays(numbers, refinement)
 
     def validation(self, rays: int, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
-        """At most `rays` of the training pixels kept apart, evenly spread: their rays and colours."""
-        assert self.apart, "no pixels are kept apart"
-        kept = torch.arange(self.apart - 1, len(self.train) * self.pixels, self.apart)
-        chosen = torch.linspace(0, len(kept) - 1, min(rays, len(kept)), dtype=torch.float64).long()
-        return self._drawn(kept[chosen], refinement)
+        """Rays and colours of at most `rays` of the held-out training pixels, evenly spread."""
+        stride = self.validation_stride
+        assert stride, "no pixels are held out"
+        held_out = torch.arange(stride - 1, len(self.train) * self.pixels, stride)
+        index = torch.linspace(0, len(held_out) - 1, min(rays, len(held_out)), dtype=torch.float64).long()
+        return self._training_rays(held_out[index], refinement)
 
-    def _drawn(self, drawn: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
+    def _training_rays(self, numbers: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
         """Rays and colours of training pixels (R,), numbered view by view and row by row."""
-        views = self.train[torch.div(drawn, self.pixels, rounding_mode="floor")]
-        pixels = drawn % self.pixels
-        if self.device.type != "cpu":
-            views, pixels = views.to(self.device), pixels.to(self.device)
+        views = self.train[torch.div(numbers, self.pixels, rounding_mode="floor")].to(self.device)
+        pixels = (numbers % self.pixels).to(self.device)
         colors = self.colors[views * self.pixels + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
 

@@ -1,4 +1,4 @@
-"""Where density may be: space that too few training cameras see cannot be reconstructed and is kept empty."""
+"""Where density may be: space that too few training cameras see cannot be reconstructed and stays empty."""
 
 import torch
 from torch import Tensor, nn
@@ -9,7 +9,7 @@ from qnerf.scenes import Cameras
 
 
 class SpaceMask(nn.Module):
-    """Unit-cube points (..., 3) -> whether density may be there (...); points outside count to the nearest cell.
+    """Unit-cube points (..., 3) -> whether density may be there: (...) bool. Points outside use the nearest cell.
 
     Args:
         grid: (n, n, n) bool over the unit cube.
@@ -33,22 +33,26 @@ class SpaceMask(nn.Module):
         return self.grid.view(-1)[(cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]]
 
 
-def visible(contraction: Contraction, cameras: Cameras, views: list[int], least: int, resolution: int) -> Tensor:
-    """The grid (n, n, n) bool of contracted space that is true where at least `least` of the views see a cell.
+def visible_cells(
+    contraction: Contraction, cameras: Cameras, views: list[int], min_views: int, resolution: int
+) -> Tensor:
+    """The cells (n, n, n) bool of contracted space that at least `min_views` of the views see.
 
-    It is counted once from the poses: a camera sees a cell when the cell's centre projects inside its image, in front
-    of it (lens distortion moves the border by a fraction of a cell and is left out). Few views see little in common, so
-    at most half of them are asked for. ValueError where nothing is seen.
+    A camera sees a cell if the cell's centre projects inside its image, in front of it. Lens distortion is ignored: it
+    moves the border by a fraction of a cell. `min_views` is limited to half of the views.
+
+    Raises:
+        ValueError: no cell is seen by enough views.
     """
-    least = min(least, max(1, len(views) // 2))
-    counts = count_cameras(contraction.inverse(cell_centres(resolution)), cameras, views, most=least)
-    seen = counts >= least
-    if not bool(seen.any()):
+    min_views = min(min_views, max(1, len(views) // 2))
+    counts = count_cameras(contraction.inverse(cell_centres(resolution)), cameras, views, limit=min_views)
+    cells = counts >= min_views
+    if not bool(cells.any()):
         raise ValueError(
-            f"visibility.cameras: no cell is seen by {least} of {len(views)} training cameras "
+            f"visibility.cameras: no cell is seen by {min_views} of {len(views)} training cameras "
             f"(at most {int(counts.max())} see one); lower it, or 0 turns it off"
         )
-    return seen.view(resolution, resolution, resolution)
+    return cells.view(resolution, resolution, resolution)
 
 
 def cell_centres(resolution: int) -> Tensor:
@@ -57,14 +61,14 @@ def cell_centres(resolution: int) -> Tensor:
     return torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
 
 
-def count_cameras(points: Tensor, cameras: Cameras, views: list[int], most: int | None = None) -> Tensor:
-    """How many of the views have the world points (N, 3) in front of them and inside their image: (N,), at most `most`.
+def count_cameras(points: Tensor, cameras: Cameras, views: list[int], limit: int | None = None) -> Tensor:
+    """In how many of the views each world point (N, 3) is visible: (N,), counted up to `limit`.
 
-    Lens distortion is left out.
+    Visible means in front of the camera and inside the image; occlusion and lens distortion are ignored.
     """
     poses, (fx, fy, cx, cy) = cameras.poses[views], (cameras.intrinsics[views, i, None] for i in range(4))
     right, up, backward = poses[:, :, 0], poses[:, :, 1], poses[:, :, 2]
-    turned = torch.stack([fx * right - cx * backward, -fy * up - cy * backward, -backward], dim=1)
-    matrices = torch.cat([turned, -(turned @ poses[:, :, 3:])], dim=-1)
-    limit = len(views) if most is None else most
+    rotations = torch.stack([fx * right - cx * backward, -fy * up - cy * backward, -backward], dim=1)
+    matrices = torch.cat([rotations, -(rotations @ poses[:, :, 3:])], dim=-1)
+    limit = len(views) if limit is None else limit
     return count_views(points.to(torch.float64), matrices, cameras.width, cameras.height, limit)

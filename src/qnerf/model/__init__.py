@@ -1,1 +1,1 @@
-"""What is trained."""
+"""The trained modules: the field, its occupancy grid, and the whole model."""

@@ -1,4 +1,4 @@
-"""Raw network output -> density."""
+"""Raw output of the density head -> density >= 0."""
 
 import math
 from typing import Any
@@ -10,7 +10,7 @@ from qnerf.config.registry import Registry
 
 ACTIVATIONS: Registry[Tensor] = Registry("activation")
 
-_BOUND = 15.0
+_BOUND = 15.0  # on the argument of the derivative
 
 
 class _TruncExp(torch.autograd.Function):
@@ -28,11 +28,17 @@ class _TruncExp(torch.autograd.Function):
 
 @ACTIVATIONS.register("trunc_exp")
 def trunc_exp(x: Tensor) -> Tensor:
-    """exp(x), whose derivative is taken at x clamped to [-15, 15] so that it neither vanishes nor overflows."""
+    """exp(x), whose derivative is taken at x clamped to [-15, 15], so that it neither vanishes nor overflows.
+
+    >>> x = torch.tensor([20.0], requires_grad=True)
+    >>> trunc_exp(x).backward()
+    >>> x.grad == torch.tensor(15.0).exp()
+    tensor([True])
+    """
     return _TruncExp.apply(x)
 
 
 @ACTIVATIONS.register("softplus")
 def softplus(x: Tensor) -> Tensor:
-    """log(1 + exp(x)); beyond 40 it is x to the last bit, in float64 too."""
+    """log(1 + exp(x)); above 40 it equals x to the last bit, also in float64."""
     return nn.functional.softplus(x, threshold=40.0)

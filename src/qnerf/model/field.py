@@ -9,23 +9,23 @@ from qnerf.encoders import Encoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 
-LEAST = 2  # samples of a batch that heads are given at least: what a normalisation needs
+MIN_BATCH = 2  # samples that a head gets at least: batch normalisation needs two
 
 
 class Field(nn.Module):
-    """A radiance field. Which kind of heads it was given, it does not ask.
+    """A radiance field with any kind of heads, classical or quantum.
 
     Args:
         contraction: world points (..., 3) -> the unit cube (..., 3).
         encoder: unit-cube points (N, 3) -> features (N, F).
         directions: unit view directions (R, 3) -> features (R, D).
-        density: head (N, F) -> (N, 1 + G): density before its activation, and G geometry features.
+        density: head (N, F) -> (N, 1 + G): raw density, and G geometry features.
         color: head (N, D + G + A) -> (N, 3): colour before the sigmoid.
         activation: raw density -> density >= 0.
-        initial: density of a head that puts out 0 under `trunc_exp`, per world unit.
-        views: of the scene, held-out ones as well, which are numbered alike.
-        trained: numbers of the training views, which learn an appearance.
-        appearance: size A of the appearance embedding; 0 for none.
+        initial: factor on the density: with `trunc_exp`, the density per world unit of a head that returns 0.
+        views: number of views of the scene, held-out ones included.
+        trained: indices of the training views, which learn an appearance.
+        appearance: size A of the appearance embedding; 0: none.
     """
 
     def __init__(
@@ -53,13 +53,19 @@ class Field(nn.Module):
         self.trained: Tensor
         self.register_buffer("trained", torch.tensor(trained), persistent=False)
         self.mask: SpaceMask | None = None
-        """Where density may be; None for everywhere."""
+        """Where density may be; None: everywhere."""
 
     def geometry(self, points: Tensor, *, last: bool = True) -> tuple[Tensor, Tensor, Tensor | None]:
-        """World points (R, K, 3) -> density (R, K) per world unit, features (R, K, G), samples evaluated (R, K).
+        """Density and geometry features of R rays.
 
-        With a mask those are the ones where density may be, and with `last` each ray's last, whose colour can stand for
-        all that lies behind; the others have density 0 and features 0. None: all.
+        With a mask, samples where density is impossible are not evaluated: their density and features are 0.
+
+        Args:
+            points: (R, K, 3) world units.
+            last: always evaluate each ray's last sample, whose colour can be the background.
+
+        Returns:
+            Density (R, K) per world unit, features (R, K, G), and which samples were evaluated, (R, K) bool; None: all.
         """
         shape = points.shape[:-1]
         unit = self.contraction(points)
@@ -68,20 +74,22 @@ class Field(nn.Module):
             return self._activated(raw[..., 0]), raw[..., 1:], None
         inside = self.mask(unit)
         evaluated = inside.clone()
-        if last or int(inside.sum()) < LEAST:
+        if last or int(inside.sum()) < MIN_BATCH:
             evaluated[:, -1] = True
-        chosen = evaluated.flatten().nonzero()[:, 0]
-        raw = self.density_head(self.encoder(unit.reshape(-1, 3)[chosen]))
-        density = spread(self._activated(raw[:, 0]), chosen, shape).masked_fill(~inside, 0)
-        return density, spread(raw[:, 1:], chosen, shape), evaluated
+        index = evaluated.flatten().nonzero()[:, 0]
+        raw = self.density_head(self.encoder(unit.reshape(-1, 3)[index]))
+        density = scatter(self._activated(raw[:, 0]), index, shape).masked_fill(~inside, 0)
+        return density, scatter(raw[:, 1:], index, shape), evaluated
 
     def _activated(self, raw: Tensor) -> Tensor:
         density = self.activation(raw)
         return density if self.initial == 1.0 else density * self.initial
 
     def density(self, points: Tensor) -> Tensor:
-        """World points (R, K, 3) -> density (R, K) per world unit, as in evaluation: what a normalisation learns of its
-        inputs, it learns of samples that are rendered."""
+        """World points (R, K, 3) -> density (R, K) per world unit, in evaluation mode.
+
+        Batch normalisation must collect its statistics from rendered samples only.
+        """
         training = self.density_head.training
         self.density_head.eval()
         try:
@@ -90,14 +98,17 @@ class Field(nn.Module):
             self.density_head.train(training)
 
     def density_anywhere(self, unit: Tensor) -> Tensor:
-        """Unit-cube points (N, 3) -> density (N,) per world unit, also where the mask has none."""
+        """Unit-cube points (N, 3) -> density (N,) per world unit, ignoring the mask."""
         return self._activated(self.density_head(self.encoder(unit))[:, 0])
 
-    def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, kept: Tensor | None = None) -> Tensor:
-        """Geometry features (R, K, G), unit directions (R, 3), views (R,) -> colours (R, K, 3) in [0, 1].
+    def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, mask: Tensor | None = None) -> Tensor:
+        """Colours (R, K, 3) in [0, 1].
 
-        A view of -1 is one without an embedding of its own: it gets the mean of those that are trained. `kept` (R, K):
-        those to evaluate; the others are black.
+        Args:
+            geometry: (R, K, G) features.
+            directions: (R, 3) unit vectors.
+            cameras: (R,) int64 views; -1, a view without an appearance embedding, gets the mean of the trained ones.
+            mask: (R, K) bool, samples to evaluate; the others are black. None: all.
         """
         per_ray = [self.directions(directions)]
         if self.appearance is not None:
@@ -106,15 +117,14 @@ class Field(nn.Module):
             per_ray.append(torch.where((cameras >= 0)[:, None], own, mean))
         rays, samples, size = geometry.shape
         ray_features = torch.cat(per_ray, dim=-1)
-        if kept is None:
+        if mask is None:
             expanded = ray_features[:, None, :].expand(-1, samples, -1)
             features = torch.cat([expanded, geometry], dim=-1)
             return torch.sigmoid(self.color_head(features.reshape(rays * samples, -1))).view(rays, samples, 3)
-        chosen = kept.flatten().nonzero()[:, 0]
-        ray = torch.div(chosen, samples, rounding_mode="floor")
-        features = torch.cat([ray_features[ray], geometry.reshape(-1, size)[chosen]], dim=-1)
-        color = torch.sigmoid(self.color_head(features))
-        return spread(color, chosen, kept.shape)
+        index = mask.flatten().nonzero()[:, 0]
+        ray = torch.div(index, samples, rounding_mode="floor")
+        features = torch.cat([ray_features[ray], geometry.reshape(-1, size)[index]], dim=-1)
+        return scatter(torch.sigmoid(self.color_head(features)), index, mask.shape)
 
     def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
         """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3) in [0, 1]."""
@@ -122,7 +132,11 @@ class Field(nn.Module):
         return density, self.color(geometry, directions, cameras)
 
 
-def spread(values: Tensor, chosen: Tensor, shape: torch.Size) -> Tensor:
-    """Values (N, ...) of the samples with row-major numbers `chosen` (N,), among zeros: (R, K, ...)."""
+def scatter(values: Tensor, index: Tensor, shape: torch.Size) -> Tensor:
+    """Puts values (N, ...) at the row-major positions `index` (N,) of a tensor (R, K, ...) that is 0 elsewhere.
+
+    >>> scatter(torch.tensor([5.0, 7.0]), torch.tensor([1, 2]), torch.Size((2, 2))).tolist()
+    [[0.0, 5.0], [7.0, 0.0]]
+    """
     rest = values.shape[1:]
-    return values.new_zeros(shape.numel(), *rest).index_copy(0, chosen, values).view(*shape, *rest)
+    return values.new_zeros(shape.numel(), *rest).index_copy(0, index, values).view(*shape, *rest)

@@ -1,11 +1,11 @@
-"""Sampler, field and pose refinement as one module: rays -> samples -> field -> render."""
+"""The whole model: rays -> samples -> field -> render."""
 
 import torch
 from torch import Tensor, nn
 
 from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.model.field import Field
-from qnerf.rendering.render import render, shares, volume_weights
+from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.samplers import SampledRays, Sampler
 from qnerf.rendering.shading import Shading
 from qnerf.timing import Stopwatch
@@ -13,7 +13,7 @@ from qnerf.types import Rays, Rendering
 
 
 class Model(nn.Module):
-    """What is trained. `parts` groups its parameters as they are counted and optimised."""
+    """Field, sampler, pose refinement and shading as one module."""
 
     def __init__(self, field: Field, sampler: Sampler, cameras: PoseRefinement, shading: Shading) -> None:
         super().__init__()
@@ -24,6 +24,7 @@ class Model(nn.Module):
 
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
+        """The parameters, grouped as they are counted and optimised (see `train.rates`)."""
         modules = {
             "encoder": self.field.encoder,
             "density": self.field.density_head,
@@ -46,22 +47,29 @@ class Model(nn.Module):
         watch: Stopwatch,
         generator: torch.Generator | None = None,
     ) -> tuple[Rendering, SampledRays, Tensor | None]:
-        """Renders R rays; `generator` None is deterministic evaluation (no jitter).
+        """Renders R rays.
 
-        Also returns the samples (for the regularisers) and the colour (R, 3) behind the rays, where there is one of
-        known colour: what a target with alpha has to be composited on.
+        Args:
+            background: last_sample, white, black or random.
+            step: optimisation step from 0, for schedules.
+            watch: times the stages.
+            generator: of jitter and random backgrounds; None: deterministic, as in evaluation.
+
+        Returns:
+            The rendering; the samples, which the regularisers need; and the background colours (R, 3) on which a target
+            with alpha must be composited, None for last_sample.
         """
-        with watch.part("sampling"):
+        with watch.stage("sampling"):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
         samples = sampled.samples
-        with watch.part("field"):
+        with watch.stage("field"):
             points = rays.along(samples.mids)
             density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
             weights = volume_weights(density, samples.deltas)
-            shaded = self.shading(shares(weights, background), geometry, evaluated)
+            shaded = self.shading(color_shares(weights, background), geometry, evaluated)
             color = self.field.color(shaded.geometry, rays.directions, rays.cameras, shaded.mask)
-        with watch.part("render"):
+        with watch.stage("render"):
             rendering, behind = render(
-                weights, color, samples, background=background, parts=shaded.shares, generator=generator
+                weights, color, samples, background=background, shares=shaded.shares, generator=generator
             )
         return rendering, sampled, behind

@@ -12,6 +12,7 @@ from qnerf.experiment import build_model, ray_table
 from qnerf.model.model import Model
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer
+from qnerf.rendering.background import evaluation_background
 from qnerf.timing import Stopwatch
 
 RAYS = 1024
@@ -50,7 +51,7 @@ def _measured(trained: Trained, model: Model, step: int) -> Iterator[dict[str, o
     with ExitStack() as hooks:
         for module in chain(*layers.values()):
             hooks.callback(module.register_forward_hook(note).remove)
-        background = "white" if settings.render.background == "random" else settings.render.background
+        background = evaluation_background(settings.render.background)
         watch = Stopwatch(settings.torch_device, model, QuantumLayer)
         model(rays, background=background, step=step, watch=watch)
     for name, modules in layers.items():

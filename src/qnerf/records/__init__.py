@@ -1,21 +1,36 @@
-"""The run store: one folder a run, readable with pandas at every moment, one owner a run, nothing lost on kill.
+"""The run store: one folder per run, readable with pandas at any moment.
 
     runs/<run_id>/
-      config.yaml overrides.txt environment.json log.txt images/
-      status.json        state, step, heartbeat, pid, host, error; format of the store, identity of the configuration
-      metrics/           part-00000.parquet ...: step int64, time_s float64, key string, value float64
-      eval.parquet       one row an evaluated image
-      summary.parquet    one row: final metrics, parameter counts, timings, the flat configuration
-      checkpoint.pt      and checkpoint.prev.pt, the one before
-      annotations.json   tags and note: the one file that others than the owner write
-      owner/             who may write, see `owner.py`
-    runs/.tmp/           folders on their way in or out
+      config.yaml          the resolved configuration
+      overrides.txt        what the user typed
+      environment.json     code, packages, machine; dirty.diff: changes since the commit
+      status.json          state, step, heartbeat, owner, error, format of the store, identity of the configuration
+      metrics/             part-00000.parquet ...: step int64, time_s float64, key string, value float64
+      eval.parquet         one row per evaluated image
+      summary.parquet      one row: final metrics, parameter counts, timings, the flat configuration
+      images/  log.txt     pictures and messages
+      checkpoint.pt        and the one before it, checkpoint.prev.pt
+      annotations.json     tags and note
+      owner/               who may write (`owner.py`)
+    runs/.tmp/             folders that are being made or deleted
+    runs/.index/           what `index` read of all runs
 
-Files are replaced, never changed in place; a reader that finds another version of a table than it began with gets the
-old one whole (`stable.py`). No file of a run is a link, and none is read through one.
+Who may write. `RunStore.claim` gives a run to one process, and only this owner writes into the folder. Everybody may
+read it at any moment. Two files are different: tags and note are changed by anyone, one after the other
+(`annotations.py`), and the index is written by whoever reads the store.
 
-What the file system must do: create hard links (or, failing that, files) exclusively and rename files and folders
-atomically. Local file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.
+What a reader sees. A file is never changed in place: the new version is written under a temporary name and renamed. A
+reader that opens a table twice while it is replaced gets the old version whole (`live_parquet.py`).
+
+What survives kill -9. Everything that was written: at most the metrics of the last few seconds are lost, and the run
+resumes from its last checkpoint. The rows logged after that checkpoint are dropped, so that no step appears twice. The
+next claim removes the temporary files. If the checkpoint is damaged, the one before it is used.
+
+What a folder from elsewhere can do. Nothing in it is executed, no link in it is followed, and files larger than a run
+writes are refused (`files.py`, `read.py`).
+
+The file system must rename files and folders atomically and create hard links (or at least files) exclusively. Local
+file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.
 """
 
 from qnerf.records.files import StoreError

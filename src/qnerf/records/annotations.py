@@ -2,9 +2,9 @@
 
     {"tags": ["baseline", "good"], "note": "..."}
 
-The file is replaced whole, so a reader always finds the old or the new one. Who changes it reads it, changes it and
-writes it while holding `.annotations/`, which has one owner at a time by the same numbered files as a run (`owner.py`):
-two who add a tag at once go one after the other and both tags stay, and what a killed one held is free again.
+The file is replaced whole, so a reader finds the old or the new version. Changes need the folder `.annotations/`, which
+has one owner at a time, by the same numbered files as a run (`owner.py`). So two processes that add a tag at once go
+one after the other and both tags stay, and a killed process blocks nobody.
 """
 
 import contextlib
@@ -15,19 +15,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qnerf.records import files, owner
-from qnerf.records.files import StoreError, reporting
+from qnerf.records.files import StoreError, refuse_links, reporting
 from qnerf.records.printable import printable
 
 FILE = "annotations.json"
 TAG_LENGTH = 64
 TAGS = 100
 NOTE_LENGTH = 10_000
-PATIENCE = 10.0  # seconds that another one's change is waited for; a change takes milliseconds
+PATIENCE = 10.0  # seconds to wait for another process's change, which takes milliseconds
 
 
 @dataclass(frozen=True)
 class Annotations:
-    """tags: sorted, each once. note: free text; like the tags it may hold anything: escape it where it is shown."""
+    """tags: sorted, each once. note: free text. Both may contain control characters: show them with `printable`."""
 
     tags: tuple[str, ...] = ()
     note: str = ""
@@ -42,13 +42,9 @@ def read(run_dir: str | Path) -> Annotations:
     path = Path(run_dir) / FILE
     with reporting(path, "read"):
         try:
-            content = files.read_record(path)
+            content = files.read_json(path)
         except FileNotFoundError:
             return Annotations()
-        except StoreError:
-            raise
-        except ValueError as error:
-            raise StoreError(f"{path}: damaged: {error}") from error
     tags, note = content.get("tags", []), content.get("note", "")
     if not isinstance(tags, list) or not all(isinstance(tag, str) for tag in tags) or not isinstance(note, str):
         raise StoreError(f'{path}: damaged: expected {{"tags": [texts], "note": text}}')
@@ -56,18 +52,18 @@ def read(run_dir: str | Path) -> Annotations:
 
 
 def change_tags(run_dir: str | Path, add: Iterable[str] = (), remove: Iterable[str] = ()) -> Annotations:
-    """Adds and removes tags; what the run has then.
+    """Adds and removes tags; returns the run's annotations afterwards.
 
     Raises:
-        ValueError: not a tag (see `check_tag`), too many of them, or one to remove that the run does not have.
+        ValueError: not a tag (see `check_tag`), too many tags, or a tag to remove that the run does not have.
         StoreError: the file cannot be written.
     """
     add, remove = set(map(check_tag, add)), set(remove)
     with _changing(Path(run_dir)) as path:
         before = read(run_dir)
         if unknown := remove - set(before.tags):
-            wanted, have = (", ".join(map(printable, tags)) for tags in (sorted(unknown), before.tags))
-            raise ValueError(f"{Path(run_dir).name} has no tag {wanted}; it has {have or 'none'}")
+            missing, existing = (", ".join(map(printable, tags)) for tags in (sorted(unknown), before.tags))
+            raise ValueError(f"{Path(run_dir).name} has no tag {missing}; it has {existing or 'none'}")
         tags = set(before.tags) - remove | add
         if len(tags) > TAGS:
             raise ValueError(f"expected at most {TAGS} tags a run, got {len(tags)}")
@@ -105,19 +101,17 @@ def _write(path: Path, annotations: Annotations) -> Annotations:
 
 @contextlib.contextmanager
 def _changing(run_dir: Path) -> Iterator[Path]:
-    """The path of the file, while nobody else changes it."""
+    """The path of the file, which no other process changes in the meantime."""
     path, lock = run_dir / FILE, run_dir / ".annotations"
-    for folder in (run_dir, lock, lock / "owner"):
-        if folder.is_symlink():
-            raise StoreError(f"{folder}: is a link; nothing is written into a run through links")
+    refuse_links(run_dir, lock, lock / "owner")
     with reporting(path):
         lock.mkdir(exist_ok=True)
     end = time.monotonic() + PATIENCE
-    while not isinstance(held := owner.acquire(lock, watch=0), owner.Ownership):
+    while not isinstance(claim := owner.acquire(lock, watch=0), owner.Ownership):
         if time.monotonic() > end:
-            raise StoreError(f"{path}: being changed by {held or 'another process'}; try again")
+            raise StoreError(f"{path}: being changed by {claim or 'another process'}; try again")
         time.sleep(0.01)
     try:
         yield path
     finally:
-        held.release()
+        claim.release()

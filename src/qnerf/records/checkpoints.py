@@ -1,42 +1,47 @@
-"""checkpoint.pt and the one before it."""
+"""checkpoint.pt and the one before it, checkpoint.prev.pt."""
 
 import os
 import pickle
+import textwrap
 import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, keep_copy, open_plain, replace, reporting
+from qnerf.records.files import StoreError, open_plain, preserve, replace, reporting
 
 
 class Checkpoints:
-    """`guard` is called before every write and raises when writing is not ours any more; `warn` takes one line."""
+    """Saves and loads the checkpoints of one run.
 
-    def __init__(self, directory: Path, guard: Callable[[], None], warn: Callable[[str], None]) -> None:
+    check_owner: called before every write; raises if the run has another owner. warn: takes one line.
+    """
+
+    def __init__(self, directory: Path, check_owner: Callable[[], None], warn: Callable[[str], None]) -> None:
         self.current = directory / "checkpoint.pt"
         self.previous = directory / "checkpoint.prev.pt"
-        self._guard = guard
+        self._check_owner = check_owner
         self._warn = warn
-        self._proven = False
+        self._was_read_back = False
 
     def save(self, content: dict[str, Any]) -> None:
         import torch
 
-        replace(
-            self.current,
-            lambda sink: torch.save(content, sink),
-            check=None if self._proven else _prove,
-            before=self._rotate,
-        )
-        self._proven = True
+        replace(self.current, lambda file: torch.save(content, file), before_rename=self._rotate)
 
-    def _rotate(self) -> None:
-        self._guard()
-        keep_copy(self.current, self.previous)
+    def _rotate(self, new: Path) -> None:
+        if not self._was_read_back:  # content that cannot be loaded should fail now, not when the run is resumed
+            try:
+                load_archive(new)
+            except pickle.UnpicklingError as error:
+                raise ValueError(f"checkpoint: expected tensors and plain values only: {_shortened(error)}") from error
+            self._was_read_back = True
+        self._check_owner()
+        preserve(self.current, self.previous)
 
     def load(self) -> dict[str, Any] | None:
+        """The newest checkpoint that can be read. A damaged one is renamed, with a warning."""
         for path in (self.current, self.previous):
             try:
                 return load_archive(path)
@@ -46,11 +51,11 @@ class Checkpoints:
                 raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
             except MemoryError:
                 raise
-            except Exception as error:  # whatever a damaged archive makes its readers raise
+            except Exception as error:  # damaged archives raise many kinds of errors
                 aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
                 fallback = path == self.current and self.previous.exists()
                 onward = "going on from the checkpoint before" if fallback else "no other checkpoint: starting over"
-                reason = f"{type(error).__name__}: {_line(error)}"
+                reason = f"{type(error).__name__}: {_shortened(error)}"
                 self._warn(f"{path}: damaged ({reason}); set aside as {aside.name}; {onward}")
                 with reporting(path):
                     os.replace(path, aside)
@@ -58,17 +63,21 @@ class Checkpoints:
 
 
 def load_archive(path: Path) -> dict[str, Any]:
-    """The tensors that `torch.save` wrote; raises whatever a file that is something else makes its readers raise."""
+    """The dict that `torch.save` wrote, with tensors on the CPU. Nothing in the file is executed.
+
+    Raises:
+        Exception: of any kind, if the file is damaged or something else.
+    """
     import torch
 
     with open_plain(path) as file:
         with zipfile.ZipFile(file) as archive:
             size = os.fstat(file.fileno()).st_size
-            # torch.save neither compresses nor shares bytes: what would unpack to more than the file is not its work.
+            # torch.save neither compresses nor shares bytes. An archive that unpacks to more than its size is not its.
             if sum(item.file_size for item in archive.infolist()) > size:
                 raise zipfile.BadZipFile("it would unpack to more than it holds")
-            if (bad := archive.testzip()) is not None:  # torch.load itself does not look at the checksums
-                raise zipfile.BadZipFile(f"wrong checksum of {bad}")
+            if (name := archive.testzip()) is not None:  # torch.load does not check the checksums
+                raise zipfile.BadZipFile(f"wrong checksum of {name}")
         file.seek(0)
         content = torch.load(file, map_location="cpu", weights_only=True)
     if not isinstance(content, dict):
@@ -76,14 +85,5 @@ def load_archive(path: Path) -> dict[str, Any]:
     return content
 
 
-def _prove(path: Path) -> None:
-    """What cannot be read back should fail now, not when the run is resumed."""
-    try:
-        load_archive(path)
-    except pickle.UnpicklingError as error:
-        raise ValueError(f"checkpoint: expected tensors and plain values only: {_line(error)}") from error
-
-
-def _line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 200 else f"{text[:200]}..."
+def _shortened(error: Exception) -> str:
+    return textwrap.shorten(str(error), 200, placeholder="...")

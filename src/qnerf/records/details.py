@@ -1,4 +1,4 @@
-"""Everything about one run, as much of it as can be read."""
+"""Everything about one run, as far as it can be read."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,10 +10,12 @@ import pandas as pd
 from qnerf.config.identity import flatten
 from qnerf.records import annotations
 from qnerf.records.annotations import Annotations
-from qnerf.records.files import StoreError, read_bytes, read_record, reporting
-from qnerf.records.owner import moment
+from qnerf.records.files import StoreError, read_bytes, read_json, reporting
+from qnerf.records.owner import unix_time
 from qnerf.records.read import read_config, read_status, read_summary, read_table, state
+from qnerf.records.schemas import results
 
+MAX_OVERRIDES_BYTES = 2**20
 _T = TypeVar("_T")
 
 
@@ -21,9 +23,9 @@ _T = TypeVar("_T")
 class Details:
     """A run as plain values.
 
-    state: the true one. status: status.json. config: as nested as it was written. results: summary.parquet without the
-    configuration and without absent values. environment: that of the run's start. evaluation: one row an image.
-    problems: a line for each part that is damaged or missing, which is empty here then.
+    state: as `records.state`. status: status.json. config: nested, as in config.yaml. results: summary.parquet
+    without the configuration and without absent values. environment: where the run started. evaluation: one row per
+    image. problems: one line for each part that is damaged or missing; that part is empty here.
     """
 
     path: Path
@@ -49,12 +51,12 @@ class Details:
     @property
     def created(self) -> float | None:
         """Unix time."""
-        return moment(self.status.get("created"))
+        return unix_time(self.status.get("created"))
 
     @property
     def heartbeat(self) -> float | None:
         """Unix time of the last sign of life."""
-        return moment(self.status.get("heartbeat"))
+        return unix_time(self.status.get("heartbeat"))
 
     @property
     def step(self) -> int:
@@ -63,7 +65,7 @@ class Details:
 
     @property
     def steps(self) -> int | None:
-        """Steps that the configuration asks for."""
+        """Training steps in the configuration."""
         steps = self.flat.get("train.steps")
         return steps if isinstance(steps, int) else None
 
@@ -75,46 +77,34 @@ class Details:
 
 
 def read(run_dir: str | Path) -> Details:
-    """A run's details; what is damaged is told in `problems` instead of raised."""
+    """A run's details. Damaged parts are listed in `problems`; nothing is raised for them."""
     folder = Path(run_dir).absolute()
     status = read_status(folder)
     details = Details(folder, state(folder, status), status)
 
-    def attempt(reader: Callable[[], _T], otherwise: _T) -> _T:
+    def attempt(reader: Callable[[Path], _T], path: Path, default: _T) -> _T:
         try:
-            return reader()
+            with reporting(path, "read"):
+                return reader(path)
         except StoreError as error:
             details.problems.append(str(error))
-            return otherwise
+            return default
 
     if not status:
         details.problems.append(f"{folder / 'status.json'}: missing or damaged")
     nothing: dict[str, Any] = {}
-    details.config = attempt(lambda: read_config(folder), nothing)
-    summary = attempt(lambda: read_summary(folder), nothing)
-    flat = details.flat
-    details.results = {key: value for key, value in summary.items() if key not in flat and value is not None}
-    details.overrides = attempt(lambda: _lines(folder / "overrides.txt"), [])
-    details.environment = attempt(lambda: _environment(folder / "environment.json"), nothing)
-    details.evaluation = attempt(lambda: read_table(folder / "eval.parquet").to_pandas(), pd.DataFrame())
-    details.annotations = attempt(lambda: annotations.read(folder), Annotations())
+    details.config = attempt(read_config, folder, nothing)
+    summary = results(attempt(read_summary, folder, nothing), details.config)
+    details.results = {name: value for name, value in summary.items() if value is not None}
+    # A run that has just started, or that another program wrote, may lack these two.
+    if (overrides := folder / "overrides.txt").exists():
+        details.overrides = attempt(_read_lines, overrides, [])
+    if (environment := folder / "environment.json").exists():
+        details.environment = attempt(read_json, environment, nothing)
+    details.evaluation = attempt(lambda path: read_table(path).to_pandas(), folder / "eval.parquet", pd.DataFrame())
+    details.annotations = attempt(annotations.read, folder, Annotations())
     return details
 
 
-def _environment(path: Path) -> dict[str, Any]:
-    if not path.exists():  # a run that has only just started, or that another program wrote
-        return {}
-    with reporting(path, "read"):
-        try:
-            return read_record(path)
-        except StoreError:
-            raise
-        except ValueError as error:
-            raise StoreError(f"{path}: damaged: {error}") from error
-
-
-def _lines(path: Path) -> list[str]:
-    if not path.exists():
-        return []
-    with reporting(path, "read"):
-        return read_bytes(path, 2**20).decode(errors="replace").splitlines()
+def _read_lines(path: Path) -> list[str]:
+    return read_bytes(path, MAX_OVERRIDES_BYTES).decode(errors="replace").splitlines()

@@ -1,10 +1,10 @@
-"""Where a run was computed: code, packages, machine, threads."""
+"""Where a run is computed: code, packages, machine, threads."""
 
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from qnerf.config.identity import flatten
 
 PACKAGES = (
-    "qnerf", "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
+    "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
     "hydra-core", "omegaconf", "pyyaml", "scikit-image", "pillow",
 )  # fmt: skip
 VARIABLES = (
@@ -20,29 +20,40 @@ VARIABLES = (
     "CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "SLURM_JOB_ID",
 )  # fmt: skip
 DIFF_LIMIT = 4_000_000  # bytes of a saved diff
+MAX_FILE_BYTES = 2**26  # of environment.json and dirty.diff, when they are read
 SOURCES = (".py", ".yaml", ".yml", ".toml")  # untracked files that a diff includes whole; others are only named
 
 
+def environment_files(run_dir: Path) -> Iterator[tuple[Path, Path]]:
+    """Where a run's environments and their diffs lie: environment.json and dirty.diff for the first start, then
+    environment-2.json and dirty-2.diff for the next one that differed, and so on."""
+    for number in range(1, 10_000):
+        suffix = "" if number == 1 else f"-{number}"
+        yield run_dir / f"environment{suffix}.json", run_dir / f"dirty{suffix}.diff"
+
+
 def checkout() -> Path | None:
-    """Root of the git checkout that this package runs from; None when it is installed elsewhere."""
+    """Root of the git checkout that this package runs from; None if it was installed."""
     root = Path(__file__).resolve().parents[3]
-    # An installed copy may lie inside somebody else's repository: only our own layout counts.
-    own = (root / "pyproject.toml").is_file() and (root / "src" / "qnerf").is_dir()
-    return root if own and (root / ".git").exists() else None
+    # An installed copy may lie inside somebody else's repository, which has another layout.
+    is_ours = (root / "pyproject.toml").is_file() and (root / "src" / "qnerf").is_dir()
+    return root if is_ours and (root / ".git").exists() else None
 
 
 def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]:
     """The environment as plain values: git, packages, how PyTorch was built, python, platform, cpu, gpu, threads, seed,
-    variables, command.
+    variables, command. Unknown values are None.
 
-    `root` is a git checkout, by default that of this package. What cannot be found out is None.
+    root: a git checkout, by default the one of this package.
     """
     import torch
+
+    from qnerf import __version__
 
     cuda = torch.cuda.is_available()
     return {
         "git": _git_state(root or checkout()),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {"qnerf": __version__} | {name: _version(name) for name in PACKAGES},
         "torch": {
             "commit": torch.version.git_version,
             "build": [line.strip() for line in torch.__config__.show().splitlines()],
@@ -71,17 +82,17 @@ def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Dotted name -> its two values, for what differs between two results of `capture`; the command is left out."""
-    one, other = flatten(before), flatten(after)
-    names = [name for name in dict.fromkeys([*one, *other]) if name != "command"]
-    return {name: (one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)}
+    """Dotted name -> its two values, where two results of `capture` differ; the command is left out."""
+    first, second = flatten(before), flatten(after)
+    names = [name for name in dict.fromkeys([*first, *second]) if name != "command"]
+    return {name: (first.get(name), second.get(name)) for name in names if first.get(name) != second.get(name)}
 
 
 def dirty_diff(root: Path | None = None) -> str:
-    """What differs from the last commit, as text for `git apply`; empty when nothing does or there is no checkout.
+    """The changes since the last commit, as text for `git apply`; empty without changes or without a checkout.
 
-    Changes of tracked files, then new source files whole. Other new files, and what goes beyond 4 MB, are named in `#`
-    lines at the top.
+    Changes of tracked files come first, then new source files whole. Other new files, and those beyond `DIFF_LIMIT`,
+    are only named, in `#` lines at the top.
     """
     root = root or checkout()
     if root is None:
@@ -91,8 +102,9 @@ def dirty_diff(root: Path | None = None) -> str:
     )
     if not base:
         return ""
+    diff = ("diff", "--no-ext-diff", "--no-color")
     notes: list[str] = []
-    parts = [_git(root, "diff", "--no-ext-diff", "--no-textconv", "--no-color", base.strip()) or ""]
+    parts = [_git(root, *diff, "--no-textconv", base.strip()) or ""]
     size = len(parts[0])
     if size > DIFF_LIMIT:
         notes.append(f"# changes of tracked files left out: {size} characters")
@@ -104,11 +116,8 @@ def dirty_diff(root: Path | None = None) -> str:
         if path.suffix not in SOURCES or size + path.stat().st_size > DIFF_LIMIT:
             notes.append(f"# new file left out: {name!r}, {path.stat().st_size} bytes")
             continue
-        text = (
-            _git(root, "diff", "--no-ext-diff", "--no-color", "--no-index", "--", os.devnull, name, differs=True) or ""
-        )
-        parts.append(text)
-        size += len(text)
+        parts.append(_git(root, *diff, "--no-index", "--", os.devnull, name, exit_codes=(0, 1)) or "")
+        size += len(parts[-1])
     return "".join([f"{note}\n" for note in notes] + parts)
 
 
@@ -123,28 +132,22 @@ def _git_state(root: Path | None) -> dict[str, Any]:
     }
 
 
-def _git(root: Path | None, *arguments: str, differs: bool = False) -> str | None:
-    """Output of a git command, None where it fails; `differs`: exit code 1 is a result too."""
-    # No optional locks: a run must not disturb the user's own git commands.
+def _git(root: Path, *arguments: str, exit_codes: tuple[int, ...] = (0,)) -> str | None:
+    """Output of a git command; None if it ends with another exit code."""
+    # Without optional locks a run does not disturb the user's own git commands.
     command = ["git", "--no-optional-locks", "-c", "core.fsmonitor=false", "-c", "core.quotePath=false", *arguments]
     try:
         done = subprocess.run(command, cwd=root, capture_output=True, timeout=20, stdin=subprocess.DEVNULL, check=False)
     except (OSError, subprocess.SubprocessError):
         return None
-    if done.returncode not in ((0, 1) if differs else (0,)):
-        return None
-    return done.stdout.decode("utf-8", errors="replace")
+    return done.stdout.decode("utf-8", errors="replace") if done.returncode in exit_codes else None
 
 
 def _version(package: str) -> str | None:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
-        if package != "qnerf":
-            return None
-        from qnerf import __version__  # run from a checkout that is not installed
-
-        return __version__
+        return None
 
 
 def _cpu_model() -> str | None:

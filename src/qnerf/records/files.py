@@ -1,4 +1,10 @@
-"""Files that are either the old or the new version, never half of one; and that are files, not links or pipes."""
+"""How the files of a store are opened, replaced and deleted.
+
+A run's folder may have come from anybody and may be read while it is written. Therefore files are opened with
+`open_plain`, which never follows a link and never waits for a pipe; they change only through `replace`, so that a
+reader finds the old version or the new one; and whole folders go through `delete`, which removes a link, never what
+it leads to.
+"""
 
 import contextlib
 import json
@@ -11,61 +17,84 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+MAX_JSON_BYTES = 2**20
+
 
 class StoreError(ValueError):
-    """The store cannot be read or written as it should; one line that says which path and why."""
+    """The store cannot be read or written. The message is one line with the path and the reason."""
+
+
+def one_line(error: BaseException) -> str:
+    """The error's message without line breaks; its type where it has no message."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 @contextlib.contextmanager
-def reporting(path: Path, doing: str = "write") -> Iterator[None]:
-    """Turns an OSError into a StoreError that names `path`."""
+def reporting(path: Path, action: str = "write") -> Iterator[None]:
+    """Turns an OSError into the StoreError "PATH: cannot ACTION: REASON"."""
     try:
         yield
     except OSError as error:
-        raise StoreError(f"{path}: cannot {doing}: {error.strerror or error}") from error
+        raise StoreError(f"{path}: cannot {action}: {error.strerror or error}") from error
+
+
+def refuse_links(*paths: Path) -> None:
+    """StoreError if one of the paths is a link."""
+    for path in paths:
+        if path.is_symlink():
+            raise StoreError(f"{path}: is a link; the files of a run are not read or written through links")
 
 
 def open_plain(path: Path, mode: str = "rb") -> IO[bytes]:
-    """Opens a file of a run's folder. OSError as usual; StoreError where it is a link, a folder, a pipe or a device.
+    """Opens a regular file of a run's folder.
 
-    A run writes no links, and a folder that came from somebody else must not lead a reader or a writer elsewhere.
+    Raises:
+        StoreError: it is a link, a folder, a pipe or a device.
+        OSError: it cannot be opened.
     """
+    refuse_links(path)
     with contextlib.suppress(FileNotFoundError):
-        kind = path.lstat().st_mode
-        if stat.S_ISLNK(kind):
-            raise StoreError(f"{path}: is a link; the files of a run are not read or written through links")
-        if not stat.S_ISREG(kind):
+        if not stat.S_ISREG(path.lstat().st_mode):
             raise StoreError(f"{path}: expected a file, got a folder, a pipe or a device")
-    return open(path, mode, opener=_open_at_once)
+    return open(path, mode, opener=_open_without_waiting)
 
 
-def _open_at_once(path: str, flags: int) -> int:
-    """Should it be replaced in this moment: neither follows a link nor waits for the other end of a pipe."""
+def _open_without_waiting(path: str, flags: int) -> int:
+    """In case the file is replaced after the check: does not follow a link or wait for the other end of a pipe."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
 
 
-def read_bytes(path: Path, most: int) -> bytes:
-    """The whole file, as `open_plain`; StoreError where it has more than `most` bytes."""
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """The whole file, opened by `open_plain`; StoreError if it has more than `max_bytes`."""
     with open_plain(path) as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise StoreError(f"{path}: larger than the {most:,} bytes that such a file may have")
+        data = file.read(max_bytes + 1)
+    if len(data) > max_bytes:
+        raise StoreError(f"{path}: larger than the {max_bytes:,} bytes that such a file may have")
     return data
 
 
-def read_record(path: Path, most: int = 2**20) -> dict[str, Any]:
-    """A small JSON object; ValueError where the file holds anything else."""
+def parse_json(data: bytes) -> dict[str, Any]:
+    """A JSON object; ValueError for anything else."""
     try:
-        record = json.loads(read_bytes(path, most))
+        record = json.loads(data)
     except RecursionError:
-        raise ValueError(f"{path}: nested too deeply") from None
+        raise ValueError("nested too deeply") from None
     if not isinstance(record, dict):
-        raise ValueError(f"{path}: expected an object, got {type(record).__name__}")
+        raise ValueError(f"expected an object, got {type(record).__name__}")
     return record
 
 
-class _Sink:
-    """A file that remembers its own error: torch.save hides what the file said behind a message of its own."""
+def read_json(path: Path) -> dict[str, Any]:
+    """A small JSON object; StoreError if the file holds anything else, OSError if it cannot be read."""
+    data = read_bytes(path, MAX_JSON_BYTES)
+    try:
+        return parse_json(data)
+    except ValueError as error:
+        raise StoreError(f"{path}: damaged: {error}") from error
+
+
+class _ErrorKeepingFile:
+    """Remembers its own OSError: torch.save hides it behind an error of its own."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self.file = file
@@ -79,64 +108,66 @@ class _Sink:
             raise
 
     def flush(self) -> None:
-        try:
-            self.file.flush()
-        except OSError as error:
-            self.error = error
-            raise
+        """`replace` flushes at the end."""
+
+
+def temporary_path(path: Path, folder: Path | None = None) -> Path:
+    """A new hidden name, in the same folder by default; `remove_temporary_files` finds it after a kill."""
+    return (folder or path.parent) / f".{path.name}.{secrets.token_hex(4)}.tmp"
 
 
 def replace(
     path: Path,
     content: bytes | Callable[[Any], None],
     *,
-    scratch: Path | None = None,
+    temporary_folder: Path | None = None,
     durable: bool = True,
-    check: Callable[[Path], None] | None = None,
-    before: Callable[[], None] | None = None,
+    before_rename: Callable[[Path], None] | None = None,
 ) -> None:
-    """Writes `path` whole: to a temporary name in `scratch` (the same file system), then renamed over the old file.
+    """Writes a temporary file and renames it to `path`. If anything fails, the old file stays as it was.
 
-    content: bytes, or a function that writes to the file it is given. durable: on disk before the rename, so that not
-    even a power cut leaves half a file. check: called with the temporary file; before: called just before the rename.
-    Whatever goes wrong, the old file stays and the temporary one goes; an OSError becomes a StoreError.
+    content: bytes, or a function that writes to the file it receives.
+    temporary_folder: where the temporary file lies; it must be on the same file system.
+    durable: wait until the data are on the disk, so that not even a power cut leaves half a file.
+    before_rename: called with the path of the complete temporary file; may raise.
+
+    Raises:
+        StoreError: in place of an OSError.
     """
-    temporary = (scratch or path.parent) / f".{path.name}.{secrets.token_hex(4)}.tmp"
+    temporary = temporary_path(path, temporary_folder)
     with reporting(path):
         try:
             with open(temporary, "xb") as file:
                 if callable(content):
-                    _fill(file, content)
+                    _write_with(content, file)
                 else:
                     file.write(content)
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())
-            if check is not None:
-                check(temporary)
-            if before is not None:
-                before()
+            if before_rename is not None:
+                before_rename(temporary)
             os.replace(temporary, path)
         except BaseException:
             with contextlib.suppress(OSError):
                 temporary.unlink()
             raise
         if durable:
-            settle(path.parent)
+            _sync_folder(path.parent)
 
 
-def _fill(file: IO[bytes], content: Callable[[Any], None]) -> None:
-    sink = _Sink(file)
+def _write_with(content: Callable[[Any], None], file: IO[bytes]) -> None:
+    target = _ErrorKeepingFile(file)
     try:
-        content(sink)
+        content(target)
     except Exception:
-        if sink.error is not None:
-            raise sink.error from None
+        if target.error is not None:
+            raise target.error from None
         raise
 
 
-def settle(folder: Path) -> None:
-    """Renames in `folder` reach the disk; where folders cannot be synchronised this does nothing."""
+def _sync_folder(folder: Path) -> None:
+    """Waits until renames in the folder are on the disk; does nothing on systems that cannot."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -145,28 +176,39 @@ def settle(folder: Path) -> None:
             os.close(handle)
 
 
-def keep_copy(path: Path, name: Path) -> None:
-    """`name` becomes what `path` is now, and `path` stays: a hard link, or a rename where there are none."""
-    temporary = name.parent / f".{name.name}.{secrets.token_hex(4)}.tmp"
+def preserve(path: Path, copy: Path) -> None:
+    """Replaces `copy` by what `path` is now, and leaves `path`: a hard link, or a rename where links do not exist."""
+    temporary = temporary_path(copy)
     try:
         os.link(path, temporary)
     except FileNotFoundError:
         return
     except OSError:
         if path.exists():
-            os.replace(path, name)
+            os.replace(path, copy)
         return
-    os.replace(temporary, name)
-    temporary.unlink(missing_ok=True)  # it stays where both are links to one file already
+    os.replace(temporary, copy)
+    temporary.unlink(missing_ok=True)  # the rename does nothing if both names were links to one file already
 
 
-def remove_leftovers(folder: Path, *, age_s: float = 0.0) -> None:
-    """Temporary files of a writer that was killed. age_s: only those so old, where others may be writing."""
+def delete(path: Path, *, ignore_errors: bool = False) -> None:
+    """Removes a file, or a folder with all that it holds. Of a link only the link goes.
+
+    ignore_errors: remove as much as possible; otherwise OSError as usual.
+    """
+    try:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=ignore_errors)
+        else:
+            path.unlink()
+    except OSError:
+        if not ignore_errors:
+            raise
+
+
+def remove_temporary_files(folder: Path, *, age_s: float = 0.0) -> None:
+    """Deletes what killed writers left. age_s: only files at least so old, where others may be writing."""
     for path in folder.glob(".*.tmp"):
         with contextlib.suppress(OSError):
-            if age_s and time.time() - path.lstat().st_mtime < age_s:
-                continue
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+            if not age_s or time.time() - path.lstat().st_mtime >= age_s:
+                delete(path)

@@ -1,15 +1,15 @@
-"""One owner a run, also after kills, on several machines, and with contenders in the same microsecond.
+"""At most one process writes a run, also after kills, on several machines, and if several start at the same moment.
 
-`owner/` in a run's folder holds numbered files; the holder of the highest number owns the run. A file appears whole and
-exclusively (hard link), so of several contenders for the next number exactly one gets it. An owner that lets go marks
-its own file; files are removed only by the holder of a higher number, hence numbers only grow and nobody mistakes a new
-owner for the stale one it saw before.
+The folder `owner/` of a run holds numbered files. Whoever holds the highest number owns the run. A file appears whole
+and exclusively (by a hard link), so exactly one of several contenders gets the next number. An owner that ends marks
+its own file as released; only the holder of a higher number removes files. So numbers only grow, and a contender
+cannot mistake a new owner for the dead one that it saw before.
 
-An owner on this machine is alive while its process is: same pid, same start time, not a zombie. An owner elsewhere is
-alive while its heartbeat is younger than `HEARTBEAT_LIMIT`; before it is succeeded the heartbeat is watched for a
-while, so that clocks that disagree do no harm. A writer looks whether it still owns the run before every flush and
-stops if not; one that was frozen on another machine for longer than the limit could, within that look and its rename,
-still put one file of its own in place.
+Is an owner alive? On this machine: if a process with the same pid and start time runs and is not a zombie. On another
+machine: if its heartbeat is younger than `HEARTBEAT_LIMIT`. A heartbeat that looks old is watched for a while before
+the run is taken over, because clocks may disagree. A writer checks that it still owns the run before every write and
+stops if it does not. One gap remains: a writer on another machine that froze for longer than the limit, exactly
+between this check and its rename, can still put one file in place.
 """
 
 import contextlib
@@ -26,56 +26,60 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, read_record, reporting
+from qnerf.records.files import StoreError, read_json, reporting, temporary_path
 
-HEARTBEAT = 3.0  # seconds between heartbeats
+HEARTBEAT_INTERVAL = 3.0  # seconds between heartbeats
 HEARTBEAT_LIMIT = 180.0  # seconds; network file systems may show files a minute late
-WATCH = 4 * HEARTBEAT  # seconds that a stale heartbeat is watched before a run elsewhere is taken over
+WATCH_TIME = 4 * HEARTBEAT_INTERVAL  # seconds that an old heartbeat is watched before the run is taken over
 
-_HOLDS, _LETS_GO = b'"released": false', b'"released": true '
-_NAME = re.compile(r"(\d{6,})\.json")
-_let_go: set[str] = set()  # nonces of this process, which lives on: the mark in the file may have met a broken disk
+_HELD, _RELEASED = b'"released": false', b'"released": true '  # of equal length: the file is marked in place
+_FILE_NAME = re.compile(r"(\d{6,})\.json")
+_released_nonces: set[str] = set()  # claims released by this process, in case a broken disk refused the mark
 
 
 @dataclass(frozen=True)
 class Process:
-    """A process that no other is mistaken for: pids are used again, start times on one boot are not."""
+    """A process, told apart from later ones with the same pid by its start time and the boot of the machine."""
 
     pid: int
     host: str
-    boot: str  # identifier of this boot of the machine and of the pid namespace
-    started: str  # start time of the process in the system's own words
+    boot: str  # identifies the boot of the machine and the pid namespace
+    started: str  # start time as the system reports it, not as a date: the clock may be set
 
     @classmethod
     def current(cls) -> "Process":
-        return _process(os.getpid())
+        return cls(os.getpid(), platform.node(), _boot_id(), _start_time(os.getpid()))
 
     @classmethod
-    def read(cls, record: dict[str, Any]) -> "Process | None":
+    def from_record(cls, record: dict[str, Any]) -> "Process | None":
         try:
             pid = int(record["pid"])
             return cls(pid, str(record["host"]), str(record["boot"]), str(record["started"])) if pid > 0 else None
         except (KeyError, TypeError, ValueError, OverflowError):
             return None
 
-    def is_here(self) -> bool:
-        return bool(self.boot) and self.boot == _boot() and self.host == platform.node()
-
-    def runs_here(self) -> bool | None:
-        """Whether a process of this machine (`is_here`) still runs; None when another user's processes are hidden."""
-        started = _started(self.pid)
+    def is_running(self) -> bool | None:
+        """None if it is a process of another machine, or of another user and hidden by the system."""
+        if not self.boot or (self.boot, self.host) != (_boot_id(), platform.node()):
+            return None
+        started = _start_time(self.pid)
         if not started and _is_hidden(self.pid):
             return None
         return bool(started) and started == self.started
 
 
 @dataclass(frozen=True)
-class Held:
-    """Somebody else's claim, as one line tells it."""
+class OwnerInfo:
+    """Who owns a run, for messages."""
 
     pid: int | None
     host: str | None
-    since: float | None  # Unix time
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> "OwnerInfo":
+        process = Process.from_record(record)
+        host = None if process is None else "".join(c if c.isprintable() else "?" for c in process.host[:64])
+        return cls(process.pid if process else None, host)
 
     def __str__(self) -> str:
         where = "this machine" if self.host == platform.node() else self.host or "an unknown machine"
@@ -83,7 +87,7 @@ class Held:
 
 
 class Ownership:
-    """The right to write into one run's folder."""
+    """The right to write into a run's folder."""
 
     def __init__(self, directory: Path, number: int, nonce: str) -> None:
         self.directory = directory
@@ -91,9 +95,9 @@ class Ownership:
         self.nonce = nonce
 
     def check(self) -> None:
-        """StoreError when the folder is gone or the run has another owner by now."""
+        """StoreError if the folder is gone or another process has taken the run over."""
         try:
-            number, _ = newest(self.directory)
+            number, _ = latest(self.directory)
         except FileNotFoundError:
             number = -1
         if number < 0:
@@ -102,65 +106,70 @@ class Ownership:
             raise StoreError(f"{self.directory}: the run was taken over by another process; this one stops writing")
 
     def release(self) -> None:
-        _let_go.add(self.nonce)
-        path = _path(self.directory, self.number)
-        if (_read(path) or {}).get("nonce") != self.nonce:
+        _released_nonces.add(self.nonce)
+        path = _owner_file(self.directory, self.number)
+        if _read(path).get("nonce") != self.nonce:
             return
         with reporting(path), open(path, "r+b") as file:  # in place: this must work on a full disk too
-            file.seek(file.read().index(_HOLDS))
-            file.write(_LETS_GO)
+            file.seek(file.read().index(_HELD))
+            file.write(_RELEASED)
 
 
-def alive(record: dict[str, Any], heartbeat: float | None) -> bool:
-    """Whether the process in `record` (pid, host, boot, started) still runs; `heartbeat` in Unix time."""
-    process = Process.read(record)
-    if process is not None and process.is_here() and (runs := process.runs_here()) is not None:
-        return runs
-    # A heartbeat far in the future is as stale as one in the past: the clock it was taken from has been set back since.
+def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:
+    """Whether the process in `record` (pid, host, boot, started) runs. heartbeat: Unix time."""
+    process = Process.from_record(record)
+    running = process.is_running() if process else None
+    return is_recent(heartbeat) if running is None else running
+
+
+def is_recent(heartbeat: float | None) -> bool:
+    """Whether a heartbeat (Unix time) is within `HEARTBEAT_LIMIT`. One far in the future is as old as one in the past:
+    the clock has been set back since."""
     return heartbeat is not None and abs(time.time() - heartbeat) <= HEARTBEAT_LIMIT
 
 
-def acquire(directory: Path, watch: float = WATCH) -> Ownership | Held | None:
-    """Ownership of an existing run, or who holds it; None when the folder is not there (any more)."""
+def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo | None:
+    """Ownership of an existing run, or who owns it; None if there is no such folder (any more).
+
+    watch: seconds that an old heartbeat of an owner on another machine is watched.
+    """
     for _ in range(1000):
-        try:
-            (directory / "owner").mkdir(exist_ok=True)
-            number, record = newest(directory)
-            if record is not None and not _is_released(record) and _is_held(directory, number, record, watch):
-                return _held(record)
-            won = write(directory, number + 1)
-            if won is None:
-                continue
-            if not _follows(directory, won, record):
-                _path(directory, won.number).unlink(missing_ok=True)
-                continue
-            _remove_older(directory, won.number)
-            return won
-        except FileNotFoundError:
-            if not directory.is_dir():
-                return None
-        except OSError as error:
-            raise StoreError(f"{directory}: cannot claim the run: {error.strerror or error}") from error
+        with reporting(directory, "claim the run"):
+            try:
+                (directory / "owner").mkdir(exist_ok=True)
+                number, record = latest(directory)
+                if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
+                    return OwnerInfo.from_record(record)
+                ownership = create(directory, number + 1)
+                if ownership is None:
+                    continue
+                if _succeeds(directory, ownership, record):
+                    _remove_older(directory, ownership.number)
+                    return ownership
+                _owner_file(directory, ownership.number).unlink(missing_ok=True)
+            except FileNotFoundError:
+                if not directory.is_dir():
+                    return None
     raise StoreError(f"{directory}: cannot claim the run: its owner changes all the time")
 
 
-def write(directory: Path, number: int) -> Ownership | None:
-    """Owner file `number`, created exclusively and whole; None when there is one already."""
-    path = _path(directory, number)
+def create(directory: Path, number: int) -> Ownership | None:
+    """Creates owner file `number`, exclusively and whole; None if it exists."""
+    path = _owner_file(directory, number)
     nonce = secrets.token_hex(8)
     record = asdict(Process.current()) | {"nonce": nonce, "since": time.time(), "released": False}
     data = json.dumps(record).encode()
-    temporary = path.with_name(f".{path.name}.{nonce}.tmp")
+    temporary = temporary_path(path)
     temporary.write_bytes(data)
     try:
         try:
             os.link(temporary, path)
         except FileExistsError:
-            # A network file system may repeat a request that had succeeded: the link count knows.
+            # A network file system may repeat a request that had succeeded. The link count tells.
             return Ownership(directory, number, nonce) if temporary.stat().st_nlink == 2 else None
         except FileNotFoundError:
             raise
-        except OSError:  # no hard links here
+        except OSError:  # this file system has no hard links
             try:
                 handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
             except FileExistsError:
@@ -173,99 +182,90 @@ def write(directory: Path, number: int) -> Ownership | None:
     return Ownership(directory, number, nonce)
 
 
-def newest(directory: Path) -> tuple[int, dict[str, Any] | None]:
-    """Highest number and its record (empty when unreadable); (-1, None) when there is none."""
-    numbers = [int(match[1]) for name in os.listdir(directory / "owner") if (match := _NAME.fullmatch(name))]
-    if not numbers:
-        return -1, None
-    return max(numbers), _read(_path(directory, max(numbers))) or {}
+def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
+    """The highest number and its record, which is empty if it cannot be read; (-1, None) if there is none."""
+    number = max(_numbers(directory), default=-1)
+    return number, None if number < 0 else _read(_owner_file(directory, number))
 
 
-def heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
-    """Last sign of life of the owner in `record`, Unix time."""
-    status = _read(directory / "status.json") or {}
+def describe(directory: Path) -> OwnerInfo:
+    """Who owns the run, or owned it last."""
+    return OwnerInfo.from_record(latest(directory)[1] or {})
+
+
+def last_heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
+    """Last sign of life of the owner in `record`, in Unix time."""
+    status = _read(directory / "status.json")
     value = status.get("heartbeat") if status.get("claim") == record.get("nonce") else record.get("since")
-    return moment(value)
+    return unix_time(value)
 
 
-def moment(value: Any) -> float | None:
-    """A Unix time out of a file that anybody may have written; None where it is none."""
+def unix_time(value: Any) -> float | None:
+    """A time from a file that anybody may have written; None if it is not a number."""
     try:
         return float(value) if isinstance(value, (int, float)) else None
     except OverflowError:
         return None
 
 
-def holder(directory: Path) -> Held:
-    """Who owns the run, or did last."""
-    _, record = newest(directory)
-    return _held(record or {})
-
-
 def _is_released(record: dict[str, Any]) -> bool:
-    return bool(record.get("released")) or str(record.get("nonce")) in _let_go
+    return bool(record.get("released")) or str(record.get("nonce")) in _released_nonces
 
 
-def _is_held(directory: Path, number: int, record: dict[str, Any], watch: float) -> bool:
-    process = Process.read(record)
-    if process is None:  # being written by one of those file systems without hard links, or damaged
+def _is_active(directory: Path, number: int, record: dict[str, Any], watch: float) -> bool:
+    process = Process.from_record(record)
+    if process is None:  # damaged, or still being written on a file system without hard links
         with contextlib.suppress(OSError):
-            return abs(time.time() - _path(directory, number).stat().st_mtime) <= HEARTBEAT_LIMIT
+            return is_recent(_owner_file(directory, number).stat().st_mtime)
         return True
-    last = heartbeat(directory, record)
-    if alive(record, last):
+    heartbeat = last_heartbeat(directory, record)
+    if is_alive(record, heartbeat):
         return True
-    if process.is_here() and process.runs_here() is False:
+    if process.is_running() is False:
         return False
     end = time.monotonic() + watch
     while time.monotonic() < end:
         time.sleep(min(0.2, watch))
-        if heartbeat(directory, record) != last:
+        if last_heartbeat(directory, record) != heartbeat:
             return True
     return False
 
 
-def _held(record: dict[str, Any]) -> Held:
-    process = Process.read(record)
-    host = None if process is None else "".join(c if c.isprintable() else "?" for c in process.host[:64])
-    return Held(process.pid if process else None, host, moment(record.get("since")))
-
-
-def _follows(directory: Path, won: Ownership, before: dict[str, Any] | None) -> bool:
-    """Whether the new number is the highest and stands on the owner that was judged; else the folder was redone."""
-    highest, _ = newest(directory)
-    if highest != won.number:
+def _succeeds(directory: Path, ownership: Ownership, before: dict[str, Any] | None) -> bool:
+    """Whether the new number is the highest and follows the owner that was found dead. If not, another contender was
+    faster or the folder is a new one."""
+    if max(_numbers(directory), default=-1) != ownership.number:
         return False
-    return before is None or (_read(_path(directory, won.number - 1)) or {}).get("nonce") == before.get("nonce")
+    previous = _read(_owner_file(directory, ownership.number - 1))
+    return before is None or previous.get("nonce") == before.get("nonce")
 
 
 def _remove_older(directory: Path, number: int) -> None:
-    for name in sorted(os.listdir(directory / "owner")):
-        match = _NAME.fullmatch(name)
-        if match and int(match[1]) < number:
+    for older in sorted(_numbers(directory)):
+        if older < number:
             with contextlib.suppress(OSError):
-                (directory / "owner" / name).unlink()
+                _owner_file(directory, older).unlink()
 
 
-def _path(directory: Path, number: int) -> Path:
+def _numbers(directory: Path) -> list[int]:
+    return [int(match[1]) for name in os.listdir(directory / "owner") if (match := _FILE_NAME.fullmatch(name))]
+
+
+def _owner_file(directory: Path, number: int) -> Path:
     return directory / "owner" / f"{number:06d}.json"
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read(path: Path) -> dict[str, Any]:
+    """Empty if the file cannot be read."""
     try:
-        return read_record(path)
+        return read_json(path)
     except (OSError, ValueError):
-        return None
-
-
-@lru_cache(maxsize=8)
-def _process(pid: int) -> Process:
-    return Process(pid, platform.node(), _boot(), _started(pid))
+        return {}
 
 
 @lru_cache(maxsize=1)
-def _boot() -> str:
-    """This boot of this machine and the namespace its pids count in; empty where it cannot be told."""
+def _boot_id() -> str:
+    """This boot of this machine and its pid namespace; empty if the system does not tell."""
     with contextlib.suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot}/{os.readlink('/proc/self/ns/pid')}"
@@ -274,22 +274,25 @@ def _boot() -> str:
     return ""
 
 
-def _started(pid: int) -> str:
-    """Start time of a running process; empty when there is none, it is a zombie, or it cannot be told."""
+def _start_time(pid: int) -> str:
+    """Of a running process; empty for a zombie, no process, or an unknown system.
+
+    psutil gives a date instead, which moves when the clock is set: a living owner would look like another process.
+    """
     if sys.platform.startswith("linux"):
         try:
             stat = Path(f"/proc/{pid}/stat").read_text(errors="replace")
         except OSError:
             return ""
-        state, *rest = stat.rpartition(")")[2].split()
-        return "" if state in "ZX" else rest[18]
+        state, *fields = stat.rpartition(")")[2].split()
+        return "" if state in "ZX" else fields[18]
     if sys.platform == "darwin":
         return _output("ps", "-o", "lstart=", "-p", str(pid))
     return ""
 
 
 def _is_hidden(pid: int) -> bool:
-    """Whether there is a process that only its owner may look at."""
+    """Whether there is a process that only its own user may look at."""
     if os.name != "posix":
         return False
     try:

@@ -1,4 +1,4 @@
-"""Text that somebody else wrote, made safe to show."""
+"""Text from elsewhere, made safe to show in a terminal."""
 
 ELLIPSIS = "…"
 
@@ -6,9 +6,14 @@ ELLIPSIS = "…"
 def printable(value: object, limit: int | None = None, *, lines: bool = False) -> str:
     r"""`value` as text for a terminal, on one line.
 
-    Control characters (escape sequences, newlines), invisible ones and those that turn the direction of writing become
-    escapes such as `\x1b` and `\u202e`. limit: most characters; the rest is cut with an ellipsis. lines: newlines stay.
-    Rich must not read the result as markup: give it to `rich.text.Text`, or print it with `console_text.console()`.
+    Control characters (escape sequences, newlines), invisible characters and those that change the direction of writing
+    become escapes such as `\x1b` and `\u202e`. limit: longer text is cut and ends with an ellipsis. lines: newlines
+    stay. Rich must not read the result as markup: pass it to `rich.text.Text` or to `cli.text.console()`.
+
+    >>> print(printable("red \x1b[31m\nnext line"))
+    red \x1b[31m\nnext line
+    >>> print(printable("a long name", 7))
+    a long…
     """
     text = str(value)
     if limit is not None and len(text) > limit:

@@ -1,7 +1,7 @@
 """Reading runs, live or finished, without any right to write.
 
-A folder may come from anybody: nothing in it is executed, links in it are not followed, and no file is read or unpacked
-beyond what a run writes.
+A folder may come from anybody: nothing in it is executed, no link in it is followed, and no file is read or unpacked
+beyond the size of those that a run writes.
 """
 
 import os
@@ -15,79 +15,80 @@ import yaml  # type: ignore[import-untyped]
 
 from qnerf.config.compatibility import today, upgrade_config
 from qnerf.records import owner
-from qnerf.records.files import StoreError, read_bytes, read_record, reporting
-from qnerf.records.schemas import METRICS
+from qnerf.records.files import StoreError, one_line, read_bytes, read_json, refuse_links, reporting
+from qnerf.records.schemas import METRICS_SCHEMA
 
 STATES = ("running", "finished", "interrupted", "failed")
-MOST_CONFIG_BYTES = 2**18
-MOST_TABLE_BYTES = 2**28
-MOST_ROWS = 2**22  # of one file; run-length encoding packs more than fits into memory into a few bytes
+RUN_MARKERS = ("summary.parquet", "status.json", "config.yaml")
+"""A folder with one of these files is a run."""
+
+MAX_CONFIG_BYTES = 2**18
+MAX_TABLE_BYTES = 2**28
+MAX_TABLE_ROWS = 2**22  # per file; run-length encoding packs more rows than fit into memory into a few bytes
 
 
 def runs(root: str | Path) -> list[Path]:
-    """Folders of the runs in a store, sorted by name; empty when there is no store yet."""
+    """Folders of the runs in a store, sorted by name; empty if there is no store yet."""
     root = Path(root)
     with reporting(root, "read"):
-        return (
-            sorted(path for path in root.iterdir() if not path.name.startswith(".") and path.is_dir())
-            if (root.is_dir())
-            else []
-        )
+        if not root.is_dir():
+            return []
+        return sorted(path for path in root.iterdir() if not path.name.startswith(".") and path.is_dir())
 
 
 def read_status(run_dir: str | Path) -> dict[str, Any]:
-    """status.json; empty when it is absent or damaged."""
-    try:
-        return read_record(Path(run_dir) / "status.json")
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return {}
-    except OSError as error:
-        raise StoreError(f"{run_dir}: cannot read status.json: {error.strerror or error}") from error
+    """status.json; empty if it is absent or damaged."""
+    path = Path(run_dir) / "status.json"
+    with reporting(path, "read"):
+        try:
+            return read_json(path)
+        except (FileNotFoundError, NotADirectoryError, ValueError):
+            return {}
 
 
 def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
-    """running | finished | interrupted | failed. Derived: a run is running only while its owner is alive.
+    """running | finished | interrupted | failed. A run counts as running only while its owner is alive.
 
-    `status` saves reading status.json again.
+    status: what `read_status` returned, if the caller has it already.
     """
     directory = Path(run_dir)
     status = read_status(directory) if status is None else status
     stored = status.get("state")
     if stored != "running":
         return stored if stored in STATES else "interrupted"
-    if _is_owned(directory, status):
+    if _has_living_owner(directory, status):
         return "running"
-    # Nobody owns it: it was killed, or it has ended since status.json was read.
+    # The owner was killed, or it has finished since status.json was read.
     now = read_status(directory).get("state")
     return now if now in STATES and now != "running" else "interrupted"
 
 
-def _is_owned(directory: Path, status: dict[str, Any]) -> bool:
-    if not owner.alive(status, owner.moment(status.get("heartbeat"))):
+def _has_living_owner(directory: Path, status: dict[str, Any]) -> bool:
+    if not owner.is_alive(status, owner.unix_time(status.get("heartbeat"))):
         return False
     try:
-        _, record = owner.newest(directory)
+        _, record = owner.latest(directory)
     except OSError:
         return False
     return record is not None and not record.get("released")
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The resolved configuration under today's names; nothing in the file is executed or repeated by reference."""
+    """The resolved configuration under today's names. YAML aliases and everything but plain values are refused."""
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
-        data = read_bytes(path, MOST_CONFIG_BYTES)
+        data = read_bytes(path, MAX_CONFIG_BYTES)
     try:
         config = yaml.load(data, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise StoreError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from error
+        raise StoreError(f"{path}: not readable as YAML: {one_line(error)}") from error
     if not isinstance(config, dict):
         raise StoreError(f"{path}: expected keys and values, got {type(config).__name__}")
     return upgrade_config(config)
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain values only, dates as text, and no aliases: a few nested ones stand for more items than fit into memory."""
+    """Plain values only, dates as text, and no aliases: a few nested aliases can expand to more than fits in memory."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012
         first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
@@ -102,7 +103,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_summary(run_dir: str | Path) -> dict[str, Any]:
-    """summary.parquet as plain values. `state` is the one last written; `state(run_dir)` tells the true one."""
+    """summary.parquet as plain values. Its `state` is the one last written; `state(run_dir)` is the true one."""
     path = Path(run_dir) / "summary.parquet"
     rows: list[dict[str, Any]] = read_table(path).to_pylist()
     if len(rows) != 1:
@@ -113,33 +114,37 @@ def read_summary(run_dir: str | Path) -> dict[str, Any]:
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:
     """Columns step, time_s, key, value, in the order of logging; StoreError names a damaged part."""
     folder = Path(run_dir) / "metrics"
-    if folder.is_symlink():
-        raise StoreError(f"{folder}: is a link; the files of a run are not read or written through links")
+    refuse_links(folder)
     with reporting(folder, "read"):
         names = sorted(entry.name for entry in os.scandir(folder) if entry.name.startswith("part-"))
-    return pa.concat_tables([METRICS.empty_table(), *(read_part(folder / name) for name in names)]).to_pandas()
+    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *(read_part(folder / name) for name in names)]).to_pandas()
 
 
 def read_part(path: Path) -> pa.Table:
-    """One file of metrics/, with the columns and types of `tables.METRICS`."""
+    """One file of metrics/, with the columns and types of `schemas.METRICS_SCHEMA`."""
     table = read_table(path)
-    if table.schema.names != METRICS.names:
-        raise StoreError(f"{path}: expected columns {METRICS.names}, got {table.schema.names}")
+    if table.schema.names != METRICS_SCHEMA.names:
+        raise StoreError(f"{path}: expected columns {METRICS_SCHEMA.names}, got {table.schema.names}")
     try:
-        return table.cast(METRICS)
+        return table.cast(METRICS_SCHEMA)
     except pa.ArrowException as error:
-        raise StoreError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+        raise StoreError(f"{path}: damaged: {one_line(error)}") from error
+
+
+def read_table_bytes(path: Path) -> bytes:
+    """A Parquet file as it is; StoreError if it is absent or too large."""
+    with reporting(path, "read"):
+        return read_bytes(path, MAX_TABLE_BYTES)
 
 
 def read_table(path: Path) -> pa.Table:
-    """A Parquet file in memory; StoreError when it is absent or damaged."""
-    with reporting(path, "read"):
-        data = read_bytes(path, MOST_TABLE_BYTES)
+    """A Parquet file in memory; StoreError if it is absent or damaged."""
+    data = read_table_bytes(path)
     try:
-        # Not pq.read_table: its threads may still hold Python's buffer when the interpreter ends, which aborts.
+        # Not pq.read_table: if its threads still hold Python's buffer when the interpreter ends, the process aborts.
         file = pq.ParquetFile(pa.BufferReader(data))
-        if file.metadata.num_rows > MOST_ROWS:
-            raise StoreError(f"{path}: has {file.metadata.num_rows:,} rows; expected at most {MOST_ROWS:,}")
+        if file.metadata.num_rows > MAX_TABLE_ROWS:
+            raise StoreError(f"{path}: has {file.metadata.num_rows:,} rows; expected at most {MAX_TABLE_ROWS:,}")
         return file.read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
-        raise StoreError(f"{path}: damaged: {' '.join(str(error).split())}") from error
+        raise StoreError(f"{path}: damaged: {one_line(error)}") from error

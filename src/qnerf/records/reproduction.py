@@ -1,4 +1,4 @@
-"""Whether two runs gave the same numbers, and what differs in where they were computed."""
+"""Compares two runs: their numbers, and the environments in which they were computed."""
 
 import json
 from collections.abc import Iterator
@@ -9,66 +9,67 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qnerf.config.identity import flatten
 from qnerf.records import StoreError, read_config, read_metrics, read_summary
-from qnerf.records.environment import differences
-from qnerf.records.files import read_bytes, read_record
+from qnerf.records.environment import MAX_FILE_BYTES, differences, environment_files
+from qnerf.records.files import read_bytes, read_json
 from qnerf.records.read import read_table
-from qnerf.records.schemas import SUMMARY
+from qnerf.records.schemas import results
 
 CLOCKS = ("time/", "time.", "eval/eval_s", "eval_s", "train_s", "step_ms", "peak_memory_mb")
-"""How long it took and how much memory: nobody's promise, left out of the comparison."""
-MOST_DIFF_BYTES = 2**26
+"""Beginnings of the names of times and memory, which two equal runs need not share. They are not compared."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One name's numbers in two runs."""
+    """All numbers of one name in two runs.
 
-    table: str  # metrics | eval | summary
+    table: metrics, eval or summary. numbers: how many there are in either run. missing: how many are in one run only.
+    largest: the largest relative difference |a - b| / max(|a|, |b|); 0 means bit-equal. first: the step or image of
+    the first difference, or empty.
+    """
+
+    table: str
     name: str
-    numbers: int  # in either run
-    missing: int  # of them, in one run only
-    largest: float  # relative difference |a - b| / max(|a|, |b|); 0: bit-equal
-    first: str  # where they differ first: a step, an image; empty where they do not
+    numbers: int
+    missing: int
+    largest: float
+    first: str
 
     def agrees(self, tolerance: float) -> bool:
         return not self.missing and self.largest <= tolerance
 
 
 def compare(before: Path, after: Path) -> list[Compared]:
-    """Every logged metric, evaluated image and result of two runs, clocks left out."""
+    """Every logged metric, evaluated image and result of two runs, except `CLOCKS`."""
     return [
-        *_compared("metrics", _metrics(before), _metrics(after)),
-        *_compared("eval", _evaluation(before), _evaluation(after)),
-        *_compared("summary", _summary(before), _summary(after)),
+        *_compare_tables("metrics", _metrics(before), _metrics(after)),
+        *_compare_tables("eval", _evaluation(before), _evaluation(after)),
+        *_compare_tables("summary", _summary(before), _summary(after)),
     ]
 
 
 def environments(run: Path) -> list[dict[str, Any]]:
-    """environment.json and, of a run that went on elsewhere, those after it; the diff's text is under `git.diff`."""
-    found = []
-    for number in range(1, 10_000):
-        suffix = "" if number == 1 else f"-{number}"
-        path, patch = run / f"environment{suffix}.json", run / f"dirty{suffix}.diff"
+    """The environments in which the run started and was resumed; the text of each diff is under `git.diff`."""
+    result = []
+    for path, patch in environment_files(run):
         if not path.exists():
             break
-        environment = read_record(path)
-        text = read_bytes(patch, MOST_DIFF_BYTES).decode(errors="replace") if patch.exists() else ""
-        found.append(environment | {"git": {**environment.get("git", {}), "diff": text}})
-    return found
+        environment = read_json(path)
+        text = read_bytes(patch, MAX_FILE_BYTES).decode(errors="replace") if patch.exists() else ""
+        result.append(environment | {"git": {**environment.get("git", {}), "diff": text}})
+    return result
 
 
 def environment_differences(before: Path, after: Path) -> dict[str, tuple[str, str]]:
-    """Name -> its values where the runs started, as short text."""
-    one, other = environments(before), environments(after)
-    if not one or not other:
-        raise StoreError(f"{before if not one else after}: has no environment.json")
-    return {name: (_short(a), _short(b)) for name, (a, b) in differences(one[0], other[0]).items()}
+    """Name -> its two values as short text, where the environments of the runs' starts differ."""
+    first, second = environments(before), environments(after)
+    if not first or not second:
+        raise StoreError(f"{before if not first else after}: has no environment.json")
+    return {name: (_shortened(a), _shortened(b)) for name, (a, b) in differences(first[0], second[0]).items()}
 
 
 def recorded_threads(run: Path) -> int | None:
-    """CPU threads that PyTorch used; None where that was not recorded."""
+    """CPU threads that PyTorch used; None if that was not recorded."""
     threads = next((environment.get("threads") for environment in environments(run)), None)
     count = threads.get("torch") if isinstance(threads, dict) else None
     return count if isinstance(count, int) else None
@@ -76,31 +77,31 @@ def recorded_threads(run: Path) -> int | None:
 
 def _metrics(run: Path) -> pd.DataFrame:
     rows = read_metrics(run)
-    return pd.DataFrame({"name": rows["key"], "place": "step=" + rows["step"].astype(str), "value": rows["value"]})
+    return pd.DataFrame({"name": rows["key"], "position": "step=" + rows["step"].astype(str), "value": rows["value"]})
 
 
 def _evaluation(run: Path) -> pd.DataFrame:
     rows = read_table(run / "eval.parquet").to_pandas()
     numbers = rows.set_index("image").select_dtypes("number").drop(columns="step")
-    return numbers.melt(ignore_index=False, var_name="name").rename_axis("place").reset_index()
+    return numbers.melt(ignore_index=False, var_name="name").rename_axis("position").reset_index()
 
 
 def _summary(run: Path) -> pd.DataFrame:
-    options = flatten(read_config(run))
-    results = {k: v for k, v in read_summary(run).items() if k in SUMMARY or k not in options}
-    numbers = {k: v for k, v in results.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
-    return pd.DataFrame({"name": list(numbers), "place": "end", "value": [float(v) for v in numbers.values()]})
+    summary = results(read_summary(run), read_config(run))
+    numbers = {k: float(v) for k, v in summary.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    return pd.DataFrame({"name": list(numbers), "position": "end", "value": list(numbers.values())})
 
 
-def _compared(table: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Compared]:
-    both = before.merge(after, how="outer", on=["name", "place"], suffixes=("", "_after"), indicator=True, sort=False)
+def _compare_tables(table: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Compared]:
+    keys = ["name", "position"]
+    both = before.merge(after, how="outer", on=keys, suffixes=("", "_after"), indicator=True, sort=False)
     both = both[~both["name"].str.startswith(CLOCKS)]
     for name, rows in both.groupby("name", sort=False):
-        alone = (rows["_merge"] != "both").to_numpy()
-        relative = np.where(alone, 0.0, relative_difference(rows["value"].to_numpy(), rows["value_after"].to_numpy()))
-        unequal = alone | (relative > 0)
-        first = str(rows["place"].iloc[int(unequal.argmax())]) if unequal.any() else ""
-        yield Compared(table, str(name), len(rows), int(alone.sum()), float(relative.max()), first)
+        missing = (rows["_merge"] != "both").to_numpy()
+        relative = np.where(missing, 0.0, relative_difference(rows["value"].to_numpy(), rows["value_after"].to_numpy()))
+        differs = missing | (relative > 0)
+        first = str(rows["position"].iloc[int(differs.argmax())]) if differs.any() else ""
+        yield Compared(table, str(name), len(rows), int(missing.sum()), float(relative.max()), first)
 
 
 def relative_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -112,8 +113,8 @@ def relative_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, relative)
 
 
-def _short(value: Any, most: int = 60) -> str:
+def _shortened(value: Any, limit: int = 60) -> str:
     if isinstance(value, str) and "\n" in value:
-        return f"{len(value.splitlines())} lines, {value.splitlines()[0][:most]} ..."
+        return f"{len(value.splitlines())} lines, {value.splitlines()[0][:limit]} ..."
     text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= most else f"{text[:most]}..."
+    return text if len(text) <= limit else f"{text[:limit]}..."

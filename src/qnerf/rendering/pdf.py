@@ -1,24 +1,28 @@
-"""Drawing edges from a histogram on each ray: s are its edges (R, J + 1), w the weights (R, J) of the intervals."""
+"""Inverse-transform sampling: new interval edges on each ray, drawn from a histogram of weights."""
 
 import torch
 from torch import Tensor
 
 from qnerf.kernels import compiled, histogram
 
-_LEAST = 1e-5  # a total below this is filled up evenly: an empty ray is sampled evenly
+_MIN_TOTAL = 1e-5  # a smaller sum of weights is filled up evenly, so an empty ray is sampled evenly
 
 
 def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jitter: Tensor | None = None) -> Tensor:
     """Draws `count` ordered edges by inverting the cumulative distribution of a histogram.
 
-    The k-th edge lies where the distribution reaches (k + jitter) / count: one random offset a ray, so that the edges
-    stay stratified.
+    The k-th edge lies where the distribution reaches (k + jitter) / count. One random offset per ray keeps the edges
+    stratified.
+
+    >>> edges, weights = torch.tensor([[0.0, 0.5, 1.0]]), torch.tensor([[3.0, 1.0]])
+    >>> [round(edge, 4) for edge in sample_edges(edges, weights, 4, padding=0.0)[0].tolist()]
+    [0.0833, 0.25, 0.4167, 0.75]
 
     Args:
         s: (R, J + 1) edges of the histogram.
         w: (R, J) weights >= 0; they need not sum to 1.
         count: edges to draw.
-        padding: added to every weight, so that no interval is closed for ever.
+        padding: added to every weight, so that every interval can still be sampled.
         jitter: (R, 1) in [0, 1); None: 1/2.
 
     Returns:
@@ -26,16 +30,16 @@ def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jit
     """
     s, w = s.detach(), w.detach()
     if compiled(s, w):
-        return histogram.draw(s, w, count, padding, jitter, _LEAST)
+        return histogram.draw(s, w, count, padding, jitter, _MIN_TOTAL)
     return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)
 
 
 def sample_edges_reference(s: Tensor, w: Tensor, count: int, *, padding: float, jitter: Tensor | None) -> Tensor:
     """`sample_edges` in plain PyTorch."""
     w = w + padding
-    w = w + (_LEAST - w.sum(-1, keepdim=True)).clamp(min=0) / w.shape[-1]
+    w = w + (_MIN_TOTAL - w.sum(-1, keepdim=True)).clamp(min=0) / w.shape[-1]
     cdf = torch.nn.functional.pad(w.cumsum(-1), (1, 0))
-    cdf = (cdf / cdf[:, -1:]).cummax(-1).values  # a parallel scan may step back by a rounding
+    cdf = (cdf / cdf[:, -1:]).cummax(-1).values  # a parallel scan may decrease by a rounding error
     k = torch.arange(count, dtype=s.dtype, device=s.device)
     u = ((k + (0.5 if jitter is None else jitter)) / count).expand(s.shape[0], count).contiguous()
     above = torch.searchsorted(cdf, u, right=True).clamp_(1, w.shape[-1])

@@ -1,8 +1,8 @@
-"""Spacing curves: the normalised coordinate s in [0, 1] along a ray <-> the distance t between near and far.
+"""Spacing curves: distance t in [near, far] along a ray <-> the normalised coordinate s in [0, 1].
 
-Each is built for the bounds of R rays and works on (R, K). A curve g is mapped so that g(near) lies at s = 0 and
-g(far) at s = 1. Sums are arranged so that every step is monotone in floating point: ordered s give ordered t, and no
-digits are lost for far = 1e6 in float32.
+A curve g gives s = (g(t) - g(near)) / (g(far) - g(near)) (Eq. 11, arXiv:2111.12077). Each object is built for the
+bounds of R rays and maps (R, K) to (R, K). The arithmetic is monotone in floating point: ordered s give ordered t, also
+for far = 1e6 in float32.
 """
 
 from abc import ABC, abstractmethod
@@ -16,7 +16,12 @@ SPACINGS: "Registry[Spacing]" = Registry("spacing")
 
 
 class Spacing(ABC):
-    """Args: near, far: (R, 1) distances in world units, 0 <= near < far."""
+    """Built from near, far: (R, 1) distances in world units, 0 <= near < far.
+
+    >>> disparity = SPACINGS.build("disparity", torch.tensor([[1.0]]), torch.tensor([[2.0]]))
+    >>> [round(t, 4) for t in disparity.to_world(torch.tensor([[0.0, 0.5, 1.0]]))[0].tolist()]
+    [1.0, 1.3333, 2.0]
+    """
 
     @abstractmethod
     def __init__(self, near: Tensor, far: Tensor) -> None: ...
@@ -30,7 +35,7 @@ class Spacing(ABC):
         """Distance (R, K) between near and far -> normalised coordinate (R, K)."""
 
 
-def _positive(name: str, near: Tensor) -> None:
+def _require_positive(name: str, near: Tensor) -> None:
     if not bool((near > 0).all()):
         raise ValueError(
             f"spacing={name} needs near above 0, got {float(near.min()):g}; known for near = 0: piecewise, uniform"
@@ -53,10 +58,10 @@ class Uniform(Spacing):
 
 @SPACINGS.register("disparity")
 class Disparity(Spacing):
-    """g(t) = -1/t: equal steps in inverse distance. Needs near > 0 (ValueError)."""
+    """g(t) = -1/t: equal steps in inverse distance. ValueError unless near > 0."""
 
     def __init__(self, near: Tensor, far: Tensor) -> None:
-        _positive("disparity", near)
+        _require_positive("disparity", near)
         self.last = far.reciprocal()
         self.width = near.reciprocal() - self.last
 
@@ -69,15 +74,15 @@ class Disparity(Spacing):
 
 @SPACINGS.register("geometric")
 class Geometric(Spacing):
-    """g(t) = log t: each step is a constant factor. Needs near > 0 (ValueError)."""
+    """g(t) = log t: the distance grows by a constant factor. ValueError unless near > 0."""
 
     def __init__(self, near: Tensor, far: Tensor) -> None:
-        _positive("geometric", near)
+        _require_positive("geometric", near)
         self.near, self.far, self.width = near, far, (far / near).log()
 
     def to_world(self, s: Tensor) -> Tensor:
         t = torch.minimum(self.near * (s * self.width).exp(), self.far)
-        return t.cummax(-1).values  # exp is not promised to be monotone to the last bit
+        return t.cummax(-1).values  # exp need not be monotone to the last bit
 
     def from_world(self, t: Tensor) -> Tensor:
         return (t / self.near).log() / self.width
@@ -85,12 +90,12 @@ class Geometric(Spacing):
 
 @SPACINGS.register("piecewise")
 class Piecewise(Spacing):
-    """g(t) = t/2 for t < 1, else 1 - 1/(2t): even steps up to distance 1, then even steps in disparity."""
+    """g(t) = t/2 for t < 1, else 1 - 1/(2t): equal steps up to distance 1, then equal steps in inverse distance."""
 
     def __init__(self, near: Tensor, far: Tensor) -> None:
         self.first = self._curve(near)
         self.width = self._curve(far) - self.first
-        # The far half is written with 1 - g, which keeps its digits where g itself rounds to 1.
+        # The far half uses 1 - g, which keeps its digits where g rounds to 1.
         self.last = self._rest(far)
         self.rest = self._rest(near) - self.last
 

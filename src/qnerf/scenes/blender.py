@@ -2,14 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
-
+from qnerf.config.checks import at_least, one_of
 from qnerf.scenes.base import SCENES, Scene
-from qnerf.scenes.normalise import normalise
-from qnerf.scenes.transforms import open_folder, present, read_frames, scene_from
+from qnerf.scenes.transforms import find_transforms, load_scene, read_frames, with_images
 
-NEAR, FAR = 2.0, 6.0  # by convention, in the source's units
-SPLITS = ("test", "val")
+BOUNDS = (2.0, 6.0)  # near and far by convention, in the source's units
 
 
 @SCENES.register("blender")
@@ -21,59 +18,44 @@ def blender(
     eval_views: int | None = None,
     skip_missing: bool = False,
 ) -> Scene:
-    """Reads the training views and those of one other split. World: the source's, scaled so that the largest absolute
-    camera coordinate over both splits is 1; near 2 and far 6 are scaled with it.
+    """Reads the training split and one evaluation split.
+
+    The world is the source's, scaled so that the largest absolute camera coordinate over both splits is 1. Near 2 and
+    far 6 are scaled with it.
 
     Args:
         path: the folder.
-        downscale: integer factor by which the images are made smaller, by an area filter.
+        downscale: integer factor by which images are reduced, with an area filter.
         eval_split: test or val.
-        eval_views: how many of that split's views to evaluate, evenly spread; None for all.
+        eval_views: number of evaluation views, evenly spread over the split; None for all.
         skip_missing: leave out frames whose image is missing.
 
     Raises:
-        ValueError: one line that names what is wrong and where.
+        ValueError: one line that names the mistake and the file or frame.
     """
-    if eval_split not in SPLITS:
-        raise ValueError(f"scene=blender: eval_split must be one of {', '.join(SPLITS)}, got {eval_split!r}")
-    if eval_views is not None and eval_views < 1:
-        raise ValueError(f"scene=blender: eval_views must be at least 1, or null for all, got {eval_views}")
-    folder = open_folder(path)
-    files = {split: folder / f"transforms_{split}.json" for split in ("train", eval_split)}
-    for file in files.values():
-        if not file.is_file():
-            plain = (folder / "transforms.json").is_file()
-            hint = "; it has transforms.json: use scene=nerfstudio" if plain else ""
-            raise ValueError(f"scene.path={str(path)!r} has no {file.name}{hint}")
-    train, held_out = (read_frames(folder, file) for file in files.values())
-    kept = present(folder, [*train, *held_out], skip_missing)
+    one_of("scene=blender: eval_split", eval_split, ("test", "val"))
+    if eval_views is not None:
+        at_least("scene=blender: eval_views", eval_views, 1)
+    files = [
+        find_transforms(path, f"transforms_{split}.json", ("transforms.json", "nerfstudio"))
+        for split in ("train", eval_split)
+    ]
+    folder = files[0].parent
+    train, held_out = (read_frames(folder, file) for file in files)
+    frames = with_images(folder, [*train, *held_out], skip_missing)
     count = sum(frame.file is not None for frame in train)
-    if count == 0 or count == len(kept):
-        raise ValueError(f"{folder}: no image of the {'train' if count == 0 else eval_split} split exists")
-    both = {frame.key for frame in kept[:count]} & {frame.key for frame in kept[count:]}
-    if both:
-        raise ValueError(f"{folder}: image {min(both)!r} is in the training and in the evaluation split")
-    try:
-        poses, transform = normalise(np.stack([frame.pose for frame in kept]), orient=False, centre=False)
-    except ValueError as error:
-        raise ValueError(f"{folder}: {error}") from error
-    used = [*range(count), *(count + index for index in even_subset(len(kept) - count, eval_views))]
-    scale = float(transform[0, 0])
-    return scene_from(
-        "blender",
-        folder,
-        [kept[index] for index in used],
-        list(range(count)),
-        list(range(count, len(used))),
-        poses[used],
-        transform,
-        downscale,
-        bounds=(NEAR * scale, FAR * scale),
+    evaluated = [count + index for index in even_subset(len(frames) - count, eval_views)]
+    return load_scene(
+        "blender", folder, frames, list(range(count)), evaluated, downscale, recentre=False, bounds=BOUNDS
     )
 
 
-def even_subset(items: int, most: int | None) -> list[int]:
-    """At most `most` of range(items), evenly spread."""
-    if most is None or most >= items:
+def even_subset(items: int, limit: int | None) -> list[int]:
+    """At most `limit` of range(items), evenly spread; None: all.
+
+    >>> even_subset(9, 3)
+    [1, 4, 7]
+    """
+    if limit is None or limit >= items:
         return list(range(items))
-    return [int((2 * index + 1) * items / (2 * most)) for index in range(most)]
+    return [int((2 * index + 1) * items / (2 * limit)) for index in range(limit)]

@@ -1,4 +1,4 @@
-"""Image files of a scene: found inside its folder, checked before they are decoded, scaled down by an area filter."""
+"""Image files of a scene: found only inside its folder, checked before decoding, reduced with an area filter."""
 
 import io
 import os
@@ -13,19 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from qnerf.config.checks import at_least
 from qnerf.scenes.base import digest
 
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")  # others may run programs or hold no picture
-MOST_PIXELS = 64 * 2**20  # of one image
-MOST_FILE_BYTES = 2**30
-MOST_SCENE_BYTES = 16 * 2**30
-DECODERS = 4  # images decoded at a time, fewer where they have more than `MOST_PIXELS` together
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")  # other decoders may run programs, or read no picture
+MAX_PIXELS = 64 * 2**20  # of one image
+MAX_FILE_BYTES = 2**30
+MAX_SCENE_BYTES = 16 * 2**30
+DECODERS = 4  # images decoded at a time; fewer if together they have more than `MAX_PIXELS`
 
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image that lies inside the scene's folder; `name` is its path relative to it."""
+    """An image inside the scene's folder; `name` is its path relative to the folder."""
 
     name: str
     path: Path
@@ -33,11 +34,11 @@ class ImageFile:
     height: int
 
 
-def inside(folder: Path, name: str) -> Path | None:
-    """The existing file that `name` means, with or without its suffix, or None.
+def find_image(folder: Path, name: str) -> Path | None:
+    """The image file `name`, written with or without its suffix; None if it does not exist.
 
     Raises:
-        ValueError: the name, or a link that it leads through, points outside the folder.
+        ValueError: the name, or a symbolic link on its way, points outside the folder.
     """
     refusal = f"{folder}: image {name!r} lies outside the scene's folder; image paths must be relative and inside it"
     if "\0" in name:
@@ -59,11 +60,7 @@ def inside(folder: Path, name: str) -> Path | None:
 
 
 def open_header(folder: Path, name: str, path: Path) -> ImageFile:
-    """Reads the image's size without decoding it.
-
-    Raises:
-        ValueError: it is no image, or too large to be decoded.
-    """
+    """Reads the image's size without decoding it. ValueError if it is no image, or too large to decode."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below, at a lower limit
@@ -73,19 +70,19 @@ def open_header(folder: Path, name: str, path: Path) -> ImageFile:
         width = height = 2**31
     except Exception as error:
         raise ValueError(f"{folder}: image {name!r} cannot be read: {_reason(error)}") from error
-    if width * height > MOST_PIXELS:
+    if width * height > MAX_PIXELS:
         raise ValueError(
-            f"{folder}: image {name!r} is larger than {MOST_PIXELS // 2**20} megapixels and was not decoded; "
+            f"{folder}: image {name!r} is larger than {MAX_PIXELS // 2**20} megapixels and was not decoded; "
             "scale it down first"
         )
-    if path.stat().st_size > MOST_FILE_BYTES:
+    if path.stat().st_size > MAX_FILE_BYTES:
         raise ValueError(f"{folder}: image {name!r} is a file of more than 1 GiB and was not read")
     relative = path.relative_to(folder).as_posix()
     return ImageFile(relative, path, width, height)
 
 
-def same_size(folder: Path, files: Sequence[ImageFile]) -> tuple[int, int]:
-    """Width and height of all the images; ValueError names the first that differs from the first."""
+def common_size(folder: Path, files: Sequence[ImageFile]) -> tuple[int, int]:
+    """Width and height of the images; ValueError names the first whose size differs."""
     first = files[0]
     for file in files:
         if (file.width, file.height) != (first.width, first.height):
@@ -98,27 +95,30 @@ def same_size(folder: Path, files: Sequence[ImageFile]) -> tuple[int, int]:
 
 def check_downscale(label: str, downscale: int, width: int, height: int) -> None:
     """ValueError unless `downscale` leaves at least one pixel."""
-    if isinstance(downscale, bool) or not isinstance(downscale, int) or downscale < 1:
-        raise ValueError(f"{label}: downscale must be an integer of at least 1, got {downscale!r}")
+    at_least(f"{label}: downscale", downscale, 1)
     if downscale > min(width, height):
         raise ValueError(f"{label}: downscale={downscale} is larger than the images, {width} x {height} pixels")
 
 
-def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tuple[NDArray[np.uint8], str]:
-    """Decodes and scales down the images: (V, H // downscale, W // downscale, 3 or 4) uint8, and a hash of the files.
-
-    There are 4 channels where any pixel of any image is not opaque.
-
-    Raises:
-        ValueError: an image does not decode (it is named), or all of them together would not fit into memory.
-    """
-    width, height = files[0].width // downscale, files[0].height // downscale
-    total = len(files) * width * height * 4
-    if total > MOST_SCENE_BYTES:
+def check_memory(label: str, views: int, width: int, height: int, bytes_per_pixel: int) -> None:
+    """ValueError if the scene would need more than `MAX_SCENE_BYTES`."""
+    size = views * width * height * bytes_per_pixel
+    if size > MAX_SCENE_BYTES:
         raise ValueError(
-            f"{folder}: {len(files)} images of {width} x {height} pixels would need {total / 2**30:.0f} GiB; "
+            f"{label}: {views} images of {width} x {height} pixels would need {size / 2**30:.0f} GiB; "
             "use a larger downscale"
         )
+
+
+def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tuple[NDArray[np.uint8], str]:
+    """Decodes and reduces the images: (V, H // downscale, W // downscale, 3 or 4) uint8, and a hash of the files.
+
+    There are 4 channels if any pixel of any image is not opaque.
+
+    Raises:
+        ValueError: an image does not decode (the message names it), or together they need too much memory.
+    """
+    check_memory(f"{folder}", len(files), files[0].width // downscale, files[0].height // downscale, 4)
 
     def read(file: ImageFile) -> tuple[NDArray[np.uint8], str]:
         try:
@@ -131,7 +131,7 @@ def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tup
             raise ValueError(f"{folder}: image {file.name!r} does not decode: {_reason(error)}") from error
         return area_downscale(pixels, downscale), digest(data)
 
-    workers = min(os.cpu_count() or 1, DECODERS, MOST_PIXELS // (files[0].width * files[0].height))
+    workers = min(os.cpu_count() or 1, DECODERS, MAX_PIXELS // (files[0].width * files[0].height))
     with ThreadPoolExecutor(workers) as pool:
         images, hashes = zip(*pool.map(read, files), strict=True)
     if all(image.shape[-1] == 3 or bool((image[..., 3] == 255).all()) for image in images):
@@ -140,9 +140,12 @@ def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tup
 
 
 def area_downscale(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """Means over blocks of `factor` x `factor` pixels, rounded half up; a remainder at the right and bottom is cut off.
+    """Means over blocks of `factor` x `factor` pixels, rounded half up. A remainder at the right and bottom is dropped.
 
-    The means are of the encoded values; with alpha, colours are weighted by it.
+    The means are of the sRGB-encoded values. Colours are weighted by alpha.
+
+    >>> area_downscale(np.array([[[1, 1, 1], [2, 2, 2]], [[2, 2, 2], [2, 2, 2]]], np.uint8), 2).tolist()
+    [[[2, 2, 2]]]
     """
     if factor == 1:
         return image
@@ -161,7 +164,7 @@ def area_downscale(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3 or 4) uint8 of an image of any of Pillow's modes."""
+    """An image of any of Pillow's modes as (H, W, 3 or 4) uint8."""
     if image.mode.startswith("I"):  # 16 bits a pixel, grey
         grey = np.clip(np.asarray(image), 0, 65535).astype(np.uint32)
         return np.repeat(((grey + 128) // 257).astype(np.uint8)[..., None], 3, axis=2)

@@ -1,4 +1,7 @@
-"""OpenCV's lens: radial distortion k1, k2 and tangential p1, p2 of image-plane points, and its inverse."""
+"""OpenCV's lens model, radial k1, k2 and tangential p1, p2, and its inverse.
+
+Image-plane points are in focal lengths from the principal point, x to the right and y down.
+"""
 
 import torch
 from torch import Tensor
@@ -8,10 +11,13 @@ TOLERANCE = 1e-9  # of the distorted point, in focal lengths
 
 
 def distort(points: Tensor, distortion: Tensor) -> Tensor:
-    """Ideal image-plane points (..., 2) -> where the lens puts them (..., 2), in focal lengths from the centre.
+    """Ideal image-plane points (..., 2) -> distorted points (..., 2).
 
     x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+    >>> distort(torch.tensor([0.5, 0.0]), torch.tensor([0.1, 0, 0, 0]))
+    tensor([0.5125, 0.0000])
 
     Args:
         distortion: k1 k2 p1 p2 (..., 4), broadcast over the points.
@@ -40,9 +46,9 @@ def _distort(points: Tensor, distortion: Tensor) -> tuple[Tensor, Tensor, Tensor
 
 
 def undistort(points: Tensor, distortion: Tensor) -> Tensor:
-    """Where the lens puts points (..., 2) -> ideal image-plane points (..., 2): Newton's method, ten steps.
+    """Distorted points (..., 2) -> ideal image-plane points (..., 2), by ten steps of Newton's method.
 
-    Whether that found the inverse is for `invertible` to say.
+    `invertible` says whether the result is the inverse.
     """
     ideal = points
     for _ in range(ITERATIONS):
@@ -55,8 +61,10 @@ def undistort(points: Tensor, distortion: Tensor) -> Tensor:
 
 
 def invertible(points: Tensor, distortion: Tensor) -> Tensor:
-    """Whether `undistort` finds the one inverse of each point (...): it converges, and the lens does not fold the image
-    anywhere between the principal point and there."""
+    """Whether `undistort` finds the unique inverse of each point (..., 2): (...) bool.
+
+    Newton's method must converge, and the lens must not fold the image over between the principal point and the point.
+    """
     ideal = undistort(points, distortion)
     moved = distort(ideal, distortion)
     good = ((moved - points).abs() <= TOLERANCE * (1 + points.abs())).all(-1)

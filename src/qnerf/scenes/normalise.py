@@ -1,41 +1,46 @@
-"""World frames: from a source's own to the one in which cameras stand within [-1, 1]^3 and up is +z."""
+"""World frames: from the source's to the normalised one, with +z up and all cameras within [-1, 1]^3."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-RIGID = 1e-3  # how far R^T R may be from the identity
-LARGEST = 1e12  # absolute entry of a pose
+MAX_RIGID_ERROR = 1e-3  # largest entry of |R^T R - I| that is taken as rounding
+MAX_ENTRY = 1e12  # largest absolute entry of a pose
 
 
-def rigid(pose: NDArray, frame: str) -> NDArray:
-    """The pose (3 or 4, 4) as an exact rotation and a translation (3, 4) float64.
+def rigid(pose: NDArray, label: str) -> NDArray:
+    """A pose (3 or 4, 4) with its rotation made exactly orthonormal: (3, 4) float64.
 
     Raises:
-        ValueError: not numbers, not finite, or not a rotation to within 1e-3; says which `frame`.
+        ValueError: the shape is wrong, an entry is not finite, or the rotation is off by more than 1e-3. The message
+            starts with `label`.
     """
     if pose.shape not in ((3, 4), (4, 4)):
-        raise ValueError(f"{frame}: transform_matrix must be 4 x 4, got shape {pose.shape}")
-    if not (np.abs(pose) <= LARGEST).all():
-        raise ValueError(f"{frame}: transform_matrix holds NaN, infinity or a number beyond {LARGEST:g}")
-    if pose.shape[0] == 4 and not np.allclose(pose[3], [0, 0, 0, 1], atol=RIGID):
-        raise ValueError(f"{frame}: the last row of transform_matrix must be 0 0 0 1, got {pose[3].tolist()}")
+        raise ValueError(f"{label}: transform_matrix must be 4 x 4, got shape {pose.shape}")
+    if not (np.abs(pose) <= MAX_ENTRY).all():
+        raise ValueError(f"{label}: transform_matrix holds NaN, infinity or a number beyond {MAX_ENTRY:g}")
+    if pose.shape[0] == 4 and not np.allclose(pose[3], [0, 0, 0, 1], atol=MAX_RIGID_ERROR):
+        raise ValueError(f"{label}: the last row of transform_matrix must be 0 0 0 1, got {pose[3].tolist()}")
     rotation = pose[:3, :3]
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if error > RIGID:
+    if error > MAX_RIGID_ERROR:
         raise ValueError(
-            f"{frame}: transform_matrix is not rigid: its columns must be orthonormal, R^T R is off by {error:.2g}"
+            f"{label}: transform_matrix is not rigid: its columns must be orthonormal, R^T R is off by {error:.2g}"
         )
     if np.linalg.det(rotation) < 0:
-        raise ValueError(f"{frame}: transform_matrix mirrors space: the determinant of its rotation is -1, not 1")
+        raise ValueError(f"{label}: transform_matrix mirrors space: the determinant of its rotation is -1, not 1")
     left, _, right = np.linalg.svd(rotation)
     return np.concatenate([left @ right, pose[:3, 3:]], axis=1)
 
 
 def rotation_between(a: NDArray, b: NDArray) -> NDArray:
-    """The smallest rotation (3, 3) that takes the direction of `a` (3,) to that of `b` (3,)."""
+    """The smallest rotation (3, 3) that turns the direction of `a` (3,) into that of `b` (3,).
+
+    >>> rotation_between(np.array([1.0, 0, 0]), np.array([0.0, 2, 0])) @ [1, 0, 0]
+    array([0., 1., 0.])
+    """
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     cosine = float(a @ b)
-    if cosine < -1 + 1e-9:  # opposite: half a turn about any axis across
+    if cosine < -1 + 1e-9:  # opposite directions: half a turn about any perpendicular axis
         axis = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
         axis /= np.linalg.norm(axis)
         return 2 * np.outer(axis, axis) - np.eye(3)
@@ -45,22 +50,26 @@ def rotation_between(a: NDArray, b: NDArray) -> NDArray:
 
 
 def normalise(poses: NDArray, *, orient: bool = True, centre: bool = True) -> tuple[NDArray, NDArray]:
-    """Orients, centres and scales camera poses (V, 3, 4): the mean camera's up becomes +z, the mean centre the origin,
-    the largest absolute coordinate of a centre 1.
+    """Orients, centres and scales camera-to-world poses (V, 3, 4).
+
+    Args:
+        orient: turn the mean of the cameras' up vectors to +z.
+        centre: move the mean of the camera centres to the origin.
 
     Returns:
-        The poses (V, 3, 4), rotations still rotations, and the similarity (4, 4) that was applied to the world.
+        The poses (V, 3, 4), whose centres have a largest absolute coordinate of 1, and the similarity (4, 4) that was
+        applied to the world.
 
     Raises:
-        ValueError: all cameras stand at one point, so that there is no scale.
+        ValueError: all cameras stand at one point, so there is no scale.
     """
     origin = poses[:, :, 3].mean(axis=0) if centre else np.zeros(3)
     up = poses[:, :, 1].mean(axis=0)
     turn = rotation_between(up, np.array([0.0, 0, 1])) if orient and np.linalg.norm(up) > 1e-6 else np.eye(3)
     centres = (poses[:, :, 3] - origin) @ turn.T
     size = float(np.abs(centres).max())
-    spread = float(np.ptp(poses[:, :, 3], axis=0).max())
-    if spread <= 1e-9 * max(float(np.abs(poses[:, :, 3]).max()), 1e-30) or not size > 0:
+    extent = float(np.ptp(poses[:, :, 3], axis=0).max())
+    if extent <= 1e-9 * max(float(np.abs(poses[:, :, 3]).max()), 1e-30) or not size > 0:
         raise ValueError("all cameras stand at the same point: a radiance field needs views from different places")
     scale = 1 / size
     similarity = np.eye(4)

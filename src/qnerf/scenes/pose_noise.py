@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from qnerf.geometry.pose_refinement import exp_so3
+from qnerf.geometry.rotations import exp_so3
 from qnerf.scenes.base import Scene
 
 

@@ -1,1 +1,1 @@
-"""The loop, its losses, and how good held-out views are."""
+"""The training loop, its losses, and the evaluation of held-out views."""

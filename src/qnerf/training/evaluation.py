@@ -9,6 +9,7 @@ from torch import Tensor
 
 from qnerf.geometry.rays import RayTable
 from qnerf.model.model import Model
+from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.image_metrics import depth_error, lpips, psnr, ssim
@@ -33,8 +34,7 @@ class Evaluator:
         self.scene = scene
         self.table = table
         self.model = model
-        # A random background is a training device; the empty parts of held-out views are judged on white.
-        self.background = "white" if background == "random" else background
+        self.background = evaluation_background(background)
         self.chunk = chunk
         self.watch = watch
 
@@ -43,7 +43,7 @@ class Evaluator:
         """The view at full resolution, `chunk` rays at a time."""
         training = self.model.training
         self.model.eval()
-        self.watch.begin(watch=False)
+        self.watch.begin(measure=False)
         refinement = None if view in self.scene.eval else self.model.cameras
         rays = self.table.view(view, refinement)
         if refinement is None:  # no appearance of its own

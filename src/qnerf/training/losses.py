@@ -1,4 +1,4 @@
-"""What training minimises. Each loss is a scalar; weights (R, K) are those of volume rendering."""
+"""The terms that training minimises. Each is a scalar; weights (R, K) are those of `volume_weights`."""
 
 import torch
 from torch import Tensor
@@ -6,19 +6,34 @@ from torch import Tensor
 from qnerf.kernels import compiled, histogram
 from qnerf.types import Samples
 
-_EPS = 1e-7
+_EPS = 1e-7  # against division by 0
 
 
 def mse(color: Tensor, target: Tensor) -> Tensor:
-    """Mean squared error of colours (R, 3)."""
+    """Mean squared error of colours (R, 3).
+
+    >>> float(mse(torch.tensor([[0.5, 0.5, 0.0]]), torch.tensor([[0.0, 0.0, 0.5]])))
+    0.25
+    """
     return torch.nn.functional.mse_loss(color, target)
 
 
 def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples, Tensor]]) -> Tensor:
-    """Asks each proposal histogram to bound the final one from above (Eq. 13, arXiv:2111.12077).
+    """Trains each proposal histogram to bound the final one from above (Eq. 13, arXiv:2111.12077).
 
-    sum over proposals of mean_{R,K} max(0, w - w_outer)^2 / (w + 1e-7), where w_outer is what the proposal has on the
-    intervals that a final interval touches. Gradients reach the proposals only.
+    The sum over proposals of mean_{R,K} max(0, w - w_outer)^2 / (w + 1e-7). w_outer is the proposal's weight on the
+    intervals that touch a final interval. Gradients reach the proposals only.
+
+    >>> edges, outer_edges = torch.tensor([[0.0, 0.5, 1.0]]), torch.tensor([[0.0, 1.0]])
+    >>> final, proposal = Samples(edges, edges), Samples(outer_edges, outer_edges)
+    >>> weights = torch.tensor([[0.5, 0.25]])
+    >>> [round(float(interlevel(final, weights, [(proposal, torch.tensor([[w]]))])), 4) for w in (0.5, 0.0)]
+    [0.0, 0.375]
+
+    Args:
+        samples: final intervals.
+        weights: (R, K) of the final intervals.
+        proposals: intervals of each proposal network, and their weights (R, J).
     """
     total = weights.new_zeros(())
     for proposal, proposed in proposals:
@@ -31,7 +46,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
 
 
 def interlevel_reference(w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor) -> Tensor:
-    """The sum over rays and intervals of `interlevel` for one proposal, in plain PyTorch."""
+    """One proposal's term of `interlevel` in plain PyTorch, summed over rays and intervals."""
     excess = (w - outer_measure(s, s_outer, w_outer)).clamp(min=0)
     return (excess.square() / (w + _EPS)).sum()
 
@@ -41,7 +56,7 @@ def outer_measure(edges: Tensor, outer_edges: Tensor, outer_weights: Tensor) -> 
 
     Args:
         edges: (R, K + 1) non-decreasing.
-        outer_edges: (R, J + 1) non-decreasing; an interval that begins where one of `edges` ends touches it.
+        outer_edges: (R, J + 1) non-decreasing. Intervals touch also where one begins at the end of the other.
         outer_weights: (R, J).
     """
     cumulative = torch.nn.functional.pad(outer_weights.cumsum(-1), (1, 0))
@@ -52,11 +67,15 @@ def outer_measure(edges: Tensor, outer_edges: Tensor, outer_weights: Tensor) -> 
 
 
 def distortion(samples: Samples, weights: Tensor) -> Tensor:
-    """Pulls each ray's weight together (Eq. 15, arXiv:2111.12077), in the normalised coordinate s.
+    """Distortion loss, which concentrates each ray's weight (Eq. 15, arXiv:2111.12077), in the normalised coordinate s.
 
-    mean over rays of sum_{i,j} w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 (s_{i+1} - s_i), m the interval midpoints. The
-    double sum is 2 sum_k (m_{k+1} - m_k) W_k (w_{k+1} + ...) with W_k = w_0 + ... + w_k: all its terms are positive and
-    no digits cancel.
+    The mean over rays of sum_{i,j} w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 (s_{i+1} - s_i), with interval midpoints m.
+    The double sum is computed as 2 sum_k (m_{k+1} - m_k) (w_0 + ... + w_k) (w_{k+1} + ...): all terms are positive, so
+    nothing cancels.
+
+    >>> edges = torch.tensor([[0.0, 0.5, 1.0]])
+    >>> [round(float(distortion(Samples(edges, edges), torch.tensor([w]))), 4) for w in ([1.0, 0.0], [0.5, 0.5])]
+    [0.1667, 0.3333]
     """
     s = samples.spacing.detach()
     if compiled(weights, s):
@@ -67,7 +86,7 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
 def distortion_reference(weights: Tensor, s: Tensor) -> Tensor:
     """The sum over rays of `distortion`, in plain PyTorch."""
     before = weights[:, :-1].cumsum(-1)
-    behind = weights[:, 1:].flip(-1).cumsum(-1).flip(-1)  # the total less `before` would cancel behind a spike
+    behind = weights[:, 1:].flip(-1).cumsum(-1).flip(-1)  # total - before would cancel behind a spike
     gaps = s[:, 2:] - s[:, :-2]  # twice the distance of neighbouring midpoints
     between = (gaps * before * behind).sum()
     within = ((s[:, 1:] - s[:, :-1]) * weights.square()).sum() / 3

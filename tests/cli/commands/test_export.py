@@ -60,7 +60,7 @@ def test_csv_tells_values_that_are_no_number_from_absent_ones():
     [("=1+1", "'=1+1"), ("@x", "'@x"), ("-x", "'-x"), ("-1e3", "-1e3"), ("+5", "+5"), ("text", "text"), (-3, -3)],
 )
 def test_csv_has_no_formulas(value, cell):
-    assert to_csv.harmless(value) == cell
+    assert to_csv.without_formula(value) == cell
 
 
 def test_csv_again_replaces_and_leaves_other_files(run, qnerf, tmp_path):
@@ -126,8 +126,8 @@ def tracking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def only_run(tracking):
-    (found,) = tracking.search_runs([tracking.get_experiment_by_name("qnerf").experiment_id])
-    return found
+    (run,) = tracking.search_runs([tracking.get_experiment_by_name("qnerf").experiment_id])
+    return run
 
 
 def steps(tracking, key: str) -> list[int]:
@@ -196,7 +196,7 @@ def test_mlflow_that_cannot_be_reached_is_one_line(run, qnerf, tracking, monkeyp
     assert done.err.count("\n") == 1
 
 
-# What all have in common
+# All targets
 
 
 @pytest.mark.parametrize("target", ["mlflow", "tensorboard"])
@@ -235,9 +235,9 @@ def test_links_are_not_exported(run, tmp_path):
     secret.write_text("x")
     (run / "images" / "view1.png").symlink_to(secret)
     (run / "environment-2.json").symlink_to(secret)
-    found = content.read(run)
-    assert [path.name for path in found.images] == ["view0.png"]
-    assert "environment-2.json" not in [path.name for path in found.files]
+    exported = content.read(run)
+    assert [path.name for path in exported.images] == ["view0.png"]
+    assert "environment-2.json" not in [path.name for path in exported.files]
 
 
 def test_times_come_from_the_run(run):

@@ -1,4 +1,4 @@
-"""`qnerf reproduce`: the same run again, number by number, and what differs around it."""
+"""`qnerf reproduce`: runs it again and compares the numbers and the environments."""
 
 import json
 from collections.abc import Callable
@@ -22,7 +22,7 @@ STEPS = ("train.steps=4", "train.eval_every=2")
 
 @pytest.fixture(autouse=True)
 def _no_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The environment of these tests does not depend on what is being edited meanwhile."""
+    """The recorded environment does not depend on edits of this checkout during the tests."""
     monkeypatch.setattr("qnerf.records.environment.checkout", lambda: None)
 
 
@@ -33,7 +33,7 @@ def run(tiny: Callable[..., dict[str, Any]]) -> Path:
 
 @pytest.fixture
 def reproduce(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
-    """`reproduce(run, "--tolerance", 1e-3)`: exit code and what was said."""
+    """`reproduce(run, "--tolerance", 1e-3)`: exit code and output."""
 
     def call(run: Path, *arguments: object) -> tuple[int, str]:
         capsys.readouterr()
@@ -55,10 +55,10 @@ def scaled(rows: pd.DataFrame, key: str, step: int, factor: float) -> pd.DataFra
 
 def test_a_run_agrees_with_itself_bit_for_bit(run, reproduce):
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    code, said = reproduce(run)
-    assert code == 0, said
+    code, output = reproduce(run)
+    assert code == 0, output
     numbers = sum(item.numbers for item in compare(run, run))
-    assert f"{run.name}: reproduced, {numbers:,} numbers agree bit for bit" in said
+    assert f"{run.name}: reproduced, {numbers:,} numbers agree bit for bit" in output
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
     assert records.runs(run.parent) == [run]
 
@@ -77,22 +77,22 @@ def test_what_is_compared(run):
 
 def test_numbers_that_differ_are_named_with_their_place(run, reproduce):
     change_metrics(run, lambda rows: scaled(rows, "train/loss", 3, 1.001))
-    code, said = reproduce(run)
+    code, output = reproduce(run)
     assert code == 1
-    (line,) = [line for line in said.splitlines() if "train/loss" in line]
+    (line,) = [line for line in output.splitlines() if "train/loss" in line]
     assert line.split() == ["metrics", "train/loss", "4", "0", "0.000999", "step=3"]
-    assert "not reproduced, 1 of" in said
-    assert "nothing that is recorded of the environment differs" in said
-    code, said = reproduce(run, "--tolerance", 0.01)
+    assert "not reproduced, 1 of" in output
+    assert "nothing that is recorded of the environment differs" in output
+    code, output = reproduce(run, "--tolerance", 0.01)
     assert code == 0
-    assert "agree within 0.01; the largest relative difference is 0.000999" in said
+    assert "agree within 0.01; the largest relative difference is 0.000999" in output
 
 
 def test_rows_that_are_missing_are_counted(run, reproduce):
     change_metrics(run, lambda rows: rows[(rows["key"] != "train/psnr") | (rows["step"] > 1)])
-    code, said = reproduce(run, "--tolerance", 1e9)
+    code, output = reproduce(run, "--tolerance", 1e9)
     assert code == 1
-    (line,) = [line for line in said.splitlines() if "train/psnr" in line]
+    (line,) = [line for line in output.splitlines() if "train/psnr" in line]
     assert line.split() == ["metrics", "train/psnr", "4", "1", "0", "step=1"]
 
 
@@ -104,34 +104,34 @@ def test_what_differs_in_the_environment_is_told(run, reproduce):
     (run / "environment.json").write_text(json.dumps(environment))
     (run / "dirty.diff").write_text("+a\n+b\n")
     change_metrics(run, lambda rows: scaled(rows, "train/loss", 3, 1.001))
-    code, said = reproduce(run)
+    code, output = reproduce(run)
     assert code == 1
-    assert f"packages.torch 1.0 {torch.__version__}".split() in [line.split() for line in said.splitlines()]
+    assert f"packages.torch 1.0 {torch.__version__}".split() in [line.split() for line in output.splitlines()]
     for word in ("abacus", "c0ffee", "git.diff"):
-        assert word in said
+        assert word in output
 
 
 def test_the_threads_are_those_of_the_run(tiny, reproduce, monkeypatch):
     run = experiment.run(tiny(*STEPS, "threads=1")).path
     assert recorded_threads(run) == 1
     torch.set_num_threads(2)
-    asked = []
-    monkeypatch.setattr(torch, "set_num_threads", asked.append)
+    threads = []
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
     reproduce(run)
-    assert asked == [1]
+    assert threads == [1]
 
 
 def test_the_second_run_can_be_kept(run, reproduce, tmp_path):
-    code, said = reproduce(run, "--keep", tmp_path / "again")
-    assert code == 0, said
+    code, output = reproduce(run, "--keep", tmp_path / "again")
+    assert code == 0, output
     (again,) = records.runs(tmp_path / "again")
     assert again.name == run.name
     assert records.state(again) == "finished"
     change_metrics(again, lambda rows: scaled(rows, "train/loss", 3, 1.001))
     assert reproduce(run, "--keep", tmp_path / "again")[0] == 0, "what was kept before is no second run"
-    code, said = reproduce(run, "--keep", run.parent)
+    code, output = reproduce(run, "--keep", run.parent)
     assert code == 2
-    assert "is the store of the run itself" in said
+    assert "is the store of the run itself" in output
 
 
 def test_only_what_is_finished(tiny, reproduce):
@@ -139,9 +139,9 @@ def test_only_what_is_finished(tiny, reproduce):
     claim = records.RunStore(config["store"]).claim("a", config)
     assert claim.run is not None
     claim.run.interrupt()
-    code, said = reproduce(claim.dir)
+    code, output = reproduce(claim.dir)
     assert code == 2
-    assert "is interrupted; only a finished run can be reproduced" in said
+    assert "is interrupted; only a finished run can be reproduced" in output
 
 
 def test_environments_of_two_runs(run, tmp_path):

@@ -120,7 +120,7 @@ def test_a_full_disk_does_not_keep_runs_from_being_deleted(make, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(owner, "write", full)
+    monkeypatch.setattr(owner, "create", full)
     rm.delete(run)
     assert not run.exists()
 

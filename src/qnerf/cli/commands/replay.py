@@ -29,9 +29,10 @@ def main(options: argparse.Namespace) -> int:
     from qnerf import experiment
     from qnerf.quantum import QuantumLayer
     from qnerf.timing import Stopwatch
-    from qnerf.training import finite_checks
+    from qnerf.training.checked_trainer import CheckedTrainer, ReplayTable, RunContext, load_step
+    from qnerf.training.finite_checks import NonFinite
 
-    content = finite_checks.load(options.file)
+    content = load_step(options.file)
     config = upgrade_config(content["config"])
     check_plugins(options.file, config.get("plugins", []), repeated := typed.plugins(options.plugins))
     plugins.load(repeated)
@@ -45,17 +46,16 @@ def main(options: argparse.Namespace) -> int:
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     model = experiment.build_model(settings, scene)
-    table = finite_checks.Recorded(experiment.ray_table(settings, scene), content["rays"], content["colors"])
-    origin = finite_checks.Origin(scene.names, config, None)
+    table = ReplayTable(experiment.ray_table(settings, scene), content["rays"], content["colors"])
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    trainer = finite_checks.CheckedTrainer(model, table, settings, watch, origin)
+    trainer = CheckedTrainer(model, table, settings, watch, RunContext(scene.names, config, None))
     trainer.load(content["state"])
     print(printable(f"then: {content['told']}"))
     try:
         trainer.take_step(measure=False)
-    except finite_checks.NonFinite as found:
-        print(printable(f"now:  {found.told}"))
-        print("the same" if found.told == content["told"] else "not the same")
+    except NonFinite as error:
+        print(printable(f"now:  {error.message}"))
+        print("the same" if error.message == content["told"] else "not the same")
         return 1
     print("now:  every value is finite; it does not occur here")
     return 0

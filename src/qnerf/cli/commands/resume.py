@@ -5,8 +5,7 @@ import argparse
 from qnerf.cli.commands import add_run
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import CHANGEABLE, check_identity, stored
-from qnerf.records import find, state
-from qnerf.records.owner import holder
+from qnerf.records import find, owner, state
 from qnerf.records.printable import printable
 
 
@@ -25,7 +24,8 @@ def main(options: argparse.Namespace) -> int:
     run = find(options.run, options.store).resolve()
     now = state(run)
     if now in ("finished", "running"):
-        print(printable(f"{run}: finished already" if now == "finished" else f"{run}: being written by {holder(run)}"))
+        reason = "finished already" if now == "finished" else f"being written by {owner.describe(run)}"
+        print(printable(f"{run}: {reason}"))
         return 0
     config, filled = stored(run, options.overrides)
 

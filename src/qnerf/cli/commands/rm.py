@@ -14,7 +14,7 @@ from qnerf.cli.commands import add_store
 from qnerf.cli.text import STATE_STYLES, console, size, styled
 from qnerf.records import StoreError, find, owner, state
 from qnerf.records.files import reporting
-from qnerf.records.owner import Held, Ownership
+from qnerf.records.owner import OwnerInfo, Ownership
 
 MARKS = ("status.json", "summary.parquet", "owner")
 """A folder without any of them is no run, and stays."""
@@ -79,7 +79,7 @@ def _take(folder: Path) -> Ownership | None:
         if not full or state(folder) == "running":
             raise
         return None  # a full disk is what runs are deleted for
-    if isinstance(held, Held):
+    if isinstance(held, OwnerInfo):
         raise StoreError(f"{folder}: being written by {held}; stop it first")
     if held is None:
         raise StoreError(f"{folder}: gone already")

@@ -1,5 +1,5 @@
-"""One table of all runs of a store, which reads only what changed since it was last asked for."""
+"""One table of all runs of a store. It reads only the files that changed since the last time."""
 
-from qnerf.records.index.table import OWN, Progress, columns, load, place_of
+from qnerf.records.index.table import RUN_COLUMNS, Progress, columns, load, locate
 
-__all__ = ["OWN", "Progress", "columns", "load", "place_of"]
+__all__ = ["RUN_COLUMNS", "Progress", "columns", "load", "locate"]

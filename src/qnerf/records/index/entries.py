@@ -1,4 +1,4 @@
-"""What the index holds of each file of a run: from its bytes to the names, kinds and values of one row."""
+"""What the index holds of each file of a run: from the file's bytes to the names, kinds and values of one row."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -7,57 +7,53 @@ from typing import Any
 
 from qnerf.config.compatibility import today
 from qnerf.records import summary_row
+from qnerf.records.files import one_line, parse_json
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
-from qnerf.records.index.ragged_rows import KIND_OF_TYPE, Row, Rows, Shape
-from qnerf.records.owner import moment
+from qnerf.records.index.ragged_rows import KIND_OF_TYPE, RaggedRow, RaggedTable, RowShape
+from qnerf.records.owner import unix_time
 from qnerf.records.read import STATES
 
 DAMAGED = ".damaged"
-"""Name of the one value that an entry has whose file cannot be read: why."""
+"""The one value in the entry of a file that cannot be read: the reason."""
 
-_UNREADABLE = Shape((DAMAGED,), ("text",))
-_STATUS = Shape(
+_UNREADABLE_SHAPE = RowShape((DAMAGED,), ("text",))
+_STATUS_SHAPE = RowShape(
     ("state", "step", "created", "heartbeat", "error", "record"), ("text", "int", "float", "float", "text", "text")
 )
-_ANNOTATIONS = Shape(("tags", "note"), ("text", "text"))
+_ANNOTATIONS_SHAPE = RowShape(("tags", "note"), ("text", "text"))
 
 
-def unreadable(run: str, stamp: str, reason: str) -> Row:
-    return Row(run, stamp, _UNREADABLE, [_text(reason)])
+def unreadable(run: str, stamp: str, reason: str) -> RaggedRow:
+    return RaggedRow(run, stamp, _UNREADABLE_SHAPE, [_text(reason)])
 
 
-def read(file: str, run: str, stamp: str, data: bytes) -> Row:
-    """The entry of one file; `unreadable` where a summary is damaged. The other two are empty then."""
+def parse(file: str, run: str, stamp: str, data: bytes) -> RaggedRow:
+    """The entry of one file: `unreadable` for a damaged summary, empty for a damaged status or annotations."""
     try:
-        shape, values = _READERS[file](data)
+        shape, values = _PARSERS[file](data)
     except (ValueError, TypeError, OSError) as error:  # pyarrow's errors are these too
-        return unreadable(run, stamp, f"{file} is damaged: {' '.join(str(error).split())}")
-    return Row(run, stamp, shape, values)
+        return unreadable(run, stamp, f"{file} is damaged: {one_line(error)}")
+    return RaggedRow(run, stamp, shape, values)
 
 
-def rows(read: Sequence[Row]) -> Rows:
-    """All of them together; those that hold what their types do not allow become `unreadable`."""
+def table(entries: Sequence[RaggedRow]) -> RaggedTable:
+    """All entries together. One whose values do not fit their types becomes `unreadable`."""
     try:
-        return Rows.of(read)
+        return RaggedTable.of(entries)
     except (ValueError, TypeError, OverflowError):
-        return Rows.of(entry if _fits(entry) else _misfit(entry) for entry in read)
+        return RaggedTable.of(_checked(entry) for entry in entries)
 
 
-def _fits(entry: Row) -> bool:
+def _checked(entry: RaggedRow) -> RaggedRow:
     try:
-        Rows.of([entry])
+        RaggedTable.of([entry])
     except (ValueError, TypeError, OverflowError):
-        return False
-    return True
+        reason = f"{SUMMARY} is damaged: it has values that are not of their column's type"
+        return unreadable(entry.key, entry.stamp, reason)
+    return entry
 
 
-def _misfit(entry: Row) -> Row:
-    return unreadable(
-        entry.key, entry.stamp, f"{SUMMARY} is damaged: it has values that are not of their column's type"
-    )
-
-
-def _summary(data: bytes) -> tuple[Shape, Sequence[Any]]:
+def _parse_summary(data: bytes) -> tuple[RowShape, Sequence[Any]]:
     names, types, values = summary_row.decode(data)
     if not len(names) == len(types) == len(values):
         raise ValueError("columns, types and values differ in number")
@@ -71,50 +67,47 @@ def _summary(data: bytes) -> tuple[Shape, Sequence[Any]]:
 
 
 @lru_cache(maxsize=4096)
-def _shape(names: tuple[str, ...], types: tuple[str, ...]) -> Shape:
-    """One object for all runs whose columns are the same. Types that a run does not write are shown as text."""
+def _shape(names: tuple[str, ...], types: tuple[str, ...]) -> RowShape:
+    """One object for all runs with the same columns. Types that a run does not write are shown as text."""
     if not all(isinstance(name, str) for name in names):
         raise ValueError("names of columns must be text")
-    return Shape(tuple(map(today, names)), tuple(KIND_OF_TYPE.get(kind, "text") for kind in types))
+    return RowShape(tuple(map(today, names)), tuple(KIND_OF_TYPE.get(kind, "text") for kind in types))
 
 
-def _status(data: bytes) -> tuple[Shape, Sequence[Any]]:
+def _parse_status(data: bytes) -> tuple[RowShape, Sequence[Any]]:
     record = _object(data)
     state, step = record.get("state"), record.get("step")
-    is_step = isinstance(step, int) and abs(step) < 2**63
-    return _STATUS, (
+    return _STATUS_SHAPE, (
         state if state in STATES else None,
-        int(step) if is_step else None,  # type: ignore[arg-type]
-        moment(record.get("created")),
-        moment(record.get("heartbeat")),
+        int(step) if isinstance(step, int) and abs(step) < 2**63 else None,
+        unix_time(record.get("created")),
+        unix_time(record.get("heartbeat")),
         _text(record.get("error")),
         json.dumps(record) if state == "running" else None,
     )
 
 
-def _annotations(data: bytes) -> tuple[Shape, Sequence[Any]]:
+def _parse_annotations(data: bytes) -> tuple[RowShape, Sequence[Any]]:
     record = _object(data)
     tags = record.get("tags")
     texts = {tag for tag in tags if isinstance(tag, str)} if isinstance(tags, list) else set()
-    return _ANNOTATIONS, (json.dumps(sorted(texts)), _text(record.get("note")))
+    return _ANNOTATIONS_SHAPE, (json.dumps(sorted(texts)), _text(record.get("note")))
 
 
 def _object(data: bytes) -> dict[str, Any]:
-    """A JSON object; empty where the file holds anything else."""
     try:
-        record = json.loads(data)
-    except (ValueError, RecursionError):
+        return parse_json(data)
+    except ValueError:
         return {}
-    return record if isinstance(record, dict) else {}
 
 
 def _text(value: Any) -> str | None:
-    """Text that Arrow takes: JSON may hold halves of characters."""
+    """Text that Arrow accepts: JSON may contain halves of characters."""
     return value.encode(errors="replace").decode() if isinstance(value, str) and value else None
 
 
-_READERS: dict[str, Callable[[bytes], tuple[Shape, Sequence[Any]]]] = {
-    SUMMARY: _summary,
-    STATUS: _status,
-    ANNOTATIONS: _annotations,
+_PARSERS: dict[str, Callable[[bytes], tuple[RowShape, Sequence[Any]]]] = {
+    SUMMARY: _parse_summary,
+    STATUS: _parse_status,
+    ANNOTATIONS: _parse_annotations,
 }

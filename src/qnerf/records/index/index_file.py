@@ -1,4 +1,4 @@
-"""The index of one file of every run, as it lies on disk: a checksum of four bytes, then a Parquet file."""
+"""The index on disk, one file for each kind of a run's files: four bytes of checksum, then a Parquet file."""
 
 import contextlib
 import io
@@ -11,37 +11,36 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from qnerf.records.files import StoreError, read_bytes, remove_leftovers, replace
-from qnerf.records.index.ragged_rows import KEY, SCHEMA, STAMP, Rows, Shape, physicals
+from qnerf.records.files import StoreError, read_bytes, remove_temporary_files, replace
+from qnerf.records.index.ragged_rows import HEAD_SCHEMA, KEY, STAMP, RaggedTable, RowShape, column_names
 
 FORMAT = 2
-"""Of the index and of what its entries hold; one of another format is built anew."""
+"""Of the file and of its entries. A file in another format is ignored and replaced."""
 
 _METADATA = b"qnerf.index"
-_MOST_BYTES = 2**31
-_LEFT_S = 3600.0
-"""Nobody writes an index for so long: a temporary file of that age is of somebody who was killed."""
+_MAX_BYTES = 2**31
+_ABANDONED_S = 3600.0  # no process takes so long to write an index
 
 
-class Kept:
-    """Entries that were read before. keys: their runs; stamps: of the files that they were read from."""
+class StoredIndex:
+    """Entries that were read before. keys: their runs. stamps: the versions of the files that they were read from."""
 
-    def __init__(self, file: pq.ParquetFile | None = None, shapes: Sequence[Shape] = ()) -> None:
+    def __init__(self, file: pq.ParquetFile | None = None, shapes: Sequence[RowShape] = ()) -> None:
         self._file, self._shapes = file, tuple(shapes)
-        head = file.read([KEY, STAMP], use_threads=False) if file else SCHEMA.empty_table()
+        head = file.read([KEY, STAMP], use_threads=False) if file else HEAD_SCHEMA.empty_table()
         self.keys: list[str] = head[KEY].to_pylist()
         self.stamps: list[str] = head[STAMP].to_pylist()
 
     @classmethod
-    def load(cls, folders: Sequence[Path], name: str) -> "Kept":
-        """Of the first folder that has a whole one of this format; empty where none has."""
+    def load(cls, folders: Sequence[Path], name: str) -> "StoredIndex":
+        """From the first folder that has an undamaged one of this format; empty if none has."""
         for folder in folders:
             with contextlib.suppress(OSError, ValueError, LookupError):
-                return cls._read(read_bytes(folder / name, _MOST_BYTES))
+                return cls._parse(read_bytes(folder / name, _MAX_BYTES))
         return cls()
 
     @classmethod
-    def _read(cls, data: bytes) -> "Kept":
+    def _parse(cls, data: bytes) -> "StoredIndex":
         checksum, content = data[:4], data[4:]
         if checksum != _checksum(content):
             raise ValueError("damaged")
@@ -49,31 +48,31 @@ class Kept:
         version, shapes = json.loads((file.metadata.metadata or {})[_METADATA])
         if version != FORMAT:
             raise ValueError("another format")
-        return cls(file, [Shape(tuple(names), tuple(kinds)) for names, kinds in shapes])
+        return cls(file, [RowShape(tuple(names), tuple(kinds)) for names, kinds in shapes])
 
-    def rows(self, names: Collection[str] | None = None) -> Rows:
-        """All entries, with at least the named values."""
+    def entries(self, names: Collection[str] | None = None) -> RaggedTable:
+        """All entries, with at least the values of these names."""
         if self._file is None:
-            return Rows(SCHEMA.empty_table(), ())
-        columns = None if names is None else [*SCHEMA.names, *physicals(self._shapes, names)]
-        return Rows(self._file.read(columns, use_threads=False), self._shapes)
+            return RaggedTable(HEAD_SCHEMA.empty_table(), ())
+        columns = None if names is None else [*HEAD_SCHEMA.names, *column_names(self._shapes, names)]
+        return RaggedTable(self._file.read(columns, use_threads=False), self._shapes)
 
 
-def save(rows: Rows, folders: Sequence[Path], name: str) -> None:
-    """Into the first folder that can be written; nowhere if none can."""
-    shapes = [[shape.names, shape.kinds] for shape in rows.shapes]
+def save(entries: RaggedTable, folders: Sequence[Path], name: str) -> None:
+    """Writes to the first folder that can be written; nowhere if none can."""
+    shapes = [[shape.names, shape.kinds] for shape in entries.shapes]
     sink = io.BytesIO()
-    with pq.ParquetWriter(sink, rows.table.schema, compression="zstd", compression_level=1) as writer:
-        writer.write_table(rows.table)
+    with pq.ParquetWriter(sink, entries.table.schema, compression="zstd", compression_level=1) as writer:
+        writer.write_table(entries.table)
         writer.add_key_value_metadata({_METADATA: json.dumps([FORMAT, shapes])})
     content = sink.getvalue()
     for folder in folders:
         with contextlib.suppress(OSError, StoreError):
             os.makedirs(folder, exist_ok=True)
-            if folder.is_symlink():  # what lies where it leads is not ours to replace
+            if folder.is_symlink():  # files behind it are not ours to replace
                 continue
             replace(folder / name, _checksum(content) + content, durable=False)
-            remove_leftovers(folder, age_s=_LEFT_S)
+            remove_temporary_files(folder, age_s=_ABANDONED_S)
             return
 
 

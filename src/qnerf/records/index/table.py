@@ -1,21 +1,21 @@
-"""One table of all runs of a store, which reads only what changed since it was last asked for.
+"""One table of all runs of a store. It reads only the files that changed since the last time.
 
-Three files of a run make its row: summary.parquet, status.json and annotations.json. What was read of them is kept in
-the index, a file for each of the three, beside the stamp that the run's file had just before it was read: times of
-modification and change, size and inode, or the entity tag of an object store. A run's file is read again unless its
-stamp is the kept one, so an entry may be missing or old, but is never taken for that of another version:
+A run's row comes from three files: summary.parquet, status.json and annotations.json. For each of the three, the index
+keeps what it read from every run, together with the stamp that the file had just before it was read: modification time,
+change time, size and inode, or the entity tag of an object store. A file is read again unless its stamp is still the
+same. So an entry may be missing or old, but it is never used for another version of the file:
 
-- A run's files are replaced, not changed: the next version has another inode, and other times.
-- A file that changed within `places.SETTLED` seconds before the look has no stamp, so that a version which follows
-  within the clock's granularity is not missed. It is read every time until it has settled.
-- Stamps are taken before reading. A version that comes in between is kept under the older stamp, and read again.
-- Nobody can set a change time: putting back an older copy with its times does not bring back its stamp.
-- Whether a run that says "running" is alive is never kept; it is found out at every look.
-- A row never tells of an end that its numbers do not include: a summary is read after the state that stands beside it.
-- The index is replaced whole and begins with its checksum; a damaged one, or one of another format, counts as none.
+- Files of a run are replaced, not changed. The next version has another inode and other times.
+- A file that changed in the last `locations.SETTLED` seconds gets no stamp and is read every time, because a coarse
+  clock could give the next version the same time.
+- Stamps are taken before reading. A version that arrives in between has the older stamp, and is read again.
+- Nobody can set a change time. An older copy that is put back with its modification time has another stamp.
+- Whether a run that says "running" is alive is not stored. It is found out every time.
+- Status is read before the summary, so the row of a finished run is complete.
+- The index is replaced whole and begins with its checksum. A damaged one, or one in another format, is ignored.
 
-Whoever refreshes at the same time writes an index that is right as well; the last one stays. Where the store cannot be
-written the index lies in the user's cache folder, and where that cannot be written, nowhere.
+Several processes may refresh the index at once. Each writes a correct one, and the last one stays. If the store cannot
+be written, the index lies in the user's cache folder; if that cannot be written either, there is none.
 """
 
 import json
@@ -28,162 +28,141 @@ import pyarrow as pa
 
 from qnerf.records.files import StoreError
 from qnerf.records.index import entries
-from qnerf.records.index.index_file import Kept, save
-from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY, UNSETTLED, Folder, Place, Stamps
-from qnerf.records.index.ragged_rows import Row, Rows
+from qnerf.records.index.index_file import StoredIndex, save
+from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY, UNSETTLED, FolderLocation, Location, Stamps
+from qnerf.records.index.ragged_rows import RaggedRow, RaggedTable
 
 Progress = Callable[[str, int, int], None]
 """Called with a file's name, how many of them were read, and how many there are to read."""
 
-OWN = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
-"""Columns that do not come from the summary, whatever it has under these names."""
+RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
+"""Columns that do not come from the summary, even if it has values with these names."""
 
-WORTH = 100  # the index is written when more than one in so many entries changed: reading fewer takes less than that
+CHANGES_WORTH_SAVING = 0.01  # share of the entries; below it, reading them again takes less time than writing the index
 
 
 def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: Progress | None = None) -> pd.DataFrame:
-    """One row a run, sorted by `run_id`: the columns of summary.parquet (results, parameter counts, timings, the flat
-    configuration), and
+    """One row per run, sorted by `run_id`. The columns are those of summary.parquet (results, parameter counts,
+    timings, the flat configuration) and:
 
-    state: the true one, running | finished | interrupted | failed, or damaged where summary.parquet cannot be read.
+    state: running | finished | interrupted | failed, or damaged if summary.parquet cannot be read.
     error: why the run failed, or what is wrong with its summary. path: the run's folder or URL. step: the last one
     logged. created, heartbeat: Unix times. tags: a tuple. note: text.
 
-    A column that holds numbers in some runs and text in others is text.
+    A column with numbers in some runs and text in others is text.
 
-    store: a folder, or a URL that fsspec can read; an absent or empty one has no rows. columns: these only, which is
-    faster; those that no run has are left out. progress: see `Progress`.
+    store: a folder, or a URL that fsspec can read; an absent or empty one gives no rows. columns: only these, which is
+    faster; names that no run has are left out. progress: see `Progress`.
 
     Raises:
         ValueError: the store cannot be read.
     """
-    place = place_of(store)
-    found = place.scan()
-    # A run writes its summary before the state that it ends with: whose state is new, its summary is read after it.
-    status, new = _refreshed(place, STATUS, found, progress)
-    summary, _ = _refreshed(place, SUMMARY, found, progress, names=_needed(columns), again=new)
-    annotations, _ = _refreshed(place, ANNOTATIONS, found, progress)
-    parts = {SUMMARY: summary, STATUS: status, ANNOTATIONS: annotations}
-    removed = _stamps(found, SUMMARY).keys() - set(parts[SUMMARY].keys())  # while they were read
-    runs = [run for run in found if run not in removed]
-    return _frame(place, runs, {file: _Aligned(rows, runs) for file, rows in parts.items()}, columns)
+    location = locate(store)
+    stamps = location.scan()
+    # A run writes its summary before its last state. If the state has changed, the summary is read after it.
+    status, changed = _refreshed(location, STATUS, stamps, progress)
+    summary_values = None if columns is None else [*columns, "error", entries.DAMAGED]
+    summary, _ = _refreshed(location, SUMMARY, stamps, progress, names=summary_values, reread=changed)
+    annotations, _ = _refreshed(location, ANNOTATIONS, stamps, progress)
+    removed = _stamps_of(SUMMARY, stamps).keys() - set(summary.keys())  # while they were read
+    runs = [run for run in stamps if run not in removed]
+    tables = (summary.reindexed(runs), status.reindexed(runs), annotations.reindexed(runs))
+    return _frame(location, runs, *tables, columns)
 
 
 def columns(store: str | Path) -> list[str]:
-    """Names of the columns that `load` gives without `columns`."""
+    """Names of all columns of `load`."""
     return list(load(store).columns)
 
 
-def place_of(store: str | Path) -> Place:
-    """Where the store lies: file:// is this machine, too. Raises ValueError where a URL cannot be read."""
+def locate(store: str | Path) -> Location:
+    """The location of a store or a run: a folder, a file:// URL, or another URL. ValueError if it cannot be read."""
     protocol, separator, rest = str(store).partition("://")
     if not separator or protocol == "file":
-        return Folder(rest if separator else store)
-    from qnerf.records.index.remote import Remote  # fsspec takes longer to import than a small store to list
+        return FolderLocation(rest if separator else store)
+    from qnerf.records.index.remote import UrlLocation  # importing fsspec takes longer than listing a small store
 
-    return Remote(str(store))
-
-
-def _stamps(found: Stamps, file: str) -> dict[str, str]:
-    return {run: files[file] for run, files in found.items() if file in files}
+    return UrlLocation(str(store))
 
 
-def _needed(columns: Sequence[str] | None) -> Sequence[str] | None:
-    """Values of summaries that the columns are made of; None: all."""
-    return None if columns is None else [*columns, "error", entries.DAMAGED]
+def _stamps_of(file: str, stamps: Stamps) -> dict[str, str]:
+    return {run: files[file] for run, files in stamps.items() if file in files}
 
 
 def _refreshed(
-    place: Place,
+    location: Location,
     file: str,
-    found: Stamps,
+    all_stamps: Stamps,
     progress: Progress | None,
     *,
     names: Sequence[str] | None = None,
-    again: Collection[str] = (),
-) -> tuple[Rows, Collection[str]]:
-    """The entries of that file, sorted by run, with at least the named values; and the runs of which it was read.
+    reread: Collection[str] = (),
+) -> tuple[RaggedTable, Collection[str]]:
+    """The entries of one file of every run, sorted by run, and the runs whose file was read.
 
-    again: runs of which it is read in any case.
+    names: the result has at least these values. reread: runs whose file is read in any case.
     """
-    folders, name = place.index_folders(), f"{file}.index"
-    kept = Kept.load(folders, name)
-    stamps = _stamps(found, file)
+    folders, name = location.index_folders(), f"{file}.index"
+    stored = StoredIndex.load(folders, name)
+    stamps = _stamps_of(file, all_stamps)
     current = [
         number
-        for number, (run, stamp) in enumerate(zip(kept.keys, kept.stamps, strict=True))
-        if stamps.get(run) == stamp != UNSETTLED and run not in again
+        for number, (run, stamp) in enumerate(zip(stored.keys, stored.stamps, strict=True))
+        if stamps.get(run) == stamp != UNSETTLED and run not in reread
     ]
     if len(current) == len(stamps):
-        return kept.rows(names).take(current), ()
-    stale = stamps.keys() - {kept.keys[number] for number in current}
-    read = list(_read(place, file, {run: stamps[run] for run in sorted(stale)}, progress))
-    rows = (kept.rows().take(current) + entries.rows(read)).sorted()
-    if (len(stale) + len(kept.keys) - len(current)) * WORTH > len(stamps):
-        save(rows, folders, name)
-    return rows, stale
+        return stored.entries(names).take(current), ()
+    stale = stamps.keys() - {stored.keys[number] for number in current}
+    fresh = list(_read(location, file, {run: stamps[run] for run in sorted(stale)}, progress))
+    table = (stored.entries().take(current) + entries.table(fresh)).sorted()
+    changes = len(stale) + len(stored.keys) - len(current)
+    if changes > CHANGES_WORTH_SAVING * len(stamps):
+        save(table, folders, name)
+    return table, stale
 
 
-def _read(place: Place, file: str, stamps: Mapping[str, str], progress: Progress | None) -> Iterator[Row]:
-    for number, (run, data) in enumerate(zip(stamps, place.read(file, list(stamps)), strict=True)):
+def _read(location: Location, file: str, stamps: Mapping[str, str], progress: Progress | None) -> Iterator[RaggedRow]:
+    for number, (run, data) in enumerate(zip(stamps, location.read(file, list(stamps)), strict=True)):
         if progress is not None:
             progress(file, number, len(stamps))
         if isinstance(data, StoreError):
             yield entries.unreadable(run, UNSETTLED, str(data))
         elif data is not None:
-            yield entries.read(file, run, stamps[run], data)
-
-
-class _Aligned:
-    """Columns of one file's entries, in the order of `runs`, null where a run has none."""
-
-    def __init__(self, rows: Rows, runs: Sequence[str]) -> None:
-        numbers = {run: number for number, run in enumerate(rows.keys())}
-        self._rows = rows
-        self._indices = pa.array([numbers.get(run) for run in runs], pa.int64())
-        self._same = rows.keys() == list(runs)
-
-    def columns(self, names: Sequence[str] | None = None) -> dict[str, pa.ChunkedArray]:
-        columns = self._rows.columns(names)
-        return columns if self._same else {name: column.take(self._indices) for name, column in columns.items()}
-
-    def values(self, name: str) -> list[Any]:
-        """Plain values of one column; all None where no entry has it."""
-        column = self.columns([name]).get(name)
-        return [None] * len(self._indices) if column is None else column.to_pylist()
+            yield entries.parse(file, run, stamps[run], data)
 
 
 def _frame(
-    place: Place, runs: Sequence[str], parts: Mapping[str, _Aligned], columns: Sequence[str] | None
+    location: Location,
+    runs: Sequence[str],
+    summary: RaggedTable,
+    status: RaggedTable,
+    annotations: RaggedTable,
+    columns: Sequence[str] | None,
 ) -> pd.DataFrame:
-    summary, status = parts[SUMMARY], parts[STATUS]
-    own = {
+    """The three tables have one row for each of `runs`, in this order."""
+    damage = summary.values(entries.DAMAGED)
+    errors = zip(damage, status.values("error"), summary.values("error"), strict=True)
+    run_columns = {
         "run_id": pa.array(runs, pa.string()),
-        "state": pa.array(_states(place, runs, summary.values(entries.DAMAGED), status), pa.string()),
-        "error": pa.array(_errors(summary, status), pa.string()),
-        "path": pa.array([place.path(run) for run in runs], pa.string()),
+        "state": pa.array(_states(location, runs, damage, status), pa.string()),
+        "error": pa.array([next(filter(None, reasons), None) for reasons in errors], pa.string()),
+        "path": pa.array([location.path(run) for run in runs], pa.string()),
         "step": pa.array(status.values("step"), pa.int64()),
         "created": pa.array(status.values("created"), pa.float64()),
         "heartbeat": pa.array(status.values("heartbeat"), pa.float64()),
-        "note": pa.array(parts[ANNOTATIONS].values("note"), pa.string()),
+        "note": pa.array(annotations.values("note"), pa.string()),
     }
-    found = summary.columns(columns)
-    found.pop(entries.DAMAGED, None)
-    frame = pa.table({"run_id": own["run_id"], "state": own["state"], "error": own["error"]} | found | own).to_pandas()
-    frame["tags"] = pd.Series(
-        [tuple(json.loads(tags or "[]")) for tags in parts[ANNOTATIONS].values("tags")], dtype=object
-    )
+    leading = {name: run_columns[name] for name in ("run_id", "state", "error")}
+    results = summary.columns(columns)
+    results.pop(entries.DAMAGED, None)
+    frame = pa.table(leading | results | run_columns).to_pandas()
+    frame["tags"] = pd.Series([tuple(json.loads(tags or "[]")) for tags in annotations.values("tags")], dtype=object)
     return frame if columns is None else frame[[name for name in columns if name in frame.columns]]
 
 
-def _states(place: Place, runs: Sequence[str], damaged: Sequence[str | None], status: _Aligned) -> list[str]:
-    stored = zip(runs, damaged, status.values("state"), status.values("record"), strict=True)
+def _states(location: Location, runs: Sequence[str], damage: Sequence[Any], status: RaggedTable) -> list[str]:
+    rows = zip(runs, damage, status.values("state"), status.values("record"), strict=True)
     return [
-        "damaged" if reason else place.state(run, json.loads(record)) if record else state or "interrupted"
-        for run, reason, state, record in stored
+        "damaged" if reason else location.state(run, json.loads(record)) if record else state or "interrupted"
+        for run, reason, state, record in rows
     ]
-
-
-def _errors(summary: _Aligned, status: _Aligned) -> list[str | None]:
-    parts = zip(summary.values(entries.DAMAGED), status.values("error"), summary.values("error"), strict=True)
-    return [next(filter(None, reasons), None) for reasons in parts]

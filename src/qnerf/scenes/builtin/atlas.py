@@ -1,4 +1,4 @@
-"""Textures with pyramids of halved copies, looked up by many rays at once."""
+"""Mipmapped textures in one array, sampled by many rays at once."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from qnerf.scenes.builtin.textures import Picture
 
 @dataclass
 class Atlas:
-    """Textures with their pyramids of halved copies, all texels in one array."""
+    """Collects textures and their mipmaps. `packed` makes them ready to sample."""
 
     texels: list[Picture] = field(default_factory=list)
     offsets: list[list[int]] = field(default_factory=list)
@@ -18,6 +18,7 @@ class Atlas:
     total: int = 0
 
     def add(self, picture: Picture) -> int:
+        """Adds a picture (h, w, 3) and its successive half-size copies; returns the texture's number."""
         offsets, shapes = [], []
         level = np.asarray(picture, np.float32)
         while True:
@@ -37,7 +38,7 @@ class Atlas:
         levels = max(map(len, self.offsets))
         offset, height, width = (np.zeros((len(self.offsets), levels), np.int32) for _ in range(3))
         for index, (offsets, shapes) in enumerate(zip(self.offsets, self.shapes, strict=True)):
-            for level in range(levels):  # the coarsest level stands in for all beyond
+            for level in range(levels):  # beyond its coarsest level, a texture repeats it
                 at = min(level, len(offsets) - 1)
                 offset[index, level] = offsets[at]
                 height[index, level], width[index, level] = shapes[at]
@@ -46,18 +47,20 @@ class Atlas:
 
 @dataclass(frozen=True)
 class PackedAtlas:
+    """Mipmapped textures in one array; offset, height and width are (textures, levels)."""
+
     texels: NDArray  # (texels, 3)
-    offset: NDArray  # (textures, levels)
+    offset: NDArray
     height: NDArray
     width: NDArray
 
     def sample(self, texture: NDArray, u: NDArray, v: NDArray, level: NDArray) -> NDArray:
-        """Colours (M, 3) of textures (M,) at u to the right, v down, in [0, 1], at fractional pyramid levels (M,)."""
+        """Colours (M, 3) of textures (M,) at u (right) and v (down) in [0, 1], at fractional mipmap levels (M,)."""
         level = np.clip(level, 0, self.offset.shape[1] - 1)
         low = level.astype(np.int32)
-        part = (level - low).astype(np.float32)[:, None]
+        fraction = (level - low).astype(np.float32)[:, None]
         high = np.minimum(low + 1, self.offset.shape[1] - 1)
-        return self._bilinear(texture, u, v, low) * (1 - part) + self._bilinear(texture, u, v, high) * part
+        return self._bilinear(texture, u, v, low) * (1 - fraction) + self._bilinear(texture, u, v, high) * fraction
 
     def _bilinear(self, texture: NDArray, u: NDArray, v: NDArray, level: NDArray) -> NDArray:
         offset, height, width = self.offset[texture, level], self.height[texture, level], self.width[texture, level]
@@ -65,7 +68,7 @@ class PackedAtlas:
 
 
 def bilinear(texels: NDArray, offset: NDArray, height: NDArray, width: NDArray, u: NDArray, v: NDArray) -> NDArray:
-    """Values (M, C) between the texel centres of pictures that begin at texels[offset], clamped at their borders."""
+    """Bilinear samples (M, C) of pictures that begin at texels[offset], clamped at the borders."""
     x = np.clip(u * width - np.float32(0.5), 0, width - 1).astype(np.float32)
     y = np.clip(v * height - np.float32(0.5), 0, height - 1).astype(np.float32)
     x0, y0 = x.astype(np.int32), y.astype(np.int32)

@@ -1,6 +1,6 @@
-"""The built-in room: a corner with a framed poster, brick, wallpaper, a wooden floor, furniture, a mirror ball.
+"""The built-in room: a corner with a framed poster, brick, wallpaper, a wooden floor, furniture and a mirror ball.
 
-Metres; x runs along the poster's wall, which is y = 0, y into the room, z up.
+Lengths are metres. The poster's wall is y = 0: x runs along it, y into the room, z up.
 """
 
 from functools import cache
@@ -21,41 +21,44 @@ LAMP, WINDOW = 15.0, 12.5  # radiance
 
 @cache
 def room() -> World:
-    """The world with its light, the same at every call."""
+    """The room with its baked light; always the same."""
     atlas = Atlas()
-
-    def one(picture: paint.Picture) -> int:
-        return atlas.add(picture)
 
     x, y, z = ROOM
     floor = paint.planks(1024, 1024, (x, y), "6b4a2f", "b58a5c", 1, 0.14)
     floor = paint.rug(floor, (x, y), (1.45, y - 1.4), (1.05, 0.62))
     faces_of_room = [
-        one(paint.shelves(256, 256, (y, z))),
-        one(paint.bricks(1024, 1024, (y, z))),
-        one(paint.paint("d9cdb8", 256, 256, (x, z), 2)),
-        one(paint.wallpaper(1024, 1024, (x, z))),
-        one(paint.paint("f2efe8", 128, 128, (x, y), 3)),
-        one(floor),
+        atlas.add(paint.shelves(256, 256, (y, z))),
+        atlas.add(paint.bricks(1024, 1024, (y, z))),
+        atlas.add(paint.paint("d9cdb8", 256, 256, (x, z), 2)),
+        atlas.add(paint.wallpaper(1024, 1024, (x, z))),
+        atlas.add(paint.paint("f2efe8", 128, 128, (x, y), 3)),
+        atlas.add(floor),
     ]
-    white, dark, walnut = one(paint.plain("f4f1ea")), one(paint.plain("2a1d14")), one(paint.plain("5a3b27"))
+    white, dark, walnut = (
+        atlas.add(paint.plain("f4f1ea")),
+        atlas.add(paint.plain("2a1d14")),
+        atlas.add(paint.plain("5a3b27")),
+    )
     astronaut, cat, cup = (paint.photograph(name) for name in ("astronaut", "chelsea", "coffee"))
-    poster = one(paint.framed(astronaut[:, 64:448], 1024, 768, POSTER, "4a2f1e", 0.05))
-    small = one(paint.framed(cat, 512, 768, (0.75, 0.55), "1f1f22", 0.03))
+    poster = atlas.add(paint.framed(astronaut[:, 64:448], 1024, 768, POSTER, "4a2f1e", 0.05))
+    small = atlas.add(paint.framed(cat, 512, 768, (0.75, 0.55), "1f1f22", 0.03))
     sideboard = (1.4, 0.4, 0.56)
-    top = one(paint.planks(256, 512, sideboard[:2], "5a3a26", "9a6d48", 4, 0.1))
-    front = one(paint.drawers(256, 512, (sideboard[0], sideboard[2]), 3, 2))
-    side = one(paint.planks(256, 256, (sideboard[1], sideboard[2]), "4a2f20", "8a5f3f", 5, 0.14))
+    top = atlas.add(paint.planks(256, 512, sideboard[:2], "5a3a26", "9a6d48", 4, 0.1))
+    front = atlas.add(paint.drawers(256, 512, (sideboard[0], sideboard[2]), 3, 2))
+    side = atlas.add(paint.planks(256, 256, (sideboard[1], sideboard[2]), "4a2f20", "8a5f3f", 5, 0.14))
     checks = [
-        one(paint.checker(256, 256, 4, a, b))
+        atlas.add(paint.checker(256, 256, 4, a, b))
         for a, b in (("e8e3d5", "1f4e5f"), ("e8e3d5", "b23a48"), ("f0c987", "2f2f3a"))
     ]
-    rings = one(paint.stripes(512, 64, 14, ("e94f37", "f6f7eb", "3f88c5", "f6f7eb", "44bba4", "393e41"), 0.7))
-    magazine = one(paint.resized(cup, 512, 512))
-    spines = [one(paint.stripes(32, 256, 1, (color, color), 0)) for color in ("a63d40", "e9b872", "90a959", "6494aa")]
-    swirl = one(paint.stripes(128, 256, 5, ("c1121f", "c1121f", "fdf0d5"), 4))
-    silver = one(paint.plain("c8ccd0"))
-    panes = one(paint.panes(256, 256, 2, 3))
+    rings = atlas.add(paint.stripes(512, 64, 14, ("e94f37", "f6f7eb", "3f88c5", "f6f7eb", "44bba4", "393e41"), 0.7))
+    magazine = atlas.add(paint.resized(cup, 512, 512))
+    spines = [
+        atlas.add(paint.stripes(32, 256, 1, (color, color), 0)) for color in ("a63d40", "e9b872", "90a959", "6494aa")
+    ]
+    swirl = atlas.add(paint.stripes(128, 256, 5, ("c1121f", "c1121f", "fdf0d5"), 4))
+    silver = atlas.add(paint.plain("c8ccd0"))
+    panes = atlas.add(paint.panes(256, 256, 2, 3))
 
     def block(
         middle: tuple[float, float], base: float, size: tuple[float, float, float], yaw: float, faces: list[int]
@@ -87,7 +90,7 @@ def room() -> World:
     balls = [
         Ball((1.77, 0.24, 0.56 + 0.17), 0.17, silver, 0.88),
         Ball((0.5, 1.0, 0.19), 0.19, swirl, 0.05),
-        Ball((2.05, 1.05, 0.13), 0.13, one(paint.plain("2c6e49")), 0.05),
+        Ball((2.05, 1.05, 0.13), 0.13, atlas.add(paint.plain("2c6e49")), 0.05),
     ]
     world = World(boxes, balls, atlas)
     bake(
@@ -101,12 +104,12 @@ def room() -> World:
 
 
 def walk(views: int, seed: int) -> NDArray:
-    """Camera-to-world poses (V, 3, 4) of somebody who walks to and fro before the poster, camera in hand."""
+    """Camera-to-world poses (V, 3, 4), metres, of a hand-held camera that moves to and fro before the poster."""
     random = np.random.default_rng(seed)
     time = np.arange(views) / max(views - 1, 1)
 
     def sway(cycles: float, shake: float) -> NDArray:
-        """A smooth curve, mostly within [-1, 1]: a slow wave and the unrest of a hand."""
+        """A smooth curve (V,), mostly within [-1, 1]: a slow wave and the tremor of a hand."""
         phases = random.random(4) * 2 * np.pi
         curve = np.sin(2 * np.pi * cycles * time + phases[0])
         for harmonic, phase in zip((9, 14, 23), phases[1:], strict=True):

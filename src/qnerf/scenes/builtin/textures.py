@@ -1,4 +1,4 @@
-"""Pictures for the built-in room, procedural materials and photographs: linear albedo (h, w, 3) float32."""
+"""Textures of the built-in room, procedural and photographed: linear albedo (h, w, 3) float32."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -13,7 +13,7 @@ Picture: TypeAlias = NDArray[np.float32]
 
 
 def linear(srgb: NDArray) -> Picture:
-    """sRGB-encoded values in [0, 1] -> linear light."""
+    """sRGB-encoded values in [0, 1] -> linear light in [0, 1]."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
@@ -24,13 +24,13 @@ def encoded(light: NDArray) -> NDArray:
 
 
 def rgb(text: str) -> Picture:
-    """A colour written as six hexadecimal digits, sRGB -> linear (3,)."""
+    """Six hexadecimal digits of an sRGB colour -> linear (3,)."""
     return linear(np.array([int(text[i : i + 2], 16) for i in (0, 2, 4)]) / 255)
 
 
 @cache
 def photograph(name: str) -> Picture:
-    """One of the photographs that lie inside scikit-image's package: nothing is downloaded."""
+    """A photograph that scikit-image's package contains: nothing is downloaded."""
     with Image.open(str(files("skimage.data").joinpath(f"{name}.png"))) as image:
         return linear(np.asarray(image.convert("RGB")) / 255)
 
@@ -38,27 +38,27 @@ def photograph(name: str) -> Picture:
 def resized(picture: Picture, height: int, width: int) -> Picture:
     """The picture sampled bilinearly at `height` x `width` texel centres."""
     for axis, size in ((0, height), (1, width)):
-        at = (np.arange(size) + 0.5) * picture.shape[axis] / size - 0.5
-        low = np.clip(np.floor(at).astype(int), 0, picture.shape[axis] - 1)
+        position = (np.arange(size) + 0.5) * picture.shape[axis] / size - 0.5
+        low = np.clip(np.floor(position).astype(int), 0, picture.shape[axis] - 1)
         high = np.minimum(low + 1, picture.shape[axis] - 1)
         shape = [1, 1, 1]
         shape[axis] = size
-        part = np.clip(at - low, 0, 1).astype(np.float32).reshape(shape)
-        picture = np.take(picture, low, axis) * (1 - part) + np.take(picture, high, axis) * part
+        fraction = np.clip(position - low, 0, 1).astype(np.float32).reshape(shape)
+        picture = np.take(picture, low, axis) * (1 - fraction) + np.take(picture, high, axis) * fraction
     return picture
 
 
 def grid(height: int, width: int, size: Sequence[float]) -> tuple[NDArray, NDArray]:
-    """Texel centres in metres, x (1, w) to the right and y (h, 1) down, of a face of `size` (width, height) metres."""
+    """Texel centres of a face of `size` (width, height): x (1, w) to the right and y (h, 1) down, in metres."""
     x = (np.arange(width, dtype=np.float32) + np.float32(0.5)) * np.float32(size[0] / width)
     y = (np.arange(height, dtype=np.float32) + np.float32(0.5)) * np.float32(size[1] / height)
     return x[None, :], y[:, None]
 
 
 def noise(x: NDArray, y: NDArray, seed: int, octaves: int = 1) -> NDArray:
-    """Smooth value noise (h, w) in [0, 1] with one lattice cell a unit, of x (1, w) and y (h, 1).
+    """Smooth value noise (h, w) in [0, 1] at x (1, w) and y (h, 1), with one lattice cell per unit.
 
-    Each octave doubles the frequency and halves the swing.
+    Each octave doubles the frequency and halves the amplitude.
     """
     total = np.zeros((y.size, x.size), np.float32)
     for octave in range(octaves):
@@ -71,36 +71,37 @@ def noise(x: NDArray, y: NDArray, seed: int, octaves: int = 1) -> NDArray:
     return total / np.float32(2 - 0.5 ** (octaves - 1))
 
 
-def _lattice(at: NDArray) -> tuple[NDArray, NDArray]:
+def _lattice(position: NDArray) -> tuple[NDArray, NDArray]:
     """Lattice index and smoothed fraction of each coordinate."""
-    index = np.floor(at)
-    part = (at - index).astype(np.float32)
-    return index.astype(np.int64) % 256, part * part * (3 - 2 * part)
+    index = np.floor(position)
+    fraction = (position - index).astype(np.float32)
+    return index.astype(np.int64) % 256, fraction * fraction * (3 - 2 * fraction)
 
 
 def chance(i: NDArray, j: NDArray, seed: int) -> NDArray:
-    """A number in [0, 1) for each cell (i, j)."""
+    """A random number in [0, 1) for each cell (i, j)."""
     return np.random.default_rng(seed).random((64, 64), np.float32)[j.astype(int) % 64, i.astype(int) % 64]
 
 
 def edge(distance: NDArray, width: float) -> NDArray:
-    """0 below 0 and 1 above `width`, smooth between."""
+    """A smooth step from 0 at distance 0 to 1 at `width`."""
     s = np.clip(distance / width, 0, 1)
     return s * s * (3 - 2 * s)
 
 
 def mix(a: NDArray, b: NDArray, share: NDArray) -> NDArray:
-    """Colours (3,) or (h, w, 3); `share` (h, w) of b."""
+    """Mixes colours (3,) or (h, w, 3): a where `share` (h, w) is 0, b where it is 1."""
     return a + (b - a) * share[..., None]
 
 
 def paint(color: str, height: int, width: int, size: Sequence[float], seed: int) -> Picture:
-    """A wall paint with faint blotches."""
+    """Wall paint with faint blotches."""
     x, y = grid(height, width, size)
     return (rgb(color) * (0.9 + 0.2 * noise(x * 3, y * 3, seed, 3))[..., None]).astype(np.float32)
 
 
 def bricks(height: int, width: int, size: Sequence[float]) -> Picture:
+    """A brick wall; `size` in metres, as in all of these."""
     x, y = grid(height, width, size)
     row = np.floor(y / 0.085)
     shifted = x + 0.13 * (row % 2)
@@ -115,7 +116,7 @@ def bricks(height: int, width: int, size: Sequence[float]) -> Picture:
 
 
 def planks(height: int, width: int, size: Sequence[float], dark: str, light: str, seed: int, board: float) -> Picture:
-    """Wood in boards `board` metres wide that run to the right; the grain is noise stretched along them."""
+    """Wooden boards, `board` metres wide, that run to the right; the grain is noise stretched along them."""
     x, y = grid(height, width, size)
     row = np.floor(y / board)
     length = board * 7
@@ -132,7 +133,7 @@ def planks(height: int, width: int, size: Sequence[float], dark: str, light: str
 
 
 def wallpaper(height: int, width: int, size: Sequence[float]) -> Picture:
-    """Stripes with a column of lozenges on every second one, above a white skirting board."""
+    """Striped wallpaper with lozenges, above a white skirting board."""
     x, y = grid(height, width, size)
     stripe = 0.5 + 0.5 * np.tanh(6 * np.sin(2 * np.pi * x / 0.36))
     picture = mix(rgb("8fb0ae"), rgb("b9cfc6"), stripe)
@@ -148,7 +149,7 @@ def wallpaper(height: int, width: int, size: Sequence[float]) -> Picture:
 
 
 def rug(floor: Picture, size: Sequence[float], centre: Sequence[float], half: Sequence[float]) -> Picture:
-    """The floor with a woven rug on it: zigzag bands in four colours, a fringe, a border."""
+    """The floor with a woven rug on it: zigzag bands in four colours and a border."""
     x, y = grid(floor.shape[0], floor.shape[1], size)
     u, v = x - centre[0], y - centre[1]
     zigzag = v + 0.05 * np.abs((u / 0.12) % 2 - 1)
@@ -174,18 +175,19 @@ def framed(picture: Picture, height: int, width: int, size: Sequence[float], woo
 
 
 def checker(height: int, width: int, cells: int, a: str, b: str) -> Picture:
+    """A checkerboard of cells x cells in two colours."""
     x, y = grid(height, width, (cells, cells))
     share = 0.5 + 0.5 * np.tanh(12 * np.sin(np.pi * x) * np.sin(np.pi * y))
     return mix(rgb(a), rgb(b), share).astype(np.float32)
 
 
 def stripes(height: int, width: int, bands: float, colors: Sequence[str], slant: float = 0.0) -> Picture:
-    """Bands of colour from top to bottom; `slant` bands more from left to right."""
+    """Bands of colour from top to bottom, shifted by `slant` bands from left to right."""
     x, y = grid(height, width, (1, 1))
-    at = y * bands + x * slant
-    band, part = np.floor(at).astype(int), at % 1
+    position = y * bands + x * slant
+    band, fraction = np.floor(position).astype(int), position % 1
     table = np.stack([rgb(color) for color in colors])
-    blend = edge(part - 0.94, 0.06)
+    blend = edge(fraction - 0.94, 0.06)
     return mix(table[band % len(colors)], table[(band + 1) % len(colors)], blend).astype(np.float32)
 
 
@@ -201,7 +203,7 @@ def drawers(height: int, width: int, size: Sequence[float], across: int, down: i
 
 
 def shelves(height: int, width: int, size: Sequence[float]) -> Picture:
-    """A wall of books, seen in reflections only."""
+    """A wall of books, visible only in reflections."""
     x, y = grid(height, width, size)
     row, column = np.floor(y / 0.33), np.floor(x / 0.05)
     palette = np.stack([rgb(color) for color in ("7a2e2e", "2e4d6b", "d8c9a3", "4d6b3c", "c27b3a", "2b2b33")])
@@ -212,7 +214,7 @@ def shelves(height: int, width: int, size: Sequence[float]) -> Picture:
 
 
 def panes(height: int, width: int, across: int, down: int) -> Picture:
-    """A window's brightness: 1 in the panes, dark bars between them."""
+    """A window: white panes, dark bars between them."""
     x, y = grid(height, width, (across, down))
     u, v = x % 1, y % 1
     glass = edge(np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v)) - 0.05, 0.02)
@@ -220,4 +222,5 @@ def panes(height: int, width: int, across: int, down: int) -> Picture:
 
 
 def plain(color: str) -> Picture:
+    """One colour."""
     return np.broadcast_to(rgb(color), (4, 4, 3)).astype(np.float32)

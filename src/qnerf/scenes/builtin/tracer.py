@@ -1,7 +1,7 @@
-"""A small deterministic ray tracer for rooms of boxes and balls: textures, baked light, mirrors.
+"""A small deterministic ray tracer for rooms of boxes and balls, with textures, baked light and mirrors.
 
-World units are metres, z is up. The light on every surface is computed beforehand (light.py) and looked up, so that it
-is the same in every view. Everything is elementwise numpy, so that equal inputs give equal bits.
+Lengths are metres and z is up. Light is baked once (light.py) and looked up, so it is the same in every view. All
+arithmetic is elementwise numpy, so equal inputs give equal bits.
 """
 
 from collections.abc import Sequence
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 from qnerf.scenes.builtin.atlas import Atlas, bilinear
 
-EPSILON = 1e-4  # metres: where a ray that leaves a surface starts
-LIGHT_CELL = 0.08  # metres: size of a cell of baked light
+EPSILON = 1e-4  # metres from a surface at which a reflected ray starts
+LIGHT_CELL = 0.08  # metres: side of a cell of baked light
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
-BRIGHTEST = 1.6  # radiance of one ray, in units of a white picture: a lamp seen in a mirror must not sparkle
+MAX_RADIANCE = 1.6  # of one ray, where white is 1: else lamps in the mirror ball would sparkle
 
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box turned by `yaw` about the vertical axis through its middle; a room if `room`."""
+    """A box, turned by `yaw` about the vertical axis through its middle. A `room` is seen from inside."""
 
     low: Sequence[float]
     high: Sequence[float]
-    faces: Sequence[int]  # texture of each of FACES, by the side that is seen
+    faces: Sequence[int]  # texture of each of FACES, named by the visible side
     yaw: float = 0.0  # radians
     room: bool = False
-    light: float = 0.0  # radiance of a white texel; 0: does not shine
+    light: float = 0.0  # emitted radiance of a white texel
 
     @property
     def middle(self) -> NDArray:
@@ -36,25 +36,27 @@ class Box:
 
 @dataclass(frozen=True)
 class Ball:
+    """A sphere, textured and possibly mirroring."""
+
     centre: Sequence[float]
     radius: float
     texture: int
-    mirror: float  # reflected share at normal incidence; grows towards grazing by Schlick's formula
+    mirror: float  # reflectance at normal incidence; Schlick's formula raises it at grazing angles
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What M rays meet first."""
+    """The first hits of M rays."""
 
-    distance: NDArray  # (M,) along the unit direction; inf where nothing
-    surface: NDArray  # (M,) int32: 6 box + face, balls after all boxes
+    distance: NDArray  # (M,) along the unit direction; inf: no hit
+    surface: NDArray  # (M,) int32: 6 * box + face; balls follow all boxes
     u: NDArray  # (M,) in [0, 1], to the right
     v: NDArray  # (M,) down
     normal: NDArray  # (3, M) unit, towards the ray
 
 
 class World:
-    """Boxes, balls and their textures, with the light baked in."""
+    """Boxes, balls, their textures and their baked light."""
 
     def __init__(self, boxes: Sequence[Box], balls: Sequence[Ball], atlas: Atlas) -> None:
         self.boxes, self.balls, self.atlas = list(boxes), list(balls), atlas.packed()
@@ -105,11 +107,11 @@ class World:
             if chosen.size:
                 start = origin if origin.shape[1] == 1 else origin[:, chosen]
                 point = start + direction[:, chosen] * best[chosen]
-                surface[chosen], u[chosen], v[chosen], normal[:, chosen] = self._locate(index, point)
+                surface[chosen], u[chosen], v[chosen], normal[:, chosen] = self._surface_coordinates(index, point)
         return Hits(best, surface, u, v, normal)
 
     def blocked(self, origin: NDArray, direction: NDArray, distance: NDArray) -> NDArray:
-        """Whether anything that does not shine lies within `distance` (M,) along the rays."""
+        """Whether anything but a lamp is hit within `distance` (M,) along the rays: (M,) bool."""
         shadow = np.zeros(direction.shape[1], bool)
         for box in self.boxes:
             if not box.room and not box.light:
@@ -120,20 +122,20 @@ class World:
         return shadow
 
     def clearance(self, points: NDArray) -> NDArray:
-        """Distance (M,) of points (3, M) to the nearest surface; negative outside the room or inside a thing."""
-        least = np.full(points.shape[1], np.inf)
+        """Signed distance (M,) of points (3, M) to the nearest surface; negative outside the room or in an object."""
+        nearest = np.full(points.shape[1], np.inf)
         for box in self.boxes:
-            local = _turned(points - box.middle[:, None], -box.yaw)
+            local = _rotated(points - box.middle[:, None], -box.yaw)
             half = (np.asarray(box.high) - np.asarray(box.low))[:, None] / 2
             beyond = np.abs(local) - half
             distance = np.sqrt((np.maximum(beyond, 0) ** 2).sum(0)) + np.minimum(beyond.max(0), 0)
-            least = np.minimum(least, -distance if box.room else distance)
+            nearest = np.minimum(nearest, -distance if box.room else distance)
         for ball in self.balls:
             distance = np.sqrt(((points - np.asarray(ball.centre)[:, None]) ** 2).sum(0)) - ball.radius
-            least = np.minimum(least, distance)
-        return least
+            nearest = np.minimum(nearest, distance)
+        return nearest
 
-    def _locate(self, index: int, point: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    def _surface_coordinates(self, index: int, point: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """Surface, u, v and normal of points (3, M) on box or ball `index`."""
         kind = point.dtype
         if index >= len(self.boxes):
@@ -145,7 +147,7 @@ class World:
             return surface, u, v, normal
         box = self.boxes[index]
         half = (np.asarray(box.high, kind) - np.asarray(box.low, kind))[:, None] / 2
-        local = _turned(point - box.middle.astype(kind)[:, None], -box.yaw) / half
+        local = _rotated(point - box.middle.astype(kind)[:, None], -box.yaw) / half
         axis = np.argmax(np.abs(local), axis=0)
         outward = np.take_along_axis(local, axis[None], 0)[0] > 0
         face = (2 * axis + (outward ^ box.room)).astype(np.int32)  # a room is seen from inside
@@ -154,12 +156,12 @@ class World:
         v = np.choose(face, [1 - q[2], 1 - q[2], 1 - q[2], 1 - q[2], q[1], 1 - q[1]])
         normal = np.zeros_like(local)
         np.put_along_axis(normal, axis[None], np.where(face % 2 == 1, 1, -1).astype(kind)[None], 0)
-        return 6 * index + face, u, v, _turned(normal, box.yaw)
+        return 6 * index + face, u, v, _rotated(normal, box.yaw)
 
-    def radiance(self, origin: NDArray, direction: NDArray, spread: float, mirrors: bool = True) -> NDArray:
-        """Linear colours (M, 3) seen along rays; `spread` is the angle in radians between neighbouring rays."""
+    def radiance(self, origin: NDArray, direction: NDArray, ray_angle: float, mirrors: bool = True) -> NDArray:
+        """Linear colours (M, 3) seen along rays; `ray_angle` is the angle in radians between neighbouring rays."""
         hits = self.trace(origin, direction)
-        color = self.surface_color(hits, spread, direction)
+        color = self.surface_color(hits, ray_angle, direction)
         share = self.mirror[hits.surface]
         chosen = np.flatnonzero(share > 0) if mirrors else np.zeros(0, int)
         if chosen.size:
@@ -168,28 +170,33 @@ class World:
             cosine = -(heading * normal).sum(0)
             bounced = heading + 2 * cosine * normal
             point = start + heading * hits.distance[chosen] + normal * np.float32(EPSILON)
-            # A ball spreads neighbouring rays apart by about four times their angle.
-            reflected = self.radiance(point, bounced, 4 * spread, mirrors=False)
+            # Reflection on a ball makes the angle between neighbouring rays about four times as large.
+            reflected = self.radiance(point, bounced, 4 * ray_angle, mirrors=False)
             fresnel = (share[chosen] + (1 - share[chosen]) * (1 - np.clip(cosine, 0, 1)) ** 5)[:, None]
             color[chosen] = color[chosen] * (1 - fresnel) + reflected * fresnel
         return color
 
-    def surface_color(self, hits: Hits, spread: float, direction: NDArray) -> NDArray:
-        """Albedo times baked light, or what the surface shines with: (M, 3)."""
+    def surface_color(self, hits: Hits, ray_angle: float, direction: NDArray) -> NDArray:
+        """Albedo times baked light, or the emitted light of a lamp: (M, 3)."""
         cosine = np.abs((hits.normal * direction).sum(0))
-        footprint = hits.distance * np.float32(spread) / np.sqrt(np.maximum(cosine, 0.05))
+        footprint = hits.distance * np.float32(ray_angle) / np.sqrt(np.maximum(cosine, 0.05))
         level = np.log2(np.maximum(footprint * self.density[hits.surface], 1e-6))
         albedo = self.atlas.sample(self.texture[hits.surface], hits.u, hits.v, level)
         shine = self.shine[hits.surface][:, None]
         return albedo * np.where(shine > 0, shine, self.baked(hits.surface, hits.u, hits.v))
 
     def baked(self, surface: NDArray, u: NDArray, v: NDArray) -> NDArray:
-        """Light (M, 3) that falls on surfaces (M,) at u, v; a white texel is seen as bright as that."""
+        """Baked light (M, 3) on surfaces (M,) at u, v: the radiance of a white texel."""
         offset, height, width = self.light_offset[surface], self.light_height[surface], self.light_width[surface]
         return bilinear(self.light, offset, height, width, u, v)
 
-    def place(self, surface: NDArray, u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """World points and normals (3, M) of surfaces (M,) at u, v: the inverse of `_locate`."""
+    def light_cells(self, surface: int) -> tuple[slice, tuple[int, int]]:
+        """Where `light` has the cells of a surface, and their grid (h, w)."""
+        cells = slice(self.light_offset[surface], self.light_offset[surface + 1])
+        return cells, (self.light_height[surface], self.light_width[surface])
+
+    def surface_points(self, surface: NDArray, u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+        """World points and normals (3, M) of surfaces (M,) at u, v: the inverse of `_surface_coordinates`."""
         point, normal = np.zeros((3, len(surface))), np.zeros((3, len(surface)))
         for index, ball in enumerate(self.balls):
             chosen = surface == self.first_ball + index
@@ -212,20 +219,21 @@ class World:
                     5: (a, 1 - b, one),
                 }[face]
                 local = (2 * np.stack(q) - 1) * half
-                point[:, chosen] = _turned(local, box.yaw) + box.middle[:, None]
+                point[:, chosen] = _rotated(local, box.yaw) + box.middle[:, None]
                 direction = np.zeros((3, len(a)))
                 direction[axis] = sign
-                normal[:, chosen] = _turned(direction, box.yaw)
+                normal[:, chosen] = _rotated(direction, box.yaw)
         return point, normal
 
 
 def _face_sizes(box: Box) -> list[tuple[float, float]]:
+    """Width and height of each of FACES, metres."""
     x, y, z = (float(size) for size in np.asarray(box.high) - np.asarray(box.low))
     return [(y, z), (y, z), (x, z), (x, z), (x, y), (x, y)]
 
 
-def _turned(vector: NDArray, angle: float) -> NDArray:
-    """Vectors (3, M) turned about z."""
+def _rotated(vector: NDArray, angle: float) -> NDArray:
+    """Vectors (3, M) rotated about z by `angle` radians."""
     if angle == 0:
         return vector
     cosine, sine = vector.dtype.type(np.cos(angle)), vector.dtype.type(np.sin(angle))
@@ -233,10 +241,10 @@ def _turned(vector: NDArray, angle: float) -> NDArray:
 
 
 def _slabs(box: Box, origin: NDArray, direction: NDArray) -> tuple[NDArray, NDArray]:
-    """Distances (M,) at which rays enter and leave the box; it is missed where they enter after they leave."""
+    """Distances (M,) at which rays enter and leave the box. A ray misses it if it enters after it leaves."""
     kind = direction.dtype.type
-    start = _turned(origin - box.middle.astype(kind)[:, None], -box.yaw)
-    heading = _turned(direction, -box.yaw)
+    start = _rotated(origin - box.middle.astype(kind)[:, None], -box.yaw)
+    heading = _rotated(direction, -box.yaw)
     heading = np.where(np.abs(heading) < 1e-9, kind(1e-9), heading)
     half = ((np.asarray(box.high) - np.asarray(box.low)) / 2).astype(kind)[:, None]
     middle, reach = -start / heading, half / np.abs(heading)
@@ -248,15 +256,16 @@ def _slabs(box: Box, origin: NDArray, direction: NDArray) -> tuple[NDArray, NDAr
 
 
 def _ball_distance(ball: Ball, origin: NDArray, direction: NDArray) -> NDArray:
-    """Distance (M,) at which rays from outside meet the ball; inf where they miss it."""
+    """Distance (M,) at which rays from outside hit the ball; inf if they miss it."""
     kind = direction.dtype.type
     offset = origin - np.asarray(ball.centre, direction.dtype)[:, None]
     along = offset[0] * direction[0] + offset[1] * direction[1] + offset[2] * direction[2]
-    nearest = offset - along * direction  # at right angles: no digits are lost far away
-    room = kind(ball.radius**2) - (nearest[0] ** 2 + nearest[1] ** 2 + nearest[2] ** 2)
-    distance = -along - np.sqrt(np.maximum(room, 0))
-    return np.where((room > 0) & (distance > 0), distance, kind(np.inf))
+    nearest = offset - along * direction  # perpendicular to the ray: keeps its digits far away
+    chord = kind(ball.radius**2) - (nearest[0] ** 2 + nearest[1] ** 2 + nearest[2] ** 2)
+    distance = -along - np.sqrt(np.maximum(chord, 0))
+    return np.where((chord > 0) & (distance > 0), distance, kind(np.inf))
 
 
 def cross(a: NDArray, b: NDArray) -> NDArray:
+    """Cross products of vectors (3, M)."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,0 +1,167 @@
+"""Proposal sampling: small networks that learn where the field has density (Sec. 3, arXiv:2111.12077)."""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from qnerf.config.checks import at_least
+from qnerf.encoders.hash import HashEncoder
+from qnerf.kernels import compiled, proposal
+from qnerf.model.activations import trunc_exp
+from qnerf.rendering.pdf import sample_edges
+from qnerf.rendering.render import volume_weights
+from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
+from qnerf.rendering.spacing import SPACINGS
+from qnerf.types import Rays, Samples
+
+_FIRST_STEPS = 10  # the proposal networks are trained in every one of these
+
+
+class ProposalNetwork(nn.Module):
+    """Unit-cube points (N, 3) -> density (N,): hash grid (options `grid`), Linear, ReLU, Linear, trunc_exp."""
+
+    def __init__(self, hidden: int, **grid: Any) -> None:
+        super().__init__()
+        self.encoder = HashEncoder(3, **grid)
+        self.hidden = nn.Linear(self.encoder.out_dim, hidden)
+        self.out = nn.Linear(hidden, 1)
+
+    def forward(self, points: Tensor) -> Tensor:
+        return trunc_exp(self.out(self.hidden(self.encoder(points)).relu_())[:, 0])
+
+    def tensors(self) -> tuple[Any, ...]:
+        """The arguments of `kernels.proposal.propose`."""
+        grid, hidden, out = self.encoder, self.hidden, self.out
+        layers = (hidden.weight, hidden.bias), (out.weight, out.bias)
+        return grid.table, grid.resolutions, grid.dense, *layers
+
+
+@SAMPLERS.register("proposal")
+class ProposalSampler(Sampler):
+    """Each proposal network draws the intervals of the next one; the last draws the intervals to render.
+
+    The first intervals are even in `spacing`. Each further set is drawn from the previous weights to the power
+    a = slope x / ((slope - 1) x + 1), x = min(step / anneal_steps, 1), so that sampling starts out even. The networks
+    get gradients in the first 10 steps and then once every `update_every` steps (see `learns`).
+
+    Args:
+        contraction: world points (..., 3) -> the unit cube (..., 3).
+        samples: intervals per ray, one number for each network.
+        final: intervals per ray to render.
+        spacing: piecewise | uniform | disparity | geometric.
+        update_every: steps between gradients of the networks.
+        update_warmup: steps over which that interval grows linearly from 1 to `update_every`.
+        anneal_steps: steps until a is 1; 0: it always is.
+        anneal_slope: slope of a(x) at x = 0.
+        padding: added to every weight before drawing.
+        levels, base_resolution, max_resolutions, log2_table_size, features: of the networks' hash grids; there is one
+            finest resolution for each network.
+        hidden: units of the networks' hidden layer.
+    """
+
+    def __init__(
+        self,
+        contraction: nn.Module,
+        *,
+        samples: list[int] = [256, 96],  # noqa: B006 (read only)
+        final: int = 48,
+        spacing: str = "piecewise",
+        update_every: int = 5,
+        update_warmup: int = 0,
+        anneal_steps: int = 1000,
+        anneal_slope: float = 10.0,
+        padding: float = 0.01,
+        levels: int = 5,
+        base_resolution: int = 16,
+        max_resolutions: list[int] = [128, 256],  # noqa: B006
+        log2_table_size: int = 17,
+        features: int = 2,
+        hidden: int = 16,
+    ) -> None:
+        super().__init__(contraction)
+        if not samples or len(samples) != len(max_resolutions):
+            raise ValueError(
+                f"sampler=proposal: samples and max_resolutions need one number per network, got {list(samples)} and "
+                f"{list(max_resolutions)}"
+            )
+        for count in samples:
+            at_least("samples", count, 1)
+        counts = {"final": final, "update_every": update_every, "hidden": hidden}
+        amounts = {"update_warmup": update_warmup, "anneal_steps": anneal_steps, "padding": padding}
+        for name, value in counts.items():
+            at_least(name, value, 1)
+        for name, amount in amounts.items():
+            at_least(name, amount, 0)
+        at_least("anneal_slope", anneal_slope, 1)
+        SPACINGS.get(spacing)
+        self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
+        self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope
+        self._warmup_updates = _warmup_updates(update_every, update_warmup)
+        grid = {"levels": levels, "min_resolution": base_resolution, "features": features}
+        self.networks = nn.ModuleList(
+            ProposalNetwork(hidden, max_resolution=resolution, log2_table_size=log2_table_size, **grid)
+            for resolution in max_resolutions
+        )
+
+    def learns(self, step: int) -> bool:
+        """Whether the networks get a gradient in this step. It depends on the step alone."""
+        last = self._warmup_updates[-1]
+        return step in self._warmup_updates if step <= last else (step - last) % self.update_every == 0
+
+    def anneal(self, step: int) -> float:
+        """Exponent a of the weights at this step, from 0 (even sampling) to 1."""
+        if step >= self.anneal_steps:
+            return 1.0
+        x = step / self.anneal_steps
+        return self.anneal_slope * x / ((self.anneal_slope - 1) * x + 1)
+
+    def proposed(self, network: nn.Module, points: Tensor) -> Tensor:
+        """Density (R, K) of a proposal network at world points (R, K, 3)."""
+        unit = self.contraction(points).reshape(-1, 3)
+        if compiled(unit) and not torch.is_grad_enabled():
+            assert isinstance(network, ProposalNetwork)
+            raw = proposal.propose(unit, None if self.mask is None else self.mask.grid, *network.tensors())
+            return raw.exp_().view(points.shape[:-1])
+        density = network(unit)
+        if self.mask is not None:
+            density = density.masked_fill(~self.mask(unit), 0)  # infinity times 0 would be NaN
+        return density.view(points.shape[:-1])
+
+    def forward(
+        self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0
+    ) -> SampledRays:
+        learns = torch.is_grad_enabled() and self.learns(step)
+        exponent = self.anneal(step)
+        first, *others = draw_jitter(rays, len(self.samples) + 1, generator)
+        proposals = []
+        with torch.no_grad():
+            spacing = SPACINGS.build(self.spacing, rays.near, rays.far)
+            s = even_edges(rays, self.samples[0], first)
+        for network, jitter, count in zip(self.networks, others, (*self.samples[1:], self.final), strict=True):
+            with torch.no_grad():
+                intervals = Samples(spacing.to_world(s), s)
+                points = rays.along(intervals.mids)
+            with torch.set_grad_enabled(learns):
+                weights = volume_weights(self.proposed(network, points), intervals.deltas)
+            proposals.append((intervals, weights))
+            with torch.no_grad():
+                annealed = weights if exponent == 1 else weights.pow(exponent)
+                s = sample_edges(s, annealed, count + 1, padding=self.padding, jitter=jitter)
+        with torch.no_grad():
+            return SampledRays(Samples(spacing.to_world(s), s), proposals)
+
+
+def _warmup_updates(every: int, warmup: int) -> list[int]:
+    """Steps with a gradient until the interval between them is `every`, in order.
+
+    >>> _warmup_updates(3, 20)
+    [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 16, 19, 22]
+    """
+    steps = list(range(_FIRST_STEPS))
+    while steps[-1] < warmup:
+        step = steps[-1] + 1
+        while step - steps[-1] < min(max(every * min(step / warmup, 1.0), 1.0), every):
+            step += 1
+        steps.append(step)
+    return steps
