@@ -76,9 +76,9 @@ def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
 
 
 def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str, Any], Settings, Scene]:
-    """The scene, and the configuration as it holds there: options that are `auto` decided by what the scene needs.
+    """The configuration with every `auto` resolved for its scene, its settings, and the scene.
 
-    `begun`: what a run of this configuration that is in its store already was found to need is not measured again.
+    begun: if the run exists in its store, its stored `auto` decisions are reused.
     """
     import_plugins(config["plugins"])
     if not auto.asked(config):
@@ -157,10 +157,10 @@ def build_model(settings: Settings, scene: Scene) -> Model:
 
 def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> SpaceMask | None:
     """Where density may be: seen by enough cameras, inside the silhouettes, and, once learnt, not empty."""
-    least, n = settings.visibility.cameras, settings.visibility.resolution
+    cameras, n = settings.visibility.cameras, settings.visibility.resolution
     grids = []
-    if least:
-        grids.append(visible_cells(contraction, scene.cameras, scene.train, least, n))
+    if cameras:
+        grids.append(visible_cells(contraction, scene.cameras, scene.train, cameras, n))
     if settings.visibility.alpha:
         grids.append(visual_hull(contraction, scene, n))
     if not grids and not settings.occupancy.every:
@@ -228,8 +228,8 @@ def run(
 ) -> Outcome:
     """Trains and evaluates the configuration, or skips it if it is finished, or goes on where it was interrupted.
 
-    `stopping` is asked before every step; once it is true, or on SIGINT or SIGTERM, the run stops with a checkpoint.
-    `name` is the run's id where it has one already: that of a run from before an option existed lacks the option.
+    stopping: asked before every step; once it is true, or on SIGINT or SIGTERM, the run stops with a checkpoint.
+    name: the run's id, if it has one already: older runs keep their original id.
 
     Raises:
         ValueError: a mistake in the configuration or the scene; nothing has been written.
@@ -249,9 +249,9 @@ def run(
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
     if claim.outcome == "resumed":
         display.note(claim.message)
-    found = [f"{option}={node['value']}" for option, node in resolved["needs"].items() if isinstance(node, Mapping)]
-    if found:
-        display.note(f"the scene needs {', '.join(found)}")
+    decided = [f"{option}={node['value']}" for option, node in resolved["needs"].items() if isinstance(node, Mapping)]
+    if decided:
+        display.note(f"the scene needs {', '.join(decided)}")
     with claim.run as store, stop_requests() as stops:
         store.write_environment(capture(settings.seed), dirty_diff())
         return _execute(settings, scene, model, store, display, lambda: bool(stops) or stopping())

@@ -3,10 +3,12 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
 from analysis import load, query
 from analysis.selection import conditions
 from qnerf import records
+from qnerf.cli.launch import _rename_swept
 from qnerf.cli.overrides import translated
 from qnerf.config import compatibility
 from qnerf.config.compatibility import (
@@ -123,6 +125,12 @@ def test_an_override_is_translated_and_noted_once(monkeypatch, capsys, typed, ex
     monkeypatch.setattr(compatibility, "_noted", set())
     assert translated([typed, typed]) == [expected, expected]
     assert capsys.readouterr().err == noted
+
+
+def test_a_sweep_s_file_may_have_old_names():
+    swept = OmegaConf.create({"hydra": {"sweeper": {"params": {"gate": "none,top", "density": "mlp", "seed": "0,1"}}}})
+    _rename_swept(swept)
+    assert swept.hydra.sweeper.params == {"shading": "none,top", "head@density": "mlp", "seed": "0,1"}
 
 
 def test_filters_and_tables_know_old_names(capsys, monkeypatch):

@@ -97,19 +97,22 @@ def test_the_default_imports_nothing():
     import_plugins([])
 
 
-@pytest.mark.parametrize("group", ["encoder", "head", "ansatz", "sampler"])
-def test_the_node_of_a_signature_is_what_conf_has(group):
-    """For a component of the package, so that a plugin's node can be trusted."""
-    name = {"encoder": "rff", "head": "qfgn", "ansatz": "qiren", "sampler": "vanilla"}[group]
-    key = {"head": "head@color"}.get(group, group)
-    part = {"head": "color", "ansatz": "qiren"}.get(group, group)
-    made, config = node(group, name), composed(f"{key}={name}")[part]
-    made.pop("defaults", None)
-    for option, value in made.items():
-        if isinstance(value, dict):
-            assert set(value) <= set(config[option])
-        elif option != "scale":  # conf has another default for the frequencies of rff
-            assert config[option] == value
+@pytest.mark.parametrize(
+    ("group", "name", "key", "part"),
+    [
+        ("encoder", "pe", "encoder", "encoder"),
+        ("head", "mlp", "head@density", "density"),
+        ("head", "qfgn", "head@color", "color"),
+        ("ansatz", "qiren", "ansatz", "qiren"),
+        ("cameras", "se3", "cameras", "cameras"),
+    ],
+)
+def test_the_node_of_a_signature_is_what_conf_has(group, name, key, part):
+    """For components of the package, so that a plugin's node can be trusted."""
+    made, config = node(group, name), composed(f"{key}={name}", "train=paper")[part]
+    assert made.pop("defaults", ["base"]) == ["base"]
+    assert made == {option: config[option] for option in made}
+    assert group in ("head", "ansatz") or made == config
 
 
 def test_an_option_without_a_default_has_to_be_given(monkeypatch):

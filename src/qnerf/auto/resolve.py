@@ -1,4 +1,4 @@
-"""The configuration with every `auto` replaced by what the scene needs."""
+"""Replaces every `auto` in a configuration by a decision about the scene."""
 
 import copy
 import math
@@ -55,11 +55,10 @@ def value_of(config: Mapping[str, Any], option: str) -> Any:
 
 
 def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> None:
-    """Sets a dotted option to what was decided.
+    """Sets a dotted option to its decided value.
 
-    A component's name leaves those of the group's options that the component has, and fills in what was measured of
-    those that are not set.
-    An option of the hash tables is set where the encoder repeats it, too.
+    When a component is chosen, options that it does not accept are dropped, and measured ones that are not set are
+    filled in. An option of the hash tables is also set where the encoder repeats it.
     """
     group, _, key = option.rpartition(".")
     node = config[group] if group else config

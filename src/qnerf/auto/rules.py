@@ -106,8 +106,8 @@ def background(of: Measured, config: Config) -> Decision:
 
 @rule("visibility.cameras")
 def cameras_that_see(of: Measured, config: Config) -> Decision:
-    least = of.followed.cameras()
-    return Decision(least, {"rays_covered": of.followed.coverage(max(least, 2))})
+    cameras = of.followed.cameras()
+    return Decision(cameras, {"rays_covered": of.followed.coverage(max(cameras, 2))})
 
 
 @rule("visibility.alpha")
@@ -151,8 +151,8 @@ def unit_resolution(of: Measured, config: Config) -> float:
     return SPARE * side * of.cells_per_world_unit
 
 
-def given(config: Config, key: str) -> int:
-    """An option of the hash tables that was set by hand or decided before."""
+def hash_option(config: Config, key: str) -> int:
+    """An option of the hash tables, set by hand or decided before."""
     value = config["hash"][key]
     if type(value) is not int or value < 1:
         raise ValueError(f"hash.{key} must be a whole number of at least 1, got {value!r}")
@@ -161,14 +161,14 @@ def given(config: Config, key: str) -> int:
 
 @rule("hash.max_resolution")
 def max_resolution(of: Measured, config: Config) -> Decision:
-    least, needed = given(config, "min_resolution"), unit_resolution(of, config)
+    coarsest, needed = hash_option(config, "min_resolution"), unit_resolution(of, config)
     because = {"cells_per_world_unit": of.cells_per_world_unit}
-    return Decision(max(least, min(FINEST, 16 * math.ceil(needed / 16))), because)
+    return Decision(max(coarsest, min(FINEST, 16 * math.ceil(needed / 16))), because)
 
 
 @rule("hash.levels")
 def levels(of: Measured, config: Config) -> Decision:
-    growth = given(config, "max_resolution") / given(config, "min_resolution")
+    growth = hash_option(config, "max_resolution") / hash_option(config, "min_resolution")
     return Decision(1 + math.ceil(math.log(max(growth, 1)) / math.log(GROWTH)), {"growth": GROWTH})
 
 
@@ -177,7 +177,7 @@ ENTRIES_PER_VALUE = 0.5  # numbers in the tables for each observed colour value
 
 @rule("hash.log2_table_size")
 def log2_table_size(of: Measured, config: Config) -> Decision:
-    entries = ENTRIES_PER_VALUE * of.observed / (given(config, "levels") * given(config, "features"))
+    entries = ENTRIES_PER_VALUE * of.observed / (hash_option(config, "levels") * hash_option(config, "features"))
     return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"observed_values": float(of.observed)})
 
 

@@ -61,9 +61,9 @@ class Followed:
 
     def cameras(self) -> int:
         """The most cameras, up to 4, that can be asked for with 99 % of the rays covered; 0: not even 2."""
-        for least in range(MOST_CAMERAS, 1, -1):
-            if self.coverage(least) >= COVERED:
-                return least
+        for cameras in range(MOST_CAMERAS, 1, -1):
+            if self.coverage(cameras) >= COVERED:
+                return cameras
         return 0
 
     def near(self, cameras: int) -> float | None:

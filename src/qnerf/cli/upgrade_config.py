@@ -1,8 +1,8 @@
-"""The configuration that a run was started with, as today's code takes it: what `resume` and `reproduce` begin with.
+"""The stored configuration of a run in today's form: what `resume`, `reproduce` and `probe` begin with.
 
-Runs outlive versions. Options that did not exist when a run was started get today's defaults, which is told; options
-that exist no longer are refused, because nothing here knows what they did. What a run is called never changes by this:
-its identity is that of the configuration as stored.
+Runs outlive versions. Renamed options get today's names. Options that did not exist when a run was started get the
+value that stands for what it did (`compatibility.ADDED`), else today's default, which is reported. Options that exist
+no longer are refused. The id stays that of the stored configuration.
 """
 
 import copy
@@ -32,8 +32,8 @@ OPAQUE = "ansatz_options"  # which options are in it depends on the names in it
 
 
 def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[str]]:
-    """The run's configuration, complete and with `overrides`, for the store that it lies in; and the options that were
-    filled in, as key=value.
+    """The run's complete configuration with `overrides`, for the store that it lies in; and the options that got
+    today's default, as key=value.
 
     Raises:
         ValueError: an override of what makes the run what it is; an option that is known no longer; plugins of the run

@@ -1,1 +1,1 @@
-"""What a run is told: settings, their checks, components by name, and what makes two runs the same."""
+"""The configuration: options and their checks, components by name, ids of runs, and names of older versions."""

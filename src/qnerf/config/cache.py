@@ -1,4 +1,4 @@
-"""Where what can be made again is kept."""
+"""Location of the cache: files that can be made again."""
 
 import contextlib
 import os
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def cache_folder() -> Path | None:
-    """$QNERF_CACHE, else $XDG_CACHE_HOME/qnerf, else ~/.cache/qnerf; None where there is no home to keep it in."""
+    """$QNERF_CACHE, else $XDG_CACHE_HOME/qnerf, else ~/.cache/qnerf; None without a home folder."""
     own, base = os.environ.get("QNERF_CACHE"), os.environ.get("XDG_CACHE_HOME")
     with contextlib.suppress(RuntimeError):  # no home folder
         return Path(own).expanduser() if own else Path(base or "~/.cache").expanduser() / "qnerf"

@@ -10,10 +10,10 @@ def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
         raise ValueError(f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}")
 
 
-def at_least(name: str, value: float, least: float) -> None:
-    """ValueError unless `value` is a finite number of at least `least`."""
-    if not least <= value < float("inf"):
-        raise ValueError(f"{name} must be at least {least:g}, got {value}")
+def at_least(name: str, value: float, minimum: float) -> None:
+    """ValueError unless `value` is a finite number of at least `minimum`."""
+    if not minimum <= value < float("inf"):
+        raise ValueError(f"{name} must be at least {minimum:g}, got {value}")
 
 
 def between(name: str, value: float, low: float, high: float) -> None:

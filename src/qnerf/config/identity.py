@@ -1,4 +1,4 @@
-"""What a run is called: a readable slug and a hash of everything that decides its numbers."""
+"""Ids of runs: a readable slug and a hash of everything that decides the numbers."""
 
 import hashlib
 import json
