@@ -1,17 +1,39 @@
 """QuantumLayer as users meet it."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
 import qnerf
+from qnerf.quantum import hardware, hardware_conditions
+from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.layer import QuantumLayer
 
 
 def test_is_what_the_package_exports() -> None:
     assert qnerf.QuantumLayer is QuantumLayer
+
+
+def test_earlier_names_still_work() -> None:
+    assert QuantumLayer.plan is QuantumLayer.cost
+    assert hardware is hardware_conditions
+
+
+def test_the_examples_of_the_page_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(ANSATZE, "_components", dict(ANSATZE._components))  # the page registers one
+    page = (Path(__file__).parents[2] / "docs" / "quantum.md").read_text()
+    examples = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    names: dict[str, Any] = {}
+    for example in examples:
+        exec(example, names)
+    assert len(examples) == 6
+    assert names["measured"].shape == names["noisy"].shape == (6144, 2)
+    drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if "─Rot─" in line]
+    assert "\n".join(drawing) in page
 
 
 @pytest.mark.parametrize("shape", [(), (7,), (2, 3), (0,), (4, 0)])
