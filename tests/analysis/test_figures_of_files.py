@@ -1,4 +1,4 @@
-"""Figures of what lies in a run's folder beside its numbers: pictures, and what `qnerf evaluate` wrote."""
+"""Figures of what lies in a run's folder beside its numbers: pictures, and what `qnerf probe` wrote."""
 
 import numpy as np
 import pandas as pd
@@ -189,14 +189,14 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
     figure = figures.psnr_vs_shots(frame.replace({"path": {path: str(tmp_path / "copy")}}))
     (container,) = figure.axes[0].containers
     assert container[0].get_xdata(orig=False).tolist() == [10]
-    assert "not drawn: 1 conditions that not every measured seed has" in footnote(figure)
+    assert "not drawn: 1 conditions that some measured seeds lack" in footnote(figure)
 
 
 def test_what_is_missing_says_how_to_make_it(frame):
     classical = frame[frame["field"] == "classical"]
-    with pytest.raises(ValueError, match=r"none of 2 runs has rays.parquet; `qnerf evaluate RUN rays` writes it"):
+    with pytest.raises(ValueError, match=r"none of 2 runs has rays.parquet; `qnerf probe RUN rays` writes it"):
         figures.best_of(classical, "rays")
-    with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf evaluate .* spectrum` writes it"):
+    with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf probe .* spectrum` writes it"):
         figures.fourier_spectrum(classical["path"].iloc[0])
 
 
