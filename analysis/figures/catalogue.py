@@ -15,7 +15,7 @@ from .encodings import encoding_channels
 from .ladder import speed_error_ladder
 from .pareto import engine_speed_vs_error, speed_vs_error
 from .plateaus import barren_plateaus
-from .probed import best_of, command
+from .probed import best_of
 from .qualitative import qualitative_grid
 from .sampling import sampling_strategies
 from .shape import psnr_vs_depth, psnr_vs_width
@@ -27,9 +27,9 @@ from .spectrum import fourier_spectrum
 class Entry:
     """A figure that can be asked for by name.
 
-    takes: what `function` is called with: the DataFrame of `load.runs`, the folder of one run, or the results of a
-        benchmark.
-    source: the table that `qnerf probe` has to write first, or the name of the benchmark.
+    takes: what `function` is called with: the DataFrame of `load.runs`, the folder of one run, or nothing, to draw the
+        saved results of a benchmark.
+    probe: the table that `qnerf probe` has to write for that run.
     options: keyword arguments of `function`.
     paper: the paper's figure that it corresponds to.
     one_scene: whether each scene gets a figure of its own.
@@ -39,7 +39,7 @@ class Entry:
     title: str
     function: Callable[..., Figure]
     takes: Literal["runs", "run", "benchmark"] = "runs"
-    source: str = ""
+    probe: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     paper: str = ""
     one_scene: bool = False
@@ -53,26 +53,13 @@ class Entry:
         options = {**self.options, **options}
         if self.takes == "benchmark":
             return self.function(**options)
-        return self.function(best_of(runs, self.source) if self.takes == "run" else runs, **options)
+        return self.function(best_of(runs, self.probe) if self.takes == "run" else runs, **options)
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with those of a scene."""
         if not self.one_scene or runs["scene_name"].nunique() < 2:
             return {name: runs}
         return {f"{name}_{scene}": own for scene, own in runs.groupby("scene_name")}
-
-    @property
-    def call(self) -> str:
-        """How to call the function: `capacity_vs_psnr(runs, part='color')`."""
-        arguments = [] if self.takes == "benchmark" else [self.takes]
-        return f"{self.function.__name__}({', '.join([*arguments, *(f'{k}={v!r}' for k, v in self.options.items())])})"
-
-    @property
-    def needs(self) -> str:
-        """The command that makes what the figure is drawn from, beside the runs; empty if the runs are enough."""
-        if not self.source:
-            return ""
-        return f"`python -m benchmarks.{self.source}`" if self.takes == "benchmark" else command(self.source)
 
 
 _CAPACITY = "Architecture-capacity comparison"
@@ -115,10 +102,10 @@ FIGURES = {
     "loss": Entry("Loss in training and on held-out views", loss_curves, paper="Training and evaluation loss"),
     "time": Entry("PSNR against wall time", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
-    "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, "benchmark", "quantum"),
-    "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, "benchmark", "accuracy"),
-    "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, "benchmark", "speed_error"),
-    "plateaus": Entry("Variance of gradients against wires", barren_plateaus, "benchmark", "plateaus"),
+    "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, "benchmark"),
+    "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, "benchmark"),
+    "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, "benchmark"),
+    "plateaus": Entry("Variance of gradients against wires", barren_plateaus, "benchmark"),
     "qualitative": Entry(
         "Truth, render, error and depth of typical runs", qualitative_grid, paper="Qualitative comparison"
     ),
@@ -146,15 +133,7 @@ FIGURES = {
         one_scene=True,
     ),
     "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, "run", "spectrum", one_scene=True),
-    "shots": Entry("PSNR against shots", psnr_vs_shots, source="eval_hardware"),
-    "noise": Entry("PSNR against gate noise", psnr_vs_noise, source="eval_hardware"),
+    "shots": Entry("PSNR against shots", psnr_vs_shots),
+    "noise": Entry("PSNR against gate noise", psnr_vs_noise),
 }
 """Name -> figure, in the order of the report."""
-
-
-def listing() -> str:
-    """The catalogue as a table in Markdown."""
-    lines = ["| name | shows | function in `analysis.figures` | needs | figure of the paper |", "|---|---|---|---|---|"]
-    for name, entry in FIGURES.items():
-        lines.append(f"| `{name}` | {entry.title} | `{entry.call}` | {entry.needs} | {entry.paper} |")
-    return "\n".join(lines)
