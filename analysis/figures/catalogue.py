@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -27,112 +27,79 @@ from .spectrum import fourier_spectrum
 class Entry:
     """A figure that can be asked for by name.
 
-    takes: what `function` is called with: the DataFrame of `load.runs`, the folder of one run, or nothing, to draw the
-        saved results of a benchmark.
-    probe: the table that `qnerf probe` has to write for that run.
+    function: takes the DataFrame of `load.runs`; or the folder of one run, if `probe` names the table that `qnerf
+        probe` has to write for it; or nothing, if it draws the saved results of a benchmark.
     options: keyword arguments of `function`.
-    paper: the paper's figure that it corresponds to.
-    one_scene: whether each scene gets a figure of its own.
+    paper: whether the paper has such a figure.
+    one_scene: whether each scene gets a figure of its own, as with a probe.
     hint: the command that trains the runs it needs, if its error messages do not name one.
     """
 
     title: str
     function: Callable[..., Figure]
-    takes: Literal["runs", "run", "benchmark"] = "runs"
+    options: Mapping[str, str] = field(default_factory=dict)
     probe: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    paper: str = ""
+    benchmark: bool = False
+    paper: bool = False
     one_scene: bool = False
     hint: str = ""
 
     def draw(self, runs: pd.DataFrame, **options: Any) -> Figure:
-        """The figure of these runs; one that takes a single run draws the best that was probed.
-
-        Raises ValueError with what is missing if it cannot be drawn.
-        """
-        options = {**self.options, **options}
-        if self.takes == "benchmark":
-            return self.function(**options)
-        return self.function(best_of(runs, self.probe) if self.takes == "run" else runs, **options)
+        """The figure of these runs, or of the best probed one. Raises ValueError with what is missing."""
+        source = [] if self.benchmark else [best_of(runs, self.probe) if self.probe else runs]
+        return self.function(*source, **self.options, **options)
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with those of a scene."""
-        if not self.one_scene or runs["scene_name"].nunique() < 2:
+        if not (self.one_scene or self.probe) or runs["scene_name"].nunique() < 2:
             return {name: runs}
         return {f"{name}_{scene}": own for scene, own in runs.groupby("scene_name")}
 
 
-_CAPACITY = "Architecture-capacity comparison"
-_MLPS = "RGB MLP performance"
-_WIDTHS = "`qnerf run -m {head}.width=16,32,64` trains some"
+_COLOR, _DENSITY = {"part": "color"}, {"part": "density"}
+_TRAIN = "`qnerf run -m {}` trains some".format
 
 FIGURES = {
-    "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr, paper=_CAPACITY),
-    "capacity_color": Entry(
-        "PSNR against the parameters of the colour head", capacity_vs_psnr, options={"part": "color"}, paper=_CAPACITY
-    ),
+    "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr, paper=True),
+    "capacity_color": Entry("PSNR against the parameters of the colour head", capacity_vs_psnr, _COLOR, paper=True),
     "capacity_density": Entry(
-        "PSNR against the parameters of the density head",
-        capacity_vs_psnr,
-        options={"part": "density"},
-        paper=_CAPACITY,
+        "PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY, paper=True
     ),
     "depth": Entry(
         "PSNR against the depth of the colour head",
         psnr_vs_depth,
-        paper=_MLPS,
-        hint="`qnerf run -m field=qcolor qiren.layers=1,2,3` trains some",
+        paper=True,
+        hint=_TRAIN("field=qcolor qiren.layers=1,2,3"),
     ),
     "width": Entry(
-        "PSNR against the width of the colour head", psnr_vs_width, paper=_MLPS, hint=_WIDTHS.format(head="color")
+        "PSNR against the width of the colour head", psnr_vs_width, paper=True, hint=_TRAIN("color.width=16,32,64")
     ),
     "density_width": Entry(
         "PSNR against the width of the density head",
         psnr_vs_width,
-        options={"head": "density"},
-        paper=_CAPACITY,
-        hint=_WIDTHS.format(head="density"),
+        {"head": "density"},
+        paper=True,
+        hint=_TRAIN("density.width=16,32,64"),
     ),
-    "hash": Entry(
-        "PSNR of the hash tables C1 to C7",
-        hash_configurations,
-        paper="Hash encoding configurations",
-        hint="`qnerf run -m hash=C1,C3,C5,C7` trains some",
-    ),
-    "loss": Entry("Loss in training and on held-out views", loss_curves, paper="Training and evaluation loss"),
+    "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True, hint=_TRAIN("hash=C1,C3,C5,C7")),
+    "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
     "time": Entry("PSNR against wall time", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
-    "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, "benchmark"),
-    "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, "benchmark"),
-    "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, "benchmark"),
-    "plateaus": Entry("Variance of gradients against wires", barren_plateaus, "benchmark"),
-    "qualitative": Entry(
-        "Truth, render, error and depth of typical runs", qualitative_grid, paper="Qualitative comparison"
-    ),
+    "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, benchmark=True),
+    "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, benchmark=True),
+    "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, benchmark=True),
+    "plateaus": Entry("Variance of gradients against wires", barren_plateaus, benchmark=True),
+    "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid, paper=True),
     "hsv": Entry(
         "Hue, saturation and value of truth, classical and quantum renderings",
         hsv_study,
-        paper="HSV color space analysis",
+        paper=True,
         one_scene=True,
         hint="`qnerf run -m field=classical,qcolor` trains both kinds",
     ),
-    "sampling": Entry(
-        "Sampling strategies along a ray",
-        sampling_strategies,
-        "run",
-        "rays",
-        paper="Sampling strategies along a ray",
-        one_scene=True,
-    ),
-    "encodings": Entry(
-        "First eight channels of each encoding",
-        encoding_channels,
-        "run",
-        "encoding",
-        paper="NeRF encoding strategies",
-        one_scene=True,
-    ),
-    "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, "run", "spectrum", one_scene=True),
+    "sampling": Entry("Sampling strategies along a ray", sampling_strategies, probe="rays", paper=True),
+    "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding", paper=True),
+    "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, probe="spectrum"),
     "shots": Entry("PSNR against shots", psnr_vs_shots),
     "noise": Entry("PSNR against gate noise", psnr_vs_noise),
 }
