@@ -237,7 +237,7 @@ def test_figures_come_for_both_themes_and_what_cannot_be_drawn_says_why(frame):
     nothing, (line,) = figures.draw("shots", frame)
     assert nothing == []
     assert line.startswith("PSNR against shots: ")
-    assert "`qnerf evaluate RUN shots=100,1000` writes it" in line
+    assert "`qnerf probe RUN shots=100,1000` writes it" in line
 
 
 def test_a_store_without_a_finished_run_has_a_page_that_says_so(tmp_path):
