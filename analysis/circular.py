@@ -3,7 +3,11 @@
 Angles are in turns, of any number: 0.25 and 1.25 are the same direction.
 """
 
+from typing import TypeVar
+
 import numpy as np
+
+Angles = TypeVar("Angles", float, np.ndarray)
 
 
 def kuiper(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
@@ -46,7 +50,7 @@ def mean_direction(angles: np.ndarray) -> float:
     return float(np.angle(np.exp(2j * np.pi * angles).sum()) / (2 * np.pi) % 1) if len(angles) else float("nan")
 
 
-def turn(first: float, second: float) -> float:
+def turn(first: float, second: Angles) -> Angles:
     """The signed shorter way from one direction to the other, turns in [-0.5, 0.5)."""
     return (second - first + 0.5) % 1 - 0.5
 

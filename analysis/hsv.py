@@ -1,4 +1,4 @@
-"""The colours of renderings against the truth: distributions of hue, saturation and value, tests and effect sizes."""
+"""How renderings differ from the truth in colour: distributions of hue, saturation and value, tests, effect sizes."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -11,17 +11,19 @@ from scipy.stats import ks_2samp, wasserstein_distance
 from qnerf.records.filters import require
 
 from . import circular, command
-from .images import panels, pictures
+from .images import common_pictures, panels
 from .selection import refuse_mixtures, refuse_scenes, select
 from .tables.table import Table
 
 SOURCES = ("truth", "classical", "quantum")
 CHANNELS = ("hue", "saturation", "value")
 GREY = 0.05
-"""Saturation up to which a pixel counts as grey: it has no hue."""
+"""A pixel of at most this saturation counts as grey: it has no hue."""
 
 CLASSICAL = {"field": "classical"}
 QUANTUM = {"field": "qcolor"}
+EFFECTS = ("ks", "kuiper", "cliffs_delta", "wasserstein", "direction")
+"""The statistics of `compare` that do not grow with the number of pixels."""
 
 
 def samples(
@@ -31,13 +33,19 @@ def samples(
     quantum: str | Mapping[str, object] = QUANTUM,
     grey: float = GREY,
 ) -> pd.DataFrame:
-    """One row a pixel of the held-out views that all chosen runs have pictures of.
+    """The pixels of the held-out views that all chosen runs have pictures of, one row each.
 
-    Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which is there once), image,
-    and hue, saturation, value in [0, 1], hue in turns and NaN for a grey pixel, one of saturation <= `grey`.
+    Args:
+        frame: runs as `load.runs` gives them.
+        classical, quantum: conditions that choose the runs to compare; see `qnerf.records.filters`.
+        grey: a pixel of at most this saturation has no hue.
 
-    classical, quantum: conditions that choose the runs of `frame`; see `qnerf.records.filters`. ValueError where they
-    choose none, several scenes or configurations, or runs that have no view in common.
+    Returns:
+        Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which occurs once),
+        image, and hue (in turns; NaN for a grey pixel), saturation and value, all in [0, 1].
+
+    Raises:
+        ValueError: nothing is chosen, or several scenes or configurations, or runs that have no view in common.
     """
     finished = select(frame).runs
     chosen = {"classical": require(finished, classical), "quantum": require(finished, quantum)}
@@ -45,80 +53,91 @@ def samples(
         refuse_mixtures(runs.assign(source=source), ["source"])
     both = pd.concat(chosen.values())
     refuse_scenes(both, [])
-    stored = {path: pictures(path) for path in both["path"]}
-    common = sorted(set.intersection(*(set(names) for names in stored.values())))
+    common, pictures = common_pictures(both["path"])
     if not common:
-        without = sum(not names for names in stored.values())
+        without = sum(not own for own in pictures.values())
         raise ValueError(f"no picture that all {len(both)} runs have; {without} of them have none at all")
     pieces = []
     for image in common:
         for source, runs in chosen.items():
             for path, seed in zip(runs["path"], runs["seed"], strict=True):
-                strip = panels(stored[path][image])
+                strip = panels(pictures[path][image])
                 pieces.append(pixels(strip.render, grey).assign(source=source, seed=seed, image=image))
         pieces.append(pixels(strip.truth, grey).assign(source="truth", seed=None, image=image))
     table = pd.concat([piece.astype({"seed": "Int64"}) for piece in pieces], ignore_index=True)
-    return table.astype({"source": pd.CategoricalDtype(SOURCES), "image": "category"})[
-        ["source", "seed", "image", *CHANNELS]
-    ]
+    table = table.astype({"source": pd.CategoricalDtype(list(SOURCES)), "image": "category"})
+    return table[["source", "seed", "image", *CHANNELS]]
 
 
 def pixels(image: np.ndarray, grey: float = GREY) -> pd.DataFrame:
-    """Hue (turns), saturation and value in [0, 1] of an image (H, W, 3) uint8, a row a pixel; a grey one has no hue."""
+    """Hue (turns), saturation and value in [0, 1] of each pixel of an image (H, W, 3) uint8; grey ones have no hue.
+
+    >>> import numpy as np
+    >>> pixels(np.array([[[0, 255, 0], [128, 128, 128]]], dtype=np.uint8))["hue"].round(3).tolist()
+    [0.333, nan]
+    """
     table = pd.DataFrame(rgb_to_hsv(image.reshape(-1, 3) / 255), columns=list(CHANNELS))
     table.loc[table["saturation"] <= grey, "hue"] = np.nan
     return table
 
 
 def tests(samples: pd.DataFrame) -> pd.DataFrame:
-    """Each channel compared between each two sources, a row a seed that both have; the truth goes with every seed.
+    """Compares each channel between each two sources, a row per seed that both have; the truth counts for every seed.
 
-    Columns channel, pair, seed, and the pixels n_first, n_second that have the channel;
-    ks, ks_p: two-sample Kolmogorov-Smirnov statistic, itself an effect size in [0, 1], and its p-value. For hue it
-        depends on the circle being cut at red; the paper gives it nevertheless.
-    kuiper, kuiper_p: for hue alone, `circular.kuiper`, the same on the circle.
-    cliffs_delta: P(second > first) - P(second < first), in [-1, 1]; not for hue, which has no order.
-    wasserstein: mean shift in units of the channel's range [0, 1]; for hue on the circle, in turns.
-    direction: for hue alone, mean direction of the second against the first, turns in [-0.5, 0.5).
-    All NaN where a source has no pixel with the channel. Pixels are no independent draws and there are many of them:
-    p-values are tiny whatever the effect, so judge by the effect sizes.
+    Columns channel, pair, seed and those of `compare`. The pixels of an image are many and depend on each other, so
+    p-values are tiny whatever the effect: judge by the effect sizes.
     """
-    of = dict(list(samples.groupby(["source", samples["seed"].fillna(-1)], observed=True)))
-    lines = []
+    groups = dict(list(samples.groupby(["source", samples["seed"].fillna(-1)], observed=True)))
+    rows = []
     for first, second in combinations(SOURCES, 2):
-        seeds = sorted({seed for source, seed in of if source == second})
-        for seed in seeds:
-            one = of.get((first, -1 if first == "truth" else seed))
+        for seed in sorted(own["seed"].iloc[0] for (source, _), own in groups.items() if source == second):
+            one = groups.get((first, -1 if first == "truth" else seed))
             if one is None:
                 continue
             for channel in CHANNELS:
-                a, b = (part[channel].dropna().to_numpy() for part in (one, of[second, seed]))
-                lines.append({"channel": channel, "pair": f"{first} - {second}", "seed": seed} | compare(a, b, channel))
-    return pd.DataFrame(lines)
+                a, b = (part[channel].dropna().to_numpy() for part in (one, groups[second, seed]))
+                rows.append({"channel": channel, "pair": f"{first} - {second}", "seed": seed} | compare(a, b, channel))
+    return pd.DataFrame(rows)
 
 
 def compare(first: np.ndarray, second: np.ndarray, channel: str) -> dict[str, float]:
-    """The statistics of `tests` for two arrays of a channel."""
+    """Compares two samples of a channel. All statistics are NaN if a sample is empty.
+
+    n_first, n_second: sizes of the samples.
+    ks, ks_p: Kolmogorov-Smirnov statistic in [0, 1] and p-value. For hue it depends on where the circle is cut (at
+        red); it is given because the paper gives it.
+    kuiper, kuiper_p: the same on the circle, for hue alone; see `circular.kuiper`.
+    cliffs_delta: P(second > first) - P(second < first), in [-1, 1]; not for hue, which has no order.
+    wasserstein: mean shift in units of the channel's range [0, 1]; for hue on the circle, in turns.
+    direction: mean direction of the second against the first in turns, in [-0.5, 0.5), for hue alone.
+    """
     names = ("ks", "ks_p", "kuiper", "kuiper_p", "cliffs_delta", "wasserstein", "direction")
-    line = {"n_first": len(first), "n_second": len(second), **dict.fromkeys(names, float("nan"))}
+    result = {"n_first": len(first), "n_second": len(second), **dict.fromkeys(names, float("nan"))}
     if min(len(first), len(second)) == 0:
-        return line
-    found = ks_2samp(first, second, method="asymp" if len(first) * len(second) > 1 else "exact")
-    line |= {"ks": float(found.statistic), "ks_p": float(found.pvalue)}
+        return result
+    test = ks_2samp(first, second, method="asymp" if len(first) * len(second) > 1 else "exact")
+    result |= {"ks": float(test.statistic), "ks_p": float(test.pvalue)}
     if channel != "hue":
-        return line | {"cliffs_delta": cliffs_delta(first, second), "wasserstein": wasserstein_distance(first, second)}
-    statistic, p = circular.kuiper(first, second)
-    direction = circular.turn(circular.mean_direction(first), circular.mean_direction(second))
-    return line | {
-        "kuiper": statistic,
-        "kuiper_p": p,
+        return result | {
+            "cliffs_delta": cliffs_delta(first, second),
+            "wasserstein": wasserstein_distance(first, second),
+        }
+    kuiper, kuiper_p = circular.kuiper(first, second)
+    return result | {
+        "kuiper": kuiper,
+        "kuiper_p": kuiper_p,
         "wasserstein": circular.wasserstein(first, second),
-        "direction": direction,
+        "direction": circular.turn(circular.mean_direction(first), circular.mean_direction(second)),
     }
 
 
 def cliffs_delta(first: np.ndarray, second: np.ndarray) -> float:
-    """P(second > first) - P(second < first), in [-1, 1] (Cliff 1993, "Dominance statistics")."""
+    """P(second > first) - P(second < first), in [-1, 1] (Cliff 1993, "Dominance statistics").
+
+    >>> import numpy as np
+    >>> cliffs_delta(np.array([1, 2]), np.array([2, 3]))
+    0.75
+    """
     ordered = np.sort(first)
     below = np.searchsorted(ordered, second, side="left")
     not_above = np.searchsorted(ordered, second, side="right")
@@ -131,37 +150,34 @@ def greys(samples: pd.DataFrame) -> pd.Series:
 
 
 def table(tests: pd.DataFrame, title: str = "Hue, saturation and value") -> Table:
-    """Mean over seeds of the statistics of `tests`, a row each channel and pair; ± standard deviation, largest p."""
+    """A row per channel and pair: each effect size as mean ± standard deviation over seeds, and the largest p-value."""
     groups = tests.sort_values("channel", kind="stable").groupby(["channel", "pair"], sort=False)
-    effects = ["ks", "kuiper", "cliffs_delta", "wasserstein", "direction"]
-    data = groups[effects].agg(["mean", "std"])
+    data = groups[list(EFFECTS)].agg(["mean", "std"])
     data[("ks_p", "max")], data[("kuiper_p", "max")] = groups["ks_p"].max(), groups["kuiper_p"].max()
     data[("seeds", "n")] = groups.size()
     text = data.index.to_frame(index=False)
-    for name in effects:
-        text[name.replace("_", " ").replace("cliffs", "Cliff's")] = [
-            spread(*row) for row in data[name].itertuples(index=False)
-        ]
-    circled = data[("kuiper_p", "max")].notna()
-    text["p"] = [_p(p) for p in data[("kuiper_p", "max")].where(circled, data[("ks_p", "max")])]
+    for name in EFFECTS:
+        heading = name.replace("_", " ").replace("cliffs", "Cliff's")
+        text[heading] = [spread(*row) for row in data[name].itertuples(index=False)]
+    text["p"] = [_p_value(p) for p in data[("kuiper_p", "max")].fillna(data[("ks_p", "max")])]
     text["seeds"] = data[("seeds", "n")].map(str).to_numpy()
     notes = (
         "ks: Kolmogorov-Smirnov statistic; kuiper: its circular form, for hue; Wasserstein distance in units of the "
         "channel's range, for hue on the circle in turns; direction: mean hue of the second against the first, turns",
-        "p: the largest over the seeds, Kuiper's for hue; pixels are not independent and many, so it is tiny whatever "
-        "the effect",
+        "p: the largest over the seeds, Kuiper's for hue; the pixels are many and not independent, so it is tiny "
+        "whatever the effect",
     )
     return Table(title, text, data, pd.DataFrame(False, index=text.index, columns=text.columns), notes)
 
 
 def spread(mean: float, std: float) -> str:
-    """`0.0342 ± 0.0011`; no spread where the deviation is NaN, nothing where the mean is."""
+    """`0.0342 ± 0.0011`; `0.0342` if the deviation is NaN, empty if the mean is."""
     if np.isnan(mean):
         return ""
     return f"{mean:.4f}" + ("" if np.isnan(std) else f" ± {std:.4f}")
 
 
-def _p(p: float) -> str:
+def _p_value(p: float) -> str:
     return "" if np.isnan(p) else f"{p:.1e}" if p > 0 else "< 1e-300"
 
 

@@ -1,5 +1,6 @@
 """A run's stored pictures, `images/*.png`: truth | render | error x 4 | depth side by side, small views enlarged."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ from PIL import Image
 
 
 class Panels(NamedTuple):
-    """The four panels of a picture, each (H, W, 3) uint8 in the view's own pixels."""
+    """The four panels of a picture, each (H, W, 3) uint8 at the resolution of the view."""
 
     truth: np.ndarray
     render: np.ndarray
@@ -17,12 +18,18 @@ class Panels(NamedTuple):
 
 
 def pictures(run: str | Path) -> dict[str, Path]:
-    """Name of a held-out view -> its picture, sorted by name; empty where a run has none."""
+    """Name of a held-out view -> its picture, sorted by name; empty if the run has none."""
     return {path.stem: path for path in sorted((Path(run) / "images").glob("*.png"))}
 
 
+def common_pictures(runs: Iterable[str]) -> tuple[list[str], dict[str, dict[str, Path]]]:
+    """The views that every run has a picture of, sorted by name, and the `pictures` of each run."""
+    stored = {run: pictures(run) for run in runs}
+    return sorted(set.intersection(*map(set, stored.values()))), stored
+
+
 def panels(picture: str | Path) -> Panels:
-    """The panels, with the enlargement taken back. ValueError where the file is not such a picture."""
+    """The panels, without the enlargement. Raises ValueError if the file is not such a picture."""
     try:
         with Image.open(picture) as image:
             pixels = np.asarray(image.convert("RGB"))
@@ -36,7 +43,7 @@ def panels(picture: str | Path) -> Panels:
 
 
 def enlargement(pixels: np.ndarray) -> int:
-    """Side of the equal squares that a picture (H, 4 W, 3) consists of: pixels are repeated, never blended."""
+    """Side in pixels of the equal squares that make up a picture (H, 4 W, 3): views are enlarged without blending."""
     height, width = pixels.shape[0], pixels.shape[1] // len(Panels._fields)
     rows = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=(1, 2))) + 1
     columns = np.flatnonzero((pixels[:, 1:] != pixels[:, :-1]).any(axis=(0, 2))) + 1

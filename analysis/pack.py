@@ -5,7 +5,7 @@ from pathlib import Path
 
 from . import command, packed
 from .figures import FIGURES
-from .figures.files import draw, known, title
+from .figures.files import check_names, draw, title
 from .paper import PAPER_TABLES
 
 DESCRIPTION = """\
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"draw as PNG: {', '.join(FIGURES)}")
     parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
     options = parser.parse_args(arguments)
-    known(options.figures)
+    check_names(options.figures)
     if options.folder.resolve() == Path(options.store).resolve():
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = command.chosen(options)

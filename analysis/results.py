@@ -1,5 +1,8 @@
-"""`python -m analysis.results docs/results --write docs/results.md`: the page of what was found out, one section a
-question, made from the runs that `python -m analysis.pack` keeps in a folder each."""
+"""The page docs/results.md: a section per question, made from packed runs.
+
+`python -m analysis.results docs/results --write docs/results.md` writes it. `python -m analysis.pack` packs the runs of
+each question into a folder of its own.
+"""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -16,72 +19,81 @@ from .tables import Table, ablation, shots_and_noise, stability, units
 HEAD = """\
 # Results
 
-Every table is made by `python -m analysis.results docs/results --write docs/results.md` from the runs in
-`docs/results/`, one folder a question; the last commands of a section make its tables alone, with other `--rows`
-other ones. PSNR and SSIM are those of held-out views, 5 of `fox_64` and 22 of `poster`, after the steps that a section
-names. Commands are those of `poster`; `fox_64`, the fox capture of instant-ngp at 36 x 64, is the same with
-`scene=nerfstudio scene.path=DIR`. Runs of a table were not all trained at the same time: how long a step takes,
-`python -m benchmarks.training` measures. Commands with `density.mlp.init=torch` are of `train=quick` before its density
-MLPs started by He's rule. Figures are drawn of the store by `python -m analysis.pack runs docs/results/NAME --figures
-FIGURE`. {hardware}
+`python -m analysis.results docs/results --write docs/results.md` makes every table from the runs in `docs/results/`,
+which has a folder per question. Each section begins with the commands that trained its runs, followed by those that
+make its tables from the stored runs. Give the latter other `--rows` to group the runs differently.
+
+PSNR and SSIM are means over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training. The training
+commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_64`, which is the fox capture of
+instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs
+He initialisation. `python -m analysis.pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of
+runs.
+
+The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
+instead. {hardware}
 """
+
+QUALITY = ("psnr", "ssim", "depth_error")
 
 
 @dataclass(frozen=True)
 class Question:
-    """A folder of `docs/results`: what was asked, which sweep answers it, and the table that shows it."""
+    """A section of the page: a question, the commands that train its runs, and the tables that answer it.
+
+    rows: the keys that distinguish the rows of each table.
+    baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
+    values: the columns; those that no run has are left out.
+    failures, units, hardware: whether to add the table of that name.
+    paper: the names of the paper's tables to add.
+    """
 
     title: str
     commands: tuple[str, ...]
     rows: tuple[str, ...]
     baseline: Mapping[str, object] | None = None
-    values: tuple[str, ...] = ("psnr", "ssim", "depth_error", "params.color", "params.density")
-    stable: bool = False
-    alive: bool = False
-    measured: bool = False
+    values: tuple[str, ...] = QUALITY
+    failures: bool = False
+    units: bool = False
+    hardware: bool = False
     paper: tuple[str, ...] = ()
-    also: tuple[Mapping[str, object], ...] = ()
+    other_baselines: tuple[Mapping[str, object], ...] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """Its tables over seeds: differences from the baseline and from `also`, the seeds that failed, how alive colour
-        heads are, what hardware would render, the paper's beside ours."""
+        """The tables of the question's runs, as `load.runs` gives them."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
-        made = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
-        made += [ablation(frame, self.rows, values=("psnr",), baseline=other) for other in self.also]
-        if self.stable:
-            made.append(stability(frame, self.rows))
-        if self.alive:
-            made.append(units(frame, self.rows))
-        if self.measured:
-            made.append(shots_and_noise(frame, self.rows))
-        return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
+        tables = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
+        tables += [ablation(frame, self.rows, values=("psnr",), baseline=other) for other in self.other_baselines]
+        wanted = ((self.failures, stability), (self.units, units), (self.hardware, shots_and_noise))
+        tables += [make(frame, self.rows) for wants, make in wanted if wants]
+        return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
 
-    def shown(self, name: str) -> list[str]:
-        """The commands that make its tables over seeds of the committed runs."""
-        made = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
-        baselines = [] if self.baseline is None else [self.baseline, *self.also]
-        told = [",".join(f"{key}={value}" for key, value in baseline.items()) for baseline in baselines]
-        return [f"{made} --baseline {one}" for one in told] or [made]
+    def table_commands(self, name: str) -> list[str]:
+        """The commands that make its tables over seeds from the packed runs in docs/results/`name`."""
+        command = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
+        if self.baseline is None:
+            return [command]
+        baselines = [self.baseline, *self.other_baselines]
+        texts = [",".join(f"{key}={value}" for key, value in baseline.items()) for baseline in baselines]
+        return [f"{command} --baseline {text}" for text in texts]
 
 
 def sweep(name: str, *more: str) -> str:
+    """The command that trains a sweep."""
     return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
 
 
 def before(name: str, *more: str) -> str:
-    """A sweep that was run when density MLPs of the quick recipe started as PyTorch starts them."""
+    """A sweep that was trained when density MLPs of the quick recipe had PyTorch's default initialisation."""
     return sweep(name, *more, "density.mlp.init=torch")
 
 
-def pieces(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
-    """What values of an option are worth against one of them; experiments change a piece of the quick recipe each."""
-    return Question(
-        title, (command,), ("scene_name", key), {key: baseline}, ("psnr", "ssim", "depth_error"), stable=True
-    )
+def comparison(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
+    """Compares the values of an option with a baseline; the default: experiments with the quick recipe."""
+    return Question(title, (command,), ("scene_name", key), {key: baseline}, failures=True)
 
 
 def density_start(title: str, field: str, rate: str, initial: str) -> Question:
-    """What the rate and the start of a density head are worth, against those of the quick recipe."""
+    """Compares learning rates and initial densities of a density head with those of the quick recipe."""
     seeds = f"field={field} seed=0,1,2"
     return Question(
         title,
@@ -91,9 +103,8 @@ def density_start(title: str, field: str, rate: str, initial: str) -> Question:
         ),
         ("scene_name", "train.rates.density", "density.initial"),
         {"train.rates.density": rate, "density.initial": initial},
-        ("psnr", "ssim", "depth_error"),
-        stable=True,
-        also=() if rate == "1" else ({"train.rates.density": "1", "density.initial": initial},),
+        failures=True,
+        other_baselines=() if rate == "1" else ({"train.rates.density": "1", "density.initial": initial},),
     )
 
 
@@ -101,56 +112,56 @@ SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
 
 QUESTIONS = {
     "scenes": Question(
-        "What does a circuit head give on each scene?",
+        "How good is a circuit head on each scene?",
         (sweep("scenes"),),
         ("scene_name", "field"),
         {"field": "classical"},
+        values=(*QUALITY, "params.color", "params.density"),
     ),
-    "start": pieces(
-        "How may a density MLP start, below a colour circuit?",
+    "start": comparison(
+        "Which initial weights suit a density MLP beside a colour circuit?",
         sweep("seeds", "field=qcolor density.mlp.init=torch,he"),
         "density.mlp.init",
         "torch",
     ),
-    "start_mlp": pieces(
-        "And below a colour MLP?",
+    "start_mlp": comparison(
+        "Which initial weights suit a density MLP beside a colour MLP?",
         sweep("seeds", "field=classical density.mlp.init=torch,he"),
         "density.mlp.init",
         "torch",
     ),
-    "recipe": pieces("What is each piece of the quick recipe worth to a quantum colour head?", sweep("recipe")),
-    "recipe_density": pieces(
-        "And to one for density?",
+    "recipe": comparison("How much does each piece of the quick recipe help a quantum colour head?", sweep("recipe")),
+    "recipe_density": comparison(
+        "How much does each piece of the quick recipe help a quantum density head?",
         sweep("recipe", "field=qdensity experiment=quick_recipe,no_gain,no_center,no_sum,uniform_angles,full_scale"),
     ),
-    "recipe_more": pieces("Would more of it help? Pieces that the recipe does not have", sweep("recipe_more")),
+    "recipe_more": comparison("Which additions to the quick recipe would help?", sweep("recipe_more")),
     "seeds": Question(
-        "How often does a field collapse? Colour MLPs as Nerfacto's, and with raw directions and He's start",
+        "How often does training collapse? Colour MLPs as in Nerfacto, and with raw directions and He initialisation",
         (sweep("seeds", "field=classical,qdensity color.directions=raw color.mlp.init=he"), sweep("seeds")),
         ("scene_name", "field", "color.mlp.init"),
         {"field": "classical", "color.mlp.init": "he"},
-        ("psnr", "ssim", "depth_error"),
-        stable=True,
-        also=({"field": "classical", "color.mlp.init": "torch"},),
+        failures=True,
+        other_baselines=({"field": "classical", "color.mlp.init": "torch"},),
     ),
     "small_heads": Question(
-        "Is a quantum colour head level with MLPs of at most 700 parameters?",
+        "Is a quantum colour head as good as MLPs of at most 700 parameters?",
         (sweep("small_heads"), sweep("small_heads", "color.mlp.init=he", f"experiment={SMALL_MLPS}")),
         ("scene_name", "color", "color.directions", "color.mlp.init"),
         {"color": "1L2S"},
-        ("psnr", "ssim", "depth_error", "params.color"),
-        stable=True,
+        values=(*QUALITY, "params.color"),
+        failures=True,
     ),
     "control": Question(
-        "Is it the circuit, or what the recipe gives it?",
+        "Does the circuit help, or the recipe that comes with it?",
         (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.mlp.init=torch")),
         ("scene_name", "color", "color.directions", "color.mlp.init"),
         {"color": "3x64", "color.directions": "raw", "color.mlp.init": "he"},
-        ("psnr", "ssim", "depth_error", "params.color"),
-        stable=True,
+        values=(*QUALITY, "params.color"),
+        failures=True,
     ),
     "control_density": Question(
-        "And a circuit for density?",
+        "Does a circuit for density help?",
         (
             sweep("control_density"),
             sweep("control_density", "field=classical density.mlp.init=he color.mlp.init=he color.directions=raw"),
@@ -158,32 +169,35 @@ QUESTIONS = {
         ),
         ("scene_name", "field", "density.mlp.init", "color.mlp.init"),
         {"field": "classical", "density.mlp.init": "he", "color.mlp.init": "torch"},
-        ("psnr", "ssim", "depth_error"),
-        stable=True,
-        also=({"field": "classical", "density.mlp.init": "torch", "color.mlp.init": "torch"},),
+        failures=True,
+        other_baselines=({"field": "classical", "density.mlp.init": "torch", "color.mlp.init": "torch"},),
     ),
-    "rates": pieces(
-        "How fast may a colour circuit learn?",
+    "rates": comparison(
+        "Which learning rate suits a colour circuit?",
         sweep("seeds", "field=qcolor train.rates.color=0.33,1.0"),
         "train.rates.color",
         "1",
     ),
-    "rates_mlp": pieces(
-        "And a colour MLP?",
+    "rates_mlp": comparison(
+        "Which learning rate suits a colour MLP?",
         before("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
         "train.rates.color",
         "1",
     ),
-    "rates_density": density_start("And a density circuit, and how dense may it start?", "qdensity", "0.33", "0.1"),
-    "rates_density_mlp": density_start("And a density MLP?", "classical", "1", "1"),
-    "directions": pieces(
-        "How loud may the view direction be?",
+    "rates_density": density_start(
+        "Which learning rate and initial density suit a density circuit?", "qdensity", "0.33", "0.1"
+    ),
+    "rates_density_mlp": density_start(
+        "Which learning rate and initial density suit a density MLP?", "classical", "1", "1"
+    ),
+    "directions": comparison(
+        "How strongly should view directions be scaled?",
         before("directions", "train.rates.color=1.0"),
         "color.direction_scale",
         "1",
     ),
-    "init": pieces(
-        "How loud may a circuit's values be?",
+    "init": comparison(
+        "How strongly should a circuit's outputs be amplified?",
         before(
             "init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0 train.rates.color=1.0"
         ),
@@ -191,40 +205,37 @@ QUESTIONS = {
         "3",
     ),
     "loss_curves": Question(
-        "How do training and held-out loss go?",
+        "How do training and held-out loss develop?",
         (sweep("loss_curves"), "python -m analysis.figures runs loss"),
         ("scene_name", "field"),
-        values=("psnr", "ssim", "depth_error"),
     ),
     "sampling": Question(
-        "Where are rays to be sampled?",
+        "Where should rays be sampled?",
         (sweep("sampling"), "qnerf probe RUN rays", "python -m analysis.figures runs sampling"),
         ("scene_name", "field", "sampler"),
-        values=("psnr", "ssim", "depth_error"),
     ),
     "encoders": Question(
-        "What are points to be encoded by?",
+        "How should points be encoded?",
         (sweep("encoders"), "qnerf probe RUN encoding", "python -m analysis.figures runs encodings"),
         ("scene_name", "field", "encoder"),
-        values=("psnr", "ssim", "depth_error", "params.encoder", "params.density"),
+        values=(*QUALITY, "params.encoder", "params.density"),
     ),
     "poses": Question(
-        "What does pose refinement make good?",
+        "How much of the error of noisy poses does refinement recover?",
         (sweep("poses"),),
         ("scene_name", "field", "cameras", "pose_noise.rotation"),
-        values=("psnr", "ssim", "depth_error"),
     ),
     "rgb_width": Question(
-        "How wide has an MLP of three layers to be?",
+        "How wide must an MLP of three layers be?",
         (sweep("rgb_width", "seed=0"), "python -m analysis.figures runs width"),
         ("scene_name", "color"),
-        values=("psnr", "ssim", "depth_error", "params.color"),
+        values=(*QUALITY, "params.color"),
     ),
     "rgb_depth": Question(
-        "How deep may a narrow MLP be?",
+        "How deep can a narrow MLP be?",
         (sweep("rgb_depth", "seed=0"), "python -m analysis.figures runs depth"),
         ("scene_name", "color"),
-        values=("psnr", "ssim", "depth_error", "params.color"),
+        values=(*QUALITY, "params.color"),
     ),
     "deep": Question(
         "Why does a deep, narrow MLP collapse?",
@@ -234,43 +245,50 @@ QUESTIONS = {
             "qnerf probe RUN units",
         ),
         ("scene_name", "color", "color.mlp.init", "train.rates.color"),
-        values=("psnr", "ssim", "depth_error"),
-        stable=True,
-        alive=True,
+        failures=True,
+        units=True,
     ),
     "rgb_table": Question(
-        "The paper's table of colour heads", (sweep("rgb_table"),), ("scene_name", "field", "color"), paper=("rgb",)
+        "The paper's table of colour heads",
+        (sweep("rgb_table"),),
+        ("scene_name", "field", "color"),
+        values=(*QUALITY, "params.color", "params.density"),
+        paper=("rgb",),
     ),
     "both_table": Question(
-        "The paper's table of both heads", (sweep("both_table"),), ("scene_name", "density", "color"), paper=("both",)
+        "The paper's table of both heads",
+        (sweep("both_table"),),
+        ("scene_name", "density", "color"),
+        values=(*QUALITY, "params.color", "params.density"),
+        paper=("both",),
     ),
     "hash_table": Question(
         "The paper's hash tables",
         (sweep("hash_table"),),
         ("scene_name", "hash"),
-        values=("psnr", "ssim", "depth_error", "params.encoder"),
+        values=(*QUALITY, "params.encoder"),
         paper=("hash",),
     ),
     "pe_widths": Question(
-        "Which width does an MLP need on a positional encoding?",
+        "How wide must a density MLP on a positional encoding be?",
         (sweep("pe_widths"),),
         ("scene_name", "density"),
-        values=("psnr", "ssim", "depth_error", "params.density"),
+        values=(*QUALITY, "params.density"),
     ),
     "hsv": Question(
         "The paper's colour study",
         (sweep("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
         ("scene_name", "field"),
-        values=("psnr", "ssim", "depth_error", "params.density", "params.color"),
+        values=(*QUALITY, "params.density", "params.color"),
     ),
     "density_figure": Question(
         "The paper's figure of quantum density heads on a positional encoding",
         (sweep("density_figure"), "python -m analysis.figures runs capacity_density"),
         ("scene_name", "density"),
-        values=("psnr", "ssim", "depth_error", "params.density"),
+        values=(*QUALITY, "params.density"),
     ),
     "density_rate": Question(
-        "Two of them end empty. Does a third of the learning rate save them?",
+        "Two of these heads lose all density. Does a third of the learning rate save them?",
         (
             sweep(
                 "density_figure",
@@ -278,34 +296,32 @@ QUESTIONS = {
             ),
         ),
         ("scene_name", "density", "train.rates.density"),
-        values=("psnr", "ssim", "depth_error"),
     ),
     "density_pe": Question(
-        "Is a quantum density head level with an MLP of its size on a positional encoding?",
+        "Is a quantum density head as good as an MLP of its size on a positional encoding?",
         (
             sweep("density_pe", "experiment=pe_1L2S,pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8"),
             sweep("density_pe", "experiment=pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8 density.mlp.init=he"),
         ),
         ("scene_name", "density", "density.mlp.init"),
         {"density": "1L2S"},
-        ("psnr", "ssim", "depth_error", "params.density"),
-        stable=True,
+        values=(*QUALITY, "params.density"),
+        failures=True,
     ),
-    "density_sum": pieces(
-        "Does it help there to read the sum of all circuits?",
+    "density_sum": comparison(
+        "Does such a head improve if it reads the sum of all its circuits?",
         sweep("density_pe", "experiment=pe_1L2S density.qiren.sum_layers=false,true"),
         "density.qiren.sum_layers",
         "false",
     ),
     "ansatz": Question(
-        "Which circuit?",
+        "Which ansatz is best?",
         (sweep("ansatz", "qiren.ansatz=qiren,ry"), sweep("ansatz", "seed=0")),
         ("scene_name", "color.qiren.ansatz"),
         {"color.qiren.ansatz": "qiren"},
-        ("psnr", "ssim", "depth_error"),
     ),
     "shots": Question(
-        "What do finite shots and noisy gates cost a trained circuit?",
+        "How much quality do finite shots and noisy gates cost?",
         (
             before("shots"),
             "qnerf probe RUN shots=100,1000,10000",
@@ -313,53 +329,54 @@ QUESTIONS = {
         ),
         ("scene_name", "color"),
         values=("psnr", "params.color"),
-        measured=True,
+        hardware=True,
     ),
     "noise": Question(
-        "And two re-uploadings, on few enough qubits for exact noise?",
+        "How much quality does noise cost at two re-uploadings? Few qubits, so that noise is simulated exactly",
         (before("noise"), "qnerf probe RUN noise=depolarizing p=0.001,0.01,0.1"),
         ("scene_name", "color.qiren.qubits"),
         values=("psnr", "params.color"),
-        measured=True,
+        hardware=True,
     ),
     "paper_short": Question(
-        "Both heads by the paper's recipe and by the quick one, 1,500 steps each",
+        "Two circuit heads with the paper's recipe and with the quick one, 1,500 steps each",
         (sweep("scenes", "field=qboth train=quick,paper"),),
         ("scene_name", "train"),
         {"train": "paper"},
-        ("psnr", "ssim", "depth_error"),
     ),
     "paper": Question(
         "The paper's recipe, 30,000 steps",
         ("python -m src.run -m train=paper field=classical,qcolor",),
         ("scene_name", "field"),
-        values=("psnr", "ssim", "depth_error", "step_ms", "train_s"),
+        values=(*QUALITY, "step_ms", "train_s"),
     ),
 }
-"""Folder -> question, in the order of the page."""
+"""Folder of packed runs -> question, in the order of the page."""
 
 
 def page(folder: Path) -> str:
-    """Markdown: a section a folder that is there; hardware.txt says on what machine the runs were done. ValueError
-    where there is no such folder, or one that no question knows.
+    """The page in Markdown, a section for each question whose folder exists; hardware.txt describes the machine.
+
+    Raises:
+        ValueError: there is no folder of packed runs, or one that belongs to no question.
     """
-    there = {path.parent.name for path in folder.glob("*/runs.parquet")}
-    unknown = sorted(there - set(QUESTIONS))
-    if not there or unknown:
-        known = ", ".join(QUESTIONS)
+    present = {path.parent.name for path in folder.glob("*/runs.parquet")}
+    unknown = sorted(present - set(QUESTIONS))
+    if not present or unknown:
         raise ValueError(
-            f"{folder}: expected folders of packed runs, among {known}; got {', '.join(unknown) or 'none'}"
+            f"{folder}: expected folders of packed runs, among {', '.join(QUESTIONS)}; "
+            f"got {', '.join(unknown) or 'none'}"
         )
     file = folder / "hardware.txt"
     parts = [HEAD.format(hardware=file.read_text().strip() if file.is_file() else "").rstrip()]
     for name, question in QUESTIONS.items():
-        if name in there:
-            parts += section(name, question, load.runs(folder / name)) + kept(folder / name)
+        if name in present:
+            parts += section(name, question, load.runs(folder / name)) + stored(folder / name)
     return "\n\n".join(parts) + "\n"
 
 
-def kept(folder: Path) -> list[str]:
-    """What `analysis.pack` drew beside the tables: of the runs' pictures, curves and probes, which are not kept."""
+def stored(folder: Path) -> list[str]:
+    """What `analysis.pack` made from parts of the runs that it does not pack: tables of the paper and figures."""
     tables = [file.read_text().strip() for file in sorted(folder.glob("*.md"))]
     pictures = [
         f"![{title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"
@@ -369,14 +386,15 @@ def kept(folder: Path) -> list[str]:
 
 
 def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:
-    budgets = frame.groupby("train")["train.steps"].unique()
-    told = "; ".join(
-        f"`train={name}`, {', '.join(f'{n:,}' for n in sorted(steps))} steps" for name, steps in budgets.items()
+    """The paragraphs of a question: commands, number of runs, tables."""
+    steps = frame.groupby("train")["train.steps"].unique()
+    budgets = "; ".join(
+        f"`train={recipe}`, {', '.join(f'{n:,}' for n in sorted(numbers))} steps" for recipe, numbers in steps.items()
     )
     seeds = ", ".join(map(str, sorted(frame["seed"].unique())))
-    commands = "\n".join(f"    {line}" for line in (*question.commands, *question.shown(name)))
+    commands = "\n".join(f"    {line}" for line in (*question.commands, *question.table_commands(name)))
     tables = [f"**{table.title}**\n\n{table.markdown()}" for table in question.tables(frame)]
-    return [f"## {question.title}", commands, f"{len(frame)} runs; {told}; seeds {seeds}.", *tables]
+    return [f"## {question.title}", commands, f"{len(frame)} runs; {budgets}; seeds {seeds}.", *tables]
 
 
 DESCRIPTION = """\

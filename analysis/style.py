@@ -1,5 +1,5 @@
-"""How every figure looks: sizes of a two-column paper, colours for colour-blind readers, files that never change by
-themselves."""
+"""The look of every figure: sizes for a two-column page, colours that colour-blind readers can tell apart, and files
+that are the same bytes each time."""
 
 import functools
 import math
@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
@@ -16,7 +18,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 COLUMN, PAGE = 3.35, 6.9  # inches
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#888888")
-"""Okabe and Ito's colours, with brown and grey for yellow and black, which paper or screen would swallow."""
+"""The colours of Okabe and Ito, with brown and grey instead of yellow and black, which are hard to see on white or dark
+paper."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES = ("-", "--", "-.", ":")
 SSIM = "cividis"
@@ -27,7 +30,7 @@ FIELDS = {
     "qboth": ("#009E73", "D"),
 }
 """Colour and marker of each field, the same in every figure."""
-
+HEADS = {"color": "colour head", "density": "density head"}
 FORMATS = ("png", "svg", "pdf")
 
 _BASE: dict[str, Any] = {
@@ -67,7 +70,7 @@ _PAPER = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "legend.fac
 
 
 def settings(theme: str = "light") -> dict[str, Any]:
-    """Matplotlib's parameters of a theme. ValueError for an unknown one."""
+    """Matplotlib's parameters for a theme, light or dark. Raises ValueError for any other name."""
     if theme not in _INK:
         raise ValueError(f"unknown theme {theme!r}; known: {', '.join(_INK)}")
     ink, paper = _INK[theme]
@@ -75,34 +78,43 @@ def settings(theme: str = "light") -> dict[str, Any]:
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """A figure function that also takes `theme`, light or dark, and ignores the caller's own settings."""
+    """Gives a figure function the option `theme`, light or dark, and shields it from the caller's own rcParams."""
 
     @functools.wraps(draw)
     def drawn(*arguments: Any, theme: str = "light", **options: Any) -> Figure:
-        with mpl.rc_context(dict[str, Any](mpl.rcParamsDefault) | settings(theme)):
+        parameters: dict[Any, Any] = mpl.rcParamsDefault | settings(theme)
+        with mpl.rc_context(parameters):
             return draw(*arguments, **options)
 
     return drawn
 
 
 def ink() -> str:
-    """The colour of text in the theme at hand."""
+    """The text colour of the current theme."""
     return str(mpl.rcParams["text.color"])
 
 
 def new(width: float, height: float) -> Figure:
-    """An empty figure, inches, that lays itself out."""
+    """An empty figure of this size in inches, with constrained layout."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def series(number: int) -> dict[str, str]:
+def panels(count: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of `height` inches with a row of panels: one is as wide as a column, several as wide as the page."""
+    figure = new(COLUMN if count == 1 else PAGE, height)
+    return figure, figure.subplots(1, count, squeeze=False, **subplots)[0]
+
+
+def series(number: int) -> dict[str, Any]:
     """Colour and marker of the n-th line."""
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
 
 
 def plain_ticks(ax: Axes) -> None:
-    """Ticks of a logarithmic x axis as plain numbers (2k, 50k, 1M): at 1, 2 and 5 where it spans few decades, at equal
-    steps where less than half a one.
+    """Labels a logarithmic x axis with plain numbers (2k, 50k, 1M).
+
+    Ticks are equally spaced on an axis of less than half a decade, at 1, 2 and 5 below two decades, else at powers of
+    ten.
     """
     low, high = ax.get_xlim()
     decades = math.log10(high / low)
@@ -123,16 +135,16 @@ def _plain(value: float, _: int | None = None) -> str:
 
 
 def legend(figure: Figure, columns: int = 3) -> None:
-    """One legend above all panels: each label once."""
-    found: dict[str, Any] = {}
+    """One legend above all panels, which lists each label once."""
+    handles: dict[str, Artist] = {}
     for ax in figure.axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=columns)
+            handles.setdefault(label, handle)
+    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=columns)
 
 
 def footnote(figure: Figure, *parts: str) -> None:
-    """What the reader must know and the axes do not tell, below everything: runs left out, numbers of seeds."""
+    """Writes below the panels what the axes do not show: number of seeds, runs left out. Empty parts are dropped."""
     text = "; ".join(part for part in parts if part)
     if text:
         wrapped = textwrap.fill(text, int(figure.get_figwidth() * 23))
@@ -140,9 +152,10 @@ def footnote(figure: Figure, *parts: str) -> None:
 
 
 def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> list[Path]:
-    """Writes path.png, path.svg and path.pdf, text as text, without a date; returns their paths.
+    """Writes path.png, path.svg and path.pdf and returns their paths.
 
-    The same figure gives the same bytes. ValueError for a format that matplotlib does not know.
+    Text stays text and no date is written, so the same figure gives the same bytes. Raises ValueError for a format that
+    matplotlib does not know.
     """
     written = []
     for kind in formats:

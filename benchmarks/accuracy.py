@@ -1,7 +1,8 @@
-"""How exact each numerical part is, beside what it costs: `python -m benchmarks.accuracy --write docs/numerics.md`.
+"""Error and time of each numerical part: `python -m benchmarks.accuracy --write docs/numerics.md`.
 
-Every case of `benchmarks.accuracy_cases` in each of its variants and dtypes against its float64 reference. Saved as
-benchmarks/results/accuracy.parquet, a row a case, variant and dtype; `--from-saved` writes the page without measuring.
+Compares every case of `benchmarks.accuracy_cases`, in each of its variants and dtypes, with its float64 reference.
+Saves benchmarks/results/accuracy.parquet, a row per case, variant and dtype; `--from-saved` writes the page without
+measuring.
 """
 
 import argparse
@@ -9,6 +10,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,25 +24,27 @@ from benchmarks.accuracy_page import page
 RESULTS = Path(__file__).parent / "results" / "accuracy.parquet"
 
 
-def relative(found: Tensor, exact: Tensor) -> float:
-    """Largest difference relative to the largest number of `exact`, at least the least normal float32.
+def relative(result: Tensor, exact: Tensor) -> float:
+    """Largest difference, relative to the largest value of `exact` or the smallest normal float32 if that is larger.
 
-    Numbers that are not finite have to be the same: else infinity.
+    Infinity if NaN or infinite values are not the same in both.
+
+    >>> relative(torch.tensor([1.0, 4.5]), torch.tensor([1.0, 4.0]))
+    0.125
     """
-    found, exact = found.detach().double(), exact.detach().double()
+    result, exact = result.detach().double(), exact.detach().double()
     finite = torch.isfinite(exact)
-    if not torch.equal(finite, torch.isfinite(found)) or not bool(
-        torch.isclose(found, exact, equal_nan=True)[~finite].all()
-    ):
+    same_elsewhere = torch.isclose(result, exact, equal_nan=True)[~finite].all()
+    if not torch.equal(finite, torch.isfinite(result)) or not bool(same_elsewhere):
         return math.inf
     if not bool(finite.any()):
         return 0.0
     scale = max(float(exact[finite].abs().max()), torch.finfo(torch.float32).tiny)
-    return float((found[finite] - exact[finite]).abs().max()) / scale
+    return float((result[finite] - exact[finite]).abs().max()) / scale
 
 
 def results(case: Case, function: Function, dtype: torch.dtype) -> list[Tensor]:
-    """The output, then the gradients of its product with fixed numbers in [-1, 1)."""
+    """The output, then the gradients of its dot product with fixed random numbers in [-1, 1)."""
     inputs = [t.to(dtype) if t.is_floating_point() else t for t in case.inputs]
     inputs = [t.clone().requires_grad_(i in case.leaves) for i, t in enumerate(inputs)]
     out = function(*inputs)
@@ -52,20 +56,20 @@ def results(case: Case, function: Function, dtype: torch.dtype) -> list[Tensor]:
 
 
 def exact(case: Case) -> list[Tensor]:
-    """What `results` ought to be."""
+    """The `results` of the reference in float64."""
     return results(case, case.reference, torch.float64)
 
 
 def errors(case: Case, variant: str, dtype: torch.dtype, expected: Sequence[Tensor]) -> tuple[float, float]:
-    """Forward error and the largest of the gradients' (NaN where there are none), each as `relative` has it."""
-    found = results(case, case.variants[variant], dtype)
-    assert found[0].dtype == dtype, f"{case.id}: {variant} of {dtype} gave {found[0].dtype}"
-    forward, *gradients = (relative(a, b) for a, b in zip(found, expected, strict=True))
+    """`relative` error of the output, and the largest one of a gradient (NaN without gradients)."""
+    computed = results(case, case.variants[variant], dtype)
+    assert computed[0].dtype == dtype, f"{case.id}: {variant} of {dtype} gave {computed[0].dtype}"
+    forward, *gradients = (relative(a, b) for a, b in zip(computed, expected, strict=True))
     return forward, max(gradients, default=math.nan)
 
 
 def milliseconds(step: Callable[[], object], repeats: int) -> float:
-    """Median time of a call, after one that does not count."""
+    """Median time of a call, after one warm-up call."""
     times = []
     for _ in range(repeats + 1):
         start = time.perf_counter()
@@ -75,7 +79,7 @@ def milliseconds(step: Callable[[], object], repeats: int) -> float:
 
 
 def measure(case: Case, repeats: int) -> list[dict[str, Any]]:
-    """A row for each variant and dtype."""
+    """Errors, bounds and time of a case: a row per variant and dtype."""
     expected = exact(case)
     rows = []
     for dtype in case.dtypes:
@@ -94,7 +98,7 @@ def measure(case: Case, repeats: int) -> list[dict[str, Any]]:
                     "bounded": variant in case.bounded,
                     "bound": bound_in(dtype, case.bound),
                     "gradient_bound": math.nan if case.gradient is None else bound_in(dtype, case.gradient),
-                    "ms": milliseconds(lambda f=function, d=dtype: results(case, f, d), repeats),
+                    "ms": milliseconds(partial(results, case, function, dtype), repeats),
                     "repeats": repeats,
                     "threads": torch.get_num_threads(),
                 }
@@ -103,7 +107,7 @@ def measure(case: Case, repeats: int) -> list[dict[str, Any]]:
 
 
 def beyond(frame: pd.DataFrame) -> pd.DataFrame:
-    """The rows that do not hold their bounds."""
+    """The rows whose error exceeds its bound."""
     over = (frame["error"] > frame["bound"]) | (frame["gradient_error"] > frame["gradient_bound"])
     return frame[frame["bounded"] & over]
 
@@ -111,9 +115,9 @@ def beyond(frame: pd.DataFrame) -> pd.DataFrame:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
-        "--write", type=Path, metavar="PAGE", help="write the tables there, as Markdown; else print them"
+        "--write", type=Path, metavar="PAGE", help="write the tables to this file as Markdown (default: print them)"
     )
-    parser.add_argument("--from-saved", action="store_true", help="do not measure: use the saved parquet")
+    parser.add_argument("--from-saved", action="store_true", help="use the saved results instead of measuring")
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
@@ -128,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ]
         pd.DataFrame(rows).to_parquet(RESULTS, index=False)
     elif not RESULTS.is_file():
-        parser.error(f"{RESULTS} is not there; run without --from-saved first")
+        parser.error(f"{RESULTS} does not exist; run without --from-saved first")
     frame = pd.read_parquet(RESULTS)
     text = page(frame, {name: module.__doc__ or name for name, module in groups.items()})
     if options.write:
@@ -136,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     else:
         print(text)
     if len(beyond(frame)):
-        raise SystemExit(f"beyond their bounds:\n{beyond(frame).to_string()}")
+        raise SystemExit(f"errors beyond their bounds:\n{beyond(frame).to_string()}")
 
 
 if __name__ == "__main__":

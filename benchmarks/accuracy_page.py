@@ -1,4 +1,4 @@
-"""The figures of `benchmarks.accuracy` as a page of tables."""
+"""The results of `benchmarks.accuracy` as a page of tables."""
 
 import inspect
 import math
@@ -9,30 +9,32 @@ import pandas as pd
 HEAD = """\
 # Numerics
 
-How far each part is from float64, on ordinary and on hard inputs. Written by
-`python -m benchmarks.accuracy --write docs/numerics.md` from `benchmarks/results/accuracy.parquet`; the same cases and
-bounds are tests (`python -m pytest tests/numerics`), where hypothesis also searches for worse inputs:
-`QNERF_HYPOTHESIS=long` for 10^5 of them.
+How far each part is from float64, on ordinary and on hard inputs. `python -m benchmarks.accuracy --write
+docs/numerics.md` writes this page from `benchmarks/results/accuracy.parquet`. The same cases and bounds are tests
+(`python -m pytest tests/numerics`), in which hypothesis also searches for worse inputs; `QNERF_HYPOTHESIS=long` tries
+10^5 of them.
 
-An error is the largest difference from the float64 reference over all values, relative to the largest value; one ulp is
-2^-23 of that. Inputs are numbers that float32 holds, so that no error is that of the inputs. Gradients are those of the
-output's product with fixed random numbers. Bounds hold for float32 on the CPU; in float64 2^-29 times them, but at
-least 1e-13, where the reference rounds as well. `fast` is the compiled loop, `plain` the PyTorch form that it is
-tested against and that CUDA takes, without a bound where there is a fast one. No part is offered in bfloat16. Times are
-medians of {repeats} of a forward and backward pass with {threads} thread{s}, all in one run.
+- **error**: the largest difference from the float64 reference over all values, relative to the largest value. One ulp
+  is 2^-23 of the largest value. All inputs are exact in float32, so no error comes from rounding them.
+- **gradient**: the same for the gradients of the output's dot product with fixed random numbers.
+- **bound**: what the error must not exceed in float32 on the CPU. In float64 the bound is 2^-29 times that, but at
+  least 1e-13, because the reference rounds as well.
+- **variant**: `fast` is the compiled loop. `plain` is the PyTorch form that it is tested against and that runs on CUDA;
+  it has no bound if there is a `fast` one. No part runs in bfloat16.
+- **ms**: median of {repeats} forward and backward passes with {threads} thread{s}, all measured in one process.
 """
 
 
 def page(frame: pd.DataFrame, groups: Mapping[str, str]) -> str:
-    """Markdown: the worst of each part, then a table a group under its docstring.
+    """The page in Markdown: the largest errors of each part, then a section per group of cases.
 
     Args:
-        frame: what `benchmarks.accuracy` saves.
-        groups: name of a group of cases -> its title and what has to be said about it.
+        frame: the rows that `benchmarks.accuracy` saves.
+        groups: name of a group of cases -> its docstring, whose first line is the section's title.
     """
     first = frame.iloc[0]
     head = HEAD.format(repeats=first["repeats"], threads=first["threads"], s="" if first["threads"] == 1 else "s")
-    parts = [head, "## Worst of each part, float32\n", worst(frame)]
+    parts = [head, "## Largest errors of each part, float32\n", worst(frame)]
     for name, text in groups.items():
         own = frame[frame["group"] == name]
         title, _, rest = inspect.cleandoc(text).partition("\n")
@@ -42,7 +44,7 @@ def page(frame: pd.DataFrame, groups: Mapping[str, str]) -> str:
 
 
 def worst(frame: pd.DataFrame) -> str:
-    """One row a part: the largest errors of what the bounds hold for."""
+    """A row per part: the largest errors of the variants that have a bound."""
     bounded = frame[frame["bounded"] & (frame["dtype"] == "float32")]
     columns = ["error", "bound", "gradient_error", "gradient_bound"]
     largest = bounded.groupby("part", sort=False)[columns].max()
@@ -51,7 +53,7 @@ def worst(frame: pd.DataFrame) -> str:
 
 
 def table(rows: pd.DataFrame) -> str:
-    """One row a case and variant: the float32 figures, then the float64 ones."""
+    """A row per case and variant: the results in float32, then those in float64."""
     keys = ["case", "variant"]
     single = rows[rows["dtype"] == "float32"].set_index(keys)
     double = rows[rows["dtype"] == "float64"].set_index(keys)
@@ -71,11 +73,11 @@ def table(rows: pd.DataFrame) -> str:
 
 
 def number(value: float) -> str:
-    """`1.2e-07`; nothing for NaN."""
+    """`1.2e-07`; empty for NaN."""
     return "" if math.isnan(value) else "0" if value == 0 else f"{value:.1e}"
 
 
-def markdown(words: int, columns: list[str], lines: list[list[str]]) -> str:
-    """A table whose first `words` columns are text and the others numbers."""
-    rows = [columns, ["---"] * words + ["---:"] * (len(columns) - words), *lines]
+def markdown(text_columns: int, columns: list[str], lines: list[list[str]]) -> str:
+    """A table whose first columns are text, aligned left, and the others numbers, aligned right."""
+    rows = [columns, ["---"] * text_columns + ["---:"] * (len(columns) - text_columns), *lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)

@@ -1,14 +1,15 @@
-"""Speed against error, rung by rung: `python -m benchmarks.speed_error --store DIR [--scene nerfstudio:DIR ...]`.
+"""What computing less gains in time and costs in quality: `python -m benchmarks.speed_error --store DIR`.
 
-Two kinds of rungs, on each scene:
+Climbs a ladder with two kinds of rungs on each scene:
 
-- the same trained weights, computed otherwise: float64 and float32 on the plain PyTorch references, the compiled loops,
-  colours at the samples that matter alone, fewer samples. Their pictures are compared with those of the first rung;
-- trained anew: everything that a Nerfacto has (needs=full), the recipe, the gate, only what the scene needs
-  (needs=auto), smaller heads. Each with its seeds; the runs lie in the store, and finished ones are not done over.
+- The same trained weights, rendered in cheaper and cheaper ways: float64 and float32 on the plain PyTorch references,
+  the compiled loops, colours at fewer points, fewer samples. Each picture is compared with that of the first rung.
+- Fields that are trained with a rung: everything that Nerfacto has (needs=full), the recipe with and without shading
+  fewer points, only what the scene needs (needs=auto), smaller heads. The runs are in the store; finished ones are
+  reused.
 
-Step times are taken in turn in this one process, at the trained weights. Prints the tables and the paired differences
-of needs=auto from needs=full and of the gate from none, and saves benchmarks/results/speed_error.parquet.
+Step times are measured in turn in one process, at the trained weights. Prints the tables and the paired differences of
+`PAIRS`, and saves benchmarks/results/speed_error.parquet.
 """
 
 import argparse
@@ -42,7 +43,10 @@ RESULTS = Path(__file__).parent / "results" / "speed_error.parquet"
 
 @dataclass(frozen=True)
 class Rung:
-    """A step of the ladder: what it changes, whether the plain references compute it, whether one seed is enough."""
+    """A way to compute less: overrides of the configuration.
+
+    plain: computed by the plain PyTorch references; single: trained with one seed only.
+    """
 
     name: str
     overrides: tuple[str, ...] = ()
@@ -80,8 +84,8 @@ TRAINED = (
         "auto, MLP 2 x 16", ("needs=auto", "field=classical", "color.mlp.layers=2", "color.mlp.width=16"), single=True
     ),
 )
-CYCLE = 5  # steps from one in which the proposal networks learn to the next
-BASE = "recipe"  # whose weights the first kind of rungs share
+CYCLE = 5  # steps between two updates of the proposal networks
+BASE = "recipe"  # the trained rung whose weights `SAME_WEIGHTS` render
 PAIRS = (
     ("auto", "full"),
     ("auto, MLP 3 x 64", "full, MLP 3 x 64"),
@@ -97,6 +101,7 @@ def scene_overrides(text: str) -> tuple[str, ...]:
 
 
 def configuration(overrides: tuple[str, ...]) -> dict[str, Any]:
+    """The composed configuration without Hydra's own part."""
     with initialize_config_dir(str(CONF), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
     assert isinstance(config, dict)
@@ -105,7 +110,7 @@ def configuration(overrides: tuple[str, ...]) -> dict[str, Any]:
 
 @dataclass
 class Loaded:
-    """A configuration with a run's trained weights."""
+    """A configuration with the trained weights of a run."""
 
     trainer: Trainer
     evaluator: Evaluator
@@ -135,25 +140,23 @@ class Loaded:
 
     def measured(self, views: list[RenderedView]) -> dict[str, float]:
         rows = pd.DataFrame([self.evaluator.measure(view) for view in views])
-        found = {key: rows[key].astype(float).mean() for key in ("psnr", "ssim", "depth_error")}
-        return {key: float(value) for key, value in found.items()}
+        return {key: float(rows[key].astype(float).mean()) for key in ("psnr", "ssim", "depth_error")}
 
 
 def times(rungs: list[tuple[Rung, Loaded]], rounds: int) -> list[float]:
-    """Milliseconds of a training step of each: medians over `rounds` turns of five steps, in one of which the proposal
-    networks learn."""
+    """Milliseconds of a training step of each rung: the median over `rounds` cycles of `CYCLE` steps."""
 
-    def turn(one: Loaded) -> None:
+    def cycle(loaded: Loaded) -> None:
         for _ in range(CYCLE):
-            one.trainer.take_step(measure=False)
+            loaded.trainer.take_step(measure=False)
 
-    steps = [partial(turn, one) for _, one in rungs]
-    found = in_turn(steps, [rung.context for rung, _ in rungs], rounds, warm=1)
-    return [1e3 * median(each) / CYCLE for each in found]
+    cycles = [partial(cycle, loaded) for _, loaded in rungs]
+    seconds = in_turn(cycles, [rung.context for rung, _ in rungs], rounds, warm=1)
+    return [1e3 * median(each) / CYCLE for each in seconds]
 
 
 def same_weights(scene: tuple[str, ...], run: Path, common: tuple[str, ...], rounds: int) -> list[dict[str, Any]]:
-    """The rungs that share the run's weights; image errors are those of single colour values, root mean square."""
+    """A row per rung of `SAME_WEIGHTS`; image_error is the root mean square error of a colour channel."""
     rows, reference, loaded = [], None, []
     for rung in SAME_WEIGHTS:
         one = Loaded.of(configuration((*scene, *common, *rung.overrides)), run)
@@ -175,15 +178,15 @@ def same_weights(scene: tuple[str, ...], run: Path, common: tuple[str, ...], rou
 def trained(
     scene: tuple[str, ...], store: str, common: tuple[str, ...], seeds: list[int], rounds: int
 ) -> tuple[list[dict[str, Any]], Path]:
-    """The rungs that are trained, one row a seed; and the first seed's run of the base."""
+    """A row per seed of each rung of `TRAINED`, and the run of `BASE` with the first seed."""
     rows, first, base = [], [], None
     for rung in TRAINED:
         if rung.plain and scene != scene_overrides("poster"):
             continue
         for seed in seeds[:1] if rung.single else seeds:
-            # How it is computed is no part of a run's identity: the plain one needs a store of its own.
-            where = f"{store}-plain" if rung.plain else store
-            config = configuration((*scene, *common, *rung.overrides, f"seed={seed}", f"store={where}"))
+            # A run's id does not tell how it was computed, so runs on the plain references need a store of their own.
+            folder = f"{store}-plain" if rung.plain else store
+            config = configuration((*scene, *common, *rung.overrides, f"seed={seed}", f"store={folder}"))
             with rung.context:
                 outcome = experiment.run(config, (*scene, *common, *rung.overrides))
             if outcome.state != "finished":
@@ -204,7 +207,10 @@ def trained(
 
 
 def differences(store: str, table: pd.DataFrame) -> pd.DataFrame:
-    """Mean paired difference of PSNR with its interval, over seeds and held-out views, for each scene and pair."""
+    """Mean paired difference of PSNR (dB) over seeds and held-out views, with its interval, per scene and pair.
+
+    Also the ratios of step times and of numbers of parameters.
+    """
     runs = load.runs(store)
     rows = []
     for scene, own in table[table["kind"] == "trained"].groupby("scene", sort=False):
@@ -213,11 +219,12 @@ def differences(store: str, table: pd.DataFrame) -> pd.DataFrame:
                 statistics.evaluations(runs[runs["path"].isin(own.loc[own["rung"] == name, "run"])])
                 for name in (reference, rung)
             )
-            found = statistics.bootstrap(statistics.paired(one, two))
+            difference = statistics.bootstrap(statistics.paired(one, two))
+            interval = {} if difference is None else {key: getattr(difference, key) for key in ("mean", "low", "high")}
             steps, sizes = (own.groupby("rung", sort=False)[key].first() for key in ("step_ms", "parameters"))
             rows.append(
                 {"scene": scene, "rung": rung, "against": reference}
-                | ({} if found is None else {"mean": found.mean, "low": found.low, "high": found.high})
+                | interval
                 | {"steps": steps[rung] / steps[reference], "parameters": sizes[rung] / sizes[reference]}
             )
     return pd.DataFrame(rows)
@@ -225,13 +232,13 @@ def differences(store: str, table: pd.DataFrame) -> pd.DataFrame:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--store", required=True, help="folder of the trained runs")
+    parser.add_argument("--store", required=True, help="folder for the trained runs")
     parser.add_argument("--scene", nargs="+", default=["poster"], help="poster, nerfstudio:DIR, blender:DIR")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=1500)
-    parser.add_argument("--rounds", type=int, default=8, help="turns of five measured steps a rung")
+    parser.add_argument("--rounds", type=int, default=8, help="measured cycles of five steps per rung")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--overrides", nargs="+", default=[], help="of the configuration, for all rungs")
+    parser.add_argument("--overrides", nargs="+", default=[], help="overrides of the configuration for all rungs")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     common = ("field=qcolor", f"train.steps={options.steps}", f"threads={options.threads}", *options.overrides)
@@ -251,12 +258,12 @@ def main() -> None:
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """One row a rung: means over its seeds, and the standard deviation of PSNR."""
+    """A row per rung: means over its seeds, and the standard deviation of PSNR."""
     keys = ["step_ms", "train_s", "psnr", "ssim", "depth_error", "image_error", "image_error_max", "parameters"]
     groups = table.groupby(["scene", "kind", "rung"], sort=False)
-    found = groups[[key for key in keys if key in table]].mean()
-    found.insert(2, "psnr_std", groups["psnr"].std())
-    return found.assign(seeds=groups.size()).reset_index().replace({np.nan: None})
+    means = groups[[key for key in keys if key in table]].mean()
+    means.insert(2, "psnr_std", groups["psnr"].std())
+    return means.assign(seeds=groups.size()).reset_index().replace({np.nan: None})
 
 
 if __name__ == "__main__":

@@ -6,11 +6,11 @@ from pathlib import Path
 from .. import command
 from ..style import FORMATS
 from . import FIGURES
-from .files import draw, known
+from .files import check_names, draw
 
 WIDTH = max(map(len, FIGURES))
 DESCRIPTION = "Draws figures from a store of runs:\n\n" + "\n".join(
-    f"  {name:<{WIDTH}}  {title}" for name, (title, _) in FIGURES.items()
+    f"  {name:<{WIDTH}}  {entry.title}" for name, entry in FIGURES.items()
 )
 
 
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
     parser.add_argument("--theme", default="light", choices=["light", "dark"])
     options = parser.parse_intermixed_args(arguments)
-    known(options.names)
+    check_names(options.names)
     draw(command.chosen(options), options.names, Path(options.out), options.formats.split(","), options.theme)
 
 

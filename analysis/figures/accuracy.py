@@ -1,30 +1,23 @@
-"""Numerical error against speed: every part and hard case in float32 and float64."""
-
-from pathlib import Path
+"""Numerical error against speed: each part of the pipeline on ordinary and hard inputs, in float32 and float64."""
 
 import pandas as pd
 from matplotlib.figure import Figure
 
-from qnerf.config.folders import BENCHMARKS
-
 from .. import style
+from . import benchmarks
 
-BENCHMARK = BENCHMARKS / "accuracy.parquet"
-LEAST = 1e-17
-"""Where results that are equal to the last bit are drawn."""
+FLOOR = 1e-17
+"""Results that equal the reference to the last bit are drawn at this error."""
 
 
-def accuracy_points(results: str | Path | pd.DataFrame = BENCHMARK) -> pd.DataFrame:
-    """One row a case, variant and dtype of the accuracy benchmark: part, case, variant, dtype, ms, error, bound.
+def accuracy_points(results: benchmarks.Results = None) -> pd.DataFrame:
+    """The benchmark accuracy, a row per case, variant and dtype: part, case, variant, dtype, ms, error, bound.
 
-    `ms`: median of a forward and backward pass; `error`: the larger of the forward and the gradients' error against
-    float64, relative to the largest value; `bound`: the larger of theirs, NaN where none is promised. The reference
-    itself, whose error is 0 by definition, is left out. ValueError where there is no benchmark.
+    ms: median time of a forward and backward pass. error: against float64, relative to the largest value; the larger
+    one of output and gradients. bound: the larger of their bounds, NaN if none is promised. The float64 reference
+    itself is left out.
     """
-    if not isinstance(results, pd.DataFrame):
-        if not Path(results).is_file():
-            raise ValueError(f"{results}: no benchmark; `python -m benchmarks.accuracy` writes it")
-        results = pd.read_parquet(results)
+    results = benchmarks.read("accuracy", results)
     table = results[["part", "case", "variant", "dtype", "ms"]].assign(
         error=results[["error", "gradient_error"]].max(axis=1),
         bound=results[["bound", "gradient_bound"]].max(axis=1).where(results["bounded"]),
@@ -33,8 +26,8 @@ def accuracy_points(results: str | Path | pd.DataFrame = BENCHMARK) -> pd.DataFr
 
 
 @style.styled
-def accuracy_vs_speed(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure:
-    """Error against time, one panel a part: colour for the variant, filled for float32, the largest bound dashed."""
+def accuracy_vs_speed(results: benchmarks.Results = None) -> Figure:
+    """Error against time, a panel per part: a colour per variant, filled for float32, the largest bound dashed."""
     table = accuracy_points(results)
     variants = list(dict.fromkeys(table["variant"]))
     parts = list(table.groupby("part", sort=False))
@@ -43,10 +36,10 @@ def accuracy_vs_speed(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure:
     figure = style.new(style.PAGE, 0.5 + 1.6 * rows)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for ax, (part, shown) in zip(axes, parts, strict=False):
-        for (variant, dtype), own in shown.groupby(["variant", "dtype"], sort=False):
+        for (variant, dtype), group in shown.groupby(["variant", "dtype"], sort=False):
             look = style.series(variants.index(variant))
             face = look["color"] if dtype == "float32" else "none"
-            ax.plot(own["ms"], own["error"].clip(lower=LEAST), ls="", mfc=face, label=f"{variant}, {dtype}", **look)
+            ax.plot(group["ms"], group["error"].clip(lower=FLOOR), ls="", mfc=face, label=f"{variant}, {dtype}", **look)
         bound = shown.loc[shown["dtype"] == "float32", "bound"].max()
         ax.axhline(bound, color=style.ink(), ls="--", lw=0.7, alpha=0.6)
         ax.set(title=part, xscale="log", yscale="log")
@@ -61,7 +54,8 @@ def accuracy_vs_speed(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure:
     style.legend(figure, columns=4)
     style.footnote(
         figure,
-        "each point a case; error: largest difference from float64 over values and gradients, relative to the largest",
-        f"dashed: largest bound in float32; drawn at {LEAST:g}: equal to the last bit",
+        "a point is a case; error: largest difference from float64 in output and gradients, relative to the largest "
+        "value",
+        f"dashed: largest bound in float32; results equal to the last bit are drawn at {FLOOR:g}",
     )
     return figure

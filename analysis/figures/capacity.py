@@ -1,4 +1,4 @@
-"""Quality against size: parameters, depth, width and hash tables."""
+"""Quality against size: parameters of the heads, and the paper's hash tables C1 to C7."""
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,6 @@ from qnerf.metrics import metric_of
 
 from .. import style
 from ..selection import select
-from ..settings import QUANTUM
 from . import points
 
 PARTS = {
@@ -24,23 +23,23 @@ PARTS = {
 
 
 def capacity_points(frame: pd.DataFrame, part: str = "heads") -> pd.DataFrame:
-    """`points.points` of PSNR (dB) and SSIM with `params`, the parameters of a part, and `kind`: quantum | classical.
+    """`points.points` of PSNR (dB) and SSIM, with `params`, the parameter count of a part, and `kind`.
 
-    A run counts as quantum by the part: its colour head for "color", its density head for "density", else either.
-    ValueError for an unknown part or where no run has finished.
+    `kind` is quantum or classical. It describes the part if that is a head ("color", "density"), else the whole field.
+    Raises ValueError for an unknown part or if no run has finished.
     """
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; known: {', '.join(PARTS)}")
     table = points.points(select(frame).runs, ["psnr", "ssim"], PARTS[part])
-    quantum = table["field"].isin(QUANTUM[part]) if part in QUANTUM else table["field"] != "classical"
-    return table.assign(params=table[list(PARTS[part])].sum(axis=1), kind=np.where(quantum, "quantum", "classical"))
+    kinds = [points.kind(field, part) for field in table["field"]]
+    return table.assign(params=table[list(PARTS[part])].sum(axis=1), kind=kinds)
 
 
 @style.styled
 def capacity_vs_psnr(frame: pd.DataFrame, part: str = "heads") -> Figure:
-    """PSNR against the parameters of a part, coloured by SSIM: quantum beside classical, one row a scene."""
+    """PSNR against the parameters of a part, coloured by SSIM: a row per scene, quantum left, classical right."""
     table = capacity_points(frame, part)
-    scenes, kinds = points.scenes(table), [kind for kind in ("quantum", "classical") if kind in set(table["kind"])]
+    scenes, kinds = points.scenes(table), sorted(table["kind"].unique(), reverse=True)
     figure = style.new(style.PAGE if len(kinds) > 1 else style.COLUMN, 0.6 + 2.1 * len(scenes))
     axes = figure.subplots(len(scenes), len(kinds), sharex=True, sharey="row", squeeze=False)
     norm = _ssim_norm(table)
@@ -52,35 +51,31 @@ def capacity_vs_psnr(frame: pd.DataFrame, part: str = "heads") -> Figure:
         row[0].set_ylabel(metric_of("psnr").heading)
     style.plain_ticks(axes[-1, 0])
     for ax in axes[-1]:
-        ax.set_xlabel(f"parameters of the {_named(part)}")
+        ax.set_xlabel(f"parameters of the {style.HEADS.get(part, part)}")
     _ssim_bar(figure, axes, norm)
     style.footnote(figure, points.seeds(table), select(frame).note)
     return figure
 
 
 def hash_points(frame: pd.DataFrame) -> pd.DataFrame:
-    """`capacity_points` of the runs with a hash encoding, `params` being those of table and density head.
+    """`capacity_points` of runs with a hash encoding; `params` counts the table and the density head.
 
-    `line`: names the configurations that differ in their table alone; one without such a partner is left out.
-    ValueError where none has.
+    `line` names the configurations that differ in their hash table alone. Configurations without such a partner are
+    left out; raises ValueError if none remains.
     """
-    selected = select(frame).runs
-    hashed = selected[selected["encoder"] == "hash"]
+    runs = select(frame).runs
+    hashed = runs[runs["encoder"] == "hash"]
     if hashed.empty:
-        raise ValueError(f"no run has encoder=hash; there are {', '.join(sorted(selected['encoder'].unique()))}")
-    table = capacity_points(hashed, "encoder and density")
-    table["family"] = points.families(table, hashed, ["encoder."])
-    table = table[table.groupby("family")["hash"].transform("nunique") > 1].reset_index(drop=True)
+        raise ValueError(f"no run has encoder=hash; there are {', '.join(sorted(runs['encoder'].unique()))}")
+    table = points.families(capacity_points(hashed, "encoder and density"), hashed, "hash", ["encoder."])
     if table.empty:
         raise ValueError("no two configurations differ in their hash table alone; C1 to C7: hash=C1,C5,C7")
-    firsts = table.drop_duplicates("family")
-    lines = points.names(firsts.assign(hash=""), hashed, apart=["encoder."])
-    return table.assign(line=table["family"].map(dict(zip(firsts["family"], lines, strict=True))))
+    return table.assign(line=points.family_names(table.assign(hash=""), hashed, ["encoder."]))
 
 
 @style.styled
 def hash_configurations(frame: pd.DataFrame) -> Figure:
-    """PSNR of the hash tables C1 to C7 against parameters, coloured by SSIM: one panel a scene, one line a family."""
+    """PSNR of the hash tables C1 to C7 against parameters, coloured by SSIM: a panel per scene, a line per field."""
     table = hash_points(frame)
     names = points.scenes(table)
     figure = style.new(max(style.COLUMN, 2.6 * len(names)), 2.7)
@@ -107,13 +102,11 @@ def hash_configurations(frame: pd.DataFrame) -> Figure:
 
 
 def _scatter(ax: Axes, table: pd.DataFrame, norm: Normalize, marker: str = "o") -> None:
-    ax.errorbar(
-        table["params"], table["psnr"], table["psnr_std"], fmt="none", ecolor=style.ink(), elinewidth=0.7, zorder=2
-    )
+    x, y, ink = table["params"], table["psnr"], style.ink()
+    ax.errorbar(x, y, table["psnr_std"], fmt="none", ecolor=ink, elinewidth=0.7, zorder=2)
     ax.scatter(
-        table["params"], table["psnr"], c=table["ssim"], norm=norm, cmap=style.SSIM, marker=marker, s=26,
-        edgecolors=style.ink(), linewidths=0.5, zorder=3,
-    )  # fmt: skip
+        x, y, c=table["ssim"], norm=norm, cmap=style.SSIM, marker=marker, s=26, edgecolors=ink, linewidths=0.5, zorder=3
+    )
 
 
 def _ssim_norm(table: pd.DataFrame) -> Normalize:
@@ -122,7 +115,3 @@ def _ssim_norm(table: pd.DataFrame) -> Normalize:
 
 def _ssim_bar(figure: Figure, axes: np.ndarray, norm: Normalize) -> None:
     figure.colorbar(ScalarMappable(norm, style.SSIM), ax=axes, label=metric_of("ssim").heading, aspect=30, pad=0.02)
-
-
-def _named(part: str) -> str:
-    return {"heads": "heads", "density": "density head", "color": "colour head", "encoder": "encoder"}.get(part, part)

@@ -18,7 +18,7 @@ EDGES = {
     "saturation": (np.arange(0, 257, 4) - 0.5) / 255,
     "value": (np.arange(0, 257, 4) - 0.5) / 255,
 }
-"""Bins: 6 degrees of hue; four 8-bit levels, so that no bin catches more levels than another."""
+"""Bins: 6 degrees of hue; four 8-bit levels of the others, so that each bin holds equally many levels."""
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _COLORS = {"classical": style.FIELDS["classical"][0], "quantum": style.FIELDS["qcolor"][0]}
 
@@ -26,35 +26,36 @@ _COLORS = {"classical": style.FIELDS["classical"][0], "quantum": style.FIELDS["q
 def chosen(
     frame: pd.DataFrame, classical: Mapping[str, object] | None = None, quantum: Mapping[str, object] | None = None
 ) -> dict[str, pd.DataFrame]:
-    """The finished runs of one classical and one quantum configuration: by columns and values, else the best ones.
+    """The finished runs of one classical and one quantum configuration.
 
-    ValueError where there is none of a kind, or several scenes.
+    classical, quantum: columns and values that choose the runs; None: the configuration of highest PSNR. Raises
+    ValueError if there is none of a kind, or if there are several scenes.
     """
     runs = select(frame).runs
     if runs["scene_name"].nunique() > 1:
         raise ValueError(f"{runs['scene_name'].nunique()} scenes ({', '.join(points.scenes(runs))}): filter on one")
     kinds = runs["field"].map(points.kind)
-    found = {}
+    result = {}
     for kind, conditions in (("classical", classical), ("quantum", quantum)):
         own = runs[kinds == kind]
         if own.empty:
             raise ValueError(f"no finished {kind} run to compare; fields: {', '.join(sorted(runs['field'].unique()))}")
         if conditions is not None:
-            found[kind] = require(own, conditions)
+            result[kind] = require(own, conditions)
         else:
-            found[kind] = own.loc[list(points.points(own, ["psnr"]).iloc[0]["runs"])]
-    return found
+            result[kind] = own.loc[list(points.points(own, ["psnr"]).iloc[0]["runs"])]
+    return result
 
 
 def hsv_samples(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """`hsv.samples` of the `chosen` runs."""
-    fields = {kind: {"field": own["field"].iloc[0]} for kind, own in runs.items()}
-    return hsv.samples(pd.concat(runs.values()), **fields)
+    """`hsv.samples` of the runs that `chosen` returns."""
+    classical, quantum = ({"field": runs[kind]["field"].iloc[0]} for kind in ("classical", "quantum"))
+    return hsv.samples(pd.concat(runs.values()), classical=classical, quantum=quantum)
 
 
 def hsv_histograms(samples: pd.DataFrame) -> pd.DataFrame:
-    """Columns channel, source, left, right, density (integral 1), density_std (over seeds; NaN for one), n."""
-    rows = []
+    """Columns left, right, density (integral 1), density_std (over seeds; NaN for one), channel, source, n (seeds)."""
+    tables = []
     for channel, edges in EDGES.items():
         for source, own in samples.groupby("source", observed=True):
             each = [
@@ -63,24 +64,24 @@ def hsv_histograms(samples: pd.DataFrame) -> pd.DataFrame:
             ]
             std = np.std(each, axis=0, ddof=1) if len(each) > 1 else np.full(len(edges) - 1, np.nan)
             table = pd.DataFrame({"left": edges[:-1], "right": edges[1:], "density": np.mean(each, axis=0)})
-            rows.append(table.assign(density_std=std, channel=channel, source=str(source), n=len(each)))
-    return pd.concat(rows, ignore_index=True)
+            tables.append(table.assign(density_std=std, channel=channel, source=str(source), n=len(each)))
+    return pd.concat(tables, ignore_index=True)
 
 
 def hsv_boxes(samples: pd.DataFrame) -> pd.DataFrame:
     """Columns channel, source, `QUANTILES` and pixels, over all seeds together.
 
-    Hue is unrolled about the truth's mean direction m: quantiles are of m + the signed shorter way from m, in turns,
-    and may lie outside [0, 1].
+    The circle of hues is cut open opposite to the truth's mean direction m. Quantiles of hue are of m plus the signed
+    shorter way from m, in turns, so they may lie outside [0, 1].
     """
     truth = samples.loc[samples["source"] == "truth", "hue"].dropna().to_numpy()
-    middle = circular.mean_direction(truth)
+    center = circular.mean_direction(truth)
     rows = []
     for channel in hsv.CHANNELS:
         for source, own in samples.groupby("source", observed=True):
             values = own[channel].dropna().to_numpy()
             if channel == "hue":
-                values = middle + circular.turn(middle, values)
+                values = center + circular.turn(center, values)
             rows.append((channel, str(source), *np.quantile(values, QUANTILES), len(values)))
     return pd.DataFrame(rows, columns=["channel", "source", *QUANTILES, "pixels"])
 
@@ -91,7 +92,7 @@ def hsv_study(
 ) -> Figure:
     """Distributions (above) and box plots (below) of hue, saturation and value: truth, classical, quantum.
 
-    classical, quantum: columns and values that choose the runs; without them, the best configuration of each kind.
+    classical, quantum: columns and values that choose the runs; None: the configuration of highest PSNR.
     """
     runs = chosen(frame, classical, quantum)
     samples = hsv_samples(runs)
@@ -103,12 +104,11 @@ def hsv_study(
         unit = 360 if channel == "hue" else 1
         for source, dashes in zip(hsv.SOURCES, ("-", "-.", "--"), strict=True):
             curve = histograms[(histograms["channel"] == channel) & (histograms["source"] == source)]
-            middle = (curve["left"] + curve["right"]) / 2 * unit
-            density = curve["density"] / unit
-            top.plot(middle, density, dashes, color=colors[source], label=source)
+            center = (curve["left"] + curve["right"]) / 2 * unit
+            density, spread = curve["density"] / unit, curve["density_std"] / unit
+            top.plot(center, density, dashes, color=colors[source], label=source)
             if curve["n"].iloc[0] > 1:
-                spread = curve["density_std"] / unit
-                top.fill_between(middle, density - spread, density + spread, color=colors[source], alpha=0.2, lw=0)
+                top.fill_between(center, density - spread, density + spread, color=colors[source], alpha=0.2, lw=0)
         top.set(title="hue, degrees" if channel == "hue" else channel, xlim=(0, unit), ylim=(0, None))
         _boxes(bottom, boxes[boxes["channel"] == channel], unit, colors)
         if channel == "hue":
@@ -117,34 +117,27 @@ def hsv_study(
             bottom.set_xlim(0, 1)
     axes[0, 0].set_ylabel("density")
     axes[0, 0].legend()
-    names = ", ".join(f"{kind}: {_described(own)}" for kind, own in runs.items())
-    grey = hsv.greys(samples)
-    left = ", ".join(f"{source} {share:.0%}" for source, share in grey.items())
-    spreads = "bands: ± standard deviation over seeds" if histograms["n"].max() > 1 else "n = 1 seed: no bands"
     style.footnote(
-        figure, names, spreads, "boxes: quartiles, whiskers 5 to 95 %, hue unrolled about the truth's mean",
-        f"grey pixels have no hue: {left}", select(frame).note,
-    )  # fmt: skip
+        figure,
+        ", ".join(f"{kind}: {_described(own)}" for kind, own in runs.items()),
+        "bands: ± standard deviation over seeds" if histograms["n"].max() > 1 else "n = 1 seed: no bands",
+        "boxes: quartiles, whiskers 5 to 95 %, hue unrolled about the truth's mean",
+        "grey pixels have no hue: "
+        + ", ".join(f"{source} {share:.0%}" for source, share in hsv.greys(samples).items()),
+        select(frame).note,
+    )
     return figure
 
 
 def _boxes(ax: Axes, boxes: pd.DataFrame, unit: float, colors: Mapping[str, str]) -> None:
+    parts = ("whislo", "q1", "med", "q3", "whishi")  # matplotlib's names of `QUANTILES`
     stats = [
-        {
-            "whislo": row[0.05],
-            "q1": row[0.25],
-            "med": row[0.5],
-            "q3": row[0.75],
-            "whishi": row[0.95],
-            "label": row["source"],
-        }
+        dict(zip(parts, row[list(QUANTILES)] * unit, strict=True)) | {"label": row["source"]}
         for _, row in boxes.iterrows()
     ]
-    for box in stats:
-        box |= {key: value * unit for key, value in box.items() if key != "label"}
     drawn = ax.bxp(stats, orientation="horizontal", showfliers=False, patch_artist=True, widths=0.55)
-    for patch, median, box in zip(drawn["boxes"], drawn["medians"], stats, strict=True):
-        patch.set(facecolor=colors[box["label"]], alpha=0.35, edgecolor=colors[box["label"]])
+    for patch, median, source in zip(drawn["boxes"], drawn["medians"], boxes["source"], strict=True):
+        patch.set(facecolor=colors[source], alpha=0.35, edgecolor=colors[source])
         median.set(color=style.ink(), linewidth=1.2)
     for line in (*drawn["whiskers"], *drawn["caps"]):
         line.set(color=style.ink(), linewidth=0.6)

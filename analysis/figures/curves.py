@@ -1,7 +1,11 @@
-"""What happens while training: losses against steps, held-out PSNR against time."""
+"""What happens during training: losses against steps, PSNR of held-out views against time."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qnerf.metrics import metric_of
@@ -18,90 +22,85 @@ BINS = 50  # points of a training curve
 def loss_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
     """Mean squared colour error against steps, over the seeds of the `most` best configurations of each scene.
 
-    Columns scene_name, name, split (train | eval), step, mse (geometric mean over seeds), mse_low and mse_high (one
-    standard deviation of its logarithm; NaN for one seed), n. The training error is the mean over up to `BINS` equal
-    spans of steps, each at its last one. The evaluation's is 10^(-PSNR / 10): a geometric mean over held-out views.
-    Steps that not all seeds came to are left out.
+    The training error is averaged over up to `BINS` equal spans of steps. The error of held-out views is
+    10^(-PSNR / 10), a geometric mean over the views. Steps that some seed did not reach are left out.
+
+    Returns:
+        Columns step (the last of its span), n, mse (geometric mean over seeds), mse_low and mse_high (one standard
+        deviation of its logarithm; NaN for one seed), split (train | eval), scene_name, name.
     """
-    table, _ = points.best(select(frame).runs, ["psnr"], most)
-    parts = []
-    for _, row in table.iterrows():
-        train = _binned([metrics(path, "train/mse") for path in _paths(frame, row)])
-        for logged in train:
-            logged["value"] = -10 * np.log10(logged["value"])
-        for split, logged in (("train", train), ("eval", [metrics(path, "eval/psnr") for path in _paths(frame, row)])):
-            decibels = _over_seeds(logged, ["value"])
-            rows = decibels[["step", "n"]].assign(scene_name=row["scene_name"], name=row["name"], split=split)
-            for column, deviations in (("mse", 0), ("mse_low", 1), ("mse_high", -1)):
-                shift = deviations * decibels["value_std"] if deviations else 0
-                rows[column] = 10 ** (-(decibels["value"] + shift) / 10)
-            parts.append(rows)
-    return pd.concat(parts, ignore_index=True)
+    return _of_best(frame, most, _losses)
+
+
+def time_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
+    """PSNR of held-out views against wall time, over the seeds of the `most` best configurations of each scene.
+
+    Columns step, n, psnr (dB), psnr_std, time_s (mean seconds of training so far), scene_name, name.
+    """
+    return _of_best(frame, most, _times)
 
 
 @style.styled
 def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
-    """Colour error of training (solid) and of held-out views (dashed) against steps, one panel a scene."""
-    curves = loss_points(frame, most)
-    table, note = points.best(select(frame).runs, ["psnr"], most)
-    figure, axes = _panels(points.scenes(table), sharey=True)
-    order = list(dict.fromkeys(curves["name"]))
-    for ax, (scene, shown) in zip(axes, curves.groupby("scene_name"), strict=True):
-        for (name, split), curve in shown.groupby(["name", "split"], sort=False):
-            look = style.series(order.index(name))
-            train = split == "train"
-            ax.plot(
-                curve["step"], curve["mse"], "-" if train else "--", color=look["color"], ms=3.5,
-                marker="" if train else look["marker"], label=None if train else name,
-            )  # fmt: skip
-            ax.fill_between(curve["step"], curve["mse_low"], curve["mse_high"], color=look["color"], alpha=0.18, lw=0)
-        ax.set(title=scene, xlabel="optimisation step", yscale="log")
-    axes[0].set_ylabel(metric_of("mse").heading)
-    style.legend(figure, columns=1 if len(axes) == 1 else 2)
+    """Colour error of training (solid) and of held-out views (dashed) against steps, a panel per scene."""
+
+    def draw(ax: Axes, name: str, curve: pd.DataFrame, color: str, marker: str) -> None:
+        for split, part in curve.groupby("split", sort=False):
+            look: dict[str, Any] = {"ls": "--", "marker": marker, "label": name} if split == "eval" else {}
+            ax.plot(part["step"], part["mse"], color=color, ms=3.5, **look)
+            ax.fill_between(part["step"], part["mse_low"], part["mse_high"], color=color, alpha=0.18, lw=0)
+
+    figure, axes, note = _panels(frame, loss_points(frame, most), most, draw, "bands", sharey=True)
+    for ax in axes:
+        ax.set(xlabel="optimisation step", yscale="log")
+    axes[0].set_ylabel("mean squared colour error")
     lines = "solid: training; dashed: held out, 10^(-PSNR/10), of the first train.eval_views views"
-    style.footnote(figure, lines, points.seeds(table, "bands"), note, select(frame).note)
+    style.footnote(figure, lines, note)
     return figure
-
-
-def time_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
-    """Held-out PSNR against wall time, over the seeds of the `most` best configurations of each scene.
-
-    Columns scene_name, name, step, time_s (mean seconds of training so far), psnr (dB), psnr_std, n.
-    """
-    table, _ = points.best(select(frame).runs, ["psnr"], most)
-    parts = []
-    for _, row in table.iterrows():
-        rows = _over_seeds([metrics(path, "eval/psnr") for path in _paths(frame, row)], ["value", "time_s"])
-        rows = rows.rename(columns={"value": "psnr", "value_std": "psnr_std"})
-        parts.append(rows.assign(scene_name=row["scene_name"], name=row["name"]))
-    return pd.concat(parts, ignore_index=True)
 
 
 @style.styled
 def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
-    """Held-out PSNR against seconds of training, one panel a scene."""
-    curves = time_points(frame, most)
-    table, note = points.best(select(frame).runs, ["psnr"], most)
-    figure, axes = _panels(points.scenes(table), sharey=False)
-    order = list(dict.fromkeys(curves["name"]))
-    for ax, (scene, shown) in zip(axes, curves.groupby("scene_name"), strict=True):
-        for name, curve in shown.groupby("name", sort=False):
-            bars = {"yerr": curve["psnr_std"], "elinewidth": 0.7}
-            ax.errorbar(curve["time_s"], curve["psnr"], label=name, **bars, **style.series(order.index(name)))
-        ax.set(title=scene, xlabel="training time, s")
+    """PSNR of held-out views against seconds of training, a panel per scene."""
+
+    def draw(ax: Axes, name: str, curve: pd.DataFrame, **look: Any) -> None:
+        ax.errorbar(curve["time_s"], curve["psnr"], curve["psnr_std"], elinewidth=0.7, label=name, **look)
+
+    figure, axes, note = _panels(frame, time_points(frame, most), most, draw, "bars")
+    for ax in axes:
+        ax.set_xlabel(metric_of("train_s").heading)
     axes[0].set_ylabel(metric_of("eval/psnr").heading)
-    style.legend(figure, columns=1 if len(axes) == 1 else 2)
-    views = "of the first train.eval_views views"
-    style.footnote(figure, views, points.seeds(table), note, select(frame).note)
+    style.footnote(figure, "of the first train.eval_views views", note)
     return figure
 
 
-def _paths(frame: pd.DataFrame, row: pd.Series) -> list[str]:
-    return [frame["path"][index] for index in row["runs"]]
+def _of_best(frame: pd.DataFrame, most: int, curve: Callable[[Sequence[str]], pd.DataFrame]) -> pd.DataFrame:
+    """`curve` of the runs of each of the best configurations, with the columns scene_name and name."""
+    table, _ = points.best(select(frame).runs, ["psnr"], most)
+    curves = [curve(frame["path"][row["runs"]]).assign(**row[["scene_name", "name"]]) for _, row in table.iterrows()]
+    return pd.concat(curves, ignore_index=True)
 
 
-def _binned(logged: list[pd.DataFrame]) -> list[pd.DataFrame]:
-    """Of each seed the mean value over up to `BINS` spans of steps, the same for all, at the last step of each."""
+def _losses(paths: Sequence[str]) -> pd.DataFrame:
+    training = _binned([metrics(path, "train/mse") for path in paths])
+    for logged in training:
+        logged["value"] = -10 * np.log10(logged["value"])
+    parts = []
+    for split, decibels in (("train", training), ("eval", [metrics(path, "eval/psnr") for path in paths])):
+        table = _over_seeds(decibels, ["value"])
+        mean, std = table["value"], table["value_std"]
+        errors = {"mse": mean, "mse_low": mean + std, "mse_high": mean - std}
+        parts.append(table[["step", "n"]].assign(split=split, **{key: 10 ** (-v / 10) for key, v in errors.items()}))
+    return pd.concat(parts)
+
+
+def _times(paths: Sequence[str]) -> pd.DataFrame:
+    table = _over_seeds([metrics(path, "eval/psnr") for path in paths], ["value", "time_s"])
+    return table.drop(columns="time_s_std").rename(columns={"value": "psnr", "value_std": "psnr_std"})
+
+
+def _binned(logged: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
+    """Each seed's mean value over up to `BINS` spans of steps, which are the same for all seeds."""
     steps = np.unique(np.concatenate([rows["step"] for rows in logged]))
     ends = steps[::-1][:: -(-len(steps) // BINS)][::-1]
     binned = []
@@ -111,8 +110,8 @@ def _binned(logged: list[pd.DataFrame]) -> list[pd.DataFrame]:
     return binned
 
 
-def _over_seeds(logged: list[pd.DataFrame], columns: list[str]) -> pd.DataFrame:
-    """At the steps that all seeds came to."""
+def _over_seeds(logged: Sequence[pd.DataFrame], columns: Sequence[str]) -> pd.DataFrame:
+    """Mean and standard deviation of the columns, at the steps that every seed reached."""
     rows = pd.concat(logged)
     groups = rows[rows.groupby("step")["step"].transform("size") == len(logged)].groupby("step")
     table = pd.DataFrame({"n": groups.size()})
@@ -121,6 +120,22 @@ def _over_seeds(logged: list[pd.DataFrame], columns: list[str]) -> pd.DataFrame:
     return table.reset_index()
 
 
-def _panels(scenes: list[str], *, sharey: bool) -> tuple[Figure, np.ndarray]:
-    figure = style.new(style.COLUMN if len(scenes) == 1 else style.PAGE, 3.2)
-    return figure, figure.subplots(1, len(scenes), sharey=sharey, squeeze=False)[0]
+def _panels(
+    frame: pd.DataFrame,
+    curves: pd.DataFrame,
+    most: int,
+    draw: Callable[..., None],
+    spread: str,
+    *,
+    sharey: bool = False,
+) -> tuple[Figure, np.ndarray, str]:
+    """A panel per scene, in which `draw` draws each configuration in a look of its own; the figure's last footnote."""
+    table, rest = points.best(select(frame).runs, ["psnr"], most)
+    figure, axes = style.panels(table["scene_name"].nunique(), 3.2, sharey=sharey)
+    order = list(dict.fromkeys(curves["name"]))
+    for ax, (scene, shown) in zip(axes, curves.groupby("scene_name"), strict=True):
+        for name, curve in shown.groupby("name", sort=False):
+            draw(ax, name, curve, **style.series(order.index(name)))
+        ax.set_title(scene)
+    style.legend(figure, columns=1 if len(axes) == 1 else 2)
+    return figure, axes, "; ".join(filter(None, [points.seeds(table, spread), rest, select(frame).note]))

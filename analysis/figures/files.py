@@ -5,37 +5,41 @@ from pathlib import Path
 
 import pandas as pd
 
-from . import FIGURES, save, scenes_of
+from ..style import save
+from .catalogue import FIGURES
 
 
-def known(names: Sequence[str]) -> None:
-    """ValueError that lists the figures there are, for a name that is none."""
+def check_names(names: Sequence[str]) -> None:
+    """Raises ValueError, with the known names, for a name that no figure has."""
     unknown = [name for name in names if name not in FIGURES]
     if unknown:
         raise ValueError(f"unknown figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
 
 
 def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], theme: str = "light") -> None:
-    """Writes what can be drawn. A figure that was asked for by name and cannot be is an error, others are told of."""
+    """Writes the named figures, or all of them if `names` is empty, into the folder `out`.
+
+    Prints the files that it wrote, and a line for each figure that cannot be drawn. Raises ValueError if a figure that
+    was named cannot be drawn for any scene.
+    """
     out.mkdir(parents=True, exist_ok=True)
     for name in names or FIGURES:
-        mistakes = {}
-        shown = scenes_of(name, frame)
-        for file, own in shown.items():
+        errors = {}
+        scenes = FIGURES[name].scenes(name, frame)
+        for file, runs in scenes.items():
             try:
-                figure = FIGURES[name][1](own, theme=theme)
+                figure = FIGURES[name].draw(runs, theme=theme)
             except ValueError as error:
-                mistakes[file] = error
+                errors[file] = error
             else:
                 print(*save(figure, out / file, formats))
-        if name in names and len(mistakes) == len(shown):
-            raise next(iter(mistakes.values()))
-        for file, mistake in mistakes.items():
-            print(f"{file}: not drawn: {mistake}")
+        if name in names and len(errors) == len(scenes):
+            raise next(iter(errors.values()))
+        for file, reason in errors.items():
+            print(f"{file}: not drawn: {reason}")
 
 
 def title(file: str) -> str:
-    """Of the figure in a file that `draw` wrote, whose name ends with _<scene> where each scene has its own; of another
-    file its name."""
-    name = file if file in FIGURES else file.partition("_")[0]
-    return FIGURES[name][0] if name in FIGURES else file
+    """The title of a figure from the name of a file that `draw` wrote, without its suffix; `file` for other names."""
+    name = file if file in FIGURES else file.partition("_")[0]  # a figure of one scene is in <name>_<scene>
+    return FIGURES[name].title if name in FIGURES else file

@@ -1,32 +1,21 @@
 """Barren plateaus: how the gradients of random circuits vanish with wires and depth."""
 
-from pathlib import Path
-
 import pandas as pd
 from matplotlib.figure import Figure
 
-from qnerf.config.folders import BENCHMARKS
-
 from .. import style
+from . import benchmarks
 
-BENCHMARK = BENCHMARKS / "plateaus.parquet"
 
-
-def plateau_points(results: str | Path | pd.DataFrame = BENCHMARK) -> pd.DataFrame:
-    """Rows of the benchmark: init, S, wires, circuits, variance of d<Z_0>/d theta, and its standard error.
-
-    ValueError where there is no benchmark.
-    """
-    if not isinstance(results, pd.DataFrame):
-        if not Path(results).is_file():
-            raise ValueError(f"{results}: no benchmark; `python -m benchmarks.plateaus` writes it")
-        results = pd.read_parquet(results)
-    return results[["init", "S", "wires", "circuits", "variance", "error"]].sort_values(["init", "S", "wires"])
+def plateau_points(results: benchmarks.Results = None) -> pd.DataFrame:
+    """The benchmark plateaus: init, S, wires, circuits, variance of d<Z_0>/d theta, and error, its standard error."""
+    table = benchmarks.read("plateaus", results)
+    return table[["init", "S", "wires", "circuits", "variance", "error"]].sort_values(["init", "S", "wires"])
 
 
 @style.styled
-def barren_plateaus(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure:
-    """Variance of a gradient against wires, one line a number of re-uploadings S, one panel a way to start."""
+def barren_plateaus(results: benchmarks.Results = None) -> Figure:
+    """Variance of a gradient against wires, a line per number of re-uploadings S, a panel per `qiren.init`."""
     table = plateau_points(results)
     figure = style.new(style.PAGE, 2.8)
     axes = figure.subplots(1, table["init"].nunique(), sharex=True, sharey=True, squeeze=False)[0]
@@ -38,10 +27,9 @@ def barren_plateaus(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure:
         ax.set(title=f"init={init}", xlabel="wires", yscale="log")
     axes[0].set_ylabel("variance of d<Z$_0$>/dθ")
     style.legend(figure, columns=len(depths))
-    circuits = table["circuits"].unique()
+    circuits = "-".join(map(str, sorted(table["circuits"].unique())))
     style.footnote(
         figure,
-        f"qiren, {'-'.join(map(str, sorted(circuits)))} random circuits a point; bars: standard error; "
-        "θ: one RY of wire 0 in the middle block",
+        f"qiren, {circuits} random circuits per point; bars: standard error; θ: one RY of wire 0 in the middle block",
     )
     return figure

@@ -1,55 +1,72 @@
-"""Runs as the points and lines of a figure: one for each configuration, with mean and spread over its seeds."""
+"""Configurations as the points of a figure: one row each, with mean and spread over its seeds."""
 
 from collections.abc import Sequence
 
 import pandas as pd
 
-from ..settings import LABELS, effective
+from ..settings import LABELS, QUANTUM, effective
 
-_NAMING = ("field", "encoder", "hash", "density", "color", "sampler", "cameras", "train", "steps")
+_NAME_LABELS = ("field", "encoder", "hash", "density", "color", "sampler", "cameras", "train", "steps")
 
 
 def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) -> pd.DataFrame:
-    """One row for each scene and configuration of `select`'s runs, best mean of the first value first within a scene.
+    """One row per scene and configuration; within a scene, the highest mean of the first value comes first.
 
-    Columns: scene_name, `LABELS`, `keep` (the first run's), <value>, <value>_std (n - 1; NaN for one seed), n, name
-    (what tells the configuration from the others) and runs (their row numbers).
+    Args:
+        runs: the runs of `select`.
+        values: columns to average over the seeds.
+        keep: columns to copy from the first run.
+
+    Returns:
+        Columns scene_name, `LABELS`, train.steps, `keep`; per value its mean and <value>_std (n - 1; NaN for one seed);
+        n, the number of seeds; runs, their row numbers in `runs`; name, a short text unlike that of any other row.
     """
     table = _grouped(runs, values, keep)
     return table.assign(name=names(table, runs))
 
 
 def best(runs: pd.DataFrame, values: Sequence[str], most: int) -> tuple[pd.DataFrame, str]:
-    """`points` of the `most` best configurations of each scene, and a note about the others."""
+    """`points` of the `most` best configurations of each scene, and a note that counts the others."""
     table = _grouped(runs, values, ())
-    kept = table.groupby("scene_name").head(most).reset_index(drop=True)
-    left = len(table) - len(kept)
-    return kept.assign(name=names(kept, runs)), f"not drawn: {left} configurations of lower PSNR" if left else ""
+    shown = table.groupby("scene_name").head(most).reset_index(drop=True)
+    left = len(table) - len(shown)
+    return shown.assign(name=names(shown, runs)), f"not drawn: {left} configurations of lower PSNR" if left else ""
 
 
-def families(table: pd.DataFrame, runs: pd.DataFrame, apart: Sequence[str]) -> pd.Series:
-    """A number for each row of `points`: the same where configurations of a scene differ in nothing but `apart`.
+def families(table: pd.DataFrame, runs: pd.DataFrame, x: str, ignored: Sequence[str]) -> pd.DataFrame:
+    """The rows of `points` that belong to a family with several values of `x`, numbered in the column `family`.
 
-    apart: settings, or first parts of their names with a dot behind.
+    A family is the configurations of a scene that differ in nothing but the `ignored` settings. A name such as
+    "encoder." ignores every setting that starts with it.
     """
-    keys = pd.concat([table["scene_name"], _settings(table, runs, apart)], axis=1)
-    return keys.groupby(list(keys.columns), sort=False).ngroup()
+    keys = pd.concat([table["scene_name"], _settings(table, runs, ignored)], axis=1)
+    table = table.assign(family=keys.groupby(list(keys.columns), sort=False).ngroup())
+    return table[table.groupby("family")[x].transform("nunique") > 1].reset_index(drop=True)
+
+
+def family_names(
+    table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str], always: Sequence[str] = ()
+) -> pd.Series:
+    """The name of each row's family, as `names` gives it to the family's first row."""
+    firsts = table.drop_duplicates("family")
+    texts = names(firsts, runs, ignored=ignored, always=always)
+    return table["family"].map(dict(zip(firsts["family"], texts, strict=True)))
 
 
 def names(
-    table: pd.DataFrame, runs: pd.DataFrame, *, apart: Sequence[str] = (), always: Sequence[str] = ()
+    table: pd.DataFrame, runs: pd.DataFrame, *, ignored: Sequence[str] = (), always: Sequence[str] = ()
 ) -> pd.Series:
-    """Short names for rows of `points`: the labels that differ, and where those are not enough the settings that do.
+    """A short name for each row of `points`: the labels that differ, then the settings that differ if labels are equal.
 
-    `apart`: settings, as in `families`, that no name tells; `always`: labels that every name tells.
+    ignored: settings that no name mentions, as in `families`; always: labels that every name mentions.
     """
-    used = table.assign(
+    labels = table.assign(
         hash=table["hash"].where(table["encoder"] == "hash", ""),
         steps=table["train.steps"].map("{:,.0f} steps".format),
     )
-    told = [key for key in _NAMING if key in always or used[key].nunique() > 1] or ["field"]
-    texts = used[told].agg(lambda row: " ".join(filter(None, row)), axis=1)
-    settings = _settings(table, runs, apart)
+    used = [key for key in _NAME_LABELS if key in always or labels[key].nunique() > 1] or ["field"]
+    texts = pd.Series([" ".join(filter(None, row)) for row in labels[used].to_numpy()], index=table.index, dtype=object)
+    settings = _settings(table, runs, ignored)
     for key in settings:
         groups = pd.DataFrame({"scene": table["scene_name"], "text": texts, "value": settings[key]})
         several = groups.groupby(["scene", "text"])["value"].transform("nunique") > 1
@@ -59,8 +76,7 @@ def names(
 
 def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> pd.DataFrame:
     keys = pd.concat([runs["scene_name"], effective(runs)], axis=1)
-    number = keys.groupby(list(keys.columns), sort=False).ngroup()
-    groups = runs.groupby(number)
+    groups = runs.groupby(keys.groupby(list(keys.columns), sort=False).ngroup())
     table = groups[list(dict.fromkeys(["scene_name", *LABELS, "train.steps", *keep]))].first()
     for value in values:
         table[value], table[f"{value}_std"] = groups[value].mean(), groups[value].std()
@@ -69,10 +85,10 @@ def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> 
     return table.sort_values(["scene_name", values[0]], ascending=[True, False], ignore_index=True)
 
 
-def _settings(table: pd.DataFrame, runs: pd.DataFrame, apart: Sequence[str]) -> pd.DataFrame:
-    """The `effective` settings of each row of `points`, without those in `apart`."""
+def _settings(table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str]) -> pd.DataFrame:
+    """The `effective` settings of each row of `points`, without the ignored ones."""
     settings = effective(runs.loc[[members[0] for members in table["runs"]]]).set_axis(table.index)
-    return settings.drop(columns=[key for key in settings if key in apart or f"{key.split('.')[0]}." in apart])
+    return settings.drop(columns=[key for key in map(str, settings) if {key, key.split(".")[0] + "."} & set(ignored)])
 
 
 def seeds(table: pd.DataFrame, drawn: str = "bars") -> str:
@@ -84,11 +100,12 @@ def seeds(table: pd.DataFrame, drawn: str = "bars") -> str:
     return f"{drawn}: ± standard deviation over seeds, {several}" + (f" (n = 1: no {drawn})" if low == 1 else "")
 
 
-def kind(field: str) -> str:
-    """Whether a run has a circuit: `quantum` or `classical`."""
-    return "classical" if field == "classical" else "quantum"
+def kind(field: str, head: str | None = None) -> str:
+    """`quantum` if the field has a circuit (as its `color` or `density` head, if one is named), else `classical`."""
+    quantum = field in QUANTUM[head] if head in QUANTUM else field != "classical"
+    return "quantum" if quantum else "classical"
 
 
 def scenes(table: pd.DataFrame) -> list[str]:
-    """The scenes, one panel each, by name."""
+    """The names of the scenes in alphabetical order."""
     return sorted(table["scene_name"].unique())

@@ -1,4 +1,4 @@
-"""Held-out views of chosen runs side by side: truth, render, error, depth."""
+"""Held-out views of several runs side by side: truth, render, error, depth."""
 
 import textwrap
 
@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from qnerf.config.identity import picture_names
 
 from .. import style
-from ..images import panels, pictures
+from ..images import common_pictures, panels
 from ..selection import select
 from ..statistics import evaluations
 from . import points
@@ -17,9 +17,9 @@ TITLES = ("truth", "render", "error x 4", "depth")
 
 
 def typical(frame: pd.DataFrame, most: int = 5) -> pd.DataFrame:
-    """One run for each of the `most` best configurations of a scene: the one of median PSNR among its seeds.
+    """The seed of median PSNR of each of the `most` best configurations of a scene.
 
-    Columns of `points.points` for one run, `seed` and `path`.
+    Columns of `points.points` with that run's psnr, `seed` and `path`.
     """
     runs = select(frame).runs
     table, _ = points.best(runs, ["psnr"], most)
@@ -28,29 +28,29 @@ def typical(frame: pd.DataFrame, most: int = 5) -> pd.DataFrame:
 
 
 def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
-    """The pictures to draw: scene_name, name, seed, image, psnr (dB, of that image alone), picture (a path).
+    """The pictures to draw: the first `views` held-out views that all runs of a scene have pictures of.
 
-    The `views` first held-out views that all runs of a scene have pictures of; ValueError where they have none.
+    Columns scene_name, name, seed, image, psnr (dB, of that image alone), picture (a path). Raises ValueError if the
+    runs of a scene have no picture in common.
     """
     rows = []
     measured = evaluations(chosen)
     measured["image"] = measured.groupby("path")["image"].transform(lambda images: picture_names(list(images)))
-    measured = measured.set_index(["path", "image"])["value"]
+    psnr = measured.set_index(["path", "image"])["value"]
     for scene, runs in chosen.groupby("scene_name"):
-        stored = {path: pictures(path) for path in runs["path"]}
-        common = sorted(set.intersection(*(set(names) for names in stored.values())))[:views]
+        common, pictures = common_pictures(runs["path"])
         if not common:
             raise ValueError(f"{scene}: no picture that all {len(runs)} chosen runs have")
         for _, run in runs.iterrows():
-            for image in common:
-                quality = measured.get((run["path"], image), float("nan"))
-                rows.append((scene, run["name"], run["seed"], image, quality, stored[run["path"]][image]))
+            for image in common[:views]:
+                quality = psnr.get((run["path"], image), float("nan"))
+                rows.append((scene, run["name"], run["seed"], image, quality, pictures[run["path"]][image]))
     return pd.DataFrame(rows, columns=["scene_name", "name", "seed", "image", "psnr", "picture"])
 
 
 @style.styled
 def qualitative_grid(frame: pd.DataFrame, views: int = 2, most: int = 4) -> Figure:
-    """truth | render | error | depth of a typical run of each configuration: a row a run, a block a scene."""
+    """truth | render | error | depth of a typical run of each configuration: a row per run, a block per scene."""
     shown = qualitative_panels(typical(frame, most), views)
     blocks = [_Block(str(scene), rows) for scene, rows in shown.groupby("scene_name")]
     height = sum(block.height for block in blocks) + _FOOT
@@ -68,12 +68,12 @@ _LEFT, _GAP, _HEAD, _LINE, _FOOT = 0.95, 0.03, 0.42, 0.16, 0.22  # inches
 
 
 class _Block:
-    """The pictures of one scene, laid out by hand: panels of one size, rows without air between them."""
+    """The pictures of one scene, placed by hand: panels of equal size without gaps between rows."""
 
     def __init__(self, scene: str, rows: pd.DataFrame) -> None:
         self.scene, self.rows = scene, rows
         self.grid = rows.pivot(index="name", columns="image", values="picture").loc[rows["name"].unique()]
-        columns = 4 * self.grid.shape[1]
+        columns = len(TITLES) * self.grid.shape[1]
         tall, wide = panels(rows["picture"].iloc[0]).truth.shape[:2]
         self.width = (style.PAGE - _LEFT - _GAP * columns) / columns
         self.tall = self.width * tall / wide
@@ -85,26 +85,19 @@ class _Block:
         figure.text(_LEFT / width, (top - 0.14) / height, self.scene, fontsize=7.5)
         for row, (name, line) in enumerate(self.grid.iterrows()):
             y = top - _HEAD - row * (self.tall + _LINE) - self.tall
-            own = self.rows[self.rows["name"] == name].set_index("image")
-            text = textwrap.fill(str(name), 18) + f"\nseed {own['seed'].iloc[0]}"
-            figure.text(
-                (_LEFT - 0.06) / width, (y + self.tall / 2) / height, text, fontsize=5.5, ha="right", va="center"
-            )
-            for view, (image, picture) in enumerate(line.items()):
+            run = self.rows[self.rows["name"] == name]
+            psnr = dict(zip(run["image"], run["psnr"], strict=True))
+            x, middle = (_LEFT - 0.06) / width, (y + self.tall / 2) / height
+            text = textwrap.fill(str(name), 18) + f"\nseed {run['seed'].iloc[0]}"
+            figure.text(x, middle, text, fontsize=5.5, ha="right", va="center")
+            for view, (image, picture) in enumerate(line.to_dict().items()):
                 for column, (title, panel) in enumerate(zip(TITLES, panels(picture), strict=True)):
-                    x = _LEFT + (4 * view + column) * (self.width + _GAP)
+                    x = _LEFT + (len(TITLES) * view + column) * (self.width + _GAP)
                     ax = figure.add_axes((x / width, y / height, self.width / width, self.tall / height))
                     ax.imshow(panel, aspect="auto")
                     ax.set_axis_off()
                     if row == 0:
                         ax.set_title(title, fontsize=6, pad=2)
-                    if column == 1:
-                        ax.text(
-                            0.5,
-                            -0.02,
-                            f"{own.loc[image, 'psnr']:.2f} dB",
-                            transform=ax.transAxes,
-                            fontsize=5.5,
-                            ha="center",
-                            va="top",
-                        )
+                    if title == "render":
+                        text = f"{psnr[image]:.2f} dB"
+                        ax.text(0.5, -0.02, text, transform=ax.transAxes, fontsize=5.5, ha="center", va="top")

@@ -1,4 +1,4 @@
-"""Where the samplers look along a ray."""
+"""Where each sampling strategy places its samples along a ray."""
 
 from pathlib import Path
 
@@ -10,18 +10,19 @@ from .probed import probed
 
 
 def ray_samples(run: str | Path, ray: int = 0) -> pd.DataFrame:
-    """One ray of a run's rays.parquet, `row` naming strategy and level, the comparisons first.
+    """One ray of a run's rays.parquet: its columns, and `row`, which names strategy and level.
 
-    Columns of the probe and row. ValueError for a ray that is not there, or a run without the probe.
+    The strategies that the run is compared with come first. Raises ValueError for a ray that does not exist, or a run
+    without the probe.
     """
     table = probed(run, "rays")
     pixels = table[["pixel_x", "pixel_y"]].drop_duplicates()
     if not 0 <= ray < len(pixels):
         raise ValueError(f"ray {ray}: {run} has rays 0 to {len(pixels) - 1}")
-    x, y = pixels.iloc[ray]
-    own = table[(table["pixel_x"] == x) & (table["pixel_y"] == y)]
-    row = own["strategy"].where(own["level"].eq("final") & ~own["own"], own["strategy"] + ": " + own["level"])
-    return own.assign(row=row).sort_values("own", kind="stable", ignore_index=True)
+    samples = table.merge(pixels.iloc[[ray]])
+    single_level = samples["level"].eq("final") & ~samples["own"]
+    row = samples["strategy"].where(single_level, samples["strategy"] + ": " + samples["level"])
+    return samples.assign(row=row).sort_values("own", kind="stable", ignore_index=True)
 
 
 @style.styled
@@ -45,14 +46,12 @@ def sampling_strategies(run: str | Path, ray: int = 0) -> Figure:
         ax.grid(False)
     axes[-1].set_xlabel("distance along the ray, world units")
     first = table.iloc[0]
-    truth = "dotted: true depth" if table["depth"].notna().all() else ""
-    where = f"{Path(run).name}, {first['image']}, pixel ({first['pixel_x']}, {first['pixel_y']})"
     style.footnote(
         figure,
         "ticks: midpoints of the intervals",
-        "filled: weight, its maximum drawn as 1",
+        "filled: weight, scaled to a maximum of 1",
         "line: transmittance",
-        truth,
-        where,
+        "dotted: true depth" if table["depth"].notna().all() else "",
+        f"{Path(run).name}, {first['image']}, pixel ({first['pixel_x']}, {first['pixel_y']})",
     )
     return figure

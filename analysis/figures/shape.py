@@ -9,70 +9,61 @@ from .. import style
 from ..selection import check_keys, select
 from . import points
 
-_MEASURES = {
-    "depth": {"mlp": "mlp.layers", "qiren": "qiren.layers"},
-    "width": {"mlp": "mlp.width", "qiren": "qiren.qubits"},
-}
+_SETTINGS = {"depth": {"mlp": "layers", "qiren": "qiren.layers"}, "width": {"mlp": "width", "qiren": "qiren.qubits"}}
 _AXES = {
     ("depth", "mlp"): "linear layers",
     ("depth", "qiren"): "hidden hybrid layers",
-    ("width", "mlp"): "hidden units a layer",
+    ("width", "mlp"): "hidden units per layer",
     ("width", "qiren"): "qubits",
 }
-_HEADS = {"color": "colour head", "density": "density head"}
 
 
 def shape_points(frame: pd.DataFrame, measure: str, head: str = "color") -> pd.DataFrame:
-    """`points.points` of PSNR (dB) with `kind` (mlp | qiren), `x` (the depth or width of the head) and `line`.
+    """`points.points` of PSNR (dB) with `kind` (mlp | qiren), `x` (depth or width of the head) and `line`.
 
-    A line holds configurations that differ in x alone; those without such a partner are left out. ValueError for an
-    unknown measure or head, or where no two configurations differ in x alone.
+    The configurations of a line differ in x alone; those without such a partner are left out.
+
+    Raises:
+        ValueError: an unknown measure or head, or no two configurations differ in x alone.
     """
-    if measure not in _MEASURES or head not in _HEADS:
+    if measure not in _SETTINGS or head not in style.HEADS:
         raise ValueError(f"expected depth or width of color or density, got {measure!r} of {head!r}")
     runs = select(frame).runs
     check_keys(runs, [f"{head}.name"])
-    kinds = _MEASURES[measure]
-    runs = runs[runs[f"{head}.name"].isin(list(kinds))]
-    columns = {kind: f"{head}.{key}" for kind, key in kinds.items()}
-    shape = [
-        f"{head}.{key}" for key in ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
-    ]
-    table = points.points(runs, ["psnr"], shape)
-    table = table.rename(columns={f"{head}.name": "kind"})
+    columns = {kind: f"{head}.{key}" for kind, key in _SETTINGS[measure].items()}
+    runs = runs[runs[f"{head}.name"].isin(list(columns))]
+    shape = [f"{head}.{key}" for key in ("name", "layers", "width", "qiren.layers", "qiren.spectral", "qiren.qubits")]
+    table = points.points(runs, ["psnr"], shape).rename(columns={f"{head}.name": "kind"})
     table["x"] = [float(row[columns[row["kind"]]]) for _, row in table.iterrows()]
-    apart = list(columns.values())
-    table["number"] = points.families(table, runs, apart)
-    table = table[table.groupby("number")["x"].transform("nunique") > 1].reset_index(drop=True)
+    varied = list(columns.values())
+    table = points.families(table, runs, "x", varied)
     if table.empty:
         raise ValueError(
-            f"no two configurations differ in the {measure} of the {_HEADS[head]} alone ({', '.join(apart)})"
+            f"no two configurations differ in the {measure} of the {style.HEADS[head]} alone ({', '.join(varied)})"
         )
-    for _, rows in table.groupby("kind"):
-        firsts = rows.drop_duplicates("number")
-        labelled = firsts.assign(**{head: [_rest(row, measure, head) for _, row in firsts.iterrows()]})
-        lines = points.names(labelled, runs, apart=apart, always=[head])
-        table.loc[rows.index, "line"] = rows["number"].map(dict(zip(firsts["number"], lines, strict=True)))
+    labelled = table.assign(**{head: [_fixed(row, measure, head) for _, row in table.iterrows()]})
+    for _, rows in labelled.groupby("kind"):
+        table.loc[rows.index, "line"] = points.family_names(rows, runs, varied, [head])
     return table.sort_values(["scene_name", "kind", "line", "x"], ignore_index=True)
 
 
-def _rest(row: pd.Series, measure: str, head: str) -> str:
-    """The head's label without what its line runs over."""
+def _fixed(row: pd.Series, measure: str, head: str) -> str:
+    """The part of the head's label that is the same along a line."""
     if row["kind"] == "qiren":
         spectral, layers = row[f"{head}.qiren.spectral"], row[f"{head}.qiren.layers"]
         return f"S = {spectral:.0f}" if measure == "depth" else f"{layers:.0f}L{spectral:.0f}S"
-    return f"width {row[f'{head}.mlp.width']:.0f}" if measure == "depth" else f"{row[f'{head}.mlp.layers']:.0f} layers"
+    return f"width {row[f'{head}.width']:.0f}" if measure == "depth" else f"{row[f'{head}.layers']:.0f} layers"
 
 
 @style.styled
 def psnr_vs_depth(frame: pd.DataFrame, head: str = "color") -> Figure:
-    """PSNR against the depth of a head: one row a scene, MLPs beside circuits, one line a width or S."""
+    """PSNR against the depth of a head: a row per scene, MLPs left, circuits right, a line per width or S."""
     return _draw(frame, "depth", head)
 
 
 @style.styled
 def psnr_vs_width(frame: pd.DataFrame, head: str = "color") -> Figure:
-    """PSNR against the width of a head, one line a depth: one row a scene, MLPs beside circuits."""
+    """PSNR against the width of a head: a row per scene, MLPs left, circuits right, a line per depth."""
     return _draw(frame, "width", head)
 
 
@@ -86,7 +77,7 @@ def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
             shown = table[(table["scene_name"] == scene) & (table["kind"] == kind)]
             for number, (line, group) in enumerate(shown.groupby("line")):
                 ax.errorbar(group["x"], group["psnr"], group["psnr_std"], label=line, **style.series(number))
-            ax.set_title(f"{scene}: {_HEADS[head]}, {'circuits' if kind == 'qiren' else 'MLPs'}")
+            ax.set_title(f"{scene}: {style.HEADS[head]}, {'circuits' if kind == 'qiren' else 'MLPs'}")
             if len(shown):
                 ax.legend()
         row[0].set_ylabel(metric_of("psnr").heading)
@@ -97,7 +88,7 @@ def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
         ticks = sorted(table.loc[table["kind"] == kind, "x"].unique())
         ax.set_xticks(ticks, [f"{x:.0f}" for x in ticks])
     finished = select(frame)
-    alone = len(points.points(finished.runs, ["psnr"])) - len(table)
-    rest = f"{alone} configurations that differ in more than the {measure} are not drawn" if alone else ""
+    others = len(points.points(finished.runs, ["psnr"])) - len(table)
+    rest = f"{others} configurations that differ in more than the {measure} are not drawn" if others else ""
     style.footnote(figure, points.seeds(table), rest, finished.note)
     return figure

@@ -11,13 +11,14 @@ from matplotlib.figure import Figure
 from .. import style
 from .probed import probed
 
-LEAST = 1e-4  # smallest share with a colour of its own
+MIN_SHARE = 1e-4
+"""Smaller shares are left blank."""
 
 
 def spectrum_points(run: str | Path) -> pd.DataFrame:
-    """A run's spectrum.parquet with `share`: of the output's variance over uniform angles, in [0, 1].
+    """A run's spectrum.parquet with `share`: the part of the output's variance over uniform angles, in [0, 1].
 
-    The shares of one angle sum to 1; that at frequency 0 is the part of the variance without this angle.
+    The shares of one angle sum to 1. Its share at frequency 0 is the variance that does not depend on this angle.
     """
     table = probed(run, "spectrum")
     varying = table["power"] - table["mean"] ** 2 * (table["frequency"] == 0)
@@ -26,23 +27,23 @@ def spectrum_points(run: str | Path) -> pd.DataFrame:
 
 @style.styled
 def fourier_spectrum(run: str | Path) -> Figure:
-    """Share of each output's variance at each frequency of each angle: a row a circuit, a column a frequency."""
+    """Share of each output's variance at each frequency of each angle: a row per circuit, a column per frequency."""
     table = spectrum_points(run)
     used = table[table["frequency"] > 0]
     circuits = list(used.groupby(["head", "circuit"]))
     frequencies = sorted(used["frequency"].unique())
     figure = style.new(min(style.PAGE, 1.4 + 1.6 * (len(frequencies) + 1)), 0.6 + 1.6 * len(circuits))
     axes = figure.subplots(len(circuits), len(frequencies) + 1, squeeze=False)
-    norm = LogNorm(LEAST, 1)
+    norm = LogNorm(MIN_SHARE, 1)
     for row, ((head, circuit), rows) in zip(axes, circuits, strict=True):
+        wires, outputs = range(rows["wire"].max() + 1), sorted(rows["output"].unique())
         for ax, frequency in zip(row, frequencies, strict=False):
             grid = rows[rows["frequency"] == frequency].pivot(index="output", columns="wire", values="share")
-            wires = range(rows["wire"].max() + 1)
-            grid = grid.reindex(index=sorted(rows["output"].unique()), columns=wires)
-            image = ax.imshow(grid.where(grid >= LEAST), norm=norm, cmap="viridis_r", aspect="equal")
-            ax.set(xticks=list(wires)[::2], yticks=list(grid.index)[::2])
+            grid = grid.reindex(index=outputs, columns=wires)
+            image = ax.imshow(grid.where(grid >= MIN_SHARE), norm=norm, cmap="viridis_r", aspect="equal")
+            ax.set(xticks=list(wires)[::2], yticks=outputs[::2])
             ax.grid(False)
-        row[0].set_ylabel(f"{_HEADS[head]} head, circuit {circuit}\noutput")
+        row[0].set_ylabel(f"{style.HEADS[str(head)]}, circuit {circuit}\noutput")
         _totals(row[-1], rows)
     for ax, frequency in zip(axes[0], frequencies, strict=False):
         ax.set_title(f"frequency {frequency:g} rad⁻¹")
@@ -54,14 +55,11 @@ def fourier_spectrum(run: str | Path) -> Figure:
     style.footnote(
         figure,
         _accuracy(table),
-        "variance over uniform angles; blank: less than 1e-4 or outside the light cone",
+        f"variance over uniform angles; blank: less than {MIN_SHARE:.2%} or outside the light cone",
         _spread(table),
         Path(run).name,
     )
     return figure
-
-
-_HEADS = {"color": "colour", "density": "density"}
 
 
 def _totals(ax: Axes, rows: pd.DataFrame) -> None:
@@ -81,7 +79,7 @@ def _accuracy(table: pd.DataFrame) -> str:
 
 
 def _spread(table: pd.DataFrame) -> str:
-    """How far the data move along the angles: what share of a period they see."""
+    """How far the training samples move each angle, which tells how much of a period they cover."""
     std = table["angle_std"].dropna()
     if std.empty:
         return ""

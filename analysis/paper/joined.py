@@ -11,8 +11,8 @@ from ..selection import label, refuse_mixtures, select
 from ..tables.seeds import aggregate, mean_and_spread
 from ..tables.table import Table
 
-SETTING = "paper: one run and one seed a row, nerfstudio's poster capture at 36 x 64, 30,000 steps"
-_SAID = ("scene_name", "encoder", "hash", "train", "train.steps", "train.rays")
+SETTING = "paper: one run of one seed per row, nerfstudio's poster capture at 36 x 64, 30,000 steps"
+_SETTINGS = ("scene_name", "encoder", "hash", "train", "train.steps", "train.rays")
 _OURS = ("psnr", "ssim", "lpips")
 _THEIRS = {"psnr": ("psnr_db", "{:.2f}"), "ssim": ("ssim", "{:.2f}"), "lpips": ("lpips", "{:g}")}  # as printed
 
@@ -23,33 +23,42 @@ def printed(name: str) -> pd.DataFrame:
 
 
 def joined(paper: pd.DataFrame, frame: pd.DataFrame, keys: Sequence[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """`paper` with our (value, mean | std | n) of the finished runs that agree in all `keys`, columns of both.
+    """The rows of `paper`, each with our finished runs that agree with it in all `keys`, and notes for under the table.
 
-    The seeds are 0 where there is no such run. Also gives the notes: what was left out, and which settings ours had.
-    ValueError where the runs of a row mix scenes or configurations.
+    Args:
+        paper: the paper's rows.
+        frame: our runs as `load.runs` gives them.
+        keys: columns of both.
+
+    Returns:
+        `paper` with the columns ours_<value>_<mean | std | n> and ours_seeds_n, which is 0 if there is no such run. The
+        notes say which settings our runs had and which runs were left out.
+
+    Raises:
+        ValueError: the runs of a row mix scenes or configurations.
     """
     selection = select(frame)
-    known = paper[list(keys)].dropna().drop_duplicates()
-    ours = selection.runs.merge(known, on=list(keys))
+    architectures = paper[list(keys)].dropna().drop_duplicates()
+    ours = selection.runs.merge(architectures, on=list(keys))
     refuse_mixtures(ours, keys)
     measured = aggregate(ours, keys, _OURS)
     measured.columns = ["_".join(("ours", *name)) for name in measured.columns]
     table = paper.merge(measured.reset_index(), on=list(keys), how="left")
     table["ours_seeds_n"] = table["ours_seeds_n"].fillna(0).astype(int)
-    said = "; ".join(f"{key} {', '.join(map(label, ours[key].unique()))}" for key in _SAID if key in ours)
-    notes = [SETTING, f"ours: {said}" if len(ours) else "ours: no run of these architectures"]
-    elsewhere = len(selection.runs) - len(ours)
-    if elsewhere:
-        notes.append(f"{elsewhere} finished runs are of no architecture of this table")
+    settings = "; ".join(f"{key} {', '.join(map(label, ours[key].unique()))}" for key in _SETTINGS if key in ours)
+    notes = [SETTING, f"ours: {settings}" if len(ours) else "ours: no run of these architectures"]
+    others = len(selection.runs) - len(ours)
+    if others:
+        notes.append(f"{others} finished runs have an architecture that is not in this table")
     return table, (*notes, *filter(None, [selection.note]))
 
 
 def side_by_side(
     title: str, table: pd.DataFrame, columns: Mapping[str, str], notes: Sequence[str], form: str = "{:,.0f}"
 ) -> Table:
-    """The paper's `columns` (name -> heading), then the paper's and our metrics in pairs, then our number of seeds.
+    """A table of the paper's `columns` (name -> heading), each metric of the paper's beside ours, and our seeds.
 
-    Numbers among `columns` are printed with `form`.
+    form: how numbers among `columns` are printed.
     """
     text = pd.DataFrame({heading: _text(table[name], form) for name, heading in columns.items()})
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)

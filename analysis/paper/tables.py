@@ -1,7 +1,7 @@
-"""The paper's tables, one function each: its rows, with the architecture that its own counts prove, beside our runs.
+"""The paper's tables, a function each, with our runs of the same architectures.
 
-A printed parameter count belongs to one architecture alone; where the printed label is of another one, the row is an
-erratum, shown with both. Ours join through the architecture and the count, never through the label.
+A printed parameter count fits exactly one architecture. If the printed label names another, the row is an erratum and
+shows both. Our runs are matched by architecture and count, never by the label.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,10 +19,9 @@ def rgb_predictors(frame: pd.DataFrame) -> Table:
     paper = printed("rgb")
     paper["field"] = paper["predictor"].map({"qiren": "qcolor", "mlp": "classical"})
     paper["encoder"] = "hash"
-    for which, column in (("true", "color"), ("label", "printed")):
-        paper[column] = [
-            _head(*row) for row in paper[["predictor", f"{which}_layers", f"{which}_width"]].itertuples(index=False)
-        ]
+    for source, column in (("true", "color"), ("label", "printed")):
+        shapes = paper[["predictor", f"{source}_layers", f"{source}_width"]]
+        paper[column] = [_head(*row) for row in shapes.itertuples(index=False)]
     paper["params.color"] = paper["params"]
     table, notes = joined(paper, frame, ["field", "encoder", "color", "params.color"])
     table["printed"] = table["printed"].where(table["printed"] != table["color"])
@@ -49,7 +48,7 @@ def quantum_density_and_rgb(frame: pd.DataFrame) -> Table:
 
 
 def hash_encoding_configurations(frame: pd.DataFrame) -> Table:
-    """Hash tables C1 to C7 under a classical field; the paper prints counts alone, so PSNR is ours."""
+    """Hash tables C1 to C7 in a classical field. The paper prints their parameter counts only; PSNR is ours."""
     paper = printed("hash").assign(field="classical", encoder="hash")
     paper["hash"] = paper["config"]
     paper["params.density"], paper["params.encoder"] = paper["mlp_params"], paper["encoding_params"]
@@ -65,13 +64,14 @@ def hash_encoding_configurations(frame: pd.DataFrame) -> Table:
         "encoding_params": "encoder parameters",
     }
     erratum = (
-        "erratum: the caption names the columns otherwise; the encoder's counts are levels x 2^log2 entries x features"
+        "erratum: the caption gives the columns other names; the encoder has levels x 2^log2 entries x features "
+        "parameters"
     )
     return side_by_side(PAPER_TABLES["hash"][0], table, columns, (erratum, *notes))
 
 
 def quoted_numbers(frame: pd.DataFrame) -> Table:
-    """Numbers that the paper gives in its text and figures alone; ours where its counts pin an architecture down."""
+    """Numbers that only the paper's text and figures give, with ours if the printed counts fit one architecture."""
     keys = {
         "true_field": "field",
         "true_encoder": "encoder",
@@ -80,31 +80,29 @@ def quoted_numbers(frame: pd.DataFrame) -> Table:
         "encoder_params": "params.encoder",
     }
     table, notes = joined(printed("quoted").rename(columns=keys), frame, list(keys.values()))
-    remark = "rows without an architecture: the paper prints no count that proves one"
+    remark = "rows without an architecture: the paper prints no parameter count that determines it"
     columns = {"what": "what", "where": "where", "density": "density head", "params.density": "density parameters"}
     return side_by_side(PAPER_TABLES["quoted"][0], table, columns, (remark, *notes))
 
 
 def hsv_tests(frame: pd.DataFrame) -> Table:
-    """Kolmogorov-Smirnov statistics of hue, saturation and value, the paper's and ours, for the paper's two fields."""
+    """Kolmogorov-Smirnov statistics of hue, saturation and value: the paper's, and ours for the same two fields."""
     selection = select(frame)
     runs = [selection.runs.merge(pd.DataFrame([counts])) for counts in HSV_FIELDS.values()]
-    tests = hsv.tests(hsv.samples(pd.concat(runs), **HSV_FIELDS)) if all(map(len, runs)) else None
     data = printed("hsv")
-    if tests is None:
+    if not all(map(len, runs)):
         data = data.assign(mean=float("nan"), std=float("nan"), seeds=0)
     else:
+        pixels = hsv.samples(pd.concat(runs), classical=HSV_FIELDS["classical"], quantum=HSV_FIELDS["quantum"])
+        tests = hsv.tests(pixels)
         ours = tests.groupby(["channel", "pair"], as_index=False)["ks"].agg(["mean", "std", "size"])
         data = data.merge(ours.rename(columns={"size": "seeds"}), on=["channel", "pair"], how="left")
-    text = data[["channel", "pair"]].assign(
-        **{
-            "KS: paper": data["ks"].map("{:.4f}".format),
-            "p: paper": data["p_below"].map("< {:.0e}".format),
-            "KS: ours": [hsv.spread(*row) for row in data[["mean", "std"]].itertuples(index=False)],
-            "seeds": data["seeds"].map(str),
-        }
-    )
-    notes = (SETTING, "hue as if it were a line, as the paper does; analysis.hsv has the circular statistics")
+    text = data[["channel", "pair"]].copy()
+    text["KS: paper"] = data["ks"].map("{:.4f}".format)
+    text["p: paper"] = data["p_below"].map("< {:.0e}".format)
+    text["KS: ours"] = [hsv.spread(*row) for row in data[["mean", "std"]].itertuples(index=False)]
+    text["seeds"] = data["seeds"].map(str)
+    notes = (SETTING, "hue is treated as linear, as in the paper; analysis.hsv has the circular statistics")
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     return Table(PAPER_TABLES["hsv"][0], text, data, bold, (*notes, *filter(None, [selection.note])))
 
@@ -129,7 +127,7 @@ PAPER_TABLES: dict[str, tuple[str, Callable[[pd.DataFrame], Table]]] = {
     "hsv": ("HSV Output Analysis: Kolmogorov-Smirnov tests", hsv_tests),
     "quoted": ("Numbers quoted in the paper's figures and text", quoted_numbers),
 }
-"""Key -> the paper's title and the function that draws the table from `load.runs`' frame."""
+"""Name -> the paper's title, and the function that makes the table from the DataFrame of `load.runs`."""
 
 
 def _head(predictor: str, layers: str, width: int) -> str:
@@ -141,9 +139,9 @@ def _plain(names: pd.Series) -> pd.Series:
 
 
 def _errata(table: pd.DataFrame, network: Sequence[str]) -> list[str]:
-    """What the column `printed` and rows of the same `network` say against the paper's labels."""
+    """Notes on rows whose label contradicts their parameter count, and on networks that are printed several times."""
     wrong = int(table["printed"].notna().sum())
-    notes = [f"errata: {wrong} rows are printed as another network than the one that their printed counts prove"]
+    notes = [f"errata: {wrong} rows are labelled as another network than their printed parameter count determines"]
     for key, rows in table[table.duplicated(network, keep=False)].groupby(list(network), sort=False):
         values = " and ".join(f"{psnr:.2f} dB" for psnr in rows["psnr_db"])
         notes.append(f"errata: {label(key)} is printed {len(rows)} times, with {values}")

@@ -8,19 +8,11 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ..figures import FIGURES, save, scenes_of
+from ..figures import FIGURES, save
 from ..style import settings
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
 MAX_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
-HINTS = {
-    "depth": "`qnerf run -m field=qcolor qiren.layers=1,2,3` trains some",
-    "width": "`qnerf run -m color.mlp.width=16,32,64` trains some",
-    "density_width": "`qnerf run -m density.mlp.width=16,32,64` trains some",
-    "hash": "`qnerf run -m hash=C1,C3,C5,C7` trains some",
-    "hsv": "`qnerf run -m field=classical,qcolor` trains both kinds",
-}
-"""Figure -> the command that makes what it needs, where its own error does not name one."""
 KINDS = {"svg": "image/svg+xml", "png": "image/png"}
 
 
@@ -36,16 +28,16 @@ class Drawn:
 
 
 def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
-    """A figure of `FIGURES`, once a scene if it is about one scene; and why it cannot be drawn, where it cannot."""
-    title, function = FIGURES[name]
+    """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
+    entry, title = FIGURES[name], FIGURES[name].title
     drawn, absent = [], {}
-    scenes = scenes_of(name, frame)
+    scenes = entry.scenes(name, frame)
     for runs in scenes.values():
         own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
         try:
-            drawn.append(themed(own, function(runs)))
+            drawn.append(themed(own, entry.draw(runs)))
         except ValueError as error:
-            absent[own] = "; ".join([str(error), *filter(None, [HINTS.get(name)])])
+            absent[own] = "; ".join(filter(None, [str(error), entry.hint]))
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}
     return drawn, [f"{own}: {reason}" for own, reason in absent.items()]

@@ -13,11 +13,8 @@ from ..tables.smallest import TOLERANCE
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, over_seeds, smallest_configurations
 
-PAPER_FIGURES = (
-    "capacity", "capacity_color", "capacity_density", "depth", "width", "density_width", "hash", "loss", "qualitative",
-    "sampling", "encodings",
-)  # fmt: skip
 COLOURS = ("hsv",)
+PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in COLOURS)
 REPEATS = (
     "repeat another: the same scene and seed, and settings that differ only where they do not act. They are among the "
     "runs above, and count nowhere below."

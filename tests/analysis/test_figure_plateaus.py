@@ -33,7 +33,7 @@ def test_lines_and_bars_are_the_benchmark_s(table: pd.DataFrame, tmp_path) -> No
             lengths = [segment[1, 1] - segment[0, 1] for segment in bars.get_segments()]
             np.testing.assert_allclose(lengths, 2 * expected["error"])
     assert figure.axes[0].get_yscale() == "log"
-    assert "12 random circuits a point" in " ".join(figure.get_supxlabel().split())
+    assert "12 random circuits per point" in " ".join(figure.get_supxlabel().split())
 
 
 def test_variances_are_those_of_parameter_shifts(table: pd.DataFrame) -> None:

@@ -9,6 +9,7 @@ from hypothesis.extra import numpy as arrays
 
 from analysis import figures, style
 from analysis.figures import points
+from analysis.figures.files import title
 from analysis.load import metrics, runs
 from qnerf.experiment import run
 from tests.helpers.configs import TINY, composed
@@ -302,3 +303,27 @@ def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():
     shown = [tick for tick in ax.get_xticks() if 800 <= tick <= 1400]
     assert len(shown) >= 3
     assert np.allclose(np.diff(shown), shown[1] - shown[0])
+
+
+def test_the_catalogue_draws_what_each_function_draws(frame):
+    for name, options in (("capacity_color", {"part": "color"}), ("capacity", {})):
+        entry = figures.FIGURES[name]
+        drawn = entry.draw(frame).axes[0].collections[-1].get_offsets()
+        expected = figures.capacity_vs_psnr(frame, **options).axes[0].collections[-1].get_offsets()
+        np.testing.assert_array_equal(drawn, expected)
+    with pytest.raises(ValueError, match=r"none of 12 runs has rays\.parquet"):
+        figures.FIGURES["sampling"].draw(frame)
+    assert figures.FIGURES["ladder"].draw(frame).axes[0].get_title()
+
+
+def test_a_figure_of_one_scene_is_drawn_for_each(every):
+    assert list(figures.FIGURES["hsv"].scenes("hsv", every)) == ["hsv_hall", "hsv_yard"]
+    assert list(figures.FIGURES["loss"].scenes("loss", every)) == ["loss"]
+    for name, runs_of_scene in figures.FIGURES["hsv"].scenes("hsv", every).items():
+        assert set(runs_of_scene["scene_name"]) == {name.removeprefix("hsv_")}
+
+
+def test_files_have_the_titles_of_their_figures():
+    assert title("capacity_color") == "PSNR against the parameters of the colour head"
+    assert title("hsv_hall") == figures.FIGURES["hsv"].title
+    assert title("poster") == "poster"

@@ -35,7 +35,7 @@ def test_each_case_is_a_point_in_the_panel_of_its_part(results):
     assert drawn == {
         "fast, float32": [[1, 3e-7]],
         "plain, float32": [[5, 2e-7]],
-        "fast, float64": [[2, figures.accuracy.LEAST]],
+        "fast, float64": [[2, figures.accuracy.FLOOR]],
     }
     dashed = [line.get_ydata()[0] for ax in (rendering, sampling) for line in ax.lines if line.get_ls() == "--"]
     assert dashed == [1e-4, 2e-6]

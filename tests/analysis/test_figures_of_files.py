@@ -189,7 +189,7 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
     figure = figures.psnr_vs_shots(frame.replace({"path": {path: str(tmp_path / "copy")}}))
     (container,) = figure.axes[0].containers
     assert container[0].get_xdata(orig=False).tolist() == [10]
-    assert "not drawn: 1 conditions that not every measured seed has" in footnote(figure)
+    assert "not drawn: 1 conditions that some measured seeds lack" in footnote(figure)
 
 
 def test_what_is_missing_says_how_to_make_it(frame):

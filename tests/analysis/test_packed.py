@@ -6,7 +6,7 @@ import pytest
 from analysis import load, statistics
 from analysis.pack import main
 from analysis.paper import PAPER_TABLES
-from analysis.results import kept
+from analysis.results import stored
 from analysis.tables import ablation
 from tests.helpers.packed_stores import write_run
 from tests.helpers.sweep import sweep
@@ -73,7 +73,7 @@ def test_what_needs_pictures_and_curves_is_drawn_of_the_store(tmp_path, tmp_path
     assert {file.name for file in folder.iterdir()} == {
         "runs.parquet", "views.parquet", "loss.png", "hsv.png", "hsv.md",
     }  # fmt: skip
-    text = "\n".join(kept(folder))
+    text = "\n".join(stored(folder))
     assert "**HSV Output Analysis" in text
     assert "![Training and evaluation loss](results/scenes/loss.png)" in text
     with pytest.raises(ValueError, match="unknown figure 'nonsense'"):

@@ -51,7 +51,7 @@ def test_a_run_of_another_count_is_not_the_papers_architecture(store):
     write_run(store, "qcolor", 7, columns={"color": "1L1S", "params.color": 400})
     table = rgb_predictors(runs(store))
     assert table.text.set_index("colour head").loc["1L1S", "seeds"] == "0"
-    assert "1 finished runs are of no architecture of this table" in table.notes
+    assert "1 finished runs have an architecture that is not in this table" in table.notes
 
 
 def test_runs_under_different_settings_are_not_averaged(store):

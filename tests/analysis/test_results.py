@@ -27,7 +27,7 @@ def test_the_page_has_a_section_a_folder(folder):
     text = page(folder)
     assert "On a machine." in text
     assert text.count("\n## ") == 1
-    assert "## What does a circuit head give on each scene?" in text
+    assert "## How good is a circuit head on each scene?" in text
     assert "python -m src.run -cd sweeps -cn scenes budget=short" in text
     assert "4 runs; `train=quick`, 10 steps; seeds 0, 1." in text
     assert "+1.00 [+1.00, +1.00]" in text
@@ -65,9 +65,9 @@ def test_a_question_can_be_asked_of_its_sweep(name, tmp_path):
     for number, (columns, config) in enumerate(jobs(question)):
         for seed in (0, 1):
             write_run(tmp_path, seed=seed, columns={"number": number, **columns}, config=config)
-    question = dataclasses.replace(question, alive=False, measured=False)  # what is probed is no part of the sweep
+    question = dataclasses.replace(question, units=False, hardware=False)  # the sweep does not probe its runs
     titles = [table.title for table in question.tables(load.runs(tmp_path))]
-    assert len(titles) == 1 + len(question.also) + question.stable + len(question.paper)
+    assert len(titles) == 1 + len(question.other_baselines) + question.failures + len(question.paper)
 
 
 def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:

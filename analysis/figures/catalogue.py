@@ -1,0 +1,106 @@
+"""Every figure that can be asked for by name, declared once: its title, its function, and what it is drawn from."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from .accuracy import accuracy_vs_speed
+from .capacity import capacity_vs_psnr, hash_configurations
+from .colors import hsv_study
+from .curves import loss_curves, psnr_vs_time
+from .encodings import encoding_channels
+from .ladder import speed_error_ladder
+from .pareto import engine_speed_vs_error, speed_vs_error
+from .plateaus import barren_plateaus
+from .probed import best_of
+from .qualitative import qualitative_grid
+from .sampling import sampling_strategies
+from .shape import psnr_vs_depth, psnr_vs_width
+from .shots_and_noise import psnr_vs_noise, psnr_vs_shots
+from .spectrum import fourier_spectrum
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A figure that can be asked for by name.
+
+    function: takes the DataFrame of `load.runs`; or the folder of one run, if `probe` names the table that `qnerf
+        probe` has to write for it; or nothing, if it draws the saved results of a benchmark.
+    options: keyword arguments of `function`.
+    paper: whether the paper has such a figure.
+    one_scene: whether each scene gets a figure of its own, as with a probe.
+    hint: the command that trains the runs it needs, if its error messages do not name one.
+    """
+
+    title: str
+    function: Callable[..., Figure]
+    options: Mapping[str, str] = field(default_factory=dict)
+    probe: str = ""
+    benchmark: bool = False
+    paper: bool = False
+    one_scene: bool = False
+    hint: str = ""
+
+    def draw(self, runs: pd.DataFrame, **options: Any) -> Figure:
+        """The figure of these runs, or of the best probed one. Raises ValueError with what is missing."""
+        source = [] if self.benchmark else [best_of(runs, self.probe) if self.probe else runs]
+        return self.function(*source, **self.options, **options)
+
+    def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+        """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with those of a scene."""
+        if not (self.one_scene or self.probe) or runs["scene_name"].nunique() < 2:
+            return {name: runs}
+        return {f"{name}_{scene}": own for scene, own in runs.groupby("scene_name")}
+
+
+_COLOR, _DENSITY = {"part": "color"}, {"part": "density"}
+_TRAIN = "`qnerf run -m {}` trains some".format
+
+FIGURES = {
+    "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr, paper=True),
+    "capacity_color": Entry("PSNR against the parameters of the colour head", capacity_vs_psnr, _COLOR, paper=True),
+    "capacity_density": Entry(
+        "PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY, paper=True
+    ),
+    "depth": Entry(
+        "PSNR against the depth of the colour head",
+        psnr_vs_depth,
+        paper=True,
+        hint=_TRAIN("field=qcolor qiren.layers=1,2,3"),
+    ),
+    "width": Entry(
+        "PSNR against the width of the colour head", psnr_vs_width, paper=True, hint=_TRAIN("color.width=16,32,64")
+    ),
+    "density_width": Entry(
+        "PSNR against the width of the density head",
+        psnr_vs_width,
+        {"head": "density"},
+        paper=True,
+        hint=_TRAIN("density.width=16,32,64"),
+    ),
+    "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True, hint=_TRAIN("hash=C1,C3,C5,C7")),
+    "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
+    "time": Entry("PSNR against wall time", psnr_vs_time),
+    "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
+    "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, benchmark=True),
+    "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, benchmark=True),
+    "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, benchmark=True),
+    "plateaus": Entry("Variance of gradients against wires", barren_plateaus, benchmark=True),
+    "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid, paper=True),
+    "hsv": Entry(
+        "Hue, saturation and value of truth, classical and quantum renderings",
+        hsv_study,
+        paper=True,
+        one_scene=True,
+        hint="`qnerf run -m field=classical,qcolor` trains both kinds",
+    ),
+    "sampling": Entry("Sampling strategies along a ray", sampling_strategies, probe="rays", paper=True),
+    "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding", paper=True),
+    "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, probe="spectrum"),
+    "shots": Entry("PSNR against shots", psnr_vs_shots),
+    "noise": Entry("PSNR against gate noise", psnr_vs_noise),
+}
+"""Name -> figure, in the order of the report."""

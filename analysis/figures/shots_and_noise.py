@@ -1,0 +1,72 @@
+"""PSNR of trained circuits on hardware: with a finite number of shots, or with gate errors."""
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from qnerf.metrics import metric_of
+
+from .. import style
+from ..condition_means import FILE, means
+from ..selection import select
+from . import points
+from .probed import having, probed
+
+
+def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
+    """PSNR under each measured condition, over the seeds of each configuration.
+
+    Only views that a run has under each of its conditions count.
+
+    Returns:
+        Columns shots (0: exact), noise ("none" or a channel), p (probability of a gate error), psnr (dB, mean over
+        views, then over seeds), psnr_std (over seeds; NaN for one), n (seeds measured under this condition),
+        scene_name, name, field, seeds (seeds measured under any condition).
+    """
+    runs = having(select(frame).runs, FILE)
+    parts = []
+    for _, row in points.points(runs, ["psnr"]).iterrows():
+        measured = pd.concat([means(probed(runs["path"][index], FILE)) for index in row["runs"]])
+        groups = measured.groupby(["shots", "noise", "p"])["psnr"]
+        table = pd.DataFrame({"psnr": groups.mean(), "psnr_std": groups.std(), "n": groups.size()}).reset_index()
+        parts.append(table.assign(**row[["scene_name", "name", "field"]], seeds=row["n"]))
+    return pd.concat(parts, ignore_index=True)
+
+
+@style.styled
+def psnr_vs_shots(frame: pd.DataFrame) -> Figure:
+    """PSNR against the shots per circuit, a panel per scene; the exact rendering is dashed."""
+    return _draw(frame, "shots")
+
+
+@style.styled
+def psnr_vs_noise(frame: pd.DataFrame) -> Figure:
+    """PSNR against the probability of a gate error, a panel per scene and noise channel; without noise is dashed."""
+    return _draw(frame, "p")
+
+
+def _draw(frame: pd.DataFrame, x: str) -> Figure:
+    table = hardware_points(frame)
+    noisy = table["noise"] != "none"
+    of_kind = ~noisy & (table["shots"] > 0) if x == "shots" else noisy & (table["shots"] == 0)
+    shown = table[of_kind & (table["n"] == table["seeds"])]
+    if shown.empty:
+        options = "shots=100,1000" if x == "shots" else "noise=depolarizing p=0.001,0.01"
+        raise ValueError(
+            f"no condition of this kind was measured for every seed of a configuration; `qnerf probe RUN {options}`"
+        )
+    panels = list(shown.groupby(["scene_name", "noise"]))
+    figure, axes = style.panels(len(panels), 2.6)
+    for ax, ((scene, noise), lines) in zip(axes, panels, strict=True):
+        for number, (name, line) in enumerate(lines.groupby("name", sort=False)):
+            look = style.series(number)
+            ax.errorbar(line[x], line["psnr"], line["psnr_std"], label=name, **look)
+            exact = ~noisy & (table["shots"] == 0) & (table["scene_name"] == scene) & (table["name"] == name)
+            ax.axhline(table.loc[exact, "psnr"].item(), color=look["color"], ls="--", lw=0.8)
+        ax.set(title=str(scene) if x == "shots" else f"{scene}: {noise}", xscale="log")
+        ax.set_xlabel("shots per circuit" if x == "shots" else "error probability of each gate")
+        ax.legend()
+    axes[0].set_ylabel(metric_of("psnr").heading)
+    partial = of_kind.sum() - len(shown)
+    rest = f"not drawn: {partial} conditions that some measured seeds lack" if partial else ""
+    style.footnote(figure, "dashed: exact", points.seeds(shown), rest, select(frame).note)
+    return figure
