@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
+from qnerf.cli.overrides import plugins as typed_plugins
 from qnerf.cli.plugins import node
 from qnerf.config.plugins import check_plugins, import_plugins
 from qnerf.config.registry import Registry
@@ -90,6 +91,13 @@ def test_only_the_modules_that_the_user_names_are_imported(stored):
         check_plugins("run", stored, [])
     check_plugins("run", [], [])
     check_plugins("run", ["a", "b"], ["b", "a"])
+
+
+@pytest.mark.parametrize("typed", ["plugins=a", "plugins=[a", "plugins=[1]", "+plugins={a: 1}", "plugins=[a],[b]"])
+def test_plugins_are_a_list_of_names(typed):
+    with pytest.raises(ValueError, match=r"expected a list of modules, such as plugins=\[my_module\]"):
+        typed_plugins([typed])
+    assert typed_plugins(["seed=1", "plugins=[a,b.c]"]) == ["a", "b.c"]
 
 
 def test_the_default_imports_nothing():

@@ -39,6 +39,28 @@ def test_wrong_type_names_key_and_value(registry, option, value):
         registry.build("circle", 3, **{option: value})
 
 
+def test_a_class_that_hands_its_options_on_has_those_of_its_parent(registry):
+    circle = registry.get("circle")
+
+    @registry.register("ring")
+    class Ring(circle):
+        def __init__(self, in_dim: int, *, hole: float = 0.5, **options) -> None:
+            super().__init__(in_dim, **options)
+
+    @registry.register("disc")
+    class Disc(circle):
+        def __init__(self, in_dim: int, *, thickness: float = 0.5) -> None:
+            super().__init__(in_dim)
+
+    assert list(registry.options("ring")) == ["hole", "radius", "corners", "tags"]
+    assert list(registry.options("disc")) == ["thickness"]
+    assert registry.build("ring", 3, radius=2.0, hole=1).given == (3, 2.0, 0, None)
+    with pytest.raises(ValueError, match="shape=ring: radius expects float, got 'x'"):
+        registry.build("ring", 3, radius="x")
+    assert registry.name_of(Ring) == "ring"
+    assert registry.name_of(int) is None
+
+
 def test_wiring_is_not_an_option(registry):
     with pytest.raises(ValueError, match="unknown option in_dim"):
         registry.check("circle", {"in_dim": 3})

@@ -39,11 +39,15 @@ def option(key: str, value: str = "") -> str:
 def plugins(arguments: Sequence[str]) -> list[str]:
     """The modules of `plugins=[a,b]`; empty where it is not given. ValueError where it is no list of names."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
 
     names: list[str] = []
     for argument in arguments:
         if argument.lstrip("+").startswith("plugins="):
-            value = OverridesParser.create().parse_override(argument).value()
+            try:
+                value = OverridesParser.create().parse_override(argument).value()
+            except HydraException:
+                value = None
             if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
                 raise ValueError(f"{argument}: expected a list of modules, such as plugins=[my_module]")
             names = value

@@ -1,5 +1,6 @@
 """Name -> component. A component's keyword-only parameters are its options: the signature is the schema."""
 
+import functools
 import inspect
 import types
 from collections.abc import Callable, Iterator, Mapping
@@ -66,6 +67,7 @@ class Registry(Generic[T]):
         check_options(f"{self.group}={name}", self.get(name), options)
 
 
+@functools.cache
 def options_of(component: Callable[..., Any]) -> dict[str, tuple[inspect.Parameter, Any]]:
     """Name -> parameter and annotation of each option of the component, its own first."""
     options: dict[str, tuple[inspect.Parameter, Any]] = {}
