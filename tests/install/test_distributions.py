@@ -39,7 +39,8 @@ def tracked() -> set[str]:
     folders = ("src", "conf", "sweeps", "analysis", "benchmarks", "tests", "docs", ".ci")
     files = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
     files = [path for path in files if "__pycache__" not in path.parts and ".egg-info" not in str(path)]
-    return {path.relative_to(ROOT).as_posix() for path in [*files, *ROOT.glob("*.md"), ROOT / "pyproject.toml"]}
+    files += [path for path in ROOT.iterdir() if path.is_file() and path.name not in ("PKG-INFO", "setup.cfg")]
+    return {path.relative_to(ROOT).as_posix() for path in files}
 
 
 @pytest.fixture(scope="module")
