@@ -75,7 +75,7 @@ def test_what_needs_pictures_and_curves_is_drawn_of_the_store(tmp_path, tmp_path
     }  # fmt: skip
     text = "\n".join(stored(folder))
     assert "**HSV Output Analysis" in text
-    assert "![Training and evaluation loss](results/scenes/loss.png)" in text
+    assert "![Loss in training and on held-out views](results/scenes/loss.png)" in text
     with pytest.raises(ValueError, match="unknown figure 'nonsense'"):
         main([str(trained), str(folder), "--figures", "nonsense"])
 
