@@ -10,8 +10,8 @@ from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, Case, fast_and_plain, only, rounded
 from qnerf.encoders import ENCODERS, level_resolutions
+from qnerf.heads.activations import softplus, trunc_exp
 from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
-from qnerf.model.activations import softplus, trunc_exp
 
 PHASES = 5e-7
 """Of sines and cosines whose phases are reduced in float64: half an ulp of pi for the phase, an ulp of 1 after it."""

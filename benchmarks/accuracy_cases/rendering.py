@@ -16,7 +16,7 @@ from benchmarks.accuracy_cases import EPS, Case, Function, fast_and_plain, round
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.heads import HEADS
-from qnerf.model.activations import trunc_exp
+from qnerf.heads.activations import trunc_exp
 from qnerf.model.field import Field
 from qnerf.rendering.render import render, volume_weights, volume_weights_reference
 from qnerf.types import Samples

@@ -18,12 +18,13 @@ from qnerf.config.settings import Settings, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
 from qnerf.geometry.hull import visual_hull
+from qnerf.geometry.pose_noise import add_pose_noise
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
+from qnerf.heads.activations import ACTIVATIONS
 from qnerf.metrics import image_metrics, metric_of
-from qnerf.model.activations import ACTIVATIONS
 from qnerf.model.field import Field
 from qnerf.model.labels import labels, slug
 from qnerf.model.model import Model
@@ -34,7 +35,6 @@ from qnerf.records.environment import capture, dirty_diff
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
-from qnerf.scenes.pose_noise import add_pose_noise
 from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext

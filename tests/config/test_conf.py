@@ -12,7 +12,7 @@ from qnerf.config.settings import settings_from
 from qnerf.encoders import DIRECTIONS
 from qnerf.experiment import build_head, run
 from qnerf.heads import head_options
-from qnerf.model.activations import ACTIVATIONS
+from qnerf.heads.activations import ACTIVATIONS
 from qnerf.quantum.circuit import Encoding
 from qnerf.quantum.initial_angles import INITS
 from qnerf.rendering.spacing import SPACINGS

@@ -13,7 +13,7 @@ from torch import Tensor
 from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.rendering import PIXELS, WEIGHT_GRADIENTS, WEIGHTS, SmallField
 from qnerf.config.settings import BACKGROUNDS
-from qnerf.model.activations import trunc_exp
+from qnerf.heads.activations import trunc_exp
 from qnerf.rendering.render import render, volume_weights, volume_weights_reference
 from qnerf.types import Samples
 from tests.helpers.hard_inputs import TINY, distance, rounded, seeds

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from qnerf.config.checks import at_least
 from qnerf.encoders.hash import HashEncoder
+from qnerf.heads.activations import trunc_exp
 from qnerf.kernels import compiled, proposal
-from qnerf.model.activations import trunc_exp
 from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from qnerf.geometry.pose_noise import add_pose_noise
 from qnerf.scenes import SCENES
-from qnerf.scenes.pose_noise import add_pose_noise
 from tests.helpers.scenes import write_scene
 
 

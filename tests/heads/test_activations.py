@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from qnerf.model.activations import ACTIVATIONS, softplus, trunc_exp
+from qnerf.heads.activations import ACTIVATIONS, softplus, trunc_exp
 
 
 def test_known_names() -> None:
