@@ -12,7 +12,7 @@ import pandas as pd
 from . import command, load
 from .figures.files import title
 from .paper import PAPER_TABLES
-from .tables import Table, ablation, hardware, stability, units
+from .tables import Table, ablation, shots_and_noise, stability, units
 
 HEAD = """\
 # Results
@@ -54,7 +54,7 @@ class Question:
         if self.alive:
             made.append(units(frame, self.rows))
         if self.measured:
-            made.append(hardware(frame, self.rows))
+            made.append(shots_and_noise(frame, self.rows))
         return made + [PAPER_TABLES[name][1](frame) for name in self.paper]
 
     def shown(self, name: str) -> list[str]:

@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.records import StoreError
 from qnerf.records.read import read_table
 
 from . import packed
-
-PER_VIEW = ("psnr", "ssim", "lpips", "depth_error", "depth_error_median")
-"""Metrics that eval.parquet has for each held-out image."""
 
 RESAMPLES = 10_000
 LEVEL = 0.95
@@ -41,8 +39,9 @@ def evaluations(runs: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     A run whose eval.parquet is absent, damaged or without the metric has no rows. ValueError for a metric that is not
     measured a view.
     """
-    if metric not in PER_VIEW:
-        raise ValueError(f"{metric} is not measured for each view; such metrics are {', '.join(PER_VIEW)}")
+    if metric_of(metric).kind != "image":
+        known = ", ".join(item.key for item in image_metrics())
+        raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
     found = [_views(path, metric) for path in runs["path"]]
     counts = [len(images) for images, _ in found]
     return pd.DataFrame(

@@ -16,11 +16,11 @@ from .capacity import capacity_points, capacity_vs_psnr, hash_configurations, ha
 from .colors import hsv_boxes, hsv_histograms, hsv_samples, hsv_study
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
-from .hardware import hardware_points, psnr_vs_noise, psnr_vs_shots
 from .ladder import ladder_points, speed_error_ladder
 from .pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
 from .plateaus import barren_plateaus, plateau_points
 from .probed import best_of
+from .psnr_vs_conditions import hardware_points, psnr_vs_noise, psnr_vs_shots
 from .qualitative import qualitative_grid, qualitative_panels, typical
 from .sampling import ray_samples, sampling_strategies
 from .shape import psnr_vs_depth, psnr_vs_width, shape_points

@@ -7,6 +7,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from qnerf.metrics import metric_of
+
 from .. import style
 from ..selection import select
 from ..settings import QUANTUM
@@ -47,7 +49,7 @@ def capacity_vs_psnr(frame: pd.DataFrame, part: str = "heads") -> Figure:
             _scatter(ax, table[(table["scene_name"] == scene) & (table["kind"] == kind)], norm)
             ax.set(title=f"{scene}: {kind}", xscale="log")
             ax.margins(0.12)
-        row[0].set_ylabel("PSNR, dB")
+        row[0].set_ylabel(metric_of("psnr").heading)
     style.plain_ticks(axes[-1, 0])
     for ax in axes[-1]:
         ax.set_xlabel(f"parameters of the {_named(part)}")
@@ -98,7 +100,7 @@ def hash_configurations(frame: pd.DataFrame) -> Figure:
         style.plain_ticks(ax)
         if len(families) > 1:
             ax.legend()
-    axes[0].set_ylabel("PSNR, dB")
+    axes[0].set_ylabel(metric_of("psnr").heading)
     _ssim_bar(figure, axes, norm)
     style.footnote(figure, points.seeds(table), select(frame).note)
     return figure
@@ -119,7 +121,7 @@ def _ssim_norm(table: pd.DataFrame) -> Normalize:
 
 
 def _ssim_bar(figure: Figure, axes: np.ndarray, norm: Normalize) -> None:
-    figure.colorbar(ScalarMappable(norm, style.SSIM), ax=axes, label="SSIM", aspect=30, pad=0.02)
+    figure.colorbar(ScalarMappable(norm, style.SSIM), ax=axes, label=metric_of("ssim").heading, aspect=30, pad=0.02)
 
 
 def _named(part: str) -> str:

@@ -4,6 +4,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from qnerf.metrics import metric_of
+
 from .. import style
 from ..load import metrics
 from ..selection import select
@@ -54,7 +56,7 @@ def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
             )  # fmt: skip
             ax.fill_between(curve["step"], curve["mse_low"], curve["mse_high"], color=look["color"], alpha=0.18, lw=0)
         ax.set(title=scene, xlabel="optimisation step", yscale="log")
-    axes[0].set_ylabel("mean squared colour error")
+    axes[0].set_ylabel(metric_of("mse").heading)
     style.legend(figure, columns=1 if len(axes) == 1 else 2)
     lines = "solid: training; dashed: held out, 10^(-PSNR/10), of the first train.eval_views views"
     style.footnote(figure, lines, points.seeds(table, "bands"), note, select(frame).note)
@@ -87,7 +89,7 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
             bars = {"yerr": curve["psnr_std"], "elinewidth": 0.7}
             ax.errorbar(curve["time_s"], curve["psnr"], label=name, **bars, **style.series(order.index(name)))
         ax.set(title=scene, xlabel="training time, s")
-    axes[0].set_ylabel("held-out PSNR, dB")
+    axes[0].set_ylabel(metric_of("eval/psnr").heading)
     style.legend(figure, columns=1 if len(axes) == 1 else 2)
     views = "of the first train.eval_views views"
     style.footnote(figure, views, points.seeds(table), note, select(frame).note)

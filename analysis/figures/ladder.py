@@ -6,6 +6,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qnerf.metrics import metric_of
+
 from .. import style
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "speed_error.parquet"
@@ -40,7 +42,7 @@ def speed_error_ladder(results: str | Path | pd.DataFrame = BENCHMARK) -> Figure
             _draw(axes[row, column], own[own["scene"] == scene], value, list(dict.fromkeys(own["rung"])))
         axes[0, column].set_title(scene)
         axes[1, column].set(yscale="log", xlabel="training step, ms")
-    axes[0, 0].set_ylabel("PSNR of held-out views, dB")
+    axes[0, 0].set_ylabel(metric_of("eval/psnr").heading)
     axes[1, 0].set_ylabel("picture, rms error against float64")
     handles = {text: handle for ax in axes.flat for handle, text in zip(*ax.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=3)

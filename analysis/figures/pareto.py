@@ -6,11 +6,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from qnerf.metrics import metric_of
+
 from .. import style
 from ..selection import select
 from . import points
 
-TIMES = {"step_ms": "median time of a step, ms", "train_s": "training time, s"}
+TIMES = ("step_ms", "train_s")
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "results" / "quantum.parquet"
 
 
@@ -22,23 +24,23 @@ def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
     return ~(no_worse & better).any(axis=0) & cost.notna() & loss.notna()
 
 
-def speed_points(frame: pd.DataFrame, time: str = "step_ms") -> pd.DataFrame:
-    """`points.points` of PSNR (dB) and a time with `front`: whether no other of its scene beats it.
+def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> pd.DataFrame:
+    """`points.points` of an image metric and a time with `front`: whether no other of its scene beats it.
 
     ValueError for another time.
     """
     if time not in TIMES:
         raise ValueError(f"unknown time {time!r}; known: {', '.join(TIMES)}")
-    table = points.points(select(frame).runs, ["psnr", time])
+    table = points.points(select(frame, metric).runs, [metric, time])
     for _, rows in table.groupby("scene_name"):
-        table.loc[rows.index, "front"] = front(rows[time], -rows["psnr"])
+        table.loc[rows.index, "front"] = front(rows[time], -metric_of(metric).sign * rows[metric])
     return table.astype({"front": bool})
 
 
 @style.styled
-def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms") -> Figure:
-    """PSNR against a time, one panel a scene, with the Pareto front drawn and its points named."""
-    table = speed_points(frame, time)
+def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> Figure:
+    """An image metric against a time, one panel a scene, with the Pareto front drawn and its points named."""
+    table = speed_points(frame, time, metric)
     scenes = points.scenes(table)
     figure = style.new(style.COLUMN if len(scenes) == 1 else style.PAGE, 3.1)
     axes = figure.subplots(1, len(scenes), squeeze=False)[0]
@@ -47,23 +49,23 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms") -> Figure:
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):
             color, marker = style.FIELDS[str(field)]
-            bars = {"yerr": group["psnr_std"], "xerr": group[f"{time}_std"], "elinewidth": 0.7}
-            ax.errorbar(group[time], group["psnr"], fmt=marker, color=color, label=field, **bars)
+            bars = {"yerr": group[f"{metric}_std"], "xerr": group[f"{time}_std"], "elinewidth": 0.7}
+            ax.errorbar(group[time], group[metric], fmt=marker, color=color, label=field, **bars)
         on = shown[shown["front"]].sort_values(time)
-        ax.step(on[time], on["psnr"], where="post", color=style.ink(), lw=0.8, alpha=0.6, zorder=1)
+        ax.step(on[time], on[metric], where="post", color=style.ink(), lw=0.8, alpha=0.6, zorder=1)
         for number, (_, row) in enumerate(on.iterrows()):
             named.append(f"{len(named) + 1}  {row['name']}" + (f" ({scene})" if len(scenes) > 1 else ""))
             offset = (-6 - 9 * (number % 2), 4)  # neighbours on the front may lie close together
-            ax.annotate(f"{len(named)}", (row[time], row["psnr"]), offset, textcoords="offset points", ha="right")
-        ax.set(title=scene, xlabel=TIMES[time], xscale="log")
+            ax.annotate(f"{len(named)}", (row[time], row[metric]), offset, textcoords="offset points", ha="right")
+        ax.set(title=scene, xlabel=metric_of(time).heading, xscale="log")
         ax.set_xlim(shown[time].min() / 1.5, shown[time].max() * 1.3)
         ax.margins(y=0.12)
         style.plain_ticks(ax)
         ax.legend()
-    axes[0].set_ylabel("PSNR, dB")
+    axes[0].set_ylabel(metric_of(metric).heading)
     invisible = [Line2D([], [], ls="") for _ in named]
     figure.legend(invisible, named, loc="outside upper left", handlelength=0, ncols=len(scenes))
-    style.footnote(figure, "line and numbers: Pareto front", points.seeds(table), select(frame).note)
+    style.footnote(figure, "line and numbers: Pareto front", points.seeds(table), select(frame, metric).note)
     return figure
 
 

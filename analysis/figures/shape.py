@@ -3,6 +3,8 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
+from qnerf.metrics import metric_of
+
 from .. import style
 from ..selection import check_keys, select
 from . import points
@@ -82,7 +84,7 @@ def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
             ax.set_title(f"{scene}: {_HEADS[head]}, {'circuits' if kind == 'qiren' else 'MLPs'}")
             if len(shown):
                 ax.legend()
-        row[0].set_ylabel("PSNR, dB")
+        row[0].set_ylabel(metric_of("psnr").heading)
     for ax, kind in zip(axes[-1], kinds, strict=True):
         ax.set_xlabel(_AXES[measure, kind])
         if measure == "width" and kind == "mlp":

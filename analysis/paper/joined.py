@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from ..selection import label, refuse_mixtures, select
-from ..tables.seeds import aggregate
+from ..tables.seeds import aggregate, mean_and_spread
 from ..tables.table import Table
-from ..tables.values import shown, value
 
 SETTING = "paper: one run and one seed a row, nerfstudio's poster capture at 36 x 64, 30,000 steps"
 _SAID = ("scene_name", "encoder", "hash", "train", "train.steps", "train.rays")
@@ -53,13 +54,14 @@ def side_by_side(
     text = pd.DataFrame({heading: _text(table[name], form) for name, heading in columns.items()})
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     for name in _OURS:
-        (theirs, digits), heading = _THEIRS[name], value(name).heading
+        (theirs, digits), heading = _THEIRS[name], metric_of(name).heading
         if theirs in table:
             text[f"{heading}: paper"] = _text(table[theirs], digits)
             bold[f"{heading}: paper"] = _best(table[theirs], name)
         ours = table[[f"ours_{name}_{column}" for column in ("mean", "std", "n")]]
         text[f"{heading}: ours"] = [
-            shown(name, *row, seeds) for row, seeds in zip(ours.to_numpy(), table["ours_seeds_n"], strict=True)
+            mean_and_spread(name, *row, seeds)
+            for row, seeds in zip(ours.to_numpy(), table["ours_seeds_n"], strict=True)
         ]
         bold[f"{heading}: ours"] = _best(table[f"ours_{name}_mean"], name)
     text["seeds"] = table["ours_seeds_n"].map(str)
@@ -74,4 +76,5 @@ def _text(column: pd.Series, form: str) -> pd.Series:
 
 
 def _best(column: pd.Series, name: str) -> pd.Series:
-    return (column == getattr(column, value(name).better or "max")()) & (column.notna().sum() > 1)
+    sign = metric_of(name).sign
+    return (sign * column == (sign * column).max()) & (column.notna().sum() > 1)

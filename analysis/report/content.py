@@ -1,6 +1,5 @@
 """The runs as the page's script reads them, and what its first lines say."""
 
-import re
 from datetime import UTC, datetime
 from typing import Any
 
@@ -8,29 +7,23 @@ import numpy as np
 import pandas as pd
 
 import qnerf
+from qnerf.metrics import METRICS, image_metrics, metric_of
 
 from .. import style
 from ..figures import points
 from ..selection import select
 from ..settings import LABELS, first_of_each
-from ..tables.values import VALUES, value
 from . import curves, pictures
 from .columns import packed
 from .versions import versions
 
-SHOWN = (
-    "run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed", "psnr", "ssim", "lpips",
-    "depth_error", "params.heads", "params.total", "step_ms", "train_s", "tags",
-)  # fmt: skip
-"""Columns of the table of runs to begin with."""
+LABEL_COLUMNS = ("run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed")
+COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
+"""The table of runs shows these to begin with, and the image metrics between them."""
 
 UNLESS_CONSTANT = ("scene_name", "encoder", "density", "color", "tags")
 
-HEADINGS = {
-    "run_id": "run", "scene_name": "scene", "color": "colour", "params.heads": "head parameters",
-    "params.total": "all parameters", "train_s": "training, s", "eval_s": "evaluation, s",
-    "time.quantum_ms": "circuits, ms a step", "peak_memory_mb": "peak memory, MB",
-}  # fmt: skip
+HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
@@ -89,13 +82,16 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "columns": columns,
         "settings": settings,
         "shown": [
-            name for name in SHOWN if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
+            name
+            for name in (*LABEL_COLUMNS, *(metric.key for metric in image_metrics()), *COST_COLUMNS)
+            if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
         ],
-        "headings": {name: _heading(name) for name in {*VALUES, *HEADINGS, *columns}},
+        "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
+        "kinds": {kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("image", "size", "time")},
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "curves": logged,
-        "curve_names": curves.KEYS,
+        "curve_names": {key: metric_of(key).heading for key in curves.logged_keys()},
         "pictures": {"files": drawn.files, "runs": drawn.runs, "none": not drawn.files},
     }
 
@@ -141,13 +137,12 @@ def no_plots(frame: pd.DataFrame) -> str:
 
 def no_curves(logged: dict[int, Any]) -> str:
     """Why there are no curves; empty where there are some."""
-    return (
-        "" if logged else f"No run has logged any of {', '.join(curves.KEYS)}: they come every train.log_every steps."
-    )
+    keys = ", ".join(curves.logged_keys())
+    return "" if logged else f"No run has logged any of {keys}: they come every train.log_every steps."
 
 
-def _heading(name: str) -> dict[str, Any]:
-    known = name in VALUES or name in HEADINGS
-    found = {"text": HEADINGS.get(name, value(name).heading)} if known else {"text": name}
-    digits = re.search(r"\.(\d)f", value(name).form)
-    return found | ({"digits": int(digits[1])} if digits else {"digits": 0} if name == "params.heads" else {})
+def _described(name: str) -> dict[str, Any]:
+    """A column as the page's script reads it; `digits` is null where nothing is to be rounded."""
+    metric = metric_of(name)
+    heading = HEADINGS.get(name, metric.heading)
+    return {"heading": heading, "digits": metric.digits, "sign": metric.sign}

@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from qnerf.metrics import image_metrics
+
 from ..load import metrics
 from .columns import rounded_all
 
-KEYS = {
-    "eval/psnr": "held-out PSNR, dB",
-    "train/psnr": "training PSNR, dB",
-    "train/loss": "training loss",
-    "train/mse": "mean squared colour error",
-    "time/step_ms": "time of a step, ms",
-}
-"""Metric -> what it is called on the page."""
 MOST_RUNS = 300
 POINTS = 80
+
+
+def logged_keys() -> list[str]:
+    """Keys of metrics.parquet whose curves the page shows."""
+    held_out = [f"eval/{metric.key}" for metric in image_metrics()]
+    return [*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms"]
 
 
 def gather(
@@ -33,9 +33,9 @@ def gather(
             logged = metrics(frame["path"].iloc[row])
         except ValueError:  # no metrics yet, or damaged ones
             logged = pd.DataFrame({"key": []})
-        curves = {key: thinned(part) for key, part in logged.groupby("key") if key in KEYS}
+        curves = {key: thinned(part) for key, part in logged.groupby("key") if key in logged_keys()}
         if curves:
-            found[row] = {key: curves[key] for key in KEYS if key in curves}
+            found[row] = {key: curves[key] for key in logged_keys() if key in curves}
         told()
     return found
 

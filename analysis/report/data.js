@@ -17,14 +17,14 @@ const value = (name, run) => columns.get(name)?.[run] ?? null;
 const isNumeric = (name) => column(name).some((v) => typeof v === "number");
 
 /** What `name` is called on the page, with its unit. */
-const heading = (name) => DATA.headings[name]?.text ?? name;
+const heading = (name) => DATA.metrics[name]?.heading ?? name;
 
 /** A value as it is shown: rounded as the tables round it, with an en dash where there is none. */
 function shown(name, v) {
   if (v === null || v === undefined) return "–";
   if (typeof v !== "number") return String(v);
-  const digits = DATA.headings[name]?.digits;
-  if (digits === undefined) return String(v);
+  const digits = DATA.metrics[name]?.digits ?? null;
+  if (digits === null) return String(v);
   return v.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 

@@ -9,9 +9,9 @@ from .. import hsv
 from ..figures import FIGURES, colors
 from ..paper import PAPER_TABLES
 from ..tables import Table
-from ..tables.needs import TOLERANCE
+from ..tables.smallest import TOLERANCE
 from .figures import Drawn, draw
-from .tables import ShownTable, attempt, over_seeds, what_the_scene_needs
+from .tables import ShownTable, attempt, over_seeds, smallest_configurations
 
 PAPER_FIGURES = (
     "capacity", "capacity_color", "capacity_density", "depth", "width", "density_width", "hash", "loss", "qualitative",
@@ -53,8 +53,9 @@ def parts(frame: pd.DataFrame, told: Callable[[], None]) -> list[Part]:
     if repeats:
         configurations.text = f"{repeats:,} runs {REPEATS}"
     configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame)]
-    needs = Part("needs", "Needs", "What this scene needs")
-    needs.tables = [attempt(f"The least parameters within {TOLERANCE:g} dB of the best", what_the_scene_needs, frame)]
+    smallest = Part("smallest", "Smallest", "The smallest configuration that is nearly the best")
+    title = f"The fewest parameters within {TOLERANCE:g} dB of the best"
+    smallest.tables = [attempt(title, smallest_configurations, frame)]
     colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
     colours.tables = [
         attempt(f"Hue, saturation and value: {scene}", _hsv_table, own, str(scene))
@@ -67,7 +68,7 @@ def parts(frame: pd.DataFrame, told: Callable[[], None]) -> list[Part]:
     paper.draw(PAPER_FIGURES, frame, told)
     more = Part("more", "Figures", "More figures")
     more.draw([name for name in FIGURES if name not in (*PAPER_FIGURES, *COLOURS)], frame, told)
-    return [configurations, needs, colours, paper, more]
+    return [configurations, smallest, colours, paper, more]
 
 
 def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.DataFrame) -> list[ShownTable]:

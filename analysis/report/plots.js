@@ -1,8 +1,5 @@
 /** Interactive plots of the selected runs: a mark a run, a larger one a configuration, and the Pareto front. */
 
-const SIZES = ["params.heads", "params.color", "params.density", "params.encoder", "params.total"];
-const TIMES = ["step_ms", "train_s", "time.quantum_ms", "eval_s"];
-const BETTER = { psnr: 1, ssim: 1, lpips: -1, depth_error: -1, depth_error_median: -1 };
 const plotSettings = { responsive: true, displayModeBar: false };
 
 function plotLayout(x, y, more = {}) {
@@ -53,7 +50,7 @@ function configurations(runs, x, y) {
 
 /** The points that no other beats: going right, each is better than all before it. */
 function front(points, y) {
-  const sign = BETTER[y] ?? 1;
+  const sign = DATA.metrics[y].sign;
   let best = -Infinity;
   return [...points]
     .sort((a, b) => a.x.mean - b.x.mean || sign * (b.y.mean - a.y.mean))
@@ -149,10 +146,10 @@ function logarithmic(values, most) {
 
 function startPlots() {
   if (!$("capacity")) return;
-  const given = (names) => names.filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]);
-  options($("capacity-x"), given(SIZES));
-  options($("speed-x"), given(TIMES));
-  options($("plot-y"), given(Object.keys(BETTER)));
+  const measured = (kind) => DATA.kinds[kind].filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]);
+  options($("capacity-x"), measured("size"));
+  options($("speed-x"), measured("time"));
+  options($("plot-y"), measured("image"));
   options($("plot-scene"), DATA.scenes.map((name) => [name, name]));
   for (const id of ["capacity-x", "speed-x", "plot-y", "plot-scene"]) $(id).addEventListener("change", drawPlots);
   selection.listeners.push(drawPlots);

@@ -9,7 +9,7 @@ import pandas as pd
 from ..figures import points
 from ..selection import select
 from ..settings import LABELS, configuration
-from ..tables import Table, ablation, needs
+from ..tables import Table, ablation, smallest
 
 MOST_ERROR = 600  # characters of an error that may list every column
 MOST_ROWS = 30  # configurations of a scene in the ablation table
@@ -80,5 +80,5 @@ def over_seeds(frame: pd.DataFrame) -> Table:
     return Table(table.title, table.text, table.data, table.bold, (*table.notes, *filter(None, [left])))
 
 
-def what_the_scene_needs(frame: pd.DataFrame) -> Table:
-    return needs(frame, row_keys(select(frame).runs))
+def smallest_configurations(frame: pd.DataFrame) -> Table:
+    return smallest(frame, row_keys(select(frame).runs))

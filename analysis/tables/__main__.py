@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 
+from qnerf.metrics import METRICS
+
 from .. import command
 from ..paper import PAPER_TABLES
 from .ablation import ablation
-from .hardware import hardware
-from .needs import TOLERANCE, needs
+from .shots_and_noise import shots_and_noise
+from .smallest import TOLERANCE, smallest
 from .stability import stability
 from .units import units
-from .values import VALUES
 
 DESCRIPTION = """\
 Tables over seeds from a folder of runs. A row is a group of finished runs that differ in their seed alone: mean ±
@@ -20,7 +21,7 @@ EXAMPLES = """\
   python -m analysis.tables runs
   python -m analysis.tables runs --rows field,qiren --filter scene_name=poster
   python -m analysis.tables runs --rows scene_name,field --baseline field=classical --format latex
-  python -m analysis.tables runs --rows field,hash --needs --tolerance 0.5 --size step_ms
+  python -m analysis.tables runs --rows field,hash --smallest --tolerance 0.5 --size step_ms
   python -m analysis.tables runs --rows scene_name,field --stability
   python -m analysis.tables runs --paper rgb --filter scene_name=poster
 """
@@ -36,7 +37,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "(field, density, color, hash, qiren, train); default: %(default)s",
     )
     parser.add_argument(
-        "--values", metavar="NAME,...", help=f"columns to show; default: those given of {', '.join(VALUES)}"
+        "--values",
+        metavar="NAME,...",
+        help=f"columns to show; default: the metrics that the runs have, of {', '.join(METRICS)}",
     )
     parser.add_argument("--metric", default="psnr", help="what runs are judged by; default: %(default)s")
     parser.add_argument(
@@ -46,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "difference",
     )
     parser.add_argument(
-        "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
+        "--smallest", "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
     )
     parser.add_argument(
         "--stability", action="store_true", help="instead: the worst seed of each row, and how many fail"
@@ -57,15 +60,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="instead: dead units and the spread of colours, of runs that `qnerf evaluate RUN units` probed",
     )
     parser.add_argument(
+        "--shots-and-noise",
         "--hardware",
         action="store_true",
         help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf evaluate RUN shots=100` measured",
     )
     parser.add_argument(
-        "--tolerance", type=float, default=TOLERANCE, help="for --needs, in the metric's unit; default: %(default)s dB"
+        "--tolerance",
+        type=float,
+        default=TOLERANCE,
+        help="for --smallest, in the metric's unit; default: %(default)s dB",
     )
     parser.add_argument(
-        "--size", default="params.total", help="for --needs: what is small, such as step_ms; default: %(default)s"
+        "--size", default="params.total", help="for --smallest: what is small, such as step_ms; default: %(default)s"
     )
     titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
     parser.add_argument(
@@ -76,16 +83,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows = options.rows.split(",")
     if options.paper:
         table = PAPER_TABLES[options.paper][1](frame)
-    elif options.needs:
-        table = needs(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
+    elif options.smallest:
+        table = smallest(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
     elif options.stability:
         if options.metric != "psnr":
             raise ValueError(f"--stability counts dB of psnr, got --metric {options.metric}")
         table = stability(frame, rows)
     elif options.units:
         table = units(frame, rows)
-    elif options.hardware:
-        table = hardware(frame, rows)
+    elif options.shots_and_noise:
+        table = shots_and_noise(frame, rows)
     else:
         values = options.values.split(",") if options.values else None
         table = ablation(frame, rows, metric=options.metric, values=values, baseline=options.baseline)

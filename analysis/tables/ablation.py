@@ -4,11 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
 from .differences import against, interval, pairs
-from .seeds import aggregate, values_of
+from .seeds import aggregate, mean_and_spread, values_of
 from .table import Table
-from .values import shown, value
 
 
 def ablation(
@@ -36,7 +37,7 @@ def ablation(
     if baseline is not None:
         differences, remarks = against(runs, rows, table.index.to_frame(index=False), baseline, metric)
         notes += remarks
-    return compose(table, differences, title or f"{value(metric).heading} over seeds", notes, metric)
+    return compose(table, differences, title or f"{metric_of(metric).heading} over seeds", notes, metric)
 
 
 def markdown(table: pd.DataFrame) -> str:
@@ -55,11 +56,11 @@ def compose(
     for name in names:
         column = table[name]
         numbers = zip(column["mean"], column["std"], column["n"], seeds, strict=True)
-        text[value(name).heading] = [shown(name, *row) for row in numbers]
-        bold[value(name).heading] = best(table, name).to_numpy()
+        text[metric_of(name).heading] = [mean_and_spread(name, *row) for row in numbers]
+        bold[metric_of(name).heading] = best(table, name).to_numpy()
     if differences is not None:
-        heading = f"difference, {value(metric).heading}"
-        text[heading] = [interval(row, value(metric).form) for row in differences.itertuples()]
+        heading = f"difference, {metric_of(metric).heading}"
+        text[heading] = [interval(row, metric_of(metric).text) for row in differences.itertuples()]
         text["pairs"] = [pairs(row) for row in differences.itertuples()]
         table = table.join(pd.concat({"difference": differences.set_index(table.index)}, axis=1))
     text["seeds"] = seeds.map("{:d}".format).to_numpy()
@@ -71,11 +72,11 @@ def compose(
 
 def best(table: pd.DataFrame, name: str) -> pd.Series:
     """True where the mean of `name` prints like the best of its scene; nowhere if all print the same."""
-    means, better = table[(name, "mean")], value(name).better
-    if better is None:
+    item, means = metric_of(name), table[(name, "mean")]
+    if item.better is None:
         return pd.Series(False, index=table.index)
-    printed = means.map(value(name).form.format, na_action="ignore")
+    printed = means.map(item.text, na_action="ignore")
     scenes = [key for key in table.index.names if key in SCENES]
     scene = table.index.to_frame()[scenes].apply(tuple, axis=1) if scenes else pd.Series(0, index=table.index)
-    winners = means.groupby(scene).transform(better).map(value(name).form.format, na_action="ignore")
+    winners = (item.sign * (item.sign * means).groupby(scene).transform("max")).map(item.text, na_action="ignore")
     return (printed == winners) & (printed.groupby(scene).transform("nunique") > 1)

@@ -1,6 +1,6 @@
 """The difference of every row of a table from a baseline row, with its interval."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -58,14 +58,14 @@ def references(keys: pd.DataFrame, rows: Sequence[str], baseline: str | Mapping[
     return [found[number] for number in keys.index]
 
 
-def interval(row: Any, form: str) -> str:
+def interval(row: Any, text: Callable[..., str]) -> str:
     """`+0.52 [+0.10, +0.93] *`, the star where the interval excludes 0."""
     if pd.isna(row.seeds):
         return "baseline"
     if row.seeds == 0:
         return "no pairs"
     difference = Difference(row.mean, row.low, row.high, int(row.seeds), int(row.views))
-    mean, low, high = (form.replace("{:", "{:+").format(x) for x in (row.mean, row.low, row.high))
+    mean, low, high = (text(x, sign="+") for x in (row.mean, row.low, row.high))
     return f"{mean} [{low}, {high}]" + (" *" if difference.significant else "")
 
 

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from qnerf.metrics import METRICS, metric_of
+
 from ..selection import check_keys, finite, refuse_mixtures, select
-from .values import VALUES
 
 
 def over_seeds(
@@ -14,7 +15,7 @@ def over_seeds(
     """Mean and standard deviation (n - 1) over the seeds of each group of finished runs with a finite `metric`.
 
     Columns (value, "mean" | "std" | "n") and ("seeds", "n"), in the values' own units: dB, seconds, ms. A group of one
-    seed has no standard deviation. `values`: those of `VALUES` that the runs have, unless given. Raises ValueError for
+    seed has no standard deviation. `values`: the metrics that the runs have, unless given. Raises ValueError for
     an unknown key or value, where nothing is left, and where a group would mix scenes or configurations.
     """
     check_keys(frame, rows)
@@ -24,9 +25,10 @@ def over_seeds(
 
 
 def values_of(runs: pd.DataFrame, metric: str, asked: Sequence[str] | None) -> list[str]:
-    """`asked` if every one is a number of the runs; else those of `VALUES` that are given, the metric among them."""
+    """`asked` if every one is a number of the runs; else the metrics that the runs have."""
     if asked is None:
-        return [name for name in dict.fromkeys([*VALUES, metric]) if name in runs.columns and _is_given(name, runs)]
+        usual = [name for name, item in METRICS.items() if not item.on_request]
+        return [name for name in dict.fromkeys([*usual, metric]) if name in runs.columns and _is_given(name, runs)]
     for name in asked:
         finite(runs, name)  # refuses what is not there
     return list(dict.fromkeys(asked))
@@ -44,3 +46,12 @@ def _is_given(name: str, runs: pd.DataFrame) -> bool:
     given = runs[name].notna().any()
     optional = name in ("params.sampler", "params.cameras", "params.appearance")
     return bool(given and (not optional or runs[name].any()))
+
+
+def mean_and_spread(name: str, mean: float, std: float, n: int, seeds: int) -> str:
+    """`26.00 ± 0.48`; one seed has no spread, and `(n = 2)` says that only 2 of the row's seeds have the value."""
+    if pd.isna(mean):
+        return ""
+    text = metric_of(name).text
+    spread = "" if name.startswith("params.") or pd.isna(std) else f" ± {text(std)}"
+    return text(mean) + spread + (f" (n = {n})" if n < seeds else "")

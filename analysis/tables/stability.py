@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from .seeds import mean_and_spread
 from .table import Table
-from .values import shown, value
 
 SLIP, COLLAPSE = 1.5, 5.0  # dB
 
@@ -30,9 +32,9 @@ def stability(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
         data[name] = [int((values < least).sum()) for (_, values), least in zip(groups, limit, strict=True)]
     text = pd.DataFrame({name: data.index.get_level_values(name).map(label) for name in data.index.names})
     spread = data[["mean", "std", "n"]].to_numpy()
-    text[value("psnr").heading] = [shown("psnr", mean, std, n, n) for mean, std, n in spread]
+    text[metric_of("psnr").heading] = [mean_and_spread("psnr", mean, std, n, n) for mean, std, n in spread]
     for name in ("median", "worst", "best"):
-        text[name] = data[name].map(value("psnr").form.format).to_numpy()
+        text[name] = data[name].map(metric_of("psnr").text).to_numpy()
     for name in ("slipped", "collapsed"):
         text[name] = [f"{count} of {n}" for count, n in zip(data[name], data["n"], strict=True)]
     notes = [

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from .. import packed
 from ..selection import check_keys, label, refuse_mixtures, select
+from .seeds import mean_and_spread
 from .table import Table
-from .values import shown, value
 
 
 def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> Table:
@@ -30,7 +32,7 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
     data = groups.mean().assign(n=groups.size())
     text = pd.DataFrame({name: data.index.get_level_values(name).map(label) for name in data.index.names})
     psnr = groups["psnr"].agg(["mean", "std", "count"]).to_numpy()
-    text[value("psnr").heading] = [shown("psnr", mean, std, int(n), int(n)) for mean, std, n in psnr]
+    text[metric_of("psnr").heading] = [mean_and_spread("psnr", mean, std, int(n), int(n)) for mean, std, n in psnr]
     for name in columns:
         form = "{:.0%}" if name.startswith("dead") else "{:.2g}"
         text[name] = ["" if pd.isna(number) else form.format(number) for number in data[name]]

@@ -22,7 +22,7 @@ from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible
 from qnerf.heads import HEADS
-from qnerf.metrics import image_metrics, metric
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.activations import ACTIVATIONS
 from qnerf.model.field import Field
 from qnerf.model.model import Model
@@ -291,7 +291,7 @@ def _execute(
                 # A curve is one of the same views from its first point to its last.
                 curve = means(rows[: train.eval_views or None])
                 store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-                display.note(f"step {trainer.step}: held-out PSNR {metric('psnr').with_unit(measured['psnr'])}")
+                display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(measured['psnr'])}")
     finally:
         display.end()
     if not trainer.done:

@@ -7,14 +7,14 @@ Tables, figures, the report and the command line read `METRICS`. A metric of hel
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-__all__ = ["METRICS", "Metric", "declare", "image_metrics", "metric"]
+__all__ = ["METRICS", "Metric", "declare", "image_metrics", "metric_of"]
 
 
 @dataclass(frozen=True)
 class Metric:
     """How one column of summary.parquet or eval.parquet is shown.
 
-    >>> psnr = metric("psnr")
+    >>> psnr = metric_of("psnr")
     >>> psnr.heading, psnr.text(21.5), psnr.with_unit(21.5)
     ('PSNR, dB', '21.50', '21.50 dB')
     """
@@ -67,7 +67,7 @@ def image_metrics() -> list[Metric]:
     return [metric for metric in METRICS.values() if metric.kind == "image"]
 
 
-def metric(key: str) -> Metric:
+def metric_of(key: str) -> Metric:
     """The metric of a column, or of a key of metrics.parquet: `eval/psnr` is the held-out PSNR.
 
     A column that is not declared is shown under its own name.

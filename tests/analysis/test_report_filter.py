@@ -29,8 +29,9 @@ CONDITIONS = [
     "psnr>21.5", "psnr>=21.5", "psnr<0", "psnr<=2.5e1", "psnr=25", "psnr=25.0", "psnr=none", "psnr!=none", "psnr<inf",
     "psnr>-inf", "psnr=+.25e2", "seed=0,10", "seed=1_0", "seed=", "seed=0x0", "flag=true", "flag=TRUE", "flag>0",
     "flag=1", "flag=none", "tag=good", "tags=base", "tag=none", "tag!=base", "mixed=10", "mixed=au*", "mixed=a?b",
-    "'two words=x y'", "'two words'=x*", '"two words"=none', "two\\ words=x", "psnr>1\\", "scene.path=*a[1]", "scene.path=/data/?*",
-    "scene.path=*[!x]*", "field=1", "state=finished,seed=0", "seed=0,1,psnr>22", "psnr>high", "psnr<", "state='open",
+    "'two words=x y'", "'two words'=x*", '"two words"=none', "two\\ words=x", "psnr>1\\", "scene.path=*a[1]",
+    "scene.path=/data/?*", "scene.path=*[!x]*", "field=1", "state=finished,seed=0", "seed=0,1,psnr>22",
+    "psnr>high", "psnr<", "state='open",
     "seed=0  state=finished", "run_id=[odd]*", "psnr=nan", "mixed=a,b", "! =", "=x", ",seed=0",
 ]  # fmt: skip
 

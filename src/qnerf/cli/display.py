@@ -10,7 +10,7 @@ from rich.table import Table
 
 from qnerf.cli.text import tree
 from qnerf.experiment import Display, Outcome
-from qnerf.metrics import image_metrics, metric
+from qnerf.metrics import image_metrics, metric_of
 
 
 def print_config(console: Console, config: Mapping[str, Any]) -> None:
@@ -43,7 +43,9 @@ class LiveDisplay(Display):
         self.progress.start()
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
-        values = [f"{metric(key).label} {metric(key).with_unit(metrics[f'train/{key}'])}" for key in ("loss", "psnr")]
+        values = [
+            f"{metric_of(key).label} {metric_of(key).with_unit(metrics[f'train/{key}'])}" for key in ("loss", "psnr")
+        ]
         status = "  ".join([*values, f"{1e3 / metrics['time/step_ms']:.1f} steps/s"])
         self.progress.update(self.task, completed=step, status=status)
         if self.progress.disable and step % self.every == 0:
@@ -72,7 +74,9 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
     table.add_row("parameters", f"{parts['total']:,}", listed)
     table.add_row(
-        "training", f"{summary['train_s']:.1f} s", f"{metric('step_ms').with_unit(summary['step_ms'])} a step, median"
+        "training",
+        f"{summary['train_s']:.1f} s",
+        f"{metric_of('step_ms').with_unit(summary['step_ms'])} a step, median",
     )
     console.print(table)
     for name, path, what in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from qnerf.config.checks import at_least
 from qnerf.experiment import ray_table
-from qnerf.metrics import image_metrics, metric
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer
 from qnerf.quantum.hardware_conditions import conditions
@@ -124,7 +124,7 @@ def evaluate_hardware(
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())
         shots = f"{condition.shots} shots" if condition.shots else "exact"
-        shown = [(metric(key).label, metric(key).with_unit(new[key].mean())) for key in ("psnr", "ssim")]
+        shown = [(metric_of(key).label, metric_of(key).with_unit(new[key].mean())) for key in ("psnr", "ssim")]
         quality = ", ".join(map(" ".join, shown))
         tell(f"{shots}, noise {condition.noise} {condition.p:g}: {quality}")
     return table

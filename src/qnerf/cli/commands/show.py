@@ -11,7 +11,7 @@ from rich.text import Text
 from qnerf.cli.commands import add_run
 from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, size, styled, tree
-from qnerf.metrics import image_metrics, metric
+from qnerf.metrics import image_metrics, metric_of
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.details import Details
@@ -107,7 +107,7 @@ def _results(out: Console, run: Details) -> None:
     if parts:
         listed = "   ".join(f"{name} {count(value)}" for name, value in parts.items() if value and name != "total")
         _pair(out, "parameters", f"{count(parts.get('total'))}: {listed}")
-    step = metric("step_ms")
+    step = metric_of("step_ms")
     if not missing(values.get("train_s")):
         a_step = f"{measured(values.get('step_ms'), step, unit=True)} a step, {step.explanation}"
         _pair(out, "training", f"{duration(values['train_s'])}   {a_step}")

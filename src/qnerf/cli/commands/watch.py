@@ -19,7 +19,7 @@ from qnerf.cli.commands.show import state_line
 from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
 from qnerf.cli.table import plain_lines, table
 from qnerf.cli.text import console, count, duration, styled
-from qnerf.metrics import metric
+from qnerf.metrics import metric_of
 from qnerf.records import details, find, read_metrics
 from qnerf.records.details import Details
 from qnerf.records.printable import printable
@@ -101,7 +101,7 @@ def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool =
         if key in curves:
             values = curves[key]["value"].to_numpy()
             drawn = sparkline(transform(values), max(width - BESIDE, 10), blocks)
-            last = f"{metric(key).with_unit(values[-1])} at step {count(curves[key]['step'].iloc[-1])}"
+            last = f"{metric_of(key).with_unit(values[-1])} at step {count(curves[key]['step'].iloc[-1])}"
             lines.append(Text.assemble((f"{title:<10}", "dim"), (drawn, "cyan"), f"  {last}"))
     return lines
 
@@ -111,8 +111,8 @@ def _log(values: np.ndarray) -> np.ndarray:
 
 
 CURVES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
-    "train/loss": (f"{metric('loss').label}, log", _log),
-    "train/psnr": (metric("psnr").label, np.asarray),
+    "train/loss": (f"{metric_of('loss').label}, log", _log),
+    "train/psnr": (metric_of("psnr").label, np.asarray),
     "eval/psnr": ("held out", np.asarray),
 }
 """Key of metrics.parquet -> title, function of the values that are drawn."""

@@ -1,20 +1,21 @@
-"""What a scene needs: the smallest configuration whose metric is within a tolerance of the best one's."""
+"""The smallest configuration of each scene whose metric is within a tolerance of the best one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
 
+from qnerf.metrics import image_metrics, metric_of
+
 from .. import statistics
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
-from .seeds import aggregate
+from .seeds import aggregate, mean_and_spread
 from .table import Table
-from .values import shown, value
 
 TOLERANCE = 0.5  # dB
 
 
-def needs(
+def smallest(
     frame: pd.DataFrame,
     rows: Sequence[str],
     *,
@@ -22,17 +23,18 @@ def needs(
     tolerance: float = TOLERANCE,
     size: str = "params.total",
 ) -> Table:
-    """For each scene the group of `rows` of the least mean `size` whose mean `metric` is near the best group's.
+    """For each scene, the group of `rows` with the smallest mean `size` among those close to the best mean `metric`.
 
-    tolerance: how near, in the metric's unit. size: any number of a run, such as `params.total`, `params.color` or
-    `step_ms`. What the smallest loses against the best has the interval of `statistics.bootstrap`; `significant` where
-    that excludes 0, `shown` where the whole interval lies within the tolerance. Raises ValueError as `over_seeds` does,
-    or for a tolerance below 0.
+    tolerance: how close, in the metric's unit. size: any number of a run, such as `params.total`, `params.color` or
+    `step_ms`. The table shows how much worse the smallest group is than the best, with the interval of
+    `statistics.bootstrap`: it is `significant` where the interval excludes 0, and `shown` to be within the tolerance
+    where the whole interval is. Raises ValueError as `over_seeds` does, and for a tolerance below 0.
     """
     if not tolerance >= 0:
         raise ValueError(f"tolerance must be at least 0, got {tolerance}")
-    if metric not in statistics.PER_VIEW:
-        raise ValueError(f"{metric} does not tell how good a run is; expected {', '.join(statistics.PER_VIEW)}")
+    if metric_of(metric).kind != "image":
+        known = ", ".join(item.key for item in image_metrics())
+        raise ValueError(f"{metric} does not tell how good a run is; expected {known}")
     check_keys(frame, rows)
     scenes = [key for key in rows if key in SCENES] or ["scene_name"]
     rows = [*scenes, *(key for key in rows if key not in scenes)]
@@ -45,7 +47,7 @@ def needs(
     left = [part.note for part in (selection, sized) if part.note]
     method = f"loss of the smallest against the best: {statistics.method()}; * excludes 0"
     return Table(
-        f"What each scene needs: the least {value(size).heading} within {tolerance:g} of the best",
+        f"The smallest configuration of each scene within {tolerance:g} of the best, by {metric_of(size).heading}",
         text := _text(data, metric, size, tolerance),
         data,
         pd.DataFrame(False, index=text.index, columns=text.columns),
@@ -59,7 +61,7 @@ def _scenes(
     table = aggregate(runs, rows, list(dict.fromkeys([metric, size])))
     keys = table.index.to_frame(index=False)
     names = keys[list(rows[len(scenes) :])].apply(lambda row: label(tuple(row)), axis=1)
-    sign = -1 if value(metric).better == "min" else 1
+    sign = metric_of(metric).sign
     quality, sizes = sign * table[(metric, "mean")].to_numpy(), table[(size, "mean")].to_numpy()
     group = dict(zip(runs["path"], runs.groupby(list(rows), dropna=False).ngroup(), strict=True))
     lines = []
@@ -96,15 +98,17 @@ def _text(data: pd.DataFrame, metric: str, size: str, tolerance: float) -> pd.Da
     for part, heading in (("best", "best"), ("smallest", f"smallest within {tolerance:g}")):
         numbers = data[[f"{part}_{metric}_{column}" for column in ("mean", "std", "n")]]
         text[heading] = data[part]
-        text[f"{part}: {value(metric).heading}"] = [shown(metric, *row, row[2]) for row in numbers.to_numpy()]
-        text[f"{part}: {value(size).heading}"] = data[f"{part}_size"].map(value(size).form.format)
-    text["loss"] = [_interval(row, value(metric).form) for row in data.to_dict("records")]
+        text[f"{part}: {metric_of(metric).heading}"] = [
+            mean_and_spread(metric, *row, row[2]) for row in numbers.to_numpy()
+        ]
+        text[f"{part}: {metric_of(size).heading}"] = data[f"{part}_size"].map(metric_of(size).text)
+    text["loss"] = [_interval(row, metric_of(metric).text) for row in data.to_dict("records")]
     text[f"within {tolerance:g}"] = data["shown"].map({True: "whole interval", False: "mean only"})
     return text
 
 
-def _interval(row: dict[str, float], form: str) -> str:
+def _interval(row: dict[str, float], text: Callable[[float], str]) -> str:
     if pd.isna(row.get("loss_low")):
         return "" if row["loss"] == 0 else "no pairs"
-    low, high = form.format(row["loss_low"]), form.format(row["loss_high"])
-    return f"{form.format(row['loss'])} [{low}, {high}]" + (" *" if row["significant"] else "")
+    loss, low, high = (text(row[name]) for name in ("loss", "loss_low", "loss_high"))
+    return f"{loss} [{low}, {high}]" + (" *" if row["significant"] else "")

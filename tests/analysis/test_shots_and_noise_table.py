@@ -5,7 +5,7 @@ import pytest
 
 from analysis import load
 from analysis.pack import main as pack
-from analysis.tables import hardware
+from analysis.tables import shots_and_noise
 from analysis.tables.__main__ import main
 from tests.helpers.packed_stores import write_run
 
@@ -35,7 +35,7 @@ def store(tmp_path):
 
 
 def test_conditions_are_columns_exact_first_of_views_that_all_have(store):
-    table = hardware(load.runs(store), ["field"])
+    table = shots_and_noise(load.runs(store), ["field"])
     assert list(table.text) == ["field", "exact", "100 shots", "1,000 shots", "depolarizing 0.01", "seeds"]
     assert "| qcolor | 25.50 ± 0.71 | 18.00 ± 0.00 | 22.50 ± 0.71 | 20.00 (n = 1) | 2 |" in table.markdown()
     assert "left out: 1 not measured" in table.markdown()
@@ -45,15 +45,15 @@ def test_conditions_are_columns_exact_first_of_views_that_all_have(store):
 
 
 def test_packed_runs_tell_the_same(store, tmp_path):
-    text = hardware(load.runs(store), ["field"]).markdown()
+    text = shots_and_noise(load.runs(store), ["field"]).markdown()
     pack([str(store), str(tmp_path / "packed")])
     shutil.rmtree(store)
-    assert hardware(load.runs(tmp_path / "packed"), ["field"]).markdown() == text
+    assert shots_and_noise(load.runs(tmp_path / "packed"), ["field"]).markdown() == text
 
 
 def test_runs_that_nobody_measured_are_one_line(store, tmp_path, capsys):
     with pytest.raises(ValueError, match="no run was measured: qnerf evaluate RUN shots=100,1000"):
-        hardware(load.runs(store, "field=classical"), ["field"])
+        shots_and_noise(load.runs(store, "field=classical"), ["field"])
     pack([str(store), str(tmp_path / "packed"), "--filter", "field=classical"])
     assert not (tmp_path / "packed" / "eval_hardware.parquet").exists()
     main([str(store), "--rows", "field", "--hardware"])

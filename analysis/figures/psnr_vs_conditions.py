@@ -3,8 +3,10 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
+from qnerf.metrics import metric_of
+
 from .. import style
-from ..hardware import FILE, means
+from ..condition_means import FILE, means
 from ..selection import select
 from . import points
 from .probed import having, probed
@@ -62,7 +64,7 @@ def _draw(frame: pd.DataFrame, x: str) -> Figure:
         ax.set(title=str(scene) if x == "shots" else f"{scene}: {noise}", xscale="log")
         ax.set_xlabel("shots of each circuit" if x == "shots" else "probability of an error, each gate")
         ax.legend()
-    axes[0].set_ylabel("PSNR, dB")
+    axes[0].set_ylabel(metric_of("psnr").heading)
     fewer = asked.sum() - len(shown)
     part = f"not drawn: {fewer} conditions that not every measured seed has" if fewer else ""
     style.footnote(figure, "dashed: exact", points.seeds(shown), part, select(frame).note)

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import pandas as pd
 
 from .. import packed
-from ..hardware import CONDITION, FILE, means, told
+from ..condition_means import CONDITION, FILE, condition_name, means
 from ..selection import check_keys, label, refuse_mixtures, select
+from .seeds import mean_and_spread
 from .table import Table
-from .values import shown
 
 
-def hardware(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
+def shots_and_noise(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     """PSNR (dB) of each condition, exact first, then by noise, its p and shots; means over views and seeds.
 
     `(n = 2)` where fewer of the row's seeds were measured under a condition than under any. Raises ValueError as
@@ -28,15 +28,17 @@ def hardware(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     )
     exact_first = each.assign(noisy=each["noise"] != "none").sort_values(["noisy", "noise", "p", "shots"])
     order = exact_first[CONDITION].drop_duplicates().itertuples(index=False)
-    columns = [told(*condition) for condition in order]
-    named = each.assign(condition=[told(*row) for row in each[CONDITION].itertuples(index=False)])
+    columns = [condition_name(*condition) for condition in order]
+    named = each.assign(condition=[condition_name(*row) for row in each[CONDITION].itertuples(index=False)])
     groups = named.groupby([*rows, "condition"], dropna=False)["psnr"]
     data = groups.agg(["mean", "std", "count"]).unstack("condition").swaplevel(axis=1)
     seeds = measured.groupby(list(rows), dropna=False).size()
     text = pd.DataFrame({name: data.index.get_level_values(name).map(label) for name in data.index.names})
     for column in columns:
         cells = zip(*(data[column][part] for part in ("mean", "std", "count")), seeds, strict=True)
-        text[column] = [shown("psnr", mean, std, int(n) if n == n else 0, int(of)) for mean, std, n, of in cells]
+        text[column] = [
+            mean_and_spread("psnr", mean, std, int(n) if n == n else 0, int(of)) for mean, std, n, of in cells
+        ]
     text["seeds"] = seeds.astype(str).to_numpy()
     data = pd.concat({column: data[column] for column in columns}, axis=1)
     left = len(selection.runs) - len(measured)

@@ -16,7 +16,7 @@ def means(rows: pd.DataFrame) -> pd.DataFrame:
     return kept.groupby(CONDITION, as_index=False)["psnr"].mean()
 
 
-def told(shots: int, noise: str, p: float) -> str:
+def condition_name(shots: int, noise: str, p: float) -> str:
     """`exact`, `100 shots`, `depolarizing 0.01` or both of the latter."""
     parts = [f"{noise} {p:g}" if noise != "none" else "", f"{shots:,} shots" if shots else ""]
     return ", ".join(filter(None, parts)) or "exact"

@@ -1,7 +1,7 @@
 import pytest
 
 from analysis.load import runs
-from analysis.tables import needs
+from analysis.tables import smallest
 from analysis.tables.__main__ import main
 from tests.helpers.packed_stores import write_run
 
@@ -17,7 +17,7 @@ def store(tmp_path):
 
 
 def test_each_scene_gets_its_smallest_configuration_within_the_tolerance(store):
-    data = needs(runs(store), ["field"]).data.set_index("scene")
+    data = smallest(runs(store), ["field"]).data.set_index("scene")
     assert data["best"].to_dict() == {"poster": "classical", "chair": "classical"}
     assert data["smallest"].to_dict() == {"poster": "qcolor", "chair": "classical"}
     assert data.loc["poster", "smallest_size"] == 393216 + 1222 + 491
@@ -28,16 +28,16 @@ def test_each_scene_gets_its_smallest_configuration_within_the_tolerance(store):
 
 def test_size_and_tolerance_are_the_callers(store):
     frame = runs(store)
-    assert set(needs(frame, ["scene_name", "field"], size="step_ms").data["smallest"]) == {"classical"}
-    assert set(needs(frame, ["field"], tolerance=5).data["smallest"]) == {"qcolor"}
-    assert set(needs(frame, ["field"], tolerance=0).data["smallest"]) == {"classical"}
+    assert set(smallest(frame, ["scene_name", "field"], size="step_ms").data["smallest"]) == {"classical"}
+    assert set(smallest(frame, ["field"], tolerance=5).data["smallest"]) == {"qcolor"}
+    assert set(smallest(frame, ["field"], tolerance=0).data["smallest"]) == {"classical"}
 
 
 def test_a_mean_within_the_tolerance_may_not_be_shown_to_be(tmp_path):
     for seed, loss in ((0, -1.0), (1, 1.4)):
         write_run(tmp_path, "classical", seed, [25.0, 25.0])
         write_run(tmp_path, "qcolor", seed, [25.0 - loss, 25.0 - loss])
-    table = needs(runs(tmp_path), ["field"])
+    table = smallest(runs(tmp_path), ["field"])
     assert not table.data.loc[0, "significant"]
     assert table.text.loc[0, "loss"] == "0.20 [-1.00, 1.40]"
     assert table.text.loc[0, "within 0.5"] == "mean only"
@@ -46,19 +46,19 @@ def test_a_mean_within_the_tolerance_may_not_be_shown_to_be(tmp_path):
 def test_a_lower_metric_may_be_the_better_one(tmp_path):
     for field, error in (("classical", 0.1), ("qcolor", 0.3)):
         write_run(tmp_path, field, results={"depth_error": error})
-    assert needs(runs(tmp_path), ["field"], metric="depth_error", tolerance=0.1).data.loc[0, "best"] == "classical"
+    assert smallest(runs(tmp_path), ["field"], metric="depth_error", tolerance=0.1).data.loc[0, "best"] == "classical"
 
 
 def test_mistakes_are_named(store):
     frame = runs(store)
     with pytest.raises(ValueError, match=r"tolerance must be at least 0, got -1"):
-        needs(frame, ["field"], tolerance=-1)
+        smallest(frame, ["field"], tolerance=-1)
     with pytest.raises(ValueError, match=r"expected a key that tells configurations apart, got only scene_name"):
-        needs(frame, ["scene_name"])
+        smallest(frame, ["scene_name"])
     with pytest.raises(ValueError, match=r"params.total does not tell how good a run is; expected psnr"):
-        needs(frame, ["field"], metric="params.total")
+        smallest(frame, ["field"], metric="params.total")
     with pytest.raises(ValueError, match="none of 8 finished runs has lpips"):
-        needs(frame, ["field"], size="lpips")
+        smallest(frame, ["field"], size="lpips")
 
 
 def test_the_command_prints_it(store, capsys):
