@@ -1,4 +1,4 @@
-"""What `qnerf evaluate RUN shots=... noise=...` measured of a run, one number a condition."""
+"""Mean PSNR of a run under each condition that `qnerf probe RUN shots=... noise=...` measured."""
 
 import pandas as pd
 
@@ -7,16 +7,17 @@ CONDITION = ["shots", "noise", "p"]
 
 
 def means(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mean PSNR (dB) of each condition of one run over views and random seeds: columns shots (0: exact), noise
-    ("none"), p, psnr. Only views that the run has under each of its conditions count.
+    """Mean PSNR (dB) of one run under each condition, over views and random seeds.
+
+    Columns shots (0: exact), noise ("none"), p, psnr. Only views that were measured under every condition count.
     """
-    several = len(rows[CONDITION].drop_duplicates())
-    seen = rows.drop_duplicates(["image", *CONDITION]).groupby("image").size()
-    kept = rows[rows["image"].isin(seen[seen == several].index)]
-    return kept.groupby(CONDITION, as_index=False)["psnr"].mean()
+    conditions = len(rows[CONDITION].drop_duplicates())
+    measured = rows.drop_duplicates(["image", *CONDITION]).groupby("image").size()
+    common = rows[rows["image"].isin(measured[measured == conditions].index)]
+    return common.groupby(CONDITION, as_index=False)["psnr"].mean()
 
 
 def condition_name(shots: int, noise: str, p: float) -> str:
-    """`exact`, `100 shots`, `depolarizing 0.01` or both of the latter."""
+    """`exact`, `100 shots`, `depolarizing 0.01` or the last two together."""
     parts = [f"{noise} {p:g}" if noise != "none" else "", f"{shots:,} shots" if shots else ""]
     return ", ".join(filter(None, parts)) or "exact"

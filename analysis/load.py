@@ -14,17 +14,19 @@ from . import packed
 def runs(
     store: str | Path, filter: str | Mapping[str, Any] | None = None, *, progress: index.Progress | None = None
 ) -> pd.DataFrame:
-    """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`; see
-    `qnerf.records.index.load`. `scene_name` is the last part of scene.path, or the scene's name.
+    """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`.
 
-    store: a folder of runs, or what `analysis.pack` made of one, or a URL that fsspec reads, such as s3://bucket/runs;
-    of those that run behind a URL it is known only how old their heartbeat is. What was read is kept in an index: the
-    next call reads only what has changed.
+    See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed. `scene_name` is the
+    last part of scene.path, or the scene's name.
+
+    store: a folder of runs, a folder that `analysis.pack` made, or a URL that fsspec reads, such as s3://bucket/runs. A
+    run behind a URL counts as running while its heartbeat is recent.
     filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
-    {"field": "qcolor", "seed": [0, 1]}; see `analysis.query`.
+    {"field": "qcolor", "seed": [0, 1]}; see `qnerf.records.filters`.
 
     Raises:
-        ValueError: no runs, none that the filter lets through (the line tells what there is), or no such column.
+        ValueError: there are no runs, the filter matches none (the message lists the values there are), or it names an
+            unknown column.
     """
     if packed.is_packed(store):
         frame = packed.load(store)
@@ -33,7 +35,7 @@ def runs(
         if frame.empty:
             raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
         frame["scene_name"] = _scene_names(frame)
-        if "scene.fingerprint" in frame:  # runs from before it was recorded are taken to be of the scene of that name
+        if "scene.fingerprint" in frame:  # older runs have none: assume the scene of the same name
             known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
     return frame if filter is None else filters.require(frame, filter)
@@ -42,7 +44,7 @@ def runs(
 def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:
     """Columns step, time_s (seconds of training), key, value, in the order of logging; only rows of `key` if given.
 
-    run: a run's folder or URL. Several, or the table that `runs` gives: the column run_id comes first then.
+    run: a run's folder or URL; or several, or the table from `runs`, which adds a first column run_id.
 
     Raises:
         ValueError: a run has no metrics or damaged ones.

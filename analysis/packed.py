@@ -1,5 +1,6 @@
-"""Runs packed into small tables, so that the evidence for a result can be kept beside it: what every table here is
-made of, without pictures, curves and checkpoints. A packed folder is read like a store; `analysis.pack` makes one.
+"""Runs packed into a few small tables, without pictures, curves and checkpoints, to keep as evidence for a result.
+
+`analysis.pack` writes such a folder. It is read like a store, and every table here can be made from it.
 """
 
 from functools import lru_cache
@@ -12,14 +13,14 @@ from qnerf.records.read import read_table
 
 RUNS, VIEWS = "runs.parquet", "views.parquet"
 PROBES = ("units", "eval_hardware")
-"""Tables that `qnerf evaluate` leaves in a run's folder and that are small enough to keep."""
+"""Tables that `qnerf probe` leaves in a run's folder and that are small enough to keep."""
 _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
-"""Columns that say where and how a run was done on somebody's machine."""
+"""Columns about the machine that a run was done on, which are not packed."""
 
 
 def pack(runs: pd.DataFrame, folder: Path) -> int:
-    """Writes runs as `analysis.load.runs` gives them, and of those that finished the held-out views and what `PROBES`
-    found, over what the folder has; returns how many finished. What a scene is called is kept, where it lay is not.
+    """Writes runs from `analysis.load.runs`, and the held-out views and `PROBES` of the finished ones; returns their
+    number. Files that the folder has are replaced. A scene's name is packed, its location is not.
     """
     chosen = runs.sort_values("run_id", ignore_index=True)
     finished = chosen[chosen["state"] == "finished"]
@@ -34,8 +35,8 @@ def pack(runs: pd.DataFrame, folder: Path) -> int:
             if has(path, probe):
                 tables.append(found(path, probe).assign(run_id=name))
     folder.mkdir(parents=True, exist_ok=True)
-    kept = chosen.drop(columns=[name for name in _HERE if name in chosen])
-    kept.to_parquet(folder / RUNS, index=False)
+    portable = chosen.drop(columns=[name for name in _HERE if name in chosen])
+    portable.to_parquet(folder / RUNS, index=False)
     pd.concat(parts, ignore_index=True).to_parquet(folder / VIEWS, index=False)
     for probe, tables in probed.items():
         (folder / f"{probe}.parquet").unlink(missing_ok=True)
@@ -49,13 +50,13 @@ def is_packed(folder: str | Path) -> bool:
 
 
 def load(folder: str | Path) -> pd.DataFrame:
-    """The frame that `analysis.load.runs` gives of a packed folder; `path` is where the run would lie in it."""
+    """The frame of `analysis.load.runs` for a packed folder; a run's `path` is the folder and its id."""
     frame = pd.read_parquet(Path(folder) / RUNS)
     return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])
 
 
 def views(path: str | Path) -> pd.DataFrame | None:
-    """The held-out views of a run whose `path` lies in a packed folder; None where it does not."""
+    """The held-out views of a run in a packed folder; None where `path` is not in one."""
     folder = Path(path).parent
     if not is_packed(folder):
         return None
@@ -66,16 +67,16 @@ def views(path: str | Path) -> pd.DataFrame | None:
 
 
 def has(path: str | Path, probe: str) -> bool:
-    """Whether `qnerf evaluate` left a table of that name for a run, in a store or packed."""
+    """Whether a run, in a store or packed, has a table of that name from `qnerf probe`."""
     path = Path(path)
     if not is_packed(path.parent):
         return (path / f"{probe}.parquet").is_file()
-    kept = path.parent / f"{probe}.parquet"
-    return kept.is_file() and path.name in _of_runs(kept)
+    file = path.parent / f"{probe}.parquet"
+    return file.is_file() and path.name in _of_runs(file)
 
 
 def found(path: str | Path, probe: str) -> pd.DataFrame:
-    """That table; there has to be one."""
+    """The table of a probe; check with `has` first."""
     path = Path(path)
     if is_packed(path.parent):
         return _of_runs(path.parent / f"{probe}.parquet")[path.name]

@@ -1,4 +1,4 @@
-"""Which runs a table or figure is made of, which are left out and why, and which may not be averaged together."""
+"""Which runs a table or figure uses, which are left out and why, and which must not be averaged together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,21 +32,21 @@ class Selection:
 
 
 def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
-    """The runs of `frame`, one a row as `load.runs` gives them, that finished with a finite `metric`.
+    """The runs of `frame` (from `load.runs`) that finished with a finite `metric`.
 
-    One that repeats another in seed and every setting that acts is left out; settings that do not act are None.
+    A run is left out if another has the same seed and the same effective settings. Settings without effect are None.
     ValueError as `finite` raises it.
     """
-    kept, left = finite(frame, metric)
-    again = what_acts(kept).duplicated()
-    left["repeating another"] = int(again.sum())
-    return Selection(acting(kept[~again]), {reason: count for reason, count in left.items() if count})
+    runs, left_out = finite(frame, metric)
+    repeated = what_acts(runs).duplicated()
+    left_out["repeating another"] = int(repeated.sum())
+    return Selection(acting(runs[~repeated]), {reason: count for reason, count in left_out.items() if count})
 
 
 def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, int]]:
     """The runs that finished with a finite `metric`, and how many did not, by reason.
 
-    ValueError where none did: it says how many runs there are, in which states, and which metrics they have.
+    ValueError where none did; the message counts the states and lists the metrics that runs have.
     """
     states = frame["state"].fillna("unknown").value_counts()
     finished = frame[frame["state"] == "finished"]
@@ -55,18 +55,20 @@ def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, in
     if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
         raise ValueError(f"no metric {metric!r}; the runs have {', '.join(measured(finished))}")
     values = finished[metric].astype(float)
-    kept = finished[np.isfinite(values)]
-    if kept.empty:
+    usable = finished[np.isfinite(values)]
+    if usable.empty:
         reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
         why = f" ({reasons.iloc[0]})" if len(reasons) else ""
-        raise ValueError(f"none of {len(finished)} finished runs has {metric}{why}; have: {_listed(finished)}")
-    left = states.drop("finished").to_dict()
-    left |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
-    return kept, left
+        raise ValueError(
+            f"none of {len(finished)} finished runs has {metric}{why}; have: {', '.join(measured(finished))}"
+        )
+    left_out = states.drop("finished").to_dict()
+    left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
+    return usable, left_out
 
 
 def measured(runs: pd.DataFrame) -> list[str]:
-    """Columns that hold a number in at least one run and are no configuration."""
+    """Columns with a number in at least one run that do not belong to the configuration."""
     settings = set(configuration(runs))
     return [
         name
@@ -82,7 +84,7 @@ def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
 
 
 def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where the groups of `rows` compare scenes, or a group mixes configurations."""
+    """ValueError where groups of `rows` compare different scenes, or one group mixes configurations."""
     refuse_scenes(runs, rows)
     groups = runs.groupby(list(rows), dropna=False, sort=False)
     settings = [key for key in (*LABELS, *effective(runs)) if key in runs.columns and key not in rows]
@@ -93,14 +95,14 @@ def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
         if len(mixed):
             keys = mixed.columns[mixed.iloc[0]]
             group = groups.get_group(_as_tuple(mixed.index[0]))
-            told = ", ".join(f"{key} ({_values(group[key])})" for key in keys[:3])
+            different = ", ".join(f"{key} ({_values(group[key])})" for key in keys[:3])
             raise ValueError(
-                f"row {label(mixed.index[0])} mixes runs of different {told}: add a key to the rows or filter"
+                f"row {label(mixed.index[0])} mixes runs of different {different}: add a key to the rows or filter"
             )
 
 
 def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where runs of several scenes would stand in one group, or side by side without saying so."""
+    """ValueError where one group has runs of several scenes, or the row keys do not name the scene."""
     names = sorted(map(str, runs["scene_name"].unique()))
     keys = [key for key in rows if key in SCENES]
     together = not keys or (runs.groupby(keys, dropna=False)["scene_name"].nunique() > 1).any()
@@ -111,7 +113,7 @@ def refuse_scenes(runs: pd.DataFrame, rows: Sequence[str]) -> None:
 
 
 def label(key: object) -> str:
-    """A group's key as text: `fox_64, qcolor`. Whole numbers are so however the column holds them."""
+    """A group's key as text: `fox_64, qcolor`. Whole floats are printed as integers."""
     return ", ".join(map(_part, _as_tuple(key)))
 
 
@@ -128,7 +130,3 @@ def _as_tuple(key: object) -> tuple[object, ...]:
 def _values(column: pd.Series, most: int = 4) -> str:
     values = [label(value) for value in column.unique()]
     return ", ".join(values[:most]) + (", ..." if len(values) > most else "")
-
-
-def _listed(runs: pd.DataFrame) -> str:
-    return ", ".join(measured(runs))

@@ -1,7 +1,7 @@
-"""A run's settings, seed aside: which columns they are, and which of them act in it.
+"""A run's settings other than its seed: which columns they are, and which have an effect in it.
 
-The width of an MLP does not act where the head is a circuit, nor a circuit's options where it is an MLP. A sweep over
-the circuits of both heads trains each classical field once a circuit; with one seed, such runs must not count as two.
+The width of an MLP has no effect where the head is a circuit, nor do a circuit's options where it is an MLP. A sweep
+over circuits therefore trains the same classical field several times; such runs must count once.
 """
 
 import pandas as pd
@@ -12,9 +12,9 @@ QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth")}
 
 _SCALARS = ("experiment", "geo_features", "appearance")
 _RESULTS = ("params", "time", "run", "needs")  # first parts of dotted names that are no configuration
-# Groups that act only through density.*, color.*, encoder.* and sampler.*; values that other settings are chosen from.
+# These act only through density.*, color.*, encoder.* and sampler.*, which copy them.
 _SOURCES = ("qiren.", "hash.", "proposal.", "density.initials.", "density.rates.", "color.rates.")
-# What is logged or checked decides no number; where a scene lies says nothing about what it is.
+# Logging, checks and the scene's location do not change a result.
 _IRRELEVANT = (
     "scene.path",
     "numerics.check",
@@ -27,13 +27,13 @@ _IRRELEVANT = (
 
 
 def configuration(frame: pd.DataFrame) -> list[str]:
-    """Columns of the flat configuration that decide a run's numbers, its seed aside."""
+    """Columns of the flat configuration that influence a result, without the seed."""
     dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
     return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _IRRELEVANT]
 
 
 def effective(runs: pd.DataFrame) -> pd.DataFrame:
-    """The settings that decide each run's numbers, as text; "" where a setting does not act in that run."""
+    """The settings that influence each run's result, as text; "" where one has no effect in that run."""
     keys = [key for key in configuration(runs) if not key.startswith(_SOURCES)]
     table = runs[keys].map(str)
     for head, circuits in QUANTUM.items():
@@ -46,14 +46,14 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def what_acts(runs: pd.DataFrame) -> pd.DataFrame:
-    """Scene, seed and everything that decides a run's numbers: runs that agree in all of it did the same."""
+    """Scene, seed and all effective settings: runs that agree in them computed the same."""
     settings = effective(runs)
     labels = _without_idle(runs, settings).filter(["scene_name", "seed", *LABELS])
     return pd.concat([labels, settings.add_prefix("setting ")], axis=1)
 
 
 def first_of_each(frame: pd.DataFrame) -> pd.Series:
-    """`run_id` of the first finished run that did the same, for runs that repeat it, else None."""
+    """For a run that repeats another: the `run_id` of the first finished run with its settings; else None."""
     finished = frame[frame["state"] == "finished"]
     if finished.empty:
         return pd.Series(None, index=frame.index, dtype=object)
@@ -63,7 +63,7 @@ def first_of_each(frame: pd.DataFrame) -> pd.Series:
 
 
 def acting(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs without the settings that do not act in them: None there, and in the labels of such settings."""
+    """The runs with None for settings, and their labels, that have no effect in them."""
     return _without_idle(runs, effective(runs))
 
 

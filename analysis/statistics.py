@@ -37,25 +37,25 @@ def evaluations(runs: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     """Columns path, seed, image, value: the metric of each held-out image of each run.
 
     A run whose eval.parquet is absent, damaged or without the metric has no rows. ValueError for a metric that is not
-    measured a view.
+    measured on each view.
     """
     if metric_of(metric).kind != "image":
         known = ", ".join(item.key for item in image_metrics())
         raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
-    found = [_views(path, metric) for path in runs["path"]]
-    counts = [len(images) for images, _ in found]
+    views = [_views(path, metric) for path in runs["path"]]
+    counts = [len(images) for images, _ in views]
     return pd.DataFrame(
         {
             "path": np.repeat(runs["path"].to_numpy(), counts),
             "seed": np.repeat(runs["seed"].to_numpy(), counts),
-            "image": list(chain.from_iterable(images for images, _ in found)),
-            "value": np.concatenate([np.empty(0), *(values for _, values in found)]),
+            "image": list(chain.from_iterable(images for images, _ in views)),
+            "value": np.concatenate([np.empty(0), *(values for _, values in views)]),
         }
     )
 
 
 def paired(first: pd.DataFrame, second: pd.DataFrame) -> np.ndarray:
-    """second - first of two `evaluations`, (seeds, views): the seeds and images that both have and no NaN is in."""
+    """second - first of two `evaluations` as (seeds, views): seeds and images that both have, without NaN."""
     one, two = (part.pivot(index="seed", columns="image", values="value") for part in (first, second))
     difference = (two - one).reindex(index=one.index.intersection(two.index))
     return difference.dropna(axis=1).to_numpy(dtype=float)
@@ -67,10 +67,10 @@ def bootstrap(
     """Percentile interval of the mean of `differences` (seeds, views); None where there is nothing to resample.
 
     Seeds and views are resampled independently, with replacement (Owen 2007, "The pigeonhole bootstrap", Annals of
-    Applied Statistics 1(2)): every seed is judged on the same views, so views drawn anew inside each seed would
-    average away how hard a view is and make the interval too narrow. Even so it covers the true difference less often
-    than `level` with few seeds: simulated, 0.79 to 0.94 for 3 seeds and 0.93 to 0.95 for 10, at 22 views. With one seed
-    the interval speaks about views alone.
+    Applied Statistics 1(2)). All seeds share the same views; drawing views anew for each seed would average away how
+    hard a view is and make the interval too narrow. With few seeds the interval still covers the true difference less
+    often than `level`: in simulations with 22 views, 0.79 to 0.94 for 3 seeds and 0.93 to 0.95 for 10. With one seed
+    the interval covers the choice of views only.
     """
     seeds, views = differences.shape
     if seeds == 0 or views == 0:
@@ -92,7 +92,7 @@ def method(level: float = LEVEL, resamples: int = RESAMPLES) -> str:
 
 
 def _views(path: str, metric: str) -> tuple[list[str], np.ndarray]:
-    """Images and values; none where the file cannot tell."""
+    """Images and values; empty where the file is absent, damaged or without the metric."""
     try:
         own = packed.views(path)
         if own is not None:

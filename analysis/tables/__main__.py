@@ -57,13 +57,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--units",
         action="store_true",
-        help="instead: dead units and the spread of colours, of runs that `qnerf evaluate RUN units` probed",
+        help="instead: dead units and the spread of colours, of runs that `qnerf probe RUN units` probed",
     )
     parser.add_argument(
         "--shots-and-noise",
         "--hardware",
         action="store_true",
-        help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf evaluate RUN shots=100` measured",
+        help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf probe RUN shots=100` measured",
     )
     parser.add_argument(
         "--tolerance",

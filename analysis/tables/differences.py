@@ -1,4 +1,4 @@
-"""The difference of every row of a table from a baseline row, with its interval."""
+"""The difference of each row of a table from a baseline row, with its interval."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

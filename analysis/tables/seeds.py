@@ -25,7 +25,7 @@ def over_seeds(
 
 
 def values_of(runs: pd.DataFrame, metric: str, asked: Sequence[str] | None) -> list[str]:
-    """`asked` if every one is a number of the runs; else the metrics that the runs have."""
+    """`asked` if all of them are numbers of the runs; else the metrics that the runs have."""
     if asked is None:
         usual = [name for name, item in METRICS.items() if not item.on_request]
         return [name for name in dict.fromkeys([*usual, metric]) if name in runs.columns and _is_given(name, runs)]

@@ -1,4 +1,4 @@
-"""Trained circuits as hardware would measure them, from what `qnerf evaluate RUN shots=... noise=...` measured."""
+"""PSNR of trained circuits with finite shots or noisy gates, from `qnerf probe RUN shots=... noise=...`."""
 
 from collections.abc import Sequence
 
@@ -14,15 +14,15 @@ from .table import Table
 def shots_and_noise(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     """PSNR (dB) of each condition, exact first, then by noise, its p and shots; means over views and seeds.
 
-    `(n = 2)` where fewer of the row's seeds were measured under a condition than under any. Raises ValueError as
-    `over_seeds` does, and where no run was measured.
+    `(n = 2)` marks a condition that only 2 of the row's seeds were measured under. Raises ValueError as `over_seeds`
+    does, and where no run was measured.
     """
     check_keys(frame, rows)
     selection = select(frame)
     refuse_mixtures(selection.runs, rows)
     measured = selection.runs[[packed.has(path, FILE) for path in selection.runs["path"]]]
     if measured.empty:
-        raise ValueError("no run was measured: qnerf evaluate RUN shots=100,1000")
+        raise ValueError("no run was measured: qnerf probe RUN shots=100,1000")
     each = pd.concat(
         [means(packed.found(run["path"], FILE)).assign(**run[list(rows)]) for _, run in measured.iterrows()]
     )

@@ -1,4 +1,4 @@
-"""How often a configuration fails: the spread of its seeds, told by the worst of them."""
+"""How often a configuration fails: its worst seed, and how many seeds are far below the others."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ SLIP, COLLAPSE = 1.5, 5.0  # dB
 def stability(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     """PSNR of the median, worst and best seed of each group of `rows`, and how many seeds slipped or collapsed.
 
-    A run slipped that is more than 1.5 dB below its row's median; it collapsed where it is more than 5 dB below the
+    A run slipped if it is more than 1.5 dB below the median of its row. It collapsed if it is more than 5 dB below the
     highest median of its scene. Raises ValueError as `over_seeds` does.
     """
     check_keys(frame, rows)

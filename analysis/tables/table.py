@@ -1,4 +1,7 @@
-"""A table held once and written as Markdown, LaTeX (booktabs) or CSV."""
+"""One table, written as Markdown, LaTeX (booktabs) or CSV.
+
+pandas' Styler escapes neither `[` and `*` after the end of a LaTeX row nor `|` in Markdown, so cells are escaped here.
+"""
 
 import re
 from collections.abc import Callable

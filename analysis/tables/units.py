@@ -1,4 +1,4 @@
-"""How alive colour heads are before training and after it, from what `qnerf evaluate RUN units` measured."""
+"""Dead units of a head before and after training, from `qnerf probe RUN units`."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from .table import Table
 
 
 def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> Table:
-    """Dead hidden units and the spread of the raw values that `head` puts out, means over the seeds of each group.
+    """Dead hidden units and the spread of the raw outputs of `head`, as means over the seeds of each group.
 
     Dead: share of all hidden ReLU units that are 0 on all samples of 1,024 training rays. Spread: standard deviation
     of the values before the sigmoid over those samples. Runs that were not probed are left out. Raises ValueError as
@@ -26,7 +26,7 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
     measured = {str(path): _measured(str(path), head) for path in selection.runs["path"]}
     probed = selection.runs[[measured[str(path)] is not None for path in selection.runs["path"]]]
     if probed.empty:
-        raise ValueError("no run was probed: qnerf evaluate RUN units")
+        raise ValueError("no run was probed: qnerf probe RUN units")
     columns = pd.DataFrame([measured[str(path)] for path in probed["path"]], index=probed.index)
     groups = pd.concat([probed[[*rows, "psnr"]], columns], axis=1).groupby(list(rows), dropna=False)
     data = groups.mean().assign(n=groups.size())

@@ -52,7 +52,7 @@ def test_packed_runs_tell_the_same(store, tmp_path):
 
 
 def test_runs_that_nobody_measured_are_one_line(store, tmp_path, capsys):
-    with pytest.raises(ValueError, match="no run was measured: qnerf evaluate RUN shots=100,1000"):
+    with pytest.raises(ValueError, match="no run was measured: qnerf probe RUN shots=100,1000"):
         shots_and_noise(load.runs(store, "field=classical"), ["field"])
     pack([str(store), str(tmp_path / "packed"), "--filter", "field=classical"])
     assert not (tmp_path / "packed" / "eval_hardware.parquet").exists()

@@ -48,7 +48,7 @@ def test_packed_runs_tell_the_same(store, tmp_path):
 
 
 def test_runs_that_nobody_probed_are_one_line(store, tmp_path, capsys):
-    with pytest.raises(ValueError, match="no run was probed: qnerf evaluate RUN units"):
+    with pytest.raises(ValueError, match="no run was probed: qnerf probe RUN units"):
         units(load.runs(store, "field=qcolor"), ["field"])
     pack([str(store), str(tmp_path / "packed"), "--filter", "field=qcolor"])
     assert not (tmp_path / "packed" / "units.parquet").exists()

@@ -1,6 +1,7 @@
-"""LPIPS, the learned perceptual distance (arXiv:1801.03924) with AlexNet, where its weights can be had.
+"""LPIPS, the learned perceptual distance (arXiv:1801.03924) with AlexNet, if its weights are installed.
 
-Two files are needed, and nothing is ever downloaded:
+The package `lpips` needs torchvision, which is not a dependency, so its network is written out here. Two files are
+needed, and nothing is ever downloaded:
 - alexnet-owt-7be5be79.pth, torchvision's AlexNet, from the folder QNERF_LPIPS_WEIGHTS or from torch hub's cache;
 - alex.pth, the linear heads (version 0.1), from that folder or from the package `lpips` if it is installed.
 """
@@ -18,7 +19,7 @@ HEADS = "alex.pth"
 VARIABLE = "QNERF_LPIPS_WEIGHTS"
 
 _CHANNELS = (64, 192, 384, 256, 256)
-_LEAST_SIDE = 31  # below, the last layers have no pixel left
+_MIN_SIDE = 31  # pixels; the last layers of smaller images are empty
 
 
 class LPIPS(nn.Module):
@@ -52,7 +53,7 @@ class LPIPS(nn.Module):
         self.register_buffer("scale", torch.tensor([0.458, 0.448, 0.450])[:, None, None])
 
     def load(self, backbone: Path, heads: Path) -> "LPIPS":
-        """Reads the two files; ValueError if one is not what it should be."""
+        """Reads the two files; ValueError if one has other contents."""
         try:
             state = torch.load(backbone, map_location="cpu", weights_only=True)
             prefix = "features."
@@ -72,12 +73,12 @@ class LPIPS(nn.Module):
     def layers(self, images: Tensor) -> list[Tensor]:
         """Normalised features of the five layers."""
         x = (images * 2 - 1 - self.shift) / self.scale
-        found = []
+        features = []
         for layer in self.features:
             x = layer(x)
             if isinstance(layer, nn.ReLU):
-                found.append(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10))
-        return found
+                features.append(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10))
+        return features
 
     def forward(self, images: Tensor, truth: Tensor) -> Tensor:
         pairs = zip(self.layers(images), self.layers(truth), self.heads, strict=True)
@@ -91,21 +92,21 @@ def _find(name: str, *folders: Path | None) -> Path | None:
 
 @lru_cache(maxsize=4)
 def load(folder: str | None) -> tuple[LPIPS | None, str | None]:
-    """The network, or None and why it cannot be had.
+    """The network, or None and the reason.
 
     Args:
-        folder: where to look first; None for the caches only.
+        folder: searched first; None: only the caches.
 
     Raises:
         ValueError: `folder` does not exist, or a file is not what its name says.
     """
-    given = Path(folder) if folder else None
-    if given is not None and not given.is_dir():
+    own = Path(folder) if folder else None
+    if own is not None and not own.is_dir():
         raise ValueError(f"{VARIABLE}: a folder with {BACKBONE} and {HEADS} expected, {folder!r} is none")
     spec = importlib.util.find_spec("lpips")
     package = Path(spec.origin).parent / "weights" / "v0.1" if spec and spec.origin else None
-    backbone = _find(BACKBONE, given, Path(torch.hub.get_dir()) / "checkpoints")
-    heads = _find(HEADS, given, package)
+    backbone = _find(BACKBONE, own, Path(torch.hub.get_dir()) / "checkpoints")
+    heads = _find(HEADS, own, package)
     missing = [name for name, path in ((BACKBONE, backbone), (HEADS, heads)) if path is None]
     if backbone is None or heads is None:
         return None, f"weights not found: {', '.join(missing)} (put them into a folder and set {VARIABLE})"
@@ -123,7 +124,7 @@ def lpips(image: Tensor, truth: Tensor, folder: str | None = None) -> tuple[floa
     network, reason = load(folder or os.environ.get(VARIABLE))
     if network is None:
         return None, reason
-    if min(image.shape[:2]) < _LEAST_SIDE:
-        return None, f"images of {image.shape[0]} x {image.shape[1]} pixels are too small, {_LEAST_SIDE} are needed"
+    if min(image.shape[:2]) < _MIN_SIDE:
+        return None, f"images of {image.shape[0]} x {image.shape[1]} pixels are too small, {_MIN_SIDE} are needed"
     pair = torch.stack([image, truth]).detach().float().cpu().permute(0, 3, 1, 2)
     return float(network(pair[:1], pair[1:])), None
