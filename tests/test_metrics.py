@@ -66,7 +66,7 @@ def test_a_new_metric_appears_everywhere(mae, tiny, tmp_path):
     assert "mae" in data["shown"]
     assert "mae" in data["kinds"]["image"]
     assert data["metrics"]["mae"] == {"heading": "mean absolute error", "digits": 4, "sign": -1}
-    logged = curves.gather(frame, [0], told=lambda: None)[0]
+    logged = curves.gather(frame, [0], advance=lambda: None)[0]
     assert logged["eval/mae"]["value"][-1] == pytest.approx(value, rel=1e-4)
     assert data["curve_names"]["eval/mae"] == "held-out mean absolute error"
     figure = figures.speed_vs_error(frame, metric="mae")

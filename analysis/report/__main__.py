@@ -29,8 +29,8 @@ examples:
 """
 
 
-Told = Callable[[str, int], Callable[[], None]]
-"""Begins a part of the work of so many steps; what it returns is called after each."""
+Track = Callable[[str, int], Callable[[], None]]
+"""Starts a part of the work with so many steps; returns a function to call after each."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -42,12 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def read(file: str, done: int, total: int) -> None:
             progress.update(task, description=f"reading {file}", completed=done, total=total)
 
-        def told(what: str, total: int) -> Callable[[], None]:
+        def track(what: str, total: int) -> Callable[[], None]:
             progress.reset(task, description=what, total=total)
             return lambda: progress.advance(task)
 
         frame = runs(options.store, options.filter, progress=read)
-        path = write(page.render(gathered(frame, options, told)), options.out)
+        path = write(page.render(page_content(frame, options, track)), options.out)
     console.print(
         f"{path}: {len(frame):,} runs, {path.stat().st_size / 1e6:.1f} MB",
         highlight=False,
@@ -77,21 +77,21 @@ def parser() -> argparse.ArgumentParser:
     images.add_argument(
         "--max-images",
         type=int,
-        default=pictures.MOST_VIEWS,
+        default=pictures.MAX_VIEWS,
         metavar="N",
         help="held-out views on the page, at most (default: %(default)s; each is a render and a depth)",
     )
     return made
 
 
-def gathered(frame: pd.DataFrame, options: argparse.Namespace, told: Told) -> dict[str, Any]:
-    """What the page's template takes."""
+def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track) -> dict[str, Any]:
+    """The values of the page's template."""
     frame = content.prepared(frame)
     order = content.order(frame)
     most = 0 if options.no_images else options.max_images
-    drawn = pictures.gather(frame, order if most else [], most, told=told("pictures", len(order)))
-    logged = curves.gather(frame, order, told=told("curves", min(len(order), curves.MOST_RUNS)))
-    sections = parts.parts(frame, told("tables and figures", parts.STEPS))
+    drawn = pictures.gather(frame, order if most else [], most, advance=track("pictures", len(order)))
+    logged = curves.gather(frame, order, advance=track("curves", min(len(order), curves.MAX_RUNS)))
+    sections = parts.parts(frame, track("tables and figures", parts.STEPS))
     return {
         "title": options.title,
         "store": options.store,

@@ -1,4 +1,4 @@
-"""The runs as the page's script reads them, and what its first lines say."""
+"""The runs as the page's script reads them, and the texts at the top of the page."""
 
 from datetime import UTC, datetime
 from typing import Any
@@ -32,16 +32,16 @@ NEEDED = (
     "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
     "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
 )  # fmt: skip
-"""What tables and figures read of every run; one of another version may lack some, and says so by having no value."""
+"""Columns that tables and figures read; in runs of another version that lack them they are empty."""
 
 _SETTINGS = ("experiment", "seed", "geo_features", "appearance", "device", "threads")
 _RESULTS = ("params.", "time.", "run.")
 
 
 def prepared(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with what only the page needs: the version that wrote a run, the parameters of both heads, configuration.
+    """`frame` with columns for the page: version of qnerf, parameters of both heads, and configuration.
 
-    A configuration is what `points.points` names; runs that are not finished, or repeat another, have none.
+    The configuration is a name from `points.points`; runs that are unfinished or repeat another have none.
     """
     frame = frame.reset_index(drop=True)
     for name in (*LABELS, *NEEDED):
@@ -64,7 +64,7 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def order(frame: pd.DataFrame) -> list[int]:
-    """Row numbers in the order in which runs get a place on the page: a seed of every configuration before the next."""
+    """Row numbers in the order in which runs get pictures and curves: one seed of every configuration first."""
     ranked = frame.sort_values(["psnr", "run_id"], ascending=[False, True])
     group = ranked["configuration"].fillna(ranked["run_id"])
     number = ranked.groupby([ranked["scene_name"].fillna(""), group]).cumcount()
@@ -73,7 +73,7 @@ def order(frame: pd.DataFrame) -> list[int]:
 
 
 def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) -> dict[str, Any]:
-    """What the page's script reads."""
+    """The data of the page's script."""
     columns = packed(frame.drop(columns=["store", "scene"], errors="ignore"))
     settings = [name for name in columns if name in _SETTINGS or ("." in name and not name.startswith(_RESULTS))]
     finished = frame.loc[frame["state"] == "finished", "scene_name"]

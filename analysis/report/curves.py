@@ -1,4 +1,4 @@
-"""What runs logged while they trained, thinned for the page."""
+"""Logged values of the runs, thinned for the page."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -11,7 +11,7 @@ from qnerf.metrics import image_metrics
 from ..load import metrics
 from .columns import rounded_all
 
-MOST_RUNS = 300
+MAX_RUNS = 300
 POINTS = 80
 
 
@@ -22,12 +22,12 @@ def logged_keys() -> list[str]:
 
 
 def gather(
-    frame: pd.DataFrame, order: Iterable[int], *, most: int = MOST_RUNS, told: Callable[[], None]
+    frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUNS, advance: Callable[[], None]
 ) -> dict[int, dict[str, Any]]:
-    """Row number -> key -> {step, time, value} of at most `most` runs that have readable metrics."""
-    found: dict[int, dict[str, Any]] = {}
+    """Row number -> key -> {step, time, value} of at max_runs `max_runs` runs that have readable metrics."""
+    result: dict[int, dict[str, Any]] = {}
     for row in order:
-        if len(found) == most:
+        if len(result) == max_runs:
             break
         try:
             logged = metrics(frame["path"].iloc[row])
@@ -35,9 +35,9 @@ def gather(
             logged = pd.DataFrame({"key": []})
         curves = {key: thinned(part) for key, part in logged.groupby("key") if key in logged_keys()}
         if curves:
-            found[row] = {key: curves[key] for key in logged_keys() if key in curves}
-        told()
-    return found
+            result[row] = {key: curves[key] for key in logged_keys() if key in curves}
+        advance()
+    return result
 
 
 def thinned(logged: pd.DataFrame, points: int = POINTS) -> dict[str, list[float | int | None]]:

@@ -1,4 +1,4 @@
-"""Matplotlib's figures as data URIs, for light and for dark paper; what cannot be drawn is a line that says why."""
+"""Matplotlib's figures as data URIs, light and dark; one that cannot be drawn is a line that says why."""
 
 import base64
 import tempfile
@@ -12,7 +12,7 @@ from ..figures import FIGURES, save, scenes_of
 from ..style import settings
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
-MOST_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
+MAX_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
 HINTS = {
     "depth": "`qnerf run -m field=qcolor qiren.layers=1,2,3` trains some",
     "width": "`qnerf run -m color.width=16,32,64` trains some",
@@ -26,7 +26,7 @@ KINDS = {"svg": "image/svg+xml", "png": "image/png"}
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure for light and for dark paper, with its size on the page in pixels."""
+    """A figure in both themes, with its size on the page in pixels."""
 
     title: str
     light: str
@@ -36,7 +36,7 @@ class Drawn:
 
 
 def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
-    """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
+    """A figure of `FIGURES`, once a scene if it is about one scene; and why it cannot be drawn, where it cannot."""
     title, function = FIGURES[name]
     drawn, absent = [], {}
     scenes = scenes_of(name, frame)
@@ -52,7 +52,7 @@ def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
 
 
 def themed(title: str, figure: Figure) -> Drawn:
-    """A figure of the light theme, and as the dark one would have it: the themes differ in ink and paper alone."""
+    """A figure of the light theme, and recoloured for the dark one."""
     width, height = (round(inches * PIXELS_AN_INCH) for inches in figure.get_size_inches())
     kind, light = encoded(figure)
     dark = recoloured(light) if kind == "svg" else light
@@ -63,7 +63,7 @@ def encoded(figure: Figure) -> tuple[str, bytes]:
     """As SVG, or as PNG where that would be too large."""
     with tempfile.TemporaryDirectory() as folder:
         (svg,) = save(figure, Path(folder) / "figure", ["svg"])
-        if svg.stat().st_size <= MOST_SVG:
+        if svg.stat().st_size <= MAX_SVG:
             return "svg", svg.read_bytes()
         (png,) = save(figure, Path(folder) / "figure", ["png"])
         return "png", png.read_bytes()

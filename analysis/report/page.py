@@ -1,4 +1,4 @@
-"""Puts the page together: one HTML file with its data, script and style, that may reach nothing outside."""
+"""Assembles the page: one HTML file with its data, script and style, which loads nothing else."""
 
 import base64
 import hashlib
@@ -18,7 +18,7 @@ SCRIPTS = ("data", "filter", "selection", "table", "plots", "curves", "compare",
 
 @dataclass(frozen=True)
 class Script:
-    """A script without the means to end its element early, and its hash as the policy names it."""
+    """A script that cannot close its own element, and its hash for the policy."""
 
     text: Markup
     digest: str
@@ -45,7 +45,7 @@ def policy(*scripts: Script) -> str:
 
 
 def render(content: Mapping[str, Any]) -> str:
-    """The page. Every text from outside goes through Jinja's escaping, or into JSON that cannot end its element."""
+    """The page. Jinja escapes every text from outside, or puts it into JSON that cannot close its element."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,

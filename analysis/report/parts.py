@@ -23,12 +23,12 @@ REPEATS = (
     "runs above, and count nowhere below."
 )
 STEPS = len(FIGURES) + 1
-"""How often `parts` tells of progress."""
+"""How often `parts` reports progress."""
 
 
 @dataclass
 class Part:
-    """A section of tables and figures; `name`: the short title. `absent` has a line for all that cannot be shown."""
+    """A section of tables and figures; `name` is its short title, `absent` says what cannot be shown and why."""
 
     id: str
     name: str
@@ -38,15 +38,15 @@ class Part:
     figures: list[Drawn] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
 
-    def draw(self, names: Iterable[str], frame: pd.DataFrame, told: Callable[[], None]) -> None:
+    def draw(self, names: Iterable[str], frame: pd.DataFrame, advance: Callable[[], None]) -> None:
         for name in names:
             drawn, absent = draw(name, frame)
             self.figures += drawn
             self.absent += absent
-            told()
+            advance()
 
 
-def parts(frame: pd.DataFrame, told: Callable[[], None]) -> list[Part]:
+def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     """Tables and figures of the store, in the order of the page."""
     repeats = frame["repeats"].notna().sum()
     configurations = Part("tables", "Tables", "Configurations over seeds")
@@ -61,13 +61,13 @@ def parts(frame: pd.DataFrame, told: Callable[[], None]) -> list[Part]:
         attempt(f"Hue, saturation and value: {scene}", _hsv_table, own, str(scene))
         for scene, own in frame.groupby("scene_name")
     ]
-    told()
-    colours.draw(COLOURS, frame, told)
+    advance()
+    colours.draw(COLOURS, frame, advance)
     paper = Part("paper", "Paper", "The paper's tables and figures, with ours")
     paper.tables = [table for title, make in PAPER_TABLES.values() for table in beside_ours(title, make, frame)]
-    paper.draw(PAPER_FIGURES, frame, told)
+    paper.draw(PAPER_FIGURES, frame, advance)
     more = Part("more", "Figures", "More figures")
-    more.draw([name for name in FIGURES if name not in (*PAPER_FIGURES, *COLOURS)], frame, told)
+    more.draw([name for name in FIGURES if name not in (*PAPER_FIGURES, *COLOURS)], frame, advance)
     return [configurations, smallest, colours, paper, more]
 
 

@@ -1,4 +1,4 @@
-"""Held-out views of the runs as data URIs, as many as the page may hold."""
+"""Held-out views of the runs as data URIs, up to the limit of the page."""
 
 import base64
 import hashlib
@@ -13,8 +13,8 @@ from PIL import Image
 
 from ..images import Panels, panels, pictures
 
-MOST_VIEWS = 1000
-MOST_BYTES = 20 * 2**20
+MAX_VIEWS = 1000
+MAX_BYTES = 20 * 2**20
 SMALL = 128 * 128  # pixels up to which a picture is kept exactly
 QUALITY = 88
 
@@ -29,11 +29,11 @@ class Pictures:
     bytes: int = 0
     left_out: int = 0
     problems: list[str] = field(default_factory=list)
-    _places: dict[str, int] = field(default_factory=dict)
+    _indices: dict[str, int] = field(default_factory=dict)
 
     @property
     def note(self) -> str:
-        """What a reader must know about what is shown, and what is not."""
+        """The text under the pictures: how to read them, and which are missing."""
         parts = ["Difference: the absolute difference of both pictures, times 4. Depth: near is bright."]
         if self.left_out:
             parts.append(f"{self.left_out:,} runs have no pictures here: the page is full at {self.views:,} views.")
@@ -43,39 +43,39 @@ class Pictures:
 
     def add(self, row: int, view: str, strip: Panels) -> None:
         kinds = {"truth": strip.truth, "render": strip.render, "depth": strip.depth}
-        self.runs.setdefault(row, {})[view] = {kind: self._place(pixels) for kind, pixels in kinds.items()}
+        self.runs.setdefault(row, {})[view] = {kind: self._index(pixels) for kind, pixels in kinds.items()}
         self.views += 1
 
-    def _place(self, pixels: np.ndarray) -> int:
+    def _index(self, pixels: np.ndarray) -> int:
         key = hashlib.sha256(pixels.tobytes() + str(pixels.shape).encode()).hexdigest()
-        if key not in self._places:
+        if key not in self._indices:
             uri = data_uri(pixels)
-            self._places[key] = len(self.files)
+            self._indices[key] = len(self.files)
             self.files.append({"uri": uri, "width": pixels.shape[1], "height": pixels.shape[0]})
             self.bytes += len(uri)
-        return self._places[key]
+        return self._indices[key]
 
 
 def gather(
-    frame: pd.DataFrame, order: Iterable[int], most: int, *, budget: int = MOST_BYTES, told: Callable[[], None]
+    frame: pd.DataFrame, order: Iterable[int], max_views: int, *, budget: int = MAX_BYTES, advance: Callable[[], None]
 ) -> Pictures:
-    """Views of the runs whose row numbers `order` gives, until there are `most` of them or `budget` bytes are full.
+    """Views of the runs with the row numbers `order`, until there are `max_views` of them or `budget` bytes.
 
-    A run has all its views or none, so that any two of a scene can be compared. `told` is called after each run.
+    A run has all its views or none, so that any two of a scene can be compared. `advance` is called after each run.
     """
-    found = Pictures()
+    result = Pictures()
     for row in order:
         stored = pictures(frame["path"].iloc[row])
-        if stored and (found.views + len(stored) > most or found.bytes >= budget):
-            found.left_out += 1
+        if stored and (result.views + len(stored) > max_views or result.bytes >= budget):
+            result.left_out += 1
             stored = {}
         for view, path in stored.items():
             try:
-                found.add(row, view, panels(path))
+                result.add(row, view, panels(path))
             except ValueError as error:
-                found.problems.append(str(error))
-        told()
-    return found
+                result.problems.append(str(error))
+        advance()
+    return result
 
 
 def data_uri(pixels: np.ndarray) -> str:

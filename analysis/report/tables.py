@@ -1,4 +1,4 @@
-"""Tables as the page shows them, with what there is to copy; what cannot be made is a line that says why."""
+"""Tables of the page and their copies as text; a table that cannot be made is a line that says why."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from ..selection import select
 from ..settings import LABELS, configuration
 from ..tables import Table, ablation, smallest
 
-MOST_ERROR = 600  # characters of an error that may list every column
-MOST_ROWS = 30  # configurations of a scene in the ablation table
+MAX_ERROR = 600  # characters of an error that may list every column
+MAX_ROWS = 30  # configurations of a scene in the ablation table
 FIRST_KEYS = ("scene_name", "field", "density", "color")
 
 
@@ -25,7 +25,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table of text, its notes and its copies (name, text); or the line that says why it is `absent`."""
+    """A table of text, its notes and its copies (name, text); or why it is `absent`."""
 
     title: str
     heads: tuple[Cell, ...] = ()
@@ -51,11 +51,11 @@ def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTab
     try:
         return shown(title, make(*arguments))
     except ValueError as error:
-        return ShownTable(title, absent=f"{str(error)[:MOST_ERROR]}.")
+        return ShownTable(title, absent=f"{str(error)[:MAX_ERROR]}.")
 
 
 def row_keys(runs: pd.DataFrame) -> list[str]:
-    """Scene, field and heads, and the further settings without which a row would mix configurations."""
+    """Scene, field, heads, and further settings that are needed so that no row mixes configurations."""
     keys = list(FIRST_KEYS)
     settings = ("encoder", "hash", *LABELS, *configuration(runs))
     for name in (name for name in settings if runs[name].nunique(dropna=False) > 1):
@@ -65,19 +65,19 @@ def row_keys(runs: pd.DataFrame) -> list[str]:
 
 
 def over_seeds(frame: pd.DataFrame) -> Table:
-    """`ablation` of the best `MOST_ROWS` configurations of each scene, against the classical one if it is one."""
+    """`ablation` of the best `MAX_ROWS` configurations of each scene, against the classical one if there is one."""
     runs = select(frame).runs
-    kept, left = points.best(runs, ["psnr"], MOST_ROWS)
-    runs = runs.loc[[row for rows in kept["runs"] for row in rows]]
-    classical = kept[kept["field"] == "classical"].groupby("scene_name").size()
-    single = len(classical) == kept["scene_name"].nunique() and (classical == 1).all()
+    best, not_shown = points.best(runs, ["psnr"], MAX_ROWS)
+    runs = runs.loc[[row for rows in best["runs"] for row in rows]]
+    classical = best[best["field"] == "classical"].groupby("scene_name").size()
+    single = len(classical) == best["scene_name"].nunique() and (classical == 1).all()
     table = ablation(
         pd.concat([runs, frame[frame["state"] != "finished"]]),
         row_keys(runs),
         baseline={"field": "classical"} if single else None,
         title="Configurations over seeds",
     )
-    return Table(table.title, table.text, table.data, table.bold, (*table.notes, *filter(None, [left])))
+    return Table(table.title, table.text, table.data, table.bold, (*table.notes, *filter(None, [not_shown])))
 
 
 def smallest_configurations(frame: pd.DataFrame) -> Table:
