@@ -72,14 +72,14 @@ FIGURES = {
         hint=_TRAIN("field=qcolor qiren.layers=1,2,3"),
     ),
     "width": Entry(
-        "PSNR against the width of the colour head", psnr_vs_width, paper=True, hint=_TRAIN("color.width=16,32,64")
+        "PSNR against the width of the colour head", psnr_vs_width, paper=True, hint=_TRAIN("color.mlp.width=16,32,64")
     ),
     "density_width": Entry(
         "PSNR against the width of the density head",
         psnr_vs_width,
         {"head": "density"},
         paper=True,
-        hint=_TRAIN("density.width=16,32,64"),
+        hint=_TRAIN("density.mlp.width=16,32,64"),
     ),
     "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True, hint=_TRAIN("hash=C1,C3,C5,C7")),
     "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),

@@ -4,6 +4,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qnerf.metrics import metric_of
+
 from .. import style
 from . import benchmarks
 
@@ -36,7 +38,7 @@ def speed_error_ladder(results: benchmarks.Results = None) -> Figure:
             _draw(ax, shown[shown["scene"] == scene], value, list(dict.fromkeys(shown["rung"])))
         axes[0, column].set_title(scene)
         axes[1, column].set(yscale="log", xlabel="training step, ms")
-    axes[0, 0].set_ylabel("PSNR of held-out views, dB")
+    axes[0, 0].set_ylabel(metric_of("eval/psnr").heading)
     axes[1, 0].set_ylabel("picture, rms error against float64")
     style.legend(figure)
     counts = sorted(table.loc[table["kind"] == "trained", "n"].unique())

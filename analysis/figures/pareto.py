@@ -26,21 +26,21 @@ def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
     return cost.notna() & loss.notna() & ~beaten
 
 
-def speed_points(frame: pd.DataFrame, time: str = "step_ms") -> pd.DataFrame:
-    """`points.points` of PSNR (dB) and a time, with `front`: whether the row is on its scene's Pareto front.
+def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> pd.DataFrame:
+    """`points.points` of an image metric and a time, with `front`: whether the row is on its scene's Pareto front.
 
     time: step_ms, the median time of a step, or train_s, seconds of training; ValueError for any other.
     """
     if time not in TIMES:
         raise ValueError(f"unknown time {time!r}; known: {', '.join(TIMES)}")
-    table = points.points(select(frame).runs, ["psnr", time])
-    return _with_fronts(table, "scene_name", table[time], -table["psnr"])
+    table = points.points(select(frame, metric).runs, [metric, time])
+    return _with_fronts(table, "scene_name", table[time], -metric_of(metric).sign * table[metric])
 
 
 @style.styled
-def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms") -> Figure:
-    """PSNR against a time, a panel per scene. A line marks the Pareto front, the legend names its points."""
-    table = speed_points(frame, time)
+def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> Figure:
+    """An image metric against a time, a panel per scene. A line marks the Pareto front, the legend names its points."""
+    table = speed_points(frame, time, metric)
     scenes = points.scenes(table)
     figure, axes = style.panels(len(scenes), 3.1)
     names: list[str] = []
@@ -48,22 +48,22 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms") -> Figure:
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):
             color, marker = style.FIELDS[str(field)]
-            bars = {"yerr": group["psnr_std"], "xerr": group[f"{time}_std"], "elinewidth": 0.7}
-            ax.errorbar(group[time], group["psnr"], fmt=marker, color=color, label=field, **bars)
-        best = _draw_front(ax, shown, time, "psnr", lw=0.8)
+            bars = {"yerr": group[f"{metric}_std"], "xerr": group[f"{time}_std"], "elinewidth": 0.7}
+            ax.errorbar(group[time], group[metric], fmt=marker, color=color, label=field, **bars)
+        best = _draw_front(ax, shown, time, metric, lw=0.8)
         for number, (_, row) in enumerate(best.iterrows()):
             names.append(f"{len(names) + 1}  {row['name']}" + (f" ({scene})" if len(scenes) > 1 else ""))
             offset = (-6 - 9 * (number % 2), 4)  # neighbours on the front may lie close together
-            ax.annotate(f"{len(names)}", (row[time], row["psnr"]), offset, textcoords="offset points", ha="right")
+            ax.annotate(f"{len(names)}", (row[time], row[metric]), offset, textcoords="offset points", ha="right")
         ax.set(title=scene, xlabel=metric_of(time).heading, xscale="log")
         ax.set_xlim(shown[time].min() / 1.5, shown[time].max() * 1.3)
         ax.margins(y=0.12)
         style.plain_ticks(ax)
         ax.legend()
-    axes[0].set_ylabel(metric_of("psnr").heading)
+    axes[0].set_ylabel(metric_of(metric).heading)
     invisible = [Line2D([], [], ls="") for _ in names]
     figure.legend(invisible, names, loc="outside upper left", handlelength=0, ncols=len(scenes))
-    style.footnote(figure, "line and numbers: Pareto front", points.seeds(table), select(frame).note)
+    style.footnote(figure, "line and numbers: Pareto front", points.seeds(table), select(frame, metric).note)
     return figure
 
 

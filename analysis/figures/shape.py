@@ -9,7 +9,10 @@ from .. import style
 from ..selection import check_keys, select
 from . import points
 
-_SETTINGS = {"depth": {"mlp": "layers", "qiren": "qiren.layers"}, "width": {"mlp": "width", "qiren": "qiren.qubits"}}
+_SETTINGS = {
+    "depth": {"mlp": "mlp.layers", "qiren": "qiren.layers"},
+    "width": {"mlp": "mlp.width", "qiren": "qiren.qubits"},
+}
 _AXES = {
     ("depth", "mlp"): "linear layers",
     ("depth", "qiren"): "hidden hybrid layers",
@@ -32,7 +35,9 @@ def shape_points(frame: pd.DataFrame, measure: str, head: str = "color") -> pd.D
     check_keys(runs, [f"{head}.name"])
     columns = {kind: f"{head}.{key}" for kind, key in _SETTINGS[measure].items()}
     runs = runs[runs[f"{head}.name"].isin(list(columns))]
-    shape = [f"{head}.{key}" for key in ("name", "layers", "width", "qiren.layers", "qiren.spectral", "qiren.qubits")]
+    shape = [
+        f"{head}.{key}" for key in ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
+    ]
     table = points.points(runs, ["psnr"], shape).rename(columns={f"{head}.name": "kind"})
     table["x"] = [float(row[columns[row["kind"]]]) for _, row in table.iterrows()]
     varied = list(columns.values())
@@ -52,7 +57,7 @@ def _fixed(row: pd.Series, measure: str, head: str) -> str:
     if row["kind"] == "qiren":
         spectral, layers = row[f"{head}.qiren.spectral"], row[f"{head}.qiren.layers"]
         return f"S = {spectral:.0f}" if measure == "depth" else f"{layers:.0f}L{spectral:.0f}S"
-    return f"width {row[f'{head}.width']:.0f}" if measure == "depth" else f"{row[f'{head}.layers']:.0f} layers"
+    return f"width {row[f'{head}.mlp.width']:.0f}" if measure == "depth" else f"{row[f'{head}.mlp.layers']:.0f} layers"
 
 
 @style.styled
