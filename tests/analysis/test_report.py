@@ -278,7 +278,7 @@ def test_mistakes_are_one_line(store, tmp_path):
         main([str(store), "--filter", "field=qcolour", "--out", str(tmp_path)])
     command = [sys.executable, "-m", "analysis.report", str(tmp_path / "nowhere")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

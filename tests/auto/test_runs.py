@@ -127,7 +127,7 @@ def test_unusual_scenes_train(auto, world, decisions):
         (
             constant(0, channels=4, width=64, height=64, focal=45.0),
             ("visibility.alpha=true", "contraction.name=box", "+contraction.half_extent=0.1"),
-            r"visibility\.alpha: the silhouettes .* leave no space at all; use visibility\.alpha=false",
+            r"visibility\.alpha: the silhouettes .* leave no space; use visibility\.alpha=false",
         ),
         (BALL, ("train.lr=auto",), "train: lr expects float, got 'auto'"),
         (BALL, ("needs=none", "train.lr=auto"), "train: lr expects float, got 'auto'"),
