@@ -72,7 +72,7 @@ def _fill_added(frame: pd.DataFrame) -> None:
     """Options that are newer than some of the runs get the values that those runs had without them."""
     for option, usual in ADDED.items():
         if option in frame and set(frame[option].dropna()) <= {"{}"}:  # an empty group is the same as none
-            frame.drop(columns=option, inplace=True)
+            del frame[option]
         values = {} if isinstance(usual, Same) else flatten({option: usual})
         for name in frame.columns[frame.columns.str.startswith(option)]:
             value = frame.get(usual.option + name[len(option) :]) if isinstance(usual, Same) else values.get(name)
