@@ -57,6 +57,13 @@ def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
     assert np.asarray(Image.open(pictures[0])).shape == (240, 4 * 320, 3)
 
 
+def test_there_are_pictures_after_the_first_evaluation(tiny, run_until):
+    config = tiny("train.steps=6", "train.eval_every=2", "train.eval_views=1")
+    run_until(3, config)
+    (folder,) = (path for path in Path(config["store"]).iterdir() if not path.name.startswith("."))
+    assert len(list((folder / "images").glob("*.png"))) == 1
+
+
 def test_a_finished_run_is_skipped_and_force_does_it_over(tiny):
     first = run(tiny())
     again = run(tiny())

@@ -288,7 +288,7 @@ def _execute(
                 display.step(trainer.step, metrics)
             if done or (train.eval_every and trainer.step % train.eval_every == 0):
                 views = scene.eval if done else scene.eval[: train.eval_views or None]
-                rows, measured = evaluate(evaluator, store, views, trainer.step, pictures=done)
+                rows, measured = evaluate(evaluator, store, views, trainer.step)
                 # A curve is one of the same views from its first point to its last.
                 curve = means(rows[: train.eval_views or None])
                 store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
@@ -301,7 +301,7 @@ def _execute(
         return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
 
     if measured is None:  # killed between the last checkpoint and the end
-        _, measured = evaluate(evaluator, store, scene.eval, trainer.step, pictures=True)
+        _, measured = evaluate(evaluator, store, scene.eval, trainer.step)
     timings = {
         "train_s": trainer.seconds,
         "step_ms": median_ms(trainer.step_seconds),
@@ -313,17 +313,15 @@ def _execute(
     return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
 
 
-def evaluate(
-    evaluator: Evaluator, store: Run, views: Sequence[int], step: int, *, pictures: bool
-) -> tuple[list[Measures], Measures]:
-    """Measures the views, writes eval.parquet and, if asked, the pictures; returns each view's row, and the means."""
+def evaluate(evaluator: Evaluator, store: Run, views: Sequence[int], step: int) -> tuple[list[Measures], Measures]:
+    """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means."""
     start = time.perf_counter()
     rows = []
-    names = picture_names([evaluator.scene.names[view] for view in views])
-    for name, (rendered, row) in zip(names, evaluator.views(list(views), step), strict=True):
+    scene = evaluator.scene
+    names = dict(zip(scene.eval, picture_names([scene.names[view] for view in scene.eval]), strict=True))
+    for rendered, row in evaluator.views(list(views), step):
         rows.append(row)
-        if pictures:
-            store.save_image(name, evaluator.picture(rendered))
+        store.save_image(names[rendered.view], evaluator.picture(rendered))
     store.write_eval(rows)
     measured = means(rows)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
