@@ -31,7 +31,7 @@ def test_the_examples_of_the_page_run(monkeypatch: pytest.MonkeyPatch, capsys: p
     for example in examples:
         exec(example, names)
     assert len(examples) == 6
-    assert names["measured"].shape == names["noisy"].shape == (6144, 2)
+    assert names["measured"].shape == names["noisy"].shape == (6144, 3)
     drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if "─Rot─" in line]
     assert "\n".join(drawing) in page
 
