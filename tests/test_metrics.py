@@ -21,17 +21,17 @@ from qnerf.training.image_metrics import IMAGE_METRICS, Comparison
 
 
 @pytest.fixture
-def mae(monkeypatch: pytest.MonkeyPatch) -> Iterator[Metric]:
+def toy_error(monkeypatch: pytest.MonkeyPatch) -> Iterator[Metric]:
     """One entry and one function."""
     monkeypatch.setattr(IMAGE_METRICS, "_components", dict(IMAGE_METRICS._components))
-    metric = declare(Metric("mae", "mean absolute error", digits=4, better="lower", kind="image"))
+    metric = declare(Metric("toy_error", "mean absolute error", digits=4, better="lower", kind="image"))
 
-    @IMAGE_METRICS.register("mae")
+    @IMAGE_METRICS.register("toy_error")
     def mean_absolute_error(view: Comparison) -> float:
         return float((view.color - view.truth).abs().mean())
 
     yield metric
-    del METRICS["mae"]
+    del METRICS["toy_error"]
 
 
 def printed(write, *arguments) -> str:
@@ -40,36 +40,36 @@ def printed(write, *arguments) -> str:
     return out.file.getvalue()
 
 
-def test_a_new_metric_appears_everywhere(mae, tiny, tmp_path):
+def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     outcome = run(tiny("train.steps=2", "train.eval_every=1"))
     views = pd.read_parquet(outcome.path / "eval.parquet")
-    assert (views["mae"] > 0).all()
-    value = views["mae"].mean()
-    assert outcome.summary["mae"] == pytest.approx(value)
+    assert (views["toy_error"] > 0).all()
+    value = views["toy_error"].mean()
+    assert outcome.summary["toy_error"] == pytest.approx(value)
     text = f"{value:.4f}"
 
     assert f"mean absolute error {text}" in " ".join(printed(print_outcome, outcome).split())
     shown = printed(show.show, details.read(outcome.path))
     assert f"mean absolute error {text}" in shown
-    assert f"{views['mae'].iloc[0]:.4f}" in shown
-    listed = runs.load(str(tmp_path / "runs"), ["mae"])
-    lines = printed(runs.print_runs, listed, 0, ["mae"]).splitlines()
-    assert (lines[0].split()[-1], lines[1].split()[-1]) == ("mae", text)
+    assert f"{views['toy_error'].iloc[0]:.4f}" in shown
+    listed = runs.load(str(tmp_path / "runs"), ["toy_error"])
+    lines = printed(runs.print_runs, listed, 0, ["toy_error"]).splitlines()
+    assert (lines[0].split()[-1], lines[1].split()[-1]) == ("toy_error", text)
 
     frame = load.runs(tmp_path / "runs")
     table = ablation(frame, ["field"])
     assert table.text["mean absolute error"].tolist() == [text]
-    assert evaluations(frame, "mae")["value"].tolist() == views["mae"].tolist()
-    assert ablation(frame, ["field"], metric="mae").title == "mean absolute error over seeds"
+    assert evaluations(frame, "toy_error")["value"].tolist() == views["toy_error"].tolist()
+    assert ablation(frame, ["field"], metric="toy_error").title == "mean absolute error over seeds"
 
     data = content.data(content.prepared(frame), Pictures(), {})
-    assert "mae" in data["shown"]
-    assert "mae" in data["kinds"]["image"]
-    assert data["metrics"]["mae"] == {"heading": "mean absolute error", "digits": 4, "sign": -1}
+    assert "toy_error" in data["shown"]
+    assert "toy_error" in data["kinds"]["image"]
+    assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4, "sign": -1}
     logged = curves.gather(frame, [0], advance=lambda: None)[0]
-    assert logged["eval/mae"]["value"][-1] == pytest.approx(value, rel=1e-4)
-    assert data["curve_names"]["eval/mae"] == "held-out mean absolute error"
-    figure = figures.speed_vs_error(frame, metric="mae")
+    assert logged["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
+    assert data["curve_names"]["eval/toy_error"] == "held-out mean absolute error"
+    figure = figures.speed_vs_error(frame, metric="toy_error")
     assert figure.axes[0].get_ylabel() == "mean absolute error"
 
 

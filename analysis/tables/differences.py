@@ -22,6 +22,7 @@ def against(
     keys: one row a group, its key. The baseline's own row is NaN; where nothing pairs, seeds and views are 0.
     """
     reference = references(keys, rows, baseline)
+    unmatched = keys[[base is None for base in reference]]
     group = dict(zip(runs["path"], runs.groupby(list(rows), dropna=False).ngroup(), strict=True))
     views = statistics.evaluations(runs, metric)
     parts = dict(list(views.groupby(views["path"].map(group))))
@@ -33,6 +34,9 @@ def against(
     table = pd.DataFrame(lines, columns=_COLUMNS)
     name = ", ".join(",".join(condition.values) for condition in filters.parse(baseline))
     notes = [f"difference from {name}: {statistics.method()}; * excludes 0"]
+    if len(unmatched):
+        scenes = dict.fromkeys(label(tuple(scene)) for scene in unmatched[_scene_keys(rows)].to_numpy())
+        notes.append(f"no baseline in {', '.join(scenes)}")
     if (table["seeds"] == 1).any():
         notes.append("pairs of one seed: the interval speaks about views alone")
     without = len(runs) - views["path"].nunique()
@@ -41,21 +45,28 @@ def against(
     return table, notes
 
 
-def references(keys: pd.DataFrame, rows: Sequence[str], baseline: str | Mapping[str, object]) -> list[int]:
-    """For each row of `keys` the number of its scene's baseline row. ValueError where that is none or several."""
+def references(keys: pd.DataFrame, rows: Sequence[str], baseline: str | Mapping[str, object]) -> list[int | None]:
+    """For each row of `keys` the number of its scene's baseline row; None where the scene has none.
+
+    ValueError where no scene has one, or a scene has several.
+    """
     outside = [condition.key for condition in filters.parse(baseline) if condition.key not in rows]
     if outside:
         raise ValueError(f"baseline: {outside[0]!r} is not a row key; the rows are {', '.join(rows)}")
     matches = set(filters.require(keys, baseline, "rows").index)
-    scenes = [key for key in rows if key in SCENES]
-    found: dict[Any, int] = {}
+    scenes = _scene_keys(rows)
+    found: dict[Any, int | None] = {}
     for scene, members in keys.groupby(scenes, dropna=False) if scenes else [("the table", keys)]:
         ours = [number for number in members.index if number in matches]
-        if len(ours) != 1:
-            those = "; ".join(label(tuple(keys.loc[number])) for number in ours) or "none"
+        if len(ours) > 1:
+            those = "; ".join(label(tuple(keys.loc[number])) for number in ours)
             raise ValueError(f"baseline: expected one row of {label(scene)} that matches, got {len(ours)}: {those}")
-        found |= dict.fromkeys(members.index, ours[0])
+        found |= dict.fromkeys(members.index, ours[0] if ours else None)
     return [found[number] for number in keys.index]
+
+
+def _scene_keys(rows: Sequence[str]) -> list[str]:
+    return [key for key in rows if key in SCENES]
 
 
 def interval(row: Any, text: Callable[..., str]) -> str:

@@ -42,7 +42,7 @@ def test_means_spreads_and_counts_are_those_of_the_runs(store):
 
 def test_the_difference_from_the_baseline_is_paired_by_seed_and_view(store):
     table = ablation(runs(store), ["field"], baseline={"field": "classical"})
-    difference = table.data["difference"]
+    difference = table.data["difference, PSNR, dB"]
     # Every view of every seed is 1 dB better: whatever is resampled, the difference is 1.
     assert difference.loc["qcolor"].tolist() == pytest.approx([1, 1, 1, 3, 2])
     assert difference.loc["classical"].isna().all()
@@ -109,6 +109,16 @@ def test_scenes_stand_in_one_table_only_under_their_names(store):
     assert table.text["scene_name"].tolist() == ["chair", "poster", "poster"]
     # The best of each scene; alone in its scene, a row is no best.
     assert table.bold["PSNR, dB"].tolist() == [False, False, True]
+
+
+def test_a_scene_without_the_baseline_is_noted(store):
+    write_run(store, "qcolor", 0, [30.0], scene="chair")
+    table = ablation(runs(store), ["scene_name", "field"], baseline={"field": "classical"})
+    assert "no baseline in chair" in table.notes
+    difference = table.text.set_index(["scene_name", "field"])["difference, PSNR, dB"]
+    assert difference["chair", "qcolor"] == "no pairs"
+    assert difference["poster", "classical"] == "baseline"
+    assert "[" in difference["poster", "qcolor"]
 
 
 def test_mistakes_are_named(store, tmp_path):

@@ -185,3 +185,9 @@ def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatc
         monkeypatch.setenv("SLURM_RESTART_COUNT", restarts)
     launch._train(launch.OmegaConf.create(config()), "", Sweep(tmp_path))
     assert len(done) == calls
+
+
+def test_an_unknown_choice_is_one_line():
+    command = [sys.executable, "-m", "src.run", "encoder=fourier"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "error: encoder=fourier: unknown; known: hash, none, pe, rff\n")

@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, MissingConfigException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -235,6 +235,11 @@ def run_command() -> None:
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         code = 130
+    except MissingConfigException as error:
+        group, _, name = str(error.missing_cfg_file).rpartition("/")
+        known = f"known: {', '.join(error.options)}" if error.options else "--sweep NAME lists the sweeps"
+        print(f"error: {group or 'config'}={name}: unknown; {known}", file=sys.stderr)
+        code = 1
     except CompactHydraException as error:
         print(error, *([error.__cause__] if error.__cause__ else []), sep="\n", file=sys.stderr)
         code = 1
