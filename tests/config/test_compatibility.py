@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from analysis import load, query
-from analysis.selection import conditions
+from analysis import load
 from qnerf import records
 from qnerf.cli.launch import _rename_swept
 from qnerf.cli.overrides import translated
@@ -137,8 +136,8 @@ def test_filters_and_tables_know_old_names(capsys, monkeypatch):
     monkeypatch.setattr(compatibility, "_noted", set())
     frame = pd.DataFrame({"shading": ["merge", "none"], "density.mlp.init": ["he", "torch"]})
     assert filters.select(frame, filters.parse(["gate=merge"]))["density.mlp.init"].tolist() == ["he"]
-    assert query.select(frame, {"density.init": "torch"})["shading"].tolist() == ["none"]
-    assert conditions("density.init=he") == {"density.mlp.init": "he"}
+    assert filters.require(frame, {"density.init": "torch"})["shading"].tolist() == ["none"]
+    assert filters.require(frame, "density.init=he")["shading"].tolist() == ["merge"]
     assert capsys.readouterr().err.count("\n") == 2
 
 

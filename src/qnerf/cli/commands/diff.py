@@ -39,8 +39,8 @@ def main(options: argparse.Namespace) -> None:
 def compare(a: Details, b: Details) -> dict[str, Any]:
     """What differs, in sections.
 
-    `configuration`, `execution`, `environment`: name -> [value in A, value in B], only where they differ. `results`:
-    name -> [A, B, B - A] for every number; the difference is None where one of the runs has no number.
+    `configuration`, `execution`, `environment`: name -> [value in A, value in B], only if they differ. `results`: name
+    -> [A, B, B - A] for every number; the difference is None if one run has no number.
     """
     config = differences(*(flatten(without_neutral(run.config)) for run in (a, b)))
     execution = {key: pair for key, pair in config.items() if is_execution(key)}
@@ -56,7 +56,7 @@ def compare(a: Details, b: Details) -> dict[str, Any]:
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Name -> [value in a, value in b], only where they differ; None for a name that is missing."""
+    """Name -> [value in a, value in b], only if they differ; None stands for a missing name."""
     names = list(dict.fromkeys([*a, *b]))
     return {name: [a.get(name), b.get(name)] for name in names if a.get(name) != b.get(name)}
 

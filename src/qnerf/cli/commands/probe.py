@@ -58,15 +58,15 @@ def _check(names: list[str], settings: list[str]) -> None:
 
 
 def _conditions(settings: list[str]) -> tuple[list[Any], int]:
-    """What the options ask for, and how many views."""
+    """The conditions to measure under, and the number of views."""
     from qnerf.probes.shots_and_noise import grid
 
-    given = dict(option.split("=", 1) for option in settings)
-    values = DEFAULTS | given
+    chosen = dict(option.split("=", 1) for option in settings)
+    values = DEFAULTS | chosen
     shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
     views, seed = _one("views", values["views"]), _one("seed", values["seed"])
-    if "noise" in given and not p:
-        raise ValueError(f"noise={values['noise']} expects its probabilities as well, such as p=0.001,0.01")
+    if "noise" in chosen and not p:
+        raise ValueError(f"noise={values['noise']} also expects probabilities, such as p=0.001,0.01")
     return grid(shots, values["noise"], p, seed), views
 
 
