@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import torch
 
@@ -32,6 +32,7 @@ from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import capture, dirty_diff
+from qnerf.records.filters import is_number
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
@@ -343,10 +344,6 @@ def means(rows: Sequence[Measures]) -> Measures:
         result[key] = sum(values) / len(values) if values else None
     reasons = dict.fromkeys(key for row in rows for key in row if key.endswith("_reason"))
     return result | {key: next((row[key] for row in rows if row[key]), None) for key in reasons}
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, (int, float))
 
 
 def part_times(path: Path) -> dict[str, float]:

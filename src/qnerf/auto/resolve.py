@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from qnerf.auto.rules import RULES, Measured
+from qnerf.config.compatibility import value_of
 from qnerf.config.registry import Registry
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
@@ -44,13 +45,6 @@ def resolve(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
             raise ValueError(f"needs.{option}: expected a group with the key value, got {decided[option]!r}")
         replace(resolved, option, decided[option])
     return resolved
-
-
-def value_of(config: Mapping[str, Any], option: str) -> Any:
-    """The value of a dotted option; None if there is none."""
-    group, _, key = option.rpartition(".")
-    node = config.get(group) if group else config
-    return node.get(key) if isinstance(node, Mapping) else None
 
 
 def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> None:

@@ -1,21 +1,14 @@
-"""Terminal output of a training: the configuration as a tree, a progress bar, a closing table."""
+"""Terminal output of a training: a progress bar and a closing table."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from qnerf.cli.text import tree
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import image_metrics, metric_of
-
-
-def print_config(console: Console, config: Mapping[str, Any]) -> None:
-    """The resolved configuration as a tree."""
-    console.print(tree("configuration", config))
 
 
 class LiveDisplay(Display):

@@ -167,7 +167,8 @@ def _is_abandoned() -> bool:
 
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
-    from qnerf.cli.display import LiveDisplay, print_config, print_outcome
+    from qnerf.cli.display import LiveDisplay, print_outcome
+    from qnerf.cli.text import tree
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
@@ -175,7 +176,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     overrides = list(HydraConfig.get().overrides.task)
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
     if sweep is None:
-        print_config(console, config)
+        console.print(tree("configuration", config))
     elif prefix:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     else:

@@ -89,7 +89,7 @@ def upgrade_config(config: Mapping[str, Any]) -> dict[str, Any]:
     >>> upgrade_config({"gate": {"name": "threshold", "least": 0.1}})
     {'shading': {'name': 'threshold', 'min_share': 0.1}}
     """
-    return _tree(_renamed(_leaves(config), _TODAY))
+    return _tree(_renamed(leaves_of(config), _TODAY))
 
 
 def fill_added(config: dict[str, Any]) -> None:
@@ -106,7 +106,7 @@ def neutral(config: Mapping[str, Any]) -> dict[str, Any]:
     """Each option in `ADDED` -> the value with which `config` does what it did before the option existed."""
     values: dict[str, Any] = {}
     for option, value in ADDED.items():
-        values[option] = _value(config, value.option, values) if isinstance(value, Same) else value
+        values[option] = value_of(config, value.option, values.get(value.option)) if isinstance(value, Same) else value
     return values
 
 
@@ -117,11 +117,11 @@ def without_neutral(config: Mapping[str, Any]) -> dict[str, Any]:
     {'seed': 0}
     """
     config = upgrade_config(config)
-    leaves = _leaves(config)
+    leaves = leaves_of(config)
     for option, value in neutral(config).items():
         path = tuple(option.split("."))
         own = {key: leaf for key, leaf in leaves.items() if key[: len(path)] == path}
-        usual = _leaves(value, path)
+        usual = leaves_of(value, path)
         if isinstance(ADDED[option], Same):
             dropped = list(own) if own == usual else []
         else:
@@ -133,26 +133,30 @@ def without_neutral(config: Mapping[str, Any]) -> dict[str, Any]:
 
 def old_form(config: Mapping[str, Any]) -> dict[str, Any]:
     """What `identity` hashes: `without_neutral`, each option under its first name."""
-    return _tree(_renamed(_leaves(without_neutral(config)), _ORIGINAL))
+    return _tree(_renamed(leaves_of(without_neutral(config)), _ORIGINAL))
 
 
-def _value(config: Mapping[str, Any], option: str, values: Mapping[str, Any]) -> Any:
-    """The value of a dotted option in `config`, else in `values`, else None."""
+def value_of(config: Mapping[str, Any], option: str, default: Any = None) -> Any:
+    """The value of a dotted option; `default` if there is none.
+
+    >>> value_of({"train": {"steps": 10}}, "train.steps")
+    10
+    """
     node: Any = config
     for key in option.split("."):
         if not isinstance(node, Mapping) or key not in node:
-            return values.get(option)
+            return default
         node = node[key]
     return node
 
 
-def _leaves(node: Any, path: _Path = ()) -> _Leaves:
-    """Path of keys -> value. An empty group counts as a value."""
+def leaves_of(node: Any, path: _Path = ()) -> _Leaves:
+    """Path of keys -> value. An empty group inside `node` counts as a value."""
     if not isinstance(node, Mapping) or (path and not node):
         return {path: node}
     leaves: _Leaves = {}
     for key, value in node.items():
-        leaves |= _leaves(value, (*path, key))
+        leaves |= leaves_of(value, (*path, key))
     return leaves
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from qnerf.config.compatibility import old_form, upgrade_config
+from qnerf.config.compatibility import leaves_of, old_form, upgrade_config
 
 EXECUTION = ("device", "store", "run", "threads", "hydra", "needs", "numerics.finite_checks")
 """Options and groups that say where and how a run is executed, not what it computes. `needs` is among them because the
@@ -86,20 +86,10 @@ def flatten(config: Mapping[str, Any]) -> dict[str, Any]:
     >>> flatten({"train": {"steps": 10}, "samples": [1, 2]})
     {'train.steps': 10, 'samples': '[1, 2]'}
     """
-    flat: dict[str, Any] = {}
-
-    def visit(prefix: str, value: Any) -> None:
-        if isinstance(value, dict) and value:
-            for key, item in value.items():
-                visit(f"{prefix}.{key}" if prefix else key, item)
-        elif isinstance(value, (dict, list)):
-            flat[prefix] = json.dumps(value)
-        else:
-            flat[prefix] = value
-
-    for key, value in plain(config).items():
-        visit(key, value)
-    return flat
+    return {
+        ".".join(path): json.dumps(value) if isinstance(value, (dict, list)) else value
+        for path, value in leaves_of(plain(config)).items()
+    }
 
 
 def is_execution(name: str) -> bool:
