@@ -110,7 +110,7 @@ def build_scene(settings: Settings) -> Scene:
 
 
 def check_background(scene: Scene, settings: Settings) -> None:
-    if scene.images.shape[-1] == 4 and settings.render.background == "last_sample":
+    if scene.has_alpha and settings.render.background == "last_sample":
         raise ValueError(
             f"scene {scene.name}: the images have alpha, which render.background=last_sample cannot be compared with; "
             "use render.background=white, black or random"

@@ -28,10 +28,6 @@ class Measured:
         self.scene = scene
 
     @cached_property
-    def alpha(self) -> bool:
-        return self.scene.images.shape[-1] == 4
-
-    @cached_property
     def half_extent(self) -> float | None:
         return space.box_half_extent(self.scene)
 
@@ -101,7 +97,7 @@ def far(data: Measured, config: Config) -> Decision:
 
 @rule("render.background")
 def background(data: Measured, config: Config) -> Decision:
-    return Decision("white" if data.alpha else "last_sample", {"alpha": float(data.alpha)})
+    return Decision("white" if data.scene.has_alpha else "last_sample", {"alpha": float(data.scene.has_alpha)})
 
 
 @rule("visibility.cameras")
@@ -112,7 +108,7 @@ def cameras_that_see(data: Measured, config: Config) -> Decision:
 
 @rule("visibility.alpha")
 def silhouettes(data: Measured, config: Config) -> Decision:
-    return Decision(data.half_extent is not None, {"alpha": float(data.alpha)})
+    return Decision(data.half_extent is not None, {"alpha": float(data.scene.has_alpha)})
 
 
 @rule("occupancy.every")

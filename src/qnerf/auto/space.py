@@ -25,7 +25,7 @@ def box_half_extent(scene: Scene) -> float | None:
     without alpha, with lens distortion, if nothing remains, or if the object reaches the border of [-2, 2]^3, twice the
     cube of the cameras.
     """
-    if scene.images.shape[-1] != 4 or bool(scene.cameras.distortion.any()):
+    if not scene.has_alpha or bool(scene.cameras.distortion.any()):
         return None
     box = CONTRACTIONS.build("box", half_extent=2.0)
     points, radius = bounding_spheres(box, CELLS)

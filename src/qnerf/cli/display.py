@@ -69,7 +69,7 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
     table.add_row(
         "training",
         f"{summary['train_s']:.1f} s",
-        f"{metric_of('step_ms').with_unit(summary['step_ms'])} a step, median",
+        f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median",
     )
     console.print(table)
     for name, path, content in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):

@@ -54,7 +54,7 @@ def _odd(value: Any) -> str | None:
 
 
 def as_json(value: Any) -> str:
-    """JSON in ASCII, which is safe to print; null for what is not a finite number."""
+    """JSON in ASCII, which is safe to print; NaN and infinities become null."""
     return json.dumps(_finite(value), indent=1, default=str)
 
 

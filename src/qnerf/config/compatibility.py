@@ -69,18 +69,12 @@ def today(name: str) -> str:
 
 
 def today_noted(name: str) -> str:
-    """`today` for a name that the user typed; prints a note if it is an old one."""
+    """`today` for a name that the user typed. Notes an old name on standard error, once per process."""
     new = today(name)
-    if new != name:
-        note(name, new)
+    if new != name and name not in _noted:
+        _noted.add(name)
+        print(f"{name} is called {new} now", file=sys.stderr, flush=True)
     return new
-
-
-def note(old: str, new: str) -> None:
-    """Prints what an option is called now, once per process, on standard error."""
-    if old not in _noted:
-        _noted.add(old)
-        print(f"{old} is called {new} now", file=sys.stderr, flush=True)
 
 
 def upgrade_config(config: Mapping[str, Any]) -> dict[str, Any]:

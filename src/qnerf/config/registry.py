@@ -110,18 +110,13 @@ def check_options(label: str, component: Callable[..., Any], options: Mapping[st
 
 
 def _fits(value: Any, hint: Any) -> bool:
+    """Whether the value has the annotated type. YAML's lists are tuples, too, and a bool is not a number."""
     origin = get_origin(hint)
-    if hint is Any:
-        return True
     if origin in (Union, types.UnionType):
         return any(_fits(value, part) for part in get_args(hint))
-    if hint is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint is None or hint is type(None):
-        return value is None
-    if origin in (list, tuple, set, dict) or (origin is not None and inspect.isclass(origin)):
-        expected = (list, tuple) if origin in (list, tuple) else origin
-        return isinstance(value, expected)
-    return not inspect.isclass(hint) or isinstance(value, hint)
+    if hint in (int, float):
+        return isinstance(value, (int, hint)) and not isinstance(value, bool)
+    if origin in (list, tuple):
+        return isinstance(value, (list, tuple))
+    expected = origin or hint
+    return expected is Any or not inspect.isclass(expected) or isinstance(value, expected)

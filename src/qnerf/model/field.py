@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from qnerf.encoders import Encoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
-from qnerf.heads import MIN_BATCH
+from qnerf.heads.base import MIN_BATCH
 
 
 class Field(nn.Module):

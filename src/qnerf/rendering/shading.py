@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from qnerf.config.checks import at_least
 from qnerf.config.registry import Registry
-from qnerf.heads import MIN_BATCH
+from qnerf.heads.base import MIN_BATCH
 
 SHADINGS: "Registry[Shading]" = Registry("shading")
 

@@ -17,7 +17,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="nonfinite.pt in the run's folder")
     add_plugins(parser)
     parser.add_argument("--scene", metavar="DIR", help="where the scene is now (default: scene.path of the run)")
-    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], help="default: that of the run")
+    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], help="default: the device of the run")
 
 
 def main(options: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,7 +58,8 @@ def main(options: argparse.Namespace) -> int:
 
     config["threads"] = recorded_threads(run) or config["threads"]
     config["run"]["force"] = True  # the folder of --keep may contain an earlier one
-    with _store(options.keep) as store:
+    second = options.keep and contextlib.nullcontext(options.keep)
+    with second or tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = str(store)
         outcome = run_stored(run, config, filled)
         if outcome.state != "finished":
@@ -67,15 +68,6 @@ def main(options: argparse.Namespace) -> int:
         compared = compare(run, outcome.path)
         different = environment_differences(run, outcome.path)
     return report(run, compared, different, options.tolerance)
-
-
-@contextlib.contextmanager
-def _store(keep: Path | None) -> Iterator[Path]:
-    if keep is not None:
-        yield keep
-        return
-    with tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as folder:
-        yield Path(folder)
 
 
 def report(

@@ -15,7 +15,7 @@ from qnerf.metrics import METRICS
 from qnerf.records import filters, index
 from qnerf.records.printable import ELLIPSIS, printable
 
-EPILOG = """filters, of which a run must meet all:
+EPILOG = """filters (a run must match all of them):
   qcolor-hashC5              a part of the id
   field=qcolor,qboth         a column has one of the values
   state=failed  tag=good     so do states and tags
@@ -38,8 +38,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--columns", default="", metavar="A,B", help="more columns, such as seed,train.lr")
     parser.add_argument("--all-columns", action="store_true", help="every column there is")
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="one object a run, numbers in full")
-    form.add_argument("--ids", action="store_true", help="ids alone, one a line, for `xargs qnerf rm`")
+    form.add_argument("--json", action="store_true", help="one object per run, numbers in full")
+    form.add_argument("--ids", action="store_true", help="only ids, one per line, for `xargs qnerf rm`")
 
 
 def main(options: argparse.Namespace) -> None:

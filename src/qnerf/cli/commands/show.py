@@ -109,7 +109,7 @@ def _results(out: Console, run: Details) -> None:
         _pair(out, "parameters", f"{count(parts.get('total'))}: {listed}")
     step = metric_of("step_ms")
     if not missing(values.get("train_s")):
-        a_step = f"{measured(values.get('step_ms'), step, unit=True)} a step, {step.explanation}"
+        a_step = f"{measured(values.get('step_ms'), step, unit=True)} per step, {step.explanation}"
         _pair(out, "training", f"{duration(values['train_s'])}   {a_step}")
     times = {key[5:-3]: value for key, value in values.items() if key.startswith("time.") and key.endswith("_ms")}
     if times:
