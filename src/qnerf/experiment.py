@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import torch
 
@@ -32,6 +32,7 @@ from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import capture, dirty_diff
+from qnerf.records.filters import is_number
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
@@ -44,7 +45,7 @@ from qnerf.training.trainer import Trainer
 
 @dataclass(frozen=True)
 class Outcome:
-    """How an invocation ended: `state` is finished, interrupted, or busy (another process is at it)."""
+    """How a command ended: `state` is finished, interrupted, or busy (another process writes the run)."""
 
     run_id: str
     path: Path
@@ -54,11 +55,11 @@ class Outcome:
 
 
 Measures = dict[str, float | str | None]
-"""Metric -> value; None where it cannot be had."""
+"""Metric -> value; None if it cannot be computed."""
 
 
 class Display:
-    """What a run tells while it goes on. This one is silent; the command line has one that speaks."""
+    """Receives the progress of a run. This one is silent; the command line has one that prints."""
 
     def begin(self, path: Path, step: int, steps: int) -> None: ...
 
@@ -70,7 +71,7 @@ class Display:
 
 
 def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
-    """Builds `node["name"]` from the registry with the node's other keys as options."""
+    """Builds the component `node["name"]` with the node's other keys as options."""
     options = {key: value for key, value in node.items() if key != "name"}
     return registry.build(node["name"], *wiring, **options)
 
@@ -78,7 +79,7 @@ def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
 def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str, Any], Settings, Scene]:
     """The configuration with every `auto` resolved for its scene, its settings, and the scene.
 
-    begun: if the run exists in its store, its stored `auto` decisions are reused.
+    begun: if the run exists in its store, reuse its stored `auto` decisions.
     """
     import_plugins(config["plugins"])
     if not auto.asked(config):
@@ -94,7 +95,7 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
 
 
 def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """The group `needs` of the run of this configuration; empty where there is none yet."""
+    """The stored `auto` decisions of this configuration's run; empty if there is no run yet."""
     try:
         stored = read_config(Path(config["store"]) / run_id(slug(config), config, scene.fingerprint))
     except StoreError:
@@ -109,7 +110,7 @@ def build_scene(settings: Settings) -> Scene:
 
 
 def check_background(scene: Scene, settings: Settings) -> None:
-    if scene.images.shape[-1] == 4 and settings.render.background == "last_sample":
+    if scene.has_alpha and settings.render.background == "last_sample":
         raise ValueError(
             f"scene {scene.name}: the images have alpha, which render.background=last_sample cannot be compared with; "
             "use render.background=white, black or random"
@@ -117,13 +118,15 @@ def check_background(scene: Scene, settings: Settings) -> None:
 
 
 def build_head(node: Mapping[str, Any], in_dim: int, out_dim: int) -> Head:
-    """The head that `node`, the group density or color, names."""
+    """The head that `node`, the group density or color, chooses."""
     return HEADS.build(node["name"], in_dim, out_dim, **head_options(node))
 
 
 def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field:
-    """Contraction, encoder, density head, colour head, in the order in which a point passes them; for that many views,
-    of which these are trained on."""
+    """Builds contraction, encoder, density head and colour head, in the order in which a point passes them.
+
+    views: number of views of the scene. trained: indices of the training views.
+    """
     contraction = component(CONTRACTIONS, settings.contraction)
     encoder = component(ENCODERS, settings.encoder, 3)
     density = build_head(settings.density, encoder.out_dim, 1 + settings.geo_features)
@@ -156,7 +159,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
 
 
 def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> SpaceMask | None:
-    """Where density may be: seen by enough cameras, inside the silhouettes, and, once learnt, not empty."""
+    """Where density may be: seen by enough cameras, inside the silhouettes, and not empty; None: everywhere."""
     cameras, n = settings.visibility.cameras, settings.visibility.resolution
     grids = []
     if cameras:
@@ -177,7 +180,9 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
     stride = round(1 / settings.stop.share) if settings.stop.every else 0
-    while stride and math.gcd(stride, scene.cameras.width) > 1:  # else the same few columns of every image
+    while (
+        stride and math.gcd(stride, scene.cameras.width) > 1
+    ):  # otherwise it would hold out the same few columns of every image
         stride += 1
     return RayTable(
         scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, validation_stride=stride
@@ -192,10 +197,10 @@ def parameter_counts(model: Model) -> dict[str, int]:
 
 @contextlib.contextmanager
 def stop_requests() -> Iterator[list[int]]:
-    """Collects SIGINT and SIGTERM instead of dying of them; a second one acts as usual.
+    """Collects SIGINT and SIGTERM, so that the run can stop with a checkpoint; a second one acts as usual.
 
-    SIGUSR1 and SIGUSR2 too, where somebody handles them, as a scheduler's launcher does that puts the job back into the
-    queue: its handler is called at the end, when the run has stopped.
+    SIGUSR1 and SIGUSR2 are collected, too, if they have a handler: a scheduler's launcher puts the job back into the
+    queue with it. That handler is called at the end, when the run has stopped.
     """
     received: list[int] = []
     previous: dict[signal.Signals, Any] = {}
@@ -207,7 +212,7 @@ def stop_requests() -> Iterator[list[int]]:
     warnings = [kind for kind in signal.Signals if kind.name in ("SIGUSR1", "SIGUSR2")]
     warnings = [kind for kind in warnings if callable(signal.getsignal(kind))]
     for kind in (signal.SIGINT, signal.SIGTERM, *warnings):
-        with contextlib.suppress(ValueError):  # not the main thread: the caller's own signals stay
+        with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             previous[kind] = signal.signal(kind, note)
     try:
         yield received
@@ -226,14 +231,14 @@ def run(
     stopping: Callable[[], bool] = lambda: False,
     name: str | None = None,
 ) -> Outcome:
-    """Trains and evaluates the configuration, or skips it if it is finished, or goes on where it was interrupted.
+    """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
-    stopping: asked before every step; once it is true, or on SIGINT or SIGTERM, the run stops with a checkpoint.
-    name: the run's id, if it has one already: older runs keep their original id.
+    stopping: called before every step. Once it is true, or on SIGINT or SIGTERM, the run stops with a checkpoint.
+    name: id of an existing run; older runs keep their original id.
 
     Raises:
         ValueError: a mistake in the configuration or the scene; nothing has been written.
-        Diverged: the loss turned NaN or infinite; the last good checkpoint is kept.
+        Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
     resolved, settings, scene = prepare(config, begun=True)
@@ -280,7 +285,7 @@ def _execute(
     train = settings.train
     measured = None
     try:
-        # Rows are logged before the checkpoint that includes their step: a resumed run neither doubles nor misses one.
+        # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
         for metrics in trainer.steps(store, stopping):
             done = trainer.done
             if metrics:
@@ -289,7 +294,7 @@ def _execute(
             if done or (train.eval_every and trainer.step % train.eval_every == 0):
                 views = scene.eval if done else scene.eval[: train.eval_views or None]
                 rows, measured = evaluate(evaluator, store, views, trainer.step)
-                # A curve is one of the same views from its first point to its last.
+                # Every point of the curve is a mean over the same views.
                 curve = means(rows[: train.eval_views or None])
                 store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
                 display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(measured['psnr'])}")
@@ -297,7 +302,7 @@ def _execute(
         display.end()
     if not trainer.done:
         store.interrupt()
-        message = f"stopped at step {trainer.step} of {train.steps}; the same command goes on from there"
+        message = f"stopped at step {trainer.step} of {train.steps}; the same command continues from there"
         return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
 
     if measured is None:  # killed between the last checkpoint and the end
@@ -330,17 +335,13 @@ def evaluate(evaluator: Evaluator, store: Run, views: Sequence[int], step: int) 
 
 
 def means(rows: Sequence[Measures]) -> Measures:
-    """Mean of each image metric over the views, None where no view has it; and the first `<metric>_reason` of each."""
+    """Mean of each image metric over the views that have it, else None, and the first `<metric>_reason` of each."""
     result: Measures = {}
     for key in [item.key for item in image_metrics()]:
         values = [value for row in rows if is_number(value := row[key])]
         result[key] = sum(values) / len(values) if values else None
     reasons = dict.fromkeys(key for row in rows for key in row if key.endswith("_reason"))
     return result | {key: next((row[key] for row in rows if row[key]), None) for key in reasons}
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, (int, float))
 
 
 def part_times(path: Path) -> dict[str, float]:

@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from qnerf.cli.display import print_config, print_outcome
-from qnerf.cli.text import console
+from qnerf.cli.display import print_outcome
+from qnerf.cli.text import console, tree
 from qnerf.experiment import Outcome
 
 
 @pytest.mark.parametrize("value", [r"x\[/b]", "[red]x[/red]", "D:\\data\\", [1, "[/]"], None, "a\nb\x1b[2J"])
 def test_a_configuration_is_shown_as_it_is(value: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    print_config(console(), {"scene": {"path": value}})
+    console().print(tree("configuration", {"scene": {"path": value}}))
     shown = capsys.readouterr().out
     assert f"path: {value}".replace("\n", r"\n").replace("\x1b", r"\x1b") in shown
     assert "\x1b" not in shown

@@ -112,7 +112,7 @@ def test_ctrl_c_stops_all_jobs_with_checkpoints(parallel, tmp_path, to):
     stdout, stderr = process.communicate(timeout=100)
     assert process.returncode == 130, stderr
     assert "Traceback" not in stdout + stderr
-    assert stderr.strip().splitlines()[-1] == "stopped; the same command goes on from the last checkpoints"
+    assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
     assert states(store) == ["interrupted"] * 2, "the third job was not begun"
     assert all((path / "checkpoint.pt").exists() for path in runs(store))
 

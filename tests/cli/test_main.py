@@ -112,7 +112,7 @@ def test_ctrl_c_stops_with_a_checkpoint_and_the_same_command_goes_on(small):
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 130, stderr
-    assert "the same command goes on from" in " ".join((stdout + stderr).split())
+    assert "the same command continues from" in " ".join((stdout + stderr).split())
     assert "Traceback" not in stderr
     (folder,) = runs(small)
     assert pd.read_parquet(folder / "summary.parquet").iloc[0]["state"] == "interrupted"

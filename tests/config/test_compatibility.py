@@ -138,6 +138,7 @@ def test_filters_and_tables_know_old_names(capsys, monkeypatch):
     assert filters.select(frame, filters.parse(["gate=merge"]))["density.mlp.init"].tolist() == ["he"]
     assert filters.require(frame, {"density.init": "torch"})["shading"].tolist() == ["none"]
     assert [item.key for item in filters.parse("density.init=he")] == ["density.mlp.init"]
+    assert filters.require(frame, "density.init=he")["shading"].tolist() == ["merge"]
     assert capsys.readouterr().err.count("\n") == 2
 
 

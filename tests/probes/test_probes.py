@@ -199,7 +199,7 @@ def test_the_command_knows_every_probe():
         (["spectrum"], "has no circuit, both of its heads are MLPs"),
         (["views=-1"], "views expects one number of at least 0, got '-1'"),
         (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
-        (["noise=thermal"], "noise=thermal expects its probabilities as well, such as p=0.001,0.01"),
+        (["noise=thermal"], "noise=thermal also expects probabilities, such as p=0.001,0.01"),
     ],
 )
 def test_a_mistake_is_one_line(tiny, monkeypatch, capsys, arguments, message):

@@ -1,4 +1,4 @@
-"""What a scene needs: every option that is set to `auto` is decided from the training data alone, at the start."""
+"""Decides every option that is set to `auto` from the training images and poses, before the training starts."""
 
 from qnerf.auto.resolve import asked, resolve
 

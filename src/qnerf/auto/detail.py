@@ -1,4 +1,4 @@
-"""How fine a grid the images ask for: their spectrum, and how many pixels a world unit takes."""
+"""How fine the hash grid has to be: the finest detail in the images, in cells per world unit."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,14 +6,14 @@ from numpy.typing import NDArray
 from qnerf.auto.views import grey
 from qnerf.scenes import Scene
 
-WORTH = 1e-4  # mean squared error of 40 dB: what lies in frequencies beyond is not asked for
-VIEWS = 40  # measured, at most
+WORTH = 1e-4  # mean squared error at 40 dB; the highest frequencies that together have less power are ignored
+VIEWS = 40  # most views to measure
 
 
 def finest_frequency(scene: Scene) -> float:
-    """Cycles a pixel, at most 1/2, above which the training images have less power than `WORTH`.
+    """Cycles per pixel, at most 1/2, above which the training images have less power than `WORTH`.
 
-    The mean over images of their power spectrum under a Hann window, whose loss of power is made good.
+    The power spectrum is the mean over images under a Hann window, corrected for the power that the window removes.
     """
     height, width = scene.cameras.height, scene.cameras.width
     window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
@@ -36,9 +36,9 @@ def above(radius: NDArray[np.float64], power: NDArray[np.float64]) -> float:
 
 
 def focus_distance(scene: Scene) -> float:
-    """Median distance, world units, of the training cameras from the point nearest to all their optical axes.
+    """Median distance, in world units, from the training cameras to the point nearest to all their optical axes.
 
-    1 where there is no such point in front of most of them: cameras that look outward, or all the same way.
+    1 if no such point lies in front of most cameras: they look outward, or all the same way.
     """
     poses = scene.cameras.poses.numpy()[scene.train]
     centres, axes = poses[:, :, 3], -poses[:, :, 2]
@@ -52,6 +52,6 @@ def focus_distance(scene: Scene) -> float:
 
 
 def cells_per_world_unit(scene: Scene) -> float:
-    """Two cells for each period of the finest frequency, at the distance that the cameras look at."""
+    """Two cells per period of the finest frequency, at the distance that the cameras focus on."""
     focal = float(scene.cameras.fx[scene.train].median())
     return 2 * finest_frequency(scene) * focal / focus_distance(scene)

@@ -6,17 +6,17 @@ from numpy.typing import NDArray
 from qnerf.auto.views import grey, neighbours, subset
 from qnerf.scenes import Scene
 
-PAIRS = 30  # of neighbouring views, at most
-COARSE = 64  # pixels: views are compared at this height at most
+PAIRS = 30  # most pairs of neighbouring views to compare
+COARSE = 64  # pixels: greatest height at which views are compared
 ALIKE = 0.6  # correlation above which two views show the same thing
-DARK, BRIGHT = 0.08, 0.92  # beyond, a pixel says nothing about exposure
+DARK, BRIGHT = 0.08, 0.92  # darker or brighter pixels say nothing about exposure
 
 
 def exposure_spread(scene: Scene) -> float:
-    """Standard deviation over views of the logarithm of their brightness on the same surfaces; NaN: not to be told.
+    """Standard deviation over views of the log brightness of the same surfaces; NaN if too few pairs can be compared.
 
-    Neighbouring views are laid over each other by the shift that correlates them best, which no gain changes; the gain
-    of a pair is the median over pixels of the ratio of their values, and its spread is sqrt(2) times that of a view.
+    Neighbouring views are aligned by the shift that correlates them best, which a gain does not change. The gain of a
+    pair is the median over pixels of the ratio of their values. Gains of pairs spread sqrt(2) times as much as views.
     """
     gains = [gain(coarse(grey(scene, a)), coarse(grey(scene, b))) for a, b in subset(neighbours(scene), PAIRS)]
     known = np.array([value for value in gains if np.isfinite(value)])
@@ -26,7 +26,7 @@ def exposure_spread(scene: Scene) -> float:
 
 
 def coarse(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The image made smaller by means over blocks, to at most `COARSE` rows or one column; NaN where one has a NaN."""
+    """The image reduced by block means to at most `COARSE` rows or to one column; NaN where a block has a NaN."""
     factor = min(-(-image.shape[0] // COARSE), image.shape[1])
     rows, columns = (size // factor * factor for size in image.shape)
     blocks = image[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
@@ -35,7 +35,7 @@ def coarse(image: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def gain(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """log of how much brighter `a` is than `b` (H, W), where they show the same; NaN where they do not."""
+    """Log of how much brighter `a` is than `b` (H, W); NaN if they do not show the same surfaces."""
     shift, correlation = best_shift(a, b)
     if correlation < ALIKE:
         return float("nan")
@@ -48,7 +48,10 @@ def gain(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def best_shift(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[tuple[int, int], float]:
-    """Rows and columns, even, by which `b` lies best on `a`, a quarter of the image at most; and their correlation."""
+    """The shift of `b`, rows and columns, that correlates it best with `a`, and that correlation.
+
+    Shifts are even and at most a quarter of the image.
+    """
     height, width = a.shape
     best = ((0, 0), -1.0)
     for rows in range(-(height // 4), height // 4 + 1, 2):
@@ -63,14 +66,14 @@ def best_shift(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[tuple[in
 def overlap(
     a: NDArray[np.float64], b: NDArray[np.float64], shift: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The parts of `a` and of `b` that cover each other when `b` is moved by `shift`."""
+    """The parts of `a` and `b` that overlap when `b` is moved by `shift`."""
     here = [slice(max(0, move), size + min(0, move)) for move, size in zip(shift, a.shape, strict=True)]
     there = [slice(max(0, -move), size + min(0, -move)) for move, size in zip(shift, a.shape, strict=True)]
     return a[here[0], here[1]], b[there[0], there[1]]
 
 
 def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Pearson's, over the pixels that both have; -1 where there are few or one of them is constant."""
+    """Pearson correlation over the pixels that both have; -1 if there are few, or one image is constant."""
     both = np.isfinite(a) & np.isfinite(b)
     if both.mean() < 0.1:
         return -1.0

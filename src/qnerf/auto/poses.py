@@ -1,4 +1,4 @@
-"""Whether the given poses are off, from what pairs of images show."""
+"""Whether the given poses are off, judged by matching features in pairs of images."""
 
 import warnings
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from skimage.transform import FundamentalMatrixTransform, rescale
 from qnerf.auto.views import grey, neighbours, subset
 from qnerf.scenes import Scene
 
-PAIRS = 8  # at most
-LEAST = 20  # matches that some pair of cameras explains, below which a pair of views is left out
-WITHIN = 1.0  # pixels from its epipolar line at which a match counts as explained
-OUTLINE = 2.0  # pixels from a transparent one within which a feature is left out
-SMALL = 256  # pixels: images are enlarged to this height for the features, never more than four times
+PAIRS = 8  # most pairs of views to compare
+MIN_MATCHES = 20  # pairs of views with fewer consistent matches are left out
+WITHIN = 1.0  # pixels: a match this close to its epipolar line is consistent
+OUTLINE = 2.0  # features this close to a transparent pixel are left out
+SMALL = 256  # pixels: smaller images are enlarged to this height before matching, at most four times
 
 
 @dataclass(frozen=True)
@@ -25,17 +25,17 @@ class Epipolar:
     """How far matched features lie from the epipolar lines of the given poses, in pixels; NaN: too few matches."""
 
     given: float  # median distance under the given poses
-    best: float  # under the pair of cameras that explains each pair of views best
-    pairs: int  # of views that had enough matches
+    best: float  # under the fundamental matrix that fits each pair of views best
+    pairs: int  # pairs of views with enough matches
 
 
 def epipolar_error(scene: Scene) -> Epipolar:
-    """Compares the given poses of neighbouring views with what their images say about each other.
+    """Compares the given poses of neighbouring views with the geometry that their images imply.
 
-    Lens distortion is not undone, which adds to both figures alike.
+    Lens distortion is not removed; it adds to both distances alike.
     """
-    found = [pair_error(scene, a, b) for a, b in subset(neighbours(scene), PAIRS)]
-    known = np.array([pair for pair in found if pair is not None]).reshape(-1, 2)
+    errors = [pair_error(scene, a, b) for a, b in subset(neighbours(scene), PAIRS)]
+    known = np.array([pair for pair in errors if pair is not None]).reshape(-1, 2)
     if len(known) == 0:
         return Epipolar(float("nan"), float("nan"), 0)
     given, best = np.median(known, axis=0)
@@ -45,9 +45,9 @@ def epipolar_error(scene: Scene) -> Epipolar:
 def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
     """Median distances from epipolar lines: under the given poses, and under the best fundamental matrix; or None."""
     points = matched(grey(scene, a), grey(scene, b))
-    if len(points) < LEAST:
+    if len(points) < MIN_MATCHES:
         return None
-    with warnings.catch_warnings(action="ignore"):  # that it finds nothing is told by what it returns
+    with warnings.catch_warnings(action="ignore"):  # it returns None if it finds no model
         model, explained = ransac(
             (points[:, 0], points[:, 1]),
             FundamentalMatrixTransform,
@@ -56,7 +56,7 @@ def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
             max_trials=200,
             rng=np.random.default_rng(0),
         )
-    if not model or explained.sum() < LEAST:
+    if not model or explained.sum() < MIN_MATCHES:
         return None
     points = points[explained]
     given, best = distances(fundamental(scene, a, b), points), distances(model.params, points)
@@ -64,9 +64,9 @@ def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
 
 
 def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Features that both images have: (N, 2, 2), which image, x and y in pixels.
+    """Features that both images show (N, 2, 2): which image, then x and y in pixels.
 
-    None at a silhouette: an outline is another curve on the object in each view.
+    Features at a silhouette are left out, because each view sees another outline of the object.
     """
     features = []
     for image in (a, b):
@@ -75,7 +75,7 @@ def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
         detector = SIFT(upsampling=1)
         try:
             detector.detect_and_extract(np.clip(large, 0, 1))
-        except RuntimeError:  # it found no features
+        except RuntimeError:  # no features
             return np.empty((0, 2, 2))
         keypoints = (detector.keypoints[:, ::-1] + 0.5) / factor
         features.append((keypoints, detector.descriptors))

@@ -1,4 +1,4 @@
-"""Replaces every `auto` in a configuration by a decision about the scene."""
+"""Replaces every `auto` in a configuration by a value that fits the scene."""
 
 import copy
 import math
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from qnerf.auto.rules import RULES, Measured
+from qnerf.config.compatibility import value_of
 from qnerf.config.registry import Registry
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
@@ -22,11 +23,10 @@ def asked(config: Mapping[str, Any]) -> list[str]:
 
 
 def resolve(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """Decides each option that is `auto` from the scene's training data alone; what is set stays as it is.
+    """Decides each option that is `auto` from the scene's training data. All other options stay as they are.
 
-    The decisions join the configuration's group `needs` with the numbers that they follow from:
-    needs.appearance.value, needs.appearance.exposure_spread. Options that are decided there already, as in the
-    configuration that a run stored, keep that value.
+    The group `needs` records each decision and the measurements behind it, such as needs.appearance.value and
+    needs.appearance.exposure_spread. Options that it has already, as in a stored run, keep the recorded value.
 
     Raises:
         ValueError: an option that cannot be decided on this scene.
@@ -35,7 +35,7 @@ def resolve(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     decided = resolved["needs"] = dict(resolved.get("needs") or {})
     measured = Measured(scene)
     for option in asked(config):
-        if value_of(resolved, option) != AUTO:  # the component that its group was found to need has no such option
+        if value_of(resolved, option) != AUTO:  # the component chosen for its group has no such option
             continue
         if option not in decided:
             decision = RULES[option](measured, resolved)
@@ -47,18 +47,11 @@ def resolve(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     return resolved
 
 
-def value_of(config: Mapping[str, Any], option: str) -> Any:
-    """The value of a dotted option; None where there is none."""
-    group, _, key = option.rpartition(".")
-    node = config.get(group) if group else config
-    return node.get(key) if isinstance(node, Mapping) else None
-
-
 def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> None:
     """Sets a dotted option to its decided value.
 
     When a component is chosen, options that it does not accept are dropped, and measured ones that are not set are
-    filled in. An option of the hash tables is also set where the encoder repeats it.
+    added. An option of the hash tables is also set in the encoder.
     """
     group, _, key = option.rpartition(".")
     node = config[group] if group else config

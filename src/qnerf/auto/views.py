@@ -1,24 +1,24 @@
-"""Which training views look at the same things."""
+"""Pairs of training views that show the same things, and their grey images."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qnerf.scenes import Scene
 
-ANGLE = np.deg2rad(30)  # beyond it between optical axes, two views count as strangers
+ANGLE = np.deg2rad(30)  # views whose optical axes differ by more are not compared
 
 
 def neighbours(scene: Scene) -> list[tuple[int, int]]:
-    """For each training view the one that stands nearest and looks the same way, to 30 degrees: pairs (V', 2).
+    """Each training view with the nearest one that looks the same way, within 30 degrees.
 
-    Each pair once; views without such a neighbour have none.
+    No pair appears twice; views without such a neighbour are left out.
     """
     views = np.array(scene.train)
     poses = scene.cameras.poses.numpy()[views]
     centres, axes = poses[:, :, 3], -poses[:, :, 2]
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    strange = np.arccos(np.clip(axes @ axes.T, -1, 1)) > ANGLE
-    apart[strange | np.eye(len(views), dtype=bool)] = np.inf
+    turned = np.arccos(np.clip(axes @ axes.T, -1, 1)) > ANGLE
+    apart[turned | np.eye(len(views), dtype=bool)] = np.inf
     nearest = apart.argmin(axis=1)
     pairs = {
         (min(a, b), max(a, b)) for a, b in zip(range(len(views)), nearest.tolist(), strict=True) if apart[a, b] < np.inf
@@ -33,8 +33,8 @@ def grey(scene: Scene, view: int) -> NDArray[np.float64]:
     return mean if pixels.shape[-1] == 3 else np.where(pixels[..., 3] > 0.5, mean, np.nan)
 
 
-def subset(items: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
-    """At most `most` of the items, evenly spread."""
-    if len(items) <= most:
+def subset(items: list[tuple[int, int]], limit: int) -> list[tuple[int, int]]:
+    """At most `limit` of the items, evenly spread."""
+    if len(items) <= limit:
         return items
-    return [items[int(index)] for index in np.linspace(0, len(items) - 1, most)]
+    return [items[int(index)] for index in np.linspace(0, len(items) - 1, limit)]

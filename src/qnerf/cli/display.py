@@ -1,25 +1,18 @@
-"""What a training shows on the terminal: the configuration as a tree, a progress bar, a closing table."""
+"""Terminal output of a training: a progress bar and a closing table."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from qnerf.cli.text import tree
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import image_metrics, metric_of
 
 
-def print_config(console: Console, config: Mapping[str, Any]) -> None:
-    """The resolved configuration as a tree."""
-    console.print(tree("configuration", config))
-
-
 class LiveDisplay(Display):
-    """A progress bar with step, loss, PSNR, steps a second and time left; plain lines where there is no terminal."""
+    """A progress bar with step, loss, PSNR, steps per second and time left; plain lines without a terminal."""
 
     def __init__(self, console: Console, live: bool = True) -> None:
         self.console = console
@@ -35,7 +28,7 @@ class LiveDisplay(Display):
         self.every = 0
 
     def begin(self, path: Path, step: int, steps: int) -> None:
-        line = f"run {path}" + (f", going on at step {step}" if step else "")
+        line = f"run {path}" + (f", resuming at step {step}" if step else "")
         self.console.print(line, highlight=False, markup=False, soft_wrap=True)
         self.every = max(1, steps // 10)
         self.steps = steps
@@ -59,11 +52,11 @@ class LiveDisplay(Display):
 
 
 def print_outcome(console: Console, outcome: Outcome) -> None:
-    """A short table: quality on the held-out views, parameters a part, seconds, where the run lies."""
+    """Prints a short table: quality on the held-out views, parameters of each part, training time, the run's folder."""
     if outcome.message:
         console.print(outcome.message, highlight=False, markup=False, soft_wrap=True)
     summary = outcome.summary
-    if outcome.state != "finished":  # what is evaluated on the way is not the result
+    if outcome.state != "finished":  # evaluations during training are not the result
         return
     table = Table(show_header=False, box=None, padding=(0, 2))
     views = f"{summary['eval_views']:.0f} held-out views"
@@ -76,9 +69,9 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
     table.add_row(
         "training",
         f"{summary['train_s']:.1f} s",
-        f"{metric_of('step_ms').with_unit(summary['step_ms'])} a step, median",
+        f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median",
     )
     console.print(table)
-    for name, path, what in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):
-        line = f"  {name:<13} {outcome.path / path}  {what}".rstrip()
+    for name, path, content in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):
+        line = f"  {name:<13} {outcome.path / path}  {content}".rstrip()
         console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""How a command ends: its exit code, and a user's mistake as one line on standard error."""
+"""Exit codes of commands, and the one line on standard error for a user's mistake."""
 
 import os
 import sys
@@ -8,8 +8,8 @@ from collections.abc import Callable
 def exit_code(command: Callable[[], int | None]) -> int:
     """Runs a command and returns its exit code.
 
-    A user's mistake (ValueError), a file that cannot be read or written (OSError) and a package that is not installed
-    are one line on standard error and exit code 2. Any other exception is a bug and keeps its traceback.
+    A user's mistake (ValueError), an unreadable file (OSError) and a missing package are printed as one line on
+    standard error, with exit code 2. Any other exception is a bug and keeps its traceback.
     """
     try:
         code = command() or 0
@@ -28,21 +28,21 @@ def exit_code(command: Callable[[], int | None]) -> int:
 
 
 def closed_pipe() -> int:
-    """Drops the rest of the output after its reader, such as `head`, has ended; returns the exit code."""
+    """Drops the rest of the output once its reader, such as `head`, has ended; returns the exit code."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 141
 
 
 def report(error: Exception) -> int:
-    """Prints the error as one line; returns the exit code of a mistake."""
+    """Prints the error as one line; returns the exit code of a user's mistake."""
     print(f"error: {one_line(error)}", file=sys.stderr)
     return 2
 
 
 def one_line(error: Exception) -> str:
     """The error's message on one line of printable characters."""
-    from qnerf.records.printable import printable  # imports pandas, which `qnerf --help` does without
+    from qnerf.records import files, printable  # imports pandas, which `qnerf --help` must not wait for
 
     if type(error).__name__ == "MissingMandatoryValue":  # OmegaConf's; only commands with Hydra import it
         return f"{getattr(error, 'full_key', '?')} must be given"
-    return printable(" ".join(str(error).split("\n    full_key")[0].split()))
+    return printable.printable(files.one_line(error).partition(" full_key: ")[0])

@@ -1,7 +1,7 @@
 """Hydra's side: composes the configuration from conf/ and the command line, and hands each job to the library.
 
-The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them; what they have to tell the
-process that started the sweep goes through the sweep's folder.
+The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them. They report to the process that
+started the sweep through the sweep's folder.
 """
 
 import importlib.util
@@ -29,7 +29,7 @@ from rich.text import Text
 
 from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
-from qnerf.cli.errors import one_line
+from qnerf.cli.errors import one_line, report
 from qnerf.cli.sweep import Sweep
 from qnerf.config.folders import CONF
 
@@ -39,20 +39,20 @@ LAUNCHERS = {
     "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
     "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
 }
-"""Launchers that a plugin brings -> its module, and the extra that installs it."""
+"""Launcher -> the module of its plugin, and the extra that installs it."""
 
-STARTER = "QNERF_SWEEP_PID"  # variable: the process that started the jobs side by side, the parent of all
-RETRY = 10.0  # seconds between attempts to take over the run of a job that died
-PATIENCE = 300.0  # seconds of them: more than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
+STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
+RETRY = 10.0  # seconds between attempts to take over the run of a dead job
+PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
 
-# The plugins check conf/hydra/launcher against schemas of the same names; that this happens unasked is deprecated.
+# The plugins' schemas have the names of the files in conf/hydra/launcher. Hydra warns that matching them is deprecated.
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
-_started: list[Sweep] = []  # by this process
+_started: list[Sweep] = []  # sweeps that this process started
 
 
 class SweepStart(Callback):
-    """What is done once, in the process that starts a sweep, before its first job."""
+    """Prepares a sweep, once, in the process that starts it."""
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         launcher = config.hydra.runtime.choices["hydra/launcher"]
@@ -60,7 +60,7 @@ class SweepStart(Callback):
         _rename_swept(config)
         sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
         _started.append(sweep)
-        # Jobs compose their configuration anew from these overrides, and must come to this folder, not to their own.
+        # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
         quoted = str(sweep.folder).replace("'", "\\'")
         with open_dict(config):
             config.hydra.sweep.dir = str(sweep.folder)
@@ -69,11 +69,11 @@ class SweepStart(Callback):
             os.environ[STARTER] = str(os.getpid())
             _stop_together(sweep)
         elif launcher == "submitit_slurm":
-            print(f"jobs go to Slurm, their output to {sweep.folder / 'jobs'}; Ctrl-C leaves them there", flush=True)
+            print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
 
 
 def _rename_swept(config: DictConfig) -> None:
-    """Options that a sweep's file names as an older version did."""
+    """Renames options that a sweep's file calls by an old name."""
     params = config.hydra.sweeper.get("params")
     if params:
         with open_dict(config):
@@ -90,15 +90,14 @@ def _require(launcher: str) -> None:
 
 
 def _stop_together(sweep: Sweep) -> None:
-    """Ctrl-C and SIGTERM reach joblib's processes as the sweep's stop file, whatever they are doing; a second one ends
-    this process at once.
+    """Turns Ctrl-C and SIGTERM into the stop file that joblib's processes watch; a second one ends this process.
 
-    Left alone, joblib kills its processes, and a terminal's Ctrl-C interrupts them anywhere. They inherit what this
-    thread blocks, so another one has to be there to receive it.
+    Otherwise joblib would kill its processes, and Ctrl-C in a terminal would interrupt them anywhere. They inherit the
+    blocked signals of this thread, so another thread has to receive them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         return
-    asked = {signal.SIGINT, signal.SIGTERM}
+    requests = {signal.SIGINT, signal.SIGTERM}
 
     def stop(*_: Any) -> None:
         if sweep.stopping():
@@ -106,17 +105,17 @@ def _stop_together(sweep: Sweep) -> None:
         sweep.stop()
 
     def receive() -> None:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, asked)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, requests)
         threading.Event().wait()
 
-    for kind in asked:
+    for kind in requests:
         signal.signal(kind, stop)
-    signal.pthread_sigmask(signal.SIG_BLOCK, asked)
+    signal.pthread_sigmask(signal.SIG_BLOCK, requests)
     threading.Thread(target=receive, name="qnerf-signals", daemon=True).start()
 
 
 class _Prefixed:
-    """Writes to `file` with `prefix` before every line, so that the lines of several processes can be told apart."""
+    """Writes to `file` with `prefix` before every line, so that readers can tell the lines of parallel jobs apart."""
 
     def __init__(self, file: TextIO, prefix: str) -> None:
         self.file = file
@@ -130,7 +129,7 @@ class _Prefixed:
 
 
 def job(composed: DictConfig) -> None:
-    """One job of a run or a sweep: from Hydra's configuration to the library, and its errors to one line."""
+    """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
     hydra_config = HydraConfig.get()
     sweep = Sweep(hydra_config.sweep.dir) if hydra_config.mode == RunMode.MULTIRUN else None
     side_by_side = sweep is not None and hydra_config.runtime.choices["hydra/launcher"] == "joblib"
@@ -139,7 +138,7 @@ def job(composed: DictConfig) -> None:
         if not _stopping(sweep):
             _train(composed, prefix, sweep)
     except KeyboardInterrupt:
-        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
+        print("stopped; the same command continues from the last checkpoint", file=sys.stderr)
         sys.exit(130)
     except Exception as error:
         known = _is_known(error)
@@ -155,7 +154,7 @@ def job(composed: DictConfig) -> None:
         sweep.fail(hydra_config.job.num, list(hydra_config.overrides.task), reason)
     finally:
         if _is_abandoned():
-            os._exit(1)  # joblib's process would wait for its next job
+            os._exit(1)  # otherwise joblib's process waits for its next job
 
 
 def _stopping(sweep: Sweep | None) -> bool:
@@ -163,12 +162,13 @@ def _stopping(sweep: Sweep | None) -> bool:
 
 
 def _is_abandoned() -> bool:
-    """Whether this is one of joblib's processes, and the one that started the sweep is dead."""
+    """Whether this is one of joblib's processes and the process that started the sweep is dead."""
     return STARTER in os.environ and os.getpid() != int(os.environ[STARTER]) != os.getppid()
 
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
-    from qnerf.cli.display import LiveDisplay, print_config, print_outcome
+    from qnerf.cli.display import LiveDisplay, print_outcome
+    from qnerf.cli.text import tree
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
@@ -176,7 +176,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     overrides = list(HydraConfig.get().overrides.task)
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
     if sweep is None:
-        print_config(console, config)
+        console.print(tree("configuration", config))
     elif prefix:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     else:
@@ -186,7 +186,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     display = LiveDisplay(console, live=config["run"]["progress"])
     stopping = partial(_stopping, sweep)
     outcome = run(config, overrides, display, stopping)
-    # Slurm starts a job anew where a node has died; its run is the dead job's until the last heartbeat is old enough.
+    # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
     deadline = time.monotonic() + (PATIENCE if "SLURM_RESTART_COUNT" in os.environ else 0)
     while outcome.state == "busy" and time.monotonic() < deadline:
         display.note(f"{outcome.message}; waiting for its heartbeat to stop")
@@ -198,14 +198,14 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
 
 
 def _is_known(error: Exception) -> bool:
-    """Whether one line tells the user what to do; anything else is a mistake of ours, or a library's."""
+    """Whether one line is enough for the user to act on; any other error is a bug."""
     from qnerf.training.trainer import Diverged
 
     return isinstance(error, (ValueError, OSError, Diverged, OmegaConfBaseException))
 
 
 def _report(sweep: Sweep) -> int:
-    """After a sweep: what failed and why. The exit code: 130 when it was stopped, else 1 if anything failed."""
+    """Prints which jobs of a sweep failed and why. Returns 130 if it was stopped, else 1 if a job failed, else 0."""
     failures = sweep.failures()
     if failures:
         table = Table("job", "reason", title=f"{len(failures)} failed")
@@ -213,21 +213,20 @@ def _report(sweep: Sweep) -> int:
             table.add_row(Text(overrides), Text(reason))
         Console(stderr=True).print(table)
     if sweep.stopping():
-        print("stopped; the same command goes on from the last checkpoints", file=sys.stderr)
+        print("stopped; the same command continues from the last checkpoints", file=sys.stderr)
         return 130
     return 1 if failures else 0
 
 
 def run_command() -> None:
     """Composes the configuration from conf/ and the command line, and runs it."""
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # what Hydra would print as a traceback comes through here
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of printing them itself
     code: Any = 0
     try:
         sys.argv[1:] = typed.translated(sys.argv[1:])
         plugins.load(typed.plugins(sys.argv[1:]))
     except ValueError as error:
-        print(f"error: {one_line(error)}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(report(error))
     try:
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
     except SystemExit as end:
@@ -246,8 +245,8 @@ def run_command() -> None:
     except Exception as error:
         if not _started:
             raise
-        # A process killed for want of memory, a queue that refuses the job: the launcher's to tell.
-        print(f"error: the sweep ended early; the same command goes on with it: {one_line(error)}", file=sys.stderr)
+        # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
+        print(f"error: the sweep ended early; the same command continues it: {one_line(error)}", file=sys.stderr)
         code = 1
     reported = [_report(sweep) for sweep in _started]
     if code or any(reported):

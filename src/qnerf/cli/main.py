@@ -5,8 +5,8 @@ import importlib
 import os
 import sys
 
-# Before PyTorch starts its threads: waiting threads sleep instead of spinning. A step is many small operations, and two
-# spinning threads on a busy two-core machine slow it down more than tenfold.
+# Before PyTorch starts its threads: waiting threads sleep instead of spinning. A step is many small operations, and
+# spinning threads slow a busy two-core machine down more than tenfold.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__

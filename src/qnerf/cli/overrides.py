@@ -1,4 +1,4 @@
-"""What the user typed, before Hydra reads it: old names of options, short forms, plugins."""
+"""Translates what the user typed before Hydra reads it: old names of options, short forms, plugins."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -11,7 +11,7 @@ _HEADS = ("density", "color")
 
 
 def translated(arguments: Iterable[str]) -> list[str]:
-    """Each override under today's name of its option; an old one is noted on standard error. Others stay as they are.
+    """Each override under today's name of its option; a note says so. Other arguments stay as they are.
 
     >>> translated(["-m", "density=qiren,mlp", "stop.min_gain_db=0.1"])
     ['-m', 'head@density=qiren,mlp', 'stop.min_gain_db=0.1']
@@ -28,7 +28,11 @@ def _translated(argument: str) -> str:
 
 
 def option(key: str, value: str = "") -> str:
-    """The key that Hydra knows for what the user calls `key`; `value` begins with =, if there is one."""
+    """Hydra's key for what the user calls `key`. `value` begins with = unless it is empty.
+
+    >>> option("density", "=qiren"), option("seed", "=1")
+    ('head@density', 'seed')
+    """
     if key.startswith(_SWEPT):
         return _SWEPT + option(key.removeprefix(_SWEPT), value)
     if key in _HEADS and not value.startswith("={"):
@@ -37,7 +41,7 @@ def option(key: str, value: str = "") -> str:
 
 
 def plugins(arguments: Sequence[str]) -> list[str]:
-    """The modules of `plugins=[a,b]`; empty where it is not given. ValueError where it is no list of names."""
+    """The modules of `plugins=[a,b]`, if any. ValueError if it is not a list of names."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 

@@ -1,4 +1,4 @@
-"""`plugins=[my_module]`: the user's own components as choices of the config groups, without any YAML."""
+"""`plugins=[my_module]`: makes the user's components choices of the config groups, without any YAML."""
 
 import os
 import sys
@@ -9,11 +9,11 @@ from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry
 
 PACKAGES = {"ansatz": "qiren"}
-"""Group -> where its options lie in the configuration, if not under the group's name."""
+"""Group -> where the configuration has its options, if not under the group's name."""
 
 
 def groups() -> Mapping[str, Registry[Any]]:
-    """Config group -> the registry whose components it offers."""
+    """Config group -> the registry of its components."""
     from qnerf.encoders import ENCODERS
     from qnerf.geometry.contraction import CONTRACTIONS
     from qnerf.geometry.pose_refinement import CAMERAS
@@ -58,7 +58,7 @@ def load(names: Sequence[str]) -> None:
 
 
 def is_choice(group: str, name: object) -> bool:
-    """Whether `group=name` can be chosen: by a YAML of the package, or since `load` made it so."""
+    """Whether the user can choose `group=name`: the package has a YAML for it, or `load` added it."""
     from hydra.core.config_store import ConfigStore
 
     from qnerf.config.folders import CONF
@@ -67,8 +67,7 @@ def is_choice(group: str, name: object) -> bool:
 
 
 def node(group: str, name: str) -> dict[str, Any]:
-    """What conf/<group>/<name>.yaml would hold, from the component's signature; an option without a default must be
-    given."""
+    """What conf/<group>/<name>.yaml would contain, from the component's signature; ??? stands for a missing default."""
     registry = groups()[group]
     options = {
         option: "???" if parameter.default is parameter.empty else _plain(parameter.default)

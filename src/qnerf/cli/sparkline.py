@@ -11,9 +11,12 @@ ASCII = "_.-~=+*#"
 
 
 def sparkline(values: Sequence[float] | np.ndarray, width: int, blocks: str = BLOCKS) -> str:
-    """`values` as at most `width` characters, from the least (the lowest block) to the greatest.
+    """`values` as at most `width` characters: the lowest block is the smallest value, the highest the largest.
 
-    More values than characters are averaged; a space stands where there are only NaN or infinite ones.
+    More values than characters are averaged. A space stands for values that are all NaN or infinite.
+
+    >>> sparkline([0, 1, 2, 3, 2, 1], 6)
+    '▁▃▆█▆▃'
     """
     width = min(width, len(values))
     bounds = [len(values) * i // max(width, 1) for i in range(width + 1)]

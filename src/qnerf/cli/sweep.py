@@ -19,7 +19,7 @@ from qnerf.config.folders import SWEEPS
 def expand_sweep(arguments: Sequence[str]) -> list[str]:
     """Replaces `--sweep NAME` by the options with which Hydra finds the sweep's file.
 
-    NAME is one of the sweeps that come with qnerf, or the path of a YAML file of the user's.
+    NAME is a sweep that comes with qnerf, or the path of a YAML file.
 
     Raises:
         ValueError: no such sweep, or no NAME.
@@ -44,7 +44,7 @@ def expand_sweep(arguments: Sequence[str]) -> list[str]:
 
 
 class Sweep:
-    """The folder of one sweep, created by the first write. `common`: overrides that all jobs share."""
+    """The folder of one sweep, created by the first write. `common`: overrides of the whole sweep."""
 
     def __init__(self, folder: str | Path, common: Collection[str] = ()) -> None:
         self.folder = Path(folder)

@@ -1,4 +1,4 @@
-"""Tables: as wide as the terminal allows there, aligned plain text with nothing left out when piped."""
+"""Tables: they fit the terminal's width, and are aligned plain text with all columns when piped."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """One column; `cell` makes its text from a row, on which nothing is escaped yet.
+    """One column; `cell` makes its text from a row, not yet escaped.
 
-    rank: of the columns for which a terminal is too narrow the highest ranks go first; 0 never goes. least: width to
-    which the column may shrink before others go, all but the last `tail` characters of its text first.
+    rank: if the terminal is too narrow, columns of the highest rank are dropped first; rank 0 is never dropped.
+    min_width: the column shrinks to this width before others are dropped; the last `tail` characters of its text stay.
     """
 
     title: str
@@ -30,7 +30,7 @@ class Column:
     rank: int = 0
     right: bool = False
     style: Callable[[Row], str] = lambda row: ""
-    least: int | None = None
+    min_width: int | None = None
     tail: int = 0
     limit: int = 40  # characters on a terminal
 
@@ -55,7 +55,7 @@ def print_table(console: Console, columns: Sequence[Column], rows: Sequence[Row]
 
 
 def plain_lines(columns: Sequence[Column], rows: Sequence[Row]) -> Iterator[str]:
-    """Aligned by spaces, for `awk`: no cell is empty or holds a space, and numbers have no commas."""
+    """Lines aligned by spaces, for `awk`: no cell is empty or contains a space, and numbers have no commas."""
     cells = [[_plain(column, column.title) for column in columns]]
     cells += [[_plain(column, column.cell(row)) for column in columns] for row in rows]
     widths = [max(cell_len(line[i]) for line in cells) for i in range(len(columns))]
@@ -87,24 +87,28 @@ def table(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Te
 
 
 def fit(columns: Sequence[Column], widths: Mapping[str, int], width: int) -> tuple[list[Column], dict[str, int]]:
-    """The columns for which there is room, and their widths; shrinkable ones take what is left."""
+    """The columns that fit, and their widths; shrinkable columns take the room that is left."""
     columns = list(columns)
     while True:
-        least = {c.title: min(widths[c.title], c.least or widths[c.title]) for c in columns}
-        room = width - sum(least.values()) - GAP * (len(columns) - 1)
+        fitted = {c.title: min(widths[c.title], c.min_width or widths[c.title]) for c in columns}
+        room = width - sum(fitted.values()) - GAP * (len(columns) - 1)
         last = max(columns, key=lambda c: c.rank)
         if room >= 0 or last.rank == 0:
             break
         columns.remove(last)
-    for title, small in least.items():
-        grow = min(max(room, 0), widths[title] - small)
-        least[title] += grow
+    for title, smallest in fitted.items():
+        grow = min(max(room, 0), widths[title] - smallest)
+        fitted[title] += grow
         room -= grow
-    return columns, least
+    return columns, fitted
 
 
 def shorten(text: str, width: int, tail: int = 0) -> str:
-    """At most `width` characters: what goes is before the last `tail`, such as `s0-397bfb074c` of a run's id."""
+    """`text` cut to `width` characters; its last `tail` stay, such as `s0-397bfb074c` of a run's id.
+
+    >>> shorten("poster-qcolor-s0-397bfb074c", 20, tail=13)
+    'poster…s0-397bfb074c'
+    """
     if cell_len(text) <= width:
         return text
     tail = min(tail, width - 1)

@@ -1,4 +1,4 @@
-"""What the commands print: texts, numbers, times and sizes in one form everywhere."""
+"""How the commands print text, numbers, times and sizes."""
 
 import json
 import math
@@ -19,7 +19,7 @@ STATE_STYLES = {"running": "cyan", "finished": "green", "interrupted": "yellow",
 
 
 def console() -> Console:
-    """Standard output; characters that its encoding lacks come out as escapes."""
+    """Standard output; characters that its encoding lacks are escaped."""
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     return Console(highlight=False, markup=False, emoji=False)
@@ -31,30 +31,30 @@ def styled(value: object, style: str = "", limit: int | None = None) -> Text:
 
 
 def tree(title: str, node: Mapping[str, Any]) -> Tree:
-    """A nested configuration."""
-    grown = Tree(Text(title, "bold"), guide_style="dim")
+    """A nested configuration as a tree."""
+    root = Tree(Text(title, "bold"), guide_style="dim")
     for key, value in node.items():
         if isinstance(value, Mapping):
-            grown.add(tree(printable(key), value))
+            root.add(tree(printable(key), value))
         else:
-            grown.add(Text.assemble(f"{printable(key)}: ", (printable(value), "cyan")))
-    return grown
+            root.add(Text.assemble(f"{printable(key)}: ", (printable(value), "cyan")))
+    return root
 
 
 def missing(value: Any) -> bool:
-    """Whether there is no value: None or not a number."""
+    """Whether there is no value: None or NaN."""
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
 def _odd(value: Any) -> str | None:
-    """How to show what is no finite number: `-` for no value, anything else (a table may hold it) as text."""
+    """Text for anything but a finite number: `-` for no value, else the value as it is."""
     if missing(value):
         return "-"
     return None if isinstance(value, numbers.Real) and math.isfinite(value) else str(value)
 
 
 def as_json(value: Any) -> str:
-    """JSON in ASCII, which is safe to print; null for what is not a finite number."""
+    """JSON in ASCII, which is safe to print; NaN and infinities become null."""
     return json.dumps(_finite(value), indent=1, default=str)
 
 
@@ -67,30 +67,34 @@ def _finite(value: Any) -> Any:
 
 
 def measured(value: Any, metric: Metric, unit: bool = False) -> str:
-    """The value of a metric as `23.91`, with its unit if asked; `-` where there is none."""
+    """The value of a metric as `23.91`, with its unit if asked; `-` if there is no value."""
     return _odd(value) or (metric.with_unit(value) if unit else metric.text(value))
 
 
 def count(value: Any) -> str:
-    """`1,055,947`; `-` where there is none."""
+    """`1,055,947`; `-` if there is no value."""
     return _odd(value) or f"{int(value):,}"
 
 
 def duration(seconds: Any) -> str:
-    """`4.2s`, `43s`, `1m53s`, `2h05m`, `3d04h`; `-` where there is none."""
+    """`4.2s`, `43s`, `1m53s`, `2h05m`, `3d04h`; `-` if there is no value.
+
+    >>> duration(113), duration(7500), duration(None)
+    ('1m53s', '2h05m', '-')
+    """
     if odd := _odd(seconds):
         return odd
     if seconds < 9.95:
         return f"{max(seconds, 0):.1f}s"
     whole = round(seconds)
-    for unit, small, size, least in (("d", "h", 86400, 3600), ("h", "m", 3600, 60), ("m", "s", 60, 1)):
+    for unit, small, size, small_size in (("d", "h", 86400, 3600), ("h", "m", 3600, 60), ("m", "s", 60, 1)):
         if whole >= size:
-            return f"{whole // size}{unit}{whole % size // least:02}{small}"
+            return f"{whole // size}{unit}{whole % size // small_size:02}{small}"
     return f"{whole}s"
 
 
 def age(moment: Any) -> str:
-    """Time since a Unix time as `43s`, `12m`, `5h`, `3d`; `-` where there is none."""
+    """Time since a Unix time as `43s`, `12m`, `5h`, `3d`; `-` if there is no value."""
     if odd := _odd(moment):
         return odd
     seconds = max(time.time() - moment, 0)
@@ -101,6 +105,10 @@ def age(moment: Any) -> str:
 
 
 def size(count: int) -> str:
-    """Bytes as `512 B`, `1.4 kB`, `12.7 MB`."""
+    """Bytes as text.
+
+    >>> size(512), size(12_700_000)
+    ('512 B', '12.7 MB')
+    """
     power = min((len(str(count)) - 1) // 3, 4)
     return f"{count / 1000**power:.1f} {'kMGT'[power - 1]}B" if power else f"{count} B"

@@ -1,54 +1,51 @@
-"""The stored configuration of a run in today's form: what `resume`, `reproduce` and `probe` begin with.
+"""The stored configuration of a run in today's form: `resume`, `reproduce`, `replay` and `probe` begin with it.
 
-Runs outlive versions. Renamed options get today's names. Options that did not exist when a run was started get the
-value that stands for what it did (`compatibility.ADDED`), else today's default, which is reported. Options that exist
-no longer are refused. The id stays that of the stored configuration.
+Runs outlive versions. Renamed options get today's names. Options that are newer than the run get the value that does
+what it did (`compatibility.ADDED`), else today's default, which is reported. Options that no longer exist are refused.
+The run keeps its id.
 """
 
 import copy
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml  # type: ignore[import-untyped]
 
 from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
+from qnerf.cli.text import console
 from qnerf.config.compatibility import fill_added, today_noted
 from qnerf.config.folders import CONF
 from qnerf.config.identity import identity
 from qnerf.config.plugins import check_plugins
 from qnerf.records import StoreError, read_config, read_status
 
+if TYPE_CHECKING:
+    from qnerf.experiment import Outcome
+
 CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.finite_checks", "scene.path")
-"""What may differ from the stored configuration: how it is executed, and where the same scene lies now."""
+"""Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
 GROUPS = {
     **{group: group for group in ("encoder", "scene", "sampler", "shading", "cameras", "train")},
     "density": "head@density",
     "color": "head@color",
 }
-"""Part of the configuration whose `name` decides which options there are -> the group that it is chosen from."""
-OPAQUE = "ansatz_options"  # which options are in it depends on the names in it
+"""Part of the configuration whose `name` decides its options -> the config group that offers it."""
+OPAQUE = "ansatz_options"  # its options depend on the names in it
 
 
 def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[str]]:
-    """The run's complete configuration with `overrides`, for the store that it lies in; and the options that got
-    today's default, as key=value.
+    """The run's complete configuration with `overrides`, and the options that got today's default, as key=value.
 
     Raises:
-        ValueError: an override of what makes the run what it is; an option that is known no longer; plugins of the run
-            that the overrides do not repeat.
+        ValueError: an override of an option that decides the run's numbers; an option that no longer exists; plugins of
+            the run that the overrides do not repeat.
     """
     config = read_config(run)
-    repeated = typed.plugins(overrides)
-    check_plugins(run, config.get("plugins", []), repeated)
-    plugins.load(repeated)
-    if isinstance(config.get("numerics"), str):  # before it was a group
-        config["numerics"] = {"dtype": config["numerics"]}
-    fill_added(config)
-    filled = complete(config, todays_defaults(config), f"{run / 'config.yaml'}")
+    filled = fill(config, run / "config.yaml", overrides)
     config["store"] = str(run.parent)
-    config["run"]["force"] = False  # the run may have been started with it, but is not to be thrown away now
+    config["run"]["force"] = False  # even if the run was started with it
     for override in overrides:
         key, _, text = override.partition("=")
         if key == "plugins":
@@ -62,8 +59,44 @@ def stored(run: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
     return config, filled
 
 
+def fill(config: dict[str, Any], file: Path, overrides: Sequence[str]) -> list[str]:
+    """Imports the run's plugins and adds the options that its configuration, read from `file`, lacks.
+
+    Returns the options that got today's default, as key=value. ValueError as for `stored`.
+    """
+    repeated = typed.plugins(overrides)
+    check_plugins(file, config.get("plugins", []), repeated)
+    plugins.load(repeated)
+    if isinstance(config.get("numerics"), str):  # from before it was a group
+        config["numerics"] = {"dtype": config["numerics"]}
+    fill_added(config)
+    return complete(config, todays_defaults(config), str(file))
+
+
+def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: str | None = None) -> "Outcome":
+    """Trains with the stored `config`, which may be changed in `CHANGEABLE` options, and shows the progress.
+
+    name: the run's id, to continue it; None: today's id of the configuration.
+
+    Raises:
+        ValueError: the scene or the stored configuration has changed; the training diverged.
+    """
+    from qnerf import experiment
+    from qnerf.cli.display import LiveDisplay
+    from qnerf.training.trainer import Diverged
+
+    check_identity(run, experiment.prepare(config)[2].fingerprint)
+    display = LiveDisplay(console(), live=config["run"]["progress"])
+    if filled:
+        display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
+    try:
+        return experiment.run(config, (), display, name=name)
+    except Diverged as error:
+        raise ValueError(str(error)) from error
+
+
 def check_identity(run: Path, fingerprint: str) -> None:
-    """ValueError unless the stored configuration and the scene's contents are still those that the run is named by."""
+    """ValueError if the stored configuration or the scene's contents have changed since the run was started."""
     config = read_config(run)
     if run.name.endswith(f"-{identity(config, fingerprint)}"):
         return
@@ -77,12 +110,15 @@ def check_identity(run: Path, fingerprint: str) -> None:
 
 
 def complete(config: dict[str, Any], today: Mapping[str, Any], label: str) -> list[str]:
-    """Adds to `config` what only `today` has; returns it as key=value. ValueError names what only `config` has."""
+    """Adds to `config` the options that only `today` has and returns them as key=value.
+
+    ValueError names the options that only `config` has.
+    """
     for key in config.keys() & today.keys():
         if isinstance(today[key], Mapping) and not isinstance(config[key], Mapping):
             raise ValueError(f"{label}: expected options of {key}, got {config[key]!r}")
     missing, unknown = list(_only_in(today, config)), list(_only_in(config, today))
-    # conf/ spells out neither what a scene was found to need nor what only some contractions have.
+    # conf/ has neither the stored `auto` decisions nor the options of single contractions.
     also = {("contraction", option) for option in _contraction_options(config)}
     unknown = [path for path in unknown if path[0] != "needs" and path not in also]
     if unknown:
@@ -106,7 +142,7 @@ def _contraction_options(config: Mapping[str, Any]) -> Collection[str]:
 
 
 def _only_in(one: Mapping[str, Any], other: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Paths of the keys that `one` has and `other` has not."""
+    """Paths of the keys that `one` has and `other` lacks."""
     for key, value in one.items():
         if key not in other:
             yield (*path, key)
@@ -115,7 +151,7 @@ def _only_in(one: Mapping[str, Any], other: Mapping[str, Any], path: tuple[str, 
 
 
 def todays_defaults(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What conf/ gives for the same choice of every group whose choice decides which options there are."""
+    """The defaults in conf/ for the same choice of every group in `GROUPS`."""
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 

@@ -1,1 +1,1 @@
-"""The configuration: options and their checks, components by name, ids of runs, and names of older versions."""
+"""The configuration: options and their checks, components by name, ids of runs, and names that older versions used."""

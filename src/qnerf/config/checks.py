@@ -5,7 +5,13 @@ from typing import Any
 
 
 def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
-    """ValueError unless `value` is one of `choices`, which it lists."""
+    """ValueError, which lists the choices, unless `value` is one of them.
+
+    >>> one_of("device", "tpu", ("cpu", "cuda"))
+    Traceback (most recent call last):
+        ...
+    ValueError: device must be one of cpu, cuda, got 'tpu'
+    """
     if value not in choices:
         raise ValueError(f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}")
 

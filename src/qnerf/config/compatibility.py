@@ -1,8 +1,8 @@
-"""What older runs and commands call today's options.
+"""Options that older runs and commands call by another name, and options that older runs lack.
 
-Options get new names, and new options appear, but a run keeps its id. So `identity` hashes `old_form`: each option
-under the name it had first, and no option that was added later unless it changes something. Whatever reads a stored run
-translates it with `upgrade_config` or `today`.
+A run keeps its id although options are renamed and added. So `identity` hashes `old_form`: each option under its first
+name, and options that were added later only if they change something. Code that reads a stored run translates it with
+`upgrade_config` or `today`.
 """
 
 import copy
@@ -21,12 +21,12 @@ RENAMED = {
     "pose_noise": "poses",
     **{f"{head}.mlp.{key}": f"{head}.{key}" for head in ("density", "color") for key in ("layers", "width", "init")},
 }
-"""Today's name of an option or group -> the name it had first. The longest name that fits counts."""
+"""Today's name of an option or group -> its first name. The longest match counts."""
 
 
 @dataclass(frozen=True)
 class Same:
-    """The value of another option."""
+    """Stands for the value of another option."""
 
     option: str
 
@@ -49,7 +49,7 @@ ADDED: dict[str, Any] = {
     **{f"{head}.qiren.ansatz_options": Same("qiren.ansatz_options") for head in _HEADS},
     **{f"{head}.qfgn.{key}": Same(f"qfgn.{key}") for head in _HEADS for key in ("features", "scale", "gamma")},
 }
-"""Option that was added later -> the value that stands for what runs did before."""
+"""Option that was added later -> the value that does what runs did before."""
 
 _ORIGINAL = dict(sorted(RENAMED.items(), key=lambda names: -len(names[0])))
 _TODAY = {old: new for new, old in sorted(RENAMED.items(), key=lambda names: -len(names[1]))}
@@ -69,27 +69,25 @@ def today(name: str) -> str:
 
 
 def today_noted(name: str) -> str:
-    """`today`, for a name that the user wrote: an old one is noted on standard error."""
+    """`today` for a name that the user typed. Notes an old name on standard error, once per process."""
     new = today(name)
-    if new != name:
-        note(name, new)
+    if new != name and name not in _noted:
+        _noted.add(name)
+        print(f"{name} is called {new} now", file=sys.stderr, flush=True)
     return new
 
 
-def note(old: str, new: str) -> None:
-    """Says what an option is called now, once a process."""
-    if old not in _noted:
-        _noted.add(old)
-        print(f"{old} is called {new} now", file=sys.stderr, flush=True)
-
-
 def upgrade_config(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A stored configuration under today's names."""
-    return _tree(_renamed(_leaves(config), _TODAY))
+    """A stored configuration under today's names.
+
+    >>> upgrade_config({"gate": {"name": "threshold", "least": 0.1}})
+    {'shading': {'name': 'threshold', 'min_share': 0.1}}
+    """
+    return _tree(_renamed(leaves_of(config), _TODAY))
 
 
 def fill_added(config: dict[str, Any]) -> None:
-    """Gives a stored configuration the options in `ADDED`, with the values that its run had without them."""
+    """Adds the options in `ADDED` that a stored configuration lacks, with the values that change nothing."""
     for option, value in neutral(config).items():
         *groups, last = option.split(".")
         node = config
@@ -99,21 +97,25 @@ def fill_added(config: dict[str, Any]) -> None:
 
 
 def neutral(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Each option in `ADDED` -> the value under which `config` does what it did before the option existed."""
+    """Each option in `ADDED` -> the value with which `config` does what it did before the option existed."""
     values: dict[str, Any] = {}
     for option, value in ADDED.items():
-        values[option] = _value(config, value.option, values) if isinstance(value, Same) else value
+        values[option] = value_of(config, value.option, values.get(value.option)) if isinstance(value, Same) else value
     return values
 
 
 def without_neutral(config: Mapping[str, Any]) -> dict[str, Any]:
-    """`config` under today's names, without the options in `ADDED` that change nothing."""
+    """`config` under today's names, without the options in `ADDED` that change nothing.
+
+    >>> without_neutral({"seed": 0, "plugins": []})
+    {'seed': 0}
+    """
     config = upgrade_config(config)
-    leaves = _leaves(config)
+    leaves = leaves_of(config)
     for option, value in neutral(config).items():
         path = tuple(option.split("."))
         own = {key: leaf for key, leaf in leaves.items() if key[: len(path)] == path}
-        usual = _leaves(value, path)
+        usual = leaves_of(value, path)
         if isinstance(ADDED[option], Same):
             dropped = list(own) if own == usual else []
         else:
@@ -124,27 +126,31 @@ def without_neutral(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def old_form(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What `identity` hashes: `without_neutral`, each option under the name it had first."""
-    return _tree(_renamed(_leaves(without_neutral(config)), _ORIGINAL))
+    """What `identity` hashes: `without_neutral`, each option under its first name."""
+    return _tree(_renamed(leaves_of(without_neutral(config)), _ORIGINAL))
 
 
-def _value(config: Mapping[str, Any], option: str, values: Mapping[str, Any]) -> Any:
-    """The value of a dotted option; the one in `values` where the configuration has none."""
+def value_of(config: Mapping[str, Any], option: str, default: Any = None) -> Any:
+    """The value of a dotted option; `default` if there is none.
+
+    >>> value_of({"train": {"steps": 10}}, "train.steps")
+    10
+    """
     node: Any = config
     for key in option.split("."):
         if not isinstance(node, Mapping) or key not in node:
-            return values.get(option)
+            return default
         node = node[key]
     return node
 
 
-def _leaves(node: Any, path: _Path = ()) -> _Leaves:
-    """Path -> value that is no group; an empty group is a value."""
+def leaves_of(node: Any, path: _Path = ()) -> _Leaves:
+    """Path of keys -> value. An empty group inside `node` counts as a value."""
     if not isinstance(node, Mapping) or (path and not node):
         return {path: node}
     leaves: _Leaves = {}
     for key, value in node.items():
-        leaves |= _leaves(value, (*path, key))
+        leaves |= leaves_of(value, (*path, key))
     return leaves
 
 
@@ -161,7 +167,7 @@ def _tree(leaves: _Leaves) -> dict[str, Any]:
 
 
 def _renamed(leaves: _Leaves, names: Mapping[str, str]) -> _Leaves:
-    """The leaves under their names in `names`; where a leaf of both names is there, the renamed one wins."""
+    """The leaves under their names in `names`; if both names are there, the renamed leaf wins."""
     renamed: _Leaves = {}
     unchanged: _Leaves = {}
     for path, value in leaves.items():

@@ -1,4 +1,4 @@
-"""Where the files beside the code lie: at the top of a checkout, or inside the package of an installed wheel.
+"""Folders of the files beside the code: at the top of a checkout, or inside the package of an installed wheel.
 
 `setup.py` maps the folders of a checkout into the package, so both have the same layout below `HOME`.
 """
@@ -11,6 +11,6 @@ HOME = _PACKAGE if (_PACKAGE / "conf").is_dir() else _PACKAGE.parents[1]
 CONF = HOME / "conf"
 """Hydra's configuration groups."""
 SWEEPS = HOME / "sweeps"
-"""The sweeps that `qnerf run --sweep NAME` knows, one YAML each."""
+"""The sweeps of `qnerf run --sweep NAME`, one YAML each."""
 BENCHMARKS = HOME / "benchmarks" / "results"
-"""Tables that the benchmarks measured; some figures draw them."""
+"""Tables measured by the benchmarks; some figures show them."""

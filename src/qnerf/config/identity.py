@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from qnerf.config.compatibility import old_form, upgrade_config
+from qnerf.config.compatibility import leaves_of, old_form, upgrade_config
 
 EXECUTION = ("device", "store", "run", "threads", "hydra", "needs", "numerics.finite_checks")
-"""Options and groups that say where and how a run is executed, not what it computes. `needs` holds what `auto` was
-resolved to: the id hashes the word `auto`."""
+"""Options and groups that say where and how a run is executed, not what it computes. `needs` is among them because the
+id hashes the word `auto`, not its resolved value."""
 SLUG_LENGTH = 80
 DIGITS = 10  # hexadecimal
 
 
 def plain(value: Any, name: str = "config") -> Any:
-    """`value` as dicts with text keys, lists, text, numbers, booleans and None; ValueError names the rest."""
+    """`value` as dicts with text keys, lists, text, numbers, booleans and None; ValueError for any other type."""
     if isinstance(value, Mapping):
         return {str(key): plain(item, f"{name}.{key}") for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -40,9 +40,12 @@ def plain(value: Any, name: str = "config") -> Any:
 def identity(config: Mapping[str, Any], fingerprint: str | None = None) -> str:
     """Ten hexadecimal digits of the SHA-256 of the resolved configuration.
 
-    `EXECUTION` is left out; with a `fingerprint` of the scene's contents, it stands for `scene.path`. Equal numbers
-    count as equal however they were written (1 and 1.0); the order of keys does not matter. Neither a new name nor an
-    option that was added later and changes nothing makes another id (`compatibility`).
+    Options in `EXECUTION` are left out. A `fingerprint` of the scene's contents replaces `scene.path`. 1 and 1.0 give
+    the same id, and so does any order of keys. The id survives renamed options, and added ones that change nothing
+    (`compatibility`).
+
+    >>> identity({"seed": 1, "device": "cpu"}) == identity({"device": "cuda", "seed": 1.0})
+    True
     """
     hashed = old_form(_computed(upgrade_config(plain(config))))
     if fingerprint is not None:
@@ -53,51 +56,53 @@ def identity(config: Mapping[str, Any], fingerprint: str | None = None) -> str:
 
 
 def run_id(slug: str, config: Mapping[str, Any], fingerprint: str | None = None) -> str:
-    """`slug`, made fit for a folder's name, a dash and `identity(config, fingerprint)`."""
+    """The cleaned `slug`, a dash and `identity(config, fingerprint)`."""
     return f"{clean(slug)}-{identity(config, fingerprint)}"
 
 
 def clean(slug: str) -> str:
-    """Letters, digits, dot, underscore and dash only, at most `SLUG_LENGTH`, starting with a letter or digit."""
+    """Letters, digits, dot, underscore and dash only, at most `SLUG_LENGTH`, starting with a letter or digit.
+
+    >>> clean("my scene/α=1")
+    'my-scene-1'
+    """
     text = re.sub(r"[^A-Za-z0-9._-]+", "-", slug)
     return text.lstrip("._-")[:SLUG_LENGTH].rstrip("._-") or "run"
 
 
 def picture_names(images: Sequence[str]) -> list[str]:
-    """Names of the pictures of held-out images, all different: `clean`, with its number where several were the same."""
+    """A file name for the picture of each held-out image. Equal names get the image's number.
+
+    >>> picture_names(["a/1.png", "b.png", "b.jpg"])
+    ['a-1', 'b.1', 'b.2']
+    """
     names = [clean(PurePosixPath(image).with_suffix("").as_posix()) for image in images]
     return [name if names.count(name) == 1 else f"{name}.{number}" for number, name in enumerate(names)]
 
 
 def flatten(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted names -> values. Lists and empty dicts become JSON text, so that every value fits one table cell."""
-    flat: dict[str, Any] = {}
+    """Dotted names -> values. Lists and empty dicts become JSON text, so that every value fits one table cell.
 
-    def visit(prefix: str, value: Any) -> None:
-        if isinstance(value, dict) and value:
-            for key, item in value.items():
-                visit(f"{prefix}.{key}" if prefix else key, item)
-        elif isinstance(value, (dict, list)):
-            flat[prefix] = json.dumps(value)
-        else:
-            flat[prefix] = value
-
-    for key, value in plain(config).items():
-        visit(key, value)
-    return flat
+    >>> flatten({"train": {"steps": 10}, "samples": [1, 2]})
+    {'train.steps': 10, 'samples': '[1, 2]'}
+    """
+    return {
+        ".".join(path): json.dumps(value) if isinstance(value, (dict, list)) else value
+        for path, value in leaves_of(plain(config)).items()
+    }
 
 
 def is_execution(name: str) -> bool:
-    """Whether the dotted name of a key says how a run is executed."""
+    """Whether the dotted option says how a run is executed."""
     return any(f"{name}.".startswith(f"{key}.") for key in EXECUTION)
 
 
-def _computed(config: dict[str, Any], above: str = "") -> dict[str, Any]:
-    """`config` without what is execution."""
+def _computed(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """`config` without the options in `EXECUTION`."""
     return {
-        key: _computed(value, f"{above}{key}.") if isinstance(value, dict) else value
+        key: _computed(value, f"{prefix}{key}.") if isinstance(value, dict) else value
         for key, value in config.items()
-        if not is_execution(f"{above}{key}")
+        if not is_execution(f"{prefix}{key}")
     }
 
 

@@ -1,11 +1,11 @@
-"""Modules of the user's own, whose components join the registries when they are imported."""
+"""User modules that register components when they are imported."""
 
 import importlib
 from collections.abc import Sequence
 
 
 def import_plugins(names: Sequence[str]) -> None:
-    """Imports the modules; each registers its components the first time. ValueError names one that is not there."""
+    """Imports the modules; ValueError names one that is missing."""
     for name in names:
         try:
             importlib.import_module(name)
@@ -19,10 +19,12 @@ def import_plugins(names: Sequence[str]) -> None:
 
 
 def check_plugins(run: object, stored: object, repeated: Sequence[str]) -> None:
-    """ValueError unless the user names the modules that a stored run wants imported: its folder may come from anybody,
-    and importing a module executes it."""
+    """ValueError unless the user repeats the plugins of a stored run.
+
+    Its folder may come from anybody, and importing a module executes it.
+    """
     names = [str(name) for name in stored] if isinstance(stored, list) else [str(stored)]
     if sorted(names) != sorted(repeated):
         listed = f"plugins=[{','.join(names)}]"
-        wanted = f"repeat {listed} on the command line to import them" if names else "leave plugins out"
-        raise ValueError(f"{run}: was trained with {listed if names else 'no plugins'}; {wanted}")
+        advice = f"repeat {listed} on the command line to import them" if names else "leave plugins out"
+        raise ValueError(f"{run}: was trained with {listed if names else 'no plugins'}; {advice}")

@@ -12,9 +12,9 @@ T = TypeVar("T")
 class Registry(Generic[T]):
     """The components of one config group.
 
-    Positional parameters of a component are wiring (dimensions, neighbours) and are given by the code that builds it;
-    keyword-only parameters are options and are given by the user's configuration. A class whose `__init__` takes
-    `**options` and hands them on has the options of the class that it extends, too.
+    A component's positional parameters are wiring (dimensions, neighbours): the code that builds it passes them. Its
+    keyword-only parameters are options: the user's configuration sets them. A class whose `__init__` takes `**options`
+    and passes them on also has the options of its base class.
 
     >>> ENCODERS = Registry("encoder")
     >>> @ENCODERS.register("identity")
@@ -22,6 +22,10 @@ class Registry(Generic[T]):
     ...     def __init__(self, in_dim: int, *, scale: float = 1.0): ...
     >>> type(ENCODERS.build("identity", 3, scale=2.0)).__name__
     'Identity'
+    >>> ENCODERS.build("identity", 3, scle=2.0)
+    Traceback (most recent call last):
+        ...
+    ValueError: encoder=identity: unknown option scle=2.0; known: scale
     """
 
     def __init__(self, group: str) -> None:
@@ -40,7 +44,7 @@ class Registry(Generic[T]):
         return sorted(self._components)
 
     def get(self, name: str) -> Callable[..., T]:
-        """The component registered under `name`; ValueError names the known ones."""
+        """The component registered under `name`; ValueError lists the known names."""
         if name not in self._components:
             raise ValueError(f"{self.group}: unknown name {name!r}; known: {', '.join(self.names())}")
         return self._components[name]
@@ -54,7 +58,7 @@ class Registry(Generic[T]):
         return {option: parameter for option, (parameter, _) in options_of(self.get(name)).items()}
 
     def build(self, name: str, *wiring: Any, **options: Any) -> T:
-        """Builds the component; ValueError names group, option, value and what was expected."""
+        """Builds the component; ValueError names the group, the option, its value and what was expected."""
         self.check(name, options)
         try:
             return self.get(name)(*wiring, **options)
@@ -80,7 +84,7 @@ def options_of(component: Callable[..., Any]) -> dict[str, tuple[inspect.Paramet
 
 
 def _signatures(component: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
-    """The function, or the class's `__init__` and those that it hands its `**options` on to."""
+    """The function, or the class's `__init__` and those that receive its `**options`."""
     if not inspect.isclass(component):
         yield component
         return
@@ -106,18 +110,13 @@ def check_options(label: str, component: Callable[..., Any], options: Mapping[st
 
 
 def _fits(value: Any, hint: Any) -> bool:
+    """Whether the value has the annotated type. YAML's lists are tuples, too, and a bool is not a number."""
     origin = get_origin(hint)
-    if hint is Any:
-        return True
     if origin in (Union, types.UnionType):
         return any(_fits(value, part) for part in get_args(hint))
-    if hint is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint is None or hint is type(None):
-        return value is None
-    if origin in (list, tuple, set, dict) or (origin is not None and inspect.isclass(origin)):
-        expected = (list, tuple) if origin in (list, tuple) else origin
-        return isinstance(value, expected)
-    return not inspect.isclass(hint) or isinstance(value, hint)
+    if hint in (int, float):
+        return isinstance(value, (int, hint)) and not isinstance(value, bool)
+    if origin in (list, tuple):
+        return isinstance(value, (list, tuple))
+    expected = origin or hint
+    return expected is Any or not inspect.isclass(expected) or isinstance(value, expected)

@@ -1,7 +1,7 @@
-"""What is not a component: budgets, bounds, device. Components carry their own options (see registry.py)."""
+"""Options that belong to no component: budgets, bounds, device. Components declare their own (see registry.py)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, TypeVar
 
 import torch
@@ -19,7 +19,7 @@ class Train:
 
     name: str
     steps: int
-    rays: int  # a step
+    rays: int  # per step
     lr: float
     lr_final: float  # reached at the last step by exponential decay
     rates: dict  # part of the model -> factor on the learning rate
@@ -27,7 +27,7 @@ class Train:
     interlevel: float  # weight of the interlevel loss
     distortion: float  # weight of the distortion loss
     eval_every: int  # steps; 0: only at the end
-    eval_views: int  # views of the evaluations on the way; 0: all
+    eval_views: int  # views evaluated during training; 0: all
     log_every: int  # steps
     checkpoint_every: float  # seconds
     chunk: int  # rays rendered at once in evaluation
@@ -49,7 +49,7 @@ class Train:
 
 @dataclass(frozen=True, kw_only=True)
 class Render:
-    """Bounds of the rays and what lies behind them."""
+    """Bounds of the rays, and the background behind them."""
 
     near: float  # world units
     far: float
@@ -65,7 +65,7 @@ class Render:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseNoise:
-    """Noise that is added to the training poses."""
+    """Noise added to the training poses."""
 
     rotation: float  # standard deviation of each component of a rotation vector, radians
     translation: float  # of each coordinate, world units
@@ -82,8 +82,8 @@ class Visibility:
     """Where density may be: cells of contracted space seen by at least `cameras` training cameras."""
 
     cameras: int  # 0: everywhere
-    alpha: bool  # not where a training view is transparent
-    resolution: int  # cells an axis
+    alpha: bool  # also close cells where a training view is transparent
+    resolution: int  # cells per axis
 
     def __post_init__(self) -> None:
         at_least("visibility.cameras", self.cameras, 0)
@@ -92,10 +92,10 @@ class Visibility:
 
 @dataclass(frozen=True, kw_only=True)
 class Occupancy:
-    """Whether cells that training finds empty are closed."""
+    """Closes cells that turn out to be empty during training."""
 
-    every: int  # steps between looks; 0: never
-    after: int  # steps before the first look
+    every: int  # steps between updates; 0: never
+    after: int  # steps before the first update
     min_opacity: float  # below which a cell counts as empty
 
     def __post_init__(self) -> None:
@@ -107,13 +107,13 @@ class Occupancy:
 
 @dataclass(frozen=True, kw_only=True)
 class Stop:
-    """Whether training ends when it no longer gains, judged by training rays that are kept apart."""
+    """Early stopping, judged by training rays that are held out for validation."""
 
     every: int  # steps between checks; 0: never
     patience: int  # checks without a gain
     min_gain_db: float  # dB that count as a gain
-    share: float  # of the training rays that are kept apart
-    rays: int  # of them, that a check renders
+    share: float  # of the training rays, held out for validation
+    rays: int  # held-out rays rendered per check
 
     def __post_init__(self) -> None:
         at_least("stop.every", self.every, 0)
@@ -129,7 +129,7 @@ class Numerics:
     """How numbers are computed."""
 
     dtype: str  # of model and training
-    finite_checks: bool  # stop at the first one that is not finite; changes none of them
+    finite_checks: bool  # stop at the first value that is not finite
 
     def __post_init__(self) -> None:
         one_of("numerics.dtype", self.dtype, ("float32", "float64"))
@@ -137,7 +137,7 @@ class Numerics:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """How this invocation behaves; no part of a run's identity."""
+    """How this command behaves; not part of a run's id."""
 
     force: bool
     progress: bool
@@ -146,7 +146,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """The whole configuration: checked scalars, and one plain node for each component."""
+    """The whole configuration: checked scalars, and one mapping per component."""
 
     plugins: list[str]
     experiment: str | None
@@ -216,8 +216,7 @@ def _build(group: str, component: type[T], node: Any) -> T:
 def settings_from(config: Mapping[str, Any]) -> Settings:
     """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
     nodes = dict(config)
-    sections = {"run": Run, "numerics": Numerics, "train": Train, "render": Render, "visibility": Visibility}
-    sections |= {"occupancy": Occupancy, "stop": Stop, "pose_noise": PoseNoise}
-    for name, section in sections.items():
-        nodes[name] = _build(name, section, nodes.get(name))
+    for field in fields(Settings):
+        if isinstance(field.type, type) and is_dataclass(field.type):
+            nodes[field.name] = _build(field.name, field.type, nodes.get(field.name))
     return _build("config", Settings, nodes)

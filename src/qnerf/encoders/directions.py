@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
+from qnerf.config.checks import at_least, one_of
 from qnerf.config.registry import Registry
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
@@ -14,11 +14,13 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     """Real spherical harmonics of bands 0..degree - 1 of unit directions (..., 3): (..., degree^2), degree 1 to 4.
 
     Orthonormal over the sphere, band by band with m from -l to l, as polynomials in (x, y, z) without the
-    Condon-Shortley sign. Of a direction that is not of unit length, zero included, they are those polynomials, finite
-    up to a length of 1e12 in float32.
+    Condon-Shortley sign. Directions of other lengths, zero included, give the values of these polynomials. In float32
+    they are finite up to a length of 1e12.
+
+    >>> spherical_harmonics(torch.tensor([[0.0, 0.0, 1.0]]), degree=4).shape
+    torch.Size([1, 16])
     """
-    if degree not in DEGREES:
-        raise ValueError(f"directions=sh: degree must be one of {', '.join(map(str, DEGREES))}, got {degree}")
+    one_of("directions=sh: degree", degree, DEGREES)
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, 0.28209479177387814)]
     if degree > 1:
@@ -63,8 +65,7 @@ class SphericalHarmonics(Directions):
         super().__init__()
         if in_dim != 3:
             raise ValueError(f"directions=sh: directions must have 3 coordinates, got {in_dim}")
-        if degree not in DEGREES:
-            raise ValueError(f"directions=sh: degree must be one of {', '.join(map(str, DEGREES))}, got {degree}")
+        one_of("directions=sh: degree", degree, DEGREES)
         self.degree = degree
         self.out_dim = degree**2
 

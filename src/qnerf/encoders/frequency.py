@@ -1,7 +1,7 @@
 """Sines and cosines of the coordinates: on fixed bands, or along random directions.
 
-The phases are taken in float64 and reduced to half a turn before they go back to the points' dtype. A float32 phase of
-2 pi 2^8 x alone is off by 1e-4; so computed, a float32 feature is within 5e-7 of the exact one for the given point.
+Phases are computed in float64 and reduced to half a turn before they are cast to the points' dtype. A float32 feature
+is then within 5e-7 of the exact one, while a float32 phase of 2 pi 2^8 x would be off by 1e-4.
 """
 
 import math
@@ -15,7 +15,7 @@ from qnerf.encoders.registry import ENCODERS, Encoder
 
 
 def sin_cos_turns(turns: Tensor, dtype: torch.dtype) -> Tensor:
-    """sin and cos of `turns` (..., F) full turns, in float64: (..., 2 F) in `dtype`, all sines first."""
+    """sin and cos of `turns` (..., F), float64, in full turns -> (..., 2 F) in `dtype`, sines first."""
     assert turns.dtype == torch.float64
     phase = ((turns - turns.detach().round()) * (2 * math.pi)).to(dtype)
     return torch.cat((phase.sin(), phase.cos()), dim=-1)
@@ -27,11 +27,14 @@ class PositionalEncoding(Encoder):
 
     Args:
         bands: number of frequencies f_b = 2^e_b, with e_b even from 0 to max_exponent.
-        max_exponent: of the highest band; 8: 256 cycles across the unit cube.
+        max_exponent: exponent of the highest band; 8 means 256 cycles across the unit cube.
         include_input: append the coordinates themselves.
-        frequency_window: share of the training until the highest band enters (`window_weights`); 0: all from the start.
+        frequency_window: share of the training after which all bands are active (`window_weights`).
 
-    The order is coordinate by coordinate, low band first; sines, then cosines, then the input.
+    Sines come first, then cosines, then the input. Sines and cosines go coordinate by coordinate, low band first.
+
+    >>> PositionalEncoding(3, bands=10)(torch.zeros(5, 3)).shape
+    torch.Size([5, 60])
     """
 
     def __init__(
@@ -69,7 +72,7 @@ class FourierFeatures(Encoder):
     Args:
         features: rows of B; the encoding has twice as many features.
         scale: standard deviation of B, in cycles across the unit cube.
-        seed: of B, which comes from a generator of its own.
+        seed: of B, which is drawn from a separate generator.
     """
 
     directions: Tensor
@@ -80,7 +83,7 @@ class FourierFeatures(Encoder):
         at_least("scale", scale, 0)
         self.out_dim = 2 * features
         generator = torch.Generator().manual_seed(seed)
-        # Drawn in float32, so that a float32 and a float64 module encode alike.
+        # Drawn in float32, so that float32 and float64 modules have the same B.
         normal = torch.randn(in_dim, features, generator=generator, dtype=torch.float32) * scale
         self.register_buffer("directions", normal.to(torch.get_default_dtype()))
 

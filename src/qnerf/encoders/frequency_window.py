@@ -1,4 +1,4 @@
-"""Coarse to fine: features of high frequency enter one after another while training goes on."""
+"""Coarse to fine: features of high frequency enter one after another during training."""
 
 import math
 
@@ -7,14 +7,16 @@ from torch import Tensor
 
 
 def window_weights(count: int, progress: float, share: float) -> Tensor | None:
-    """Weights (count,) in [0, 1], float64, of bands or levels, coarsest first, at `progress` 0..1 of the training; None
-    once all are 1.
+    """Weights (count,) in [0, 1], float64, of frequency bands or grid levels, coarsest first; None once all are 1.
 
-    The first half is there from the beginning, the last one from the `share` of the training on. With
-    a = count (1 + progress / share) / 2 the k-th has weight (1 - cos(pi clamp(a - k, 0, 1))) / 2 (Eq. 14,
-    arXiv:2104.06405).
+    The coarser half is active from the start, all of them after `share` of the training. `progress` is the share of the
+    training that is done. The k-th weight is (1 - cos(pi clamp(a - k, 0, 1))) / 2 with
+    a = count (1 + progress / share) / 2 (Eq. 14, arXiv:2104.06405).
+
+    >>> window_weights(4, progress=0.0, share=0.5).tolist()
+    [1.0, 1.0, 0.0, 0.0]
     """
     if progress >= share:
         return None
-    place = count * (1 + progress / share) / 2
-    return (1 - torch.cos(math.pi * (place - torch.arange(count, dtype=torch.float64)).clamp(0, 1))) / 2
+    active = count * (1 + progress / share) / 2
+    return (1 - torch.cos(math.pi * (active - torch.arange(count, dtype=torch.float64)).clamp(0, 1))) / 2

@@ -10,14 +10,17 @@ from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
-LARGEST = 30  # log2 of the entries of a level
+MAX_LOG2_TABLE_SIZE = 30
 
 
 def level_resolutions(levels: int, min_resolution: int, max_resolution: int) -> list[int]:
     """Cells along a side: floor(min growth^l), growth = exp((ln max - ln min) / (levels - 1)).
 
-    Eq. 2 and 3, arXiv:2201.05989. Exact where the product is an integer, at both ends above all: float64 alone makes
-    127 of the last level of 16 -> 128.
+    Eq. 2 and 3, arXiv:2201.05989. Products within 1e-6 of an integer are rounded to it: plain float64 would make the
+    last level of 16 -> 128 a grid of 127 cells.
+
+    >>> level_resolutions(4, min_resolution=16, max_resolution=128)
+    [16, 32, 64, 128]
     """
     if levels == 1:
         return [min_resolution]
@@ -32,17 +35,18 @@ def level_resolutions(levels: int, min_resolution: int, max_resolution: int) -> 
 
 @ENCODERS.register("hash")
 class HashEncoder(Encoder):
-    """Features of the points' cells on grids of growing resolution: (..., levels x features).
+    """Features interpolated from grids of growing resolution: (..., levels x features).
 
     Args:
         levels: number of grids.
         min_resolution, max_resolution: cells along a side of the coarsest and of the finest grid.
         log2_table_size: log2 of the entries that one level may have.
-        features: numbers an entry.
+        features: numbers per entry.
         dense: whether levels whose whole grid fits into their table are indexed directly, without collisions.
-        frequency_window: share of the training until the finest level enters (`window_weights`); 0: all from the start.
+        frequency_window: share of the training after which all levels are active (`window_weights`).
 
-    The table (levels, 2^log2_table_size, features) starts as U(-1e-3, 1e-3), from `generator` (default: PyTorch's own).
+    The table (levels, 2^log2_table_size, features) starts from U(-1e-3, 1e-3), drawn with `generator` (default:
+    PyTorch's global one).
     """
 
     resolutions: Tensor
@@ -72,8 +76,7 @@ class HashEncoder(Encoder):
                 f"encoder=hash: max_resolution must be between min_resolution={min_resolution} and {FINEST}, "
                 f"got {max_resolution}"
             )
-        if not 1 <= log2_table_size <= LARGEST:
-            raise ValueError(f"encoder=hash: log2_table_size must be 1 to {LARGEST}, got {log2_table_size}")
+        between("log2_table_size", log2_table_size, 1, MAX_LOG2_TABLE_SIZE)
         self.out_dim = levels * features
         self.dense = dense
         self.frequency_window = frequency_window

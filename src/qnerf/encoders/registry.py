@@ -1,4 +1,4 @@
-"""The group `encoder`, and what its members have in common."""
+"""The base class of encoders and their registry."""
 
 from torch import Tensor, nn
 
@@ -12,7 +12,7 @@ class Encoder(nn.Module):
     in_dim: int
     out_dim: int
     progress: float = 1.0
-    """Of the training, 0 to 1, for those that change while it goes on."""
+    """Share of the training that is done, 0 to 1; encoders with a frequency window read it."""
 
     def __init__(self, in_dim: int) -> None:
         super().__init__()

@@ -93,6 +93,9 @@ class BallContraction(_Norm):
 class Box(Contraction):
     """The box [-h, h]^3 onto the unit cube, for bounded scenes. Points outside the box map outside the unit cube.
 
+    >>> Box(half_extent=2.0)(torch.tensor([-2.0, 0.0, 4.0])).tolist()
+    [0.0, 0.5, 1.5]
+
     Args:
         half_extent: h, in world units.
     """

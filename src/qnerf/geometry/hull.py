@@ -23,7 +23,7 @@ def visual_hull(contraction: Contraction, scene: Scene, resolution: int) -> Tens
     Raises:
         ValueError: the images have no alpha, the lens has distortion, or no cell is left.
     """
-    if scene.images.shape[-1] != 4:
+    if not scene.has_alpha:
         raise ValueError(
             f"visibility.alpha: the images of scene {scene.name} have no alpha; use visibility.alpha=false"
         )

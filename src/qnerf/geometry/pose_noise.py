@@ -1,4 +1,4 @@
-"""Training poses with noise, to study what pose refinement makes good."""
+"""Noise on training poses, to study how much of it pose refinement corrects."""
 
 from dataclasses import replace
 
@@ -9,11 +9,11 @@ from qnerf.scenes.base import Scene
 
 
 def add_pose_noise(scene: Scene, *, rotation: float, translation: float, seed: int) -> Scene:
-    """The scene with noise on the poses of its training views; the held-out ones stay true.
+    """The scene with noise on the poses of its training views. Held-out poses do not change.
 
     Args:
         rotation: standard deviation of each component of a rotation vector in the camera's frame, radians.
-        translation: of each coordinate of the centre, world units.
+        translation: standard deviation of each coordinate of the centre, world units.
         seed: of the noise.
     """
     if rotation == translation == 0:

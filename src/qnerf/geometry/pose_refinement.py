@@ -36,7 +36,7 @@ class PoseRefinement(nn.Module):
 
 @CAMERAS.register("fixed")
 class FixedPoses(PoseRefinement):
-    """Poses as they come, without refinement."""
+    """No refinement."""
 
     def poses(self, indices: Tensor, poses: Tensor) -> Tensor:
         return poses

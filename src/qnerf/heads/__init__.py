@@ -1,4 +1,4 @@
-"""Features -> values: what a field's density and colour heads are made of."""
+"""Heads: features -> density, geometry features or colour."""
 
 from qnerf.heads.base import HEADS, Head, chosen, head_options
 from qnerf.heads.mlp import MLPHead

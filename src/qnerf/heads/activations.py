@@ -28,7 +28,7 @@ class _TruncExp(torch.autograd.Function):
 
 @ACTIVATIONS.register("trunc_exp")
 def trunc_exp(x: Tensor) -> Tensor:
-    """exp(x), whose derivative is taken at x clamped to [-15, 15], so that it neither vanishes nor overflows.
+    """exp(x); the derivative is taken at x clamped to [-15, 15], so it neither vanishes nor overflows.
 
     >>> x = torch.tensor([20.0], requires_grad=True)
     >>> trunc_exp(x).backward()

@@ -1,4 +1,4 @@
-"""What a head is, and the registry of heads."""
+"""The base class of heads and their registry."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,6 +6,8 @@ from typing import Any
 from torch import Tensor, nn
 
 from qnerf.config.registry import Registry
+
+MIN_BATCH = 2  # samples that a head must get in training: batch normalisation needs two
 
 
 class Head(nn.Module):
@@ -34,7 +36,6 @@ def chosen(node: Mapping[str, Any]) -> type[Head]:
 
 
 def head_options(node: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of the head that `node` names: those under its own name, and those under the names of the heads that
-    it extends."""
+    """The options of the head that `node` names, including those of the heads that it extends."""
     names = [HEADS.name_of(ancestor) for ancestor in reversed(chosen(node).__mro__)]
     return {key: value for name in names if name for key, value in node.get(name, {}).items()}

@@ -20,8 +20,12 @@ class MLPHead(Head):
         in_dim, out_dim: features in and values out.
         layers: linear layers, at least 1.
         width: hidden units, at least 1.
-        init: of the weights. `torch`: PyTorch's, under which values vary less from layer to layer, by sqrt(6) each;
-            `he`: normal with variance 2 / inputs, biases 0 (arXiv:1502.01852), under which they keep their size.
+        init: how the weights start. `torch`: PyTorch's default, which shrinks the spread of values by sqrt(6) a layer.
+            `he`: normal with variance 2 / inputs, biases 0 (arXiv:1502.01852), which preserves the spread.
+
+    >>> import torch
+    >>> MLPHead(3, 4, layers=2, width=8)(torch.zeros(5, 3)).shape
+    torch.Size([5, 4])
     """
 
     def __init__(self, in_dim: int, out_dim: int, *, layers: int = 2, width: int = 64, init: str = "torch") -> None:

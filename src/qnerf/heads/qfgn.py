@@ -45,7 +45,7 @@ class QFGNHead(QirenHead):
         scale: standard deviation of the fixed frequencies, radians per input unit, above 0.
         gamma: shape of the Gaussian weighting, at least 0.
 
-    That layer normalises nothing: `input_scale` and `statistics` are those of the layers behind it.
+    The first layer does not normalise: `input_scale` and `statistics` act on the later layers only.
     """
 
     @classmethod

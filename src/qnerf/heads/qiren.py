@@ -7,22 +7,22 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.checks import at_least, one_of
-from qnerf.heads.base import HEADS, Head
+from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer
 
 STATISTICS = ("batch", "first")
 
 
 class Normalisation(nn.BatchNorm1d):
-    """Batch normalisation (N, wires), in float32 within 4e-6 of the largest value however far from 0 the mean is.
+    """Batch normalisation (N, wires) that stays accurate when the mean is far from 0.
 
-    PyTorch's adds up the rows one by one: at 6,144 rows its mean is off by up to 6e-5 |mean|, and its variance, taken
-    about that mean, by the square. Here the values are centred before.
+    In float32 its error is at most 4e-6 of the largest value. PyTorch's own sums the rows one by one: at 6,144 rows its
+    mean is off by up to 6e-5 |mean|, and its variance by the square of that. Centring the values first avoids this.
 
     Args:
         wires: columns.
-        statistics: whose mean and variance. `batch`: those of each training step, and in evaluation their running
-            means; `first`: those of the first batch that it sees in training, ever after, in evaluation too.
+        statistics: the mean and variance to use. `batch`: those of each training step; evaluation uses their running
+            means. `first`: those of the first training batch, from then on and in evaluation too.
     """
 
     momentum: float
@@ -39,7 +39,7 @@ class Normalisation(nn.BatchNorm1d):
         if self.statistics == "first":
             return self._forward_first(x)
         mean = x.detach().mean(0) if self.training else self.running_mean
-        zero = torch.zeros_like(mean)  # in training it takes the running mean of what is centred already
+        zero = torch.zeros_like(mean)  # in training it receives the running mean of the centred values
         normalised = nn.functional.batch_norm(
             x - mean, zero, self.running_var, self.weight, self.bias, self.training, self.momentum, self.eps
         )
@@ -66,9 +66,8 @@ class Normalisation(nn.BatchNorm1d):
 class HybridLayer(nn.Module):
     """Linear -> normalisation -> circuit: (N, in_dim) -> (N, wires), values in [-1, 1].
 
-    The normalisation of each batch cancels the scale of the linear map, so a frequency scale has to come after it:
-    `input_scale` multiplies the normalised values, which are the circuit's angles in radians. ValueError where
-    statistics would be those of fewer than 2 rows, which have no variance.
+    Batch normalisation cancels the scale of the linear map, so `input_scale` multiplies the normalised values instead.
+    They are the circuit's angles, in radians. Training on fewer than 2 rows raises ValueError: they have no variance.
     """
 
     def __init__(
@@ -81,13 +80,13 @@ class HybridLayer(nn.Module):
         self.input_scale = input_scale
 
     def forward(self, features: Tensor) -> Tensor:
-        if self.training and len(features) < 2 and not self.norm.known:
+        if self.training and len(features) < MIN_BATCH and not self.norm.known:
             raise ValueError(
-                f"a circuit head is normalised over the samples of a step: expected at least 2, got {len(features)}; "
-                "raise train.rays or the samples of a ray"
+                f"a circuit head normalises over the samples of a step: expected at least {MIN_BATCH}, "
+                f"got {len(features)}; raise train.rays or the samples of a ray"
             )
-        # The normalisation of a batch cancels the bias. What is left of its gradient is rounding, which Adam would make
-        # whole steps of: the bias would walk at random, and the running statistics, which evaluation takes, behind it.
+        # Batch normalisation cancels the bias, so its gradient is pure rounding error. Adam would turn that into full
+        # steps: the bias would drift at random, and the running statistics that evaluation uses would lag behind it.
         bias: Tensor = self.linear.bias
         if self.training and self.norm.statistics == "batch":
             bias = bias.detach() + 0 * bias  # a gradient of exactly 0
@@ -101,7 +100,7 @@ class HybridLayer(nn.Module):
 class QirenHead(Head):
     """A first hybrid layer, `layers` hidden ones, and a last linear map of the measured values: "xL+yS".
 
-    Trainable parameters of one hybrid layer: 8 in + 8 + 16 + 48 (S + 1) at 8 qubits.
+    One hybrid layer has 8 in + 8 + 16 + 48 (S + 1) trainable parameters at 8 qubits.
 
     Args:
         in_dim, out_dim: features in and values out.
@@ -109,14 +108,14 @@ class QirenHead(Head):
         spectral: data re-uploadings y of each circuit, at least 1.
         qubits: wires of each circuit, 1 to 14.
         ansatz, method, init: see `QuantumLayer`.
-        ansatz_options: name of an ansatz -> its options; those of other ansaetze than `ansatz` are not used.
-        gain: fixed factor on the measured values before the last linear map. Circuits with uniform angles vary by only
-            0.05 over their inputs, which starts a head almost constant.
+        ansatz_options: name of an ansatz -> its options; only those of the chosen `ansatz` are used.
+        gain: fixed factor on the measured values before the last linear map. Without it a head with uniform angles
+            starts almost constant: its circuits vary by only 0.05 over their inputs.
         sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
         input_scale: factor on the normalised inputs, radians.
-        statistics: of the normalisation: of each `batch`, or of the `first` one ever after.
-        center: the last linear map's bias starts where angles of 0 give 0. Measured values lie around a constant that a
-            gain multiplies too: without this a density head starts as fog or as emptiness, a colour head saturated.
+        statistics: `batch` or `first`, see `Normalisation`.
+        center: start the last bias so that angles of 0 give 0. Measured values lie around a constant, which the gain
+            multiplies too: without this, a density head starts as fog or empty, and a colour head saturated.
     """
 
     quantum = True

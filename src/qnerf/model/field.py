@@ -8,8 +8,7 @@ from torch import Tensor, nn
 from qnerf.encoders import Encoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
-
-MIN_BATCH = 2  # samples that a head gets at least: batch normalisation needs two
+from qnerf.heads.base import MIN_BATCH
 
 
 class Field(nn.Module):

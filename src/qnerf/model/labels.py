@@ -1,4 +1,4 @@
-"""Short names of a configuration, from its resolved values: `qiren.layers=3` never reads 1L2S."""
+"""Short labels of a configuration, made from its resolved values: `qiren.layers=3` is never labelled 1L2S."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,17 +15,18 @@ HASH_TABLES = {
     "C6": (8, 16, 1024, 15, 1),
     "C7": (8, 16, 1024, 13, 1),
 }
-"""Levels, coarsest and finest resolution, log2 of the table size, features an entry: the paper's configurations."""
+"""Levels, coarsest and finest resolution, log2 of the table size, features per entry: the paper's configurations."""
 
 FIELDS = {(False, False): "classical", (False, True): "qcolor", (True, False): "qdensity", (True, True): "qboth"}
 
 
 def head_label(node: Mapping[str, Any]) -> str:
-    """What the chosen head calls itself: `2x64` for an MLP of 2 layers, 64 wide; `1L2S` for a circuit head."""
+    """The label of the chosen head: `2x64` for an MLP of 2 layers, 64 wide; `1L2S` for a circuit head."""
     return chosen(node).label(head_options(node))
 
 
 def hash_label(table: Mapping[str, Any]) -> str:
+    """The paper's name of the table, `auto`, or its numbers joined by dashes."""
     keys = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
     values = tuple(table[key] for key in keys)
     if "auto" in values:
@@ -37,7 +38,7 @@ def hash_label(table: Mapping[str, Any]) -> str:
 
 
 def labels(config: Mapping[str, Any]) -> dict[str, str]:
-    """One label a config group, and one a head."""
+    """One label per config group and head."""
     density, color = config["density"], config["color"]
     return {
         "field": FIELDS[chosen(density).quantum, chosen(color).quantum],

@@ -1,4 +1,4 @@
-"""Where density is, learnt while training: space found empty is sampled no more."""
+"""The occupancy grid: space that turns out to be empty during training is no longer sampled."""
 
 import torch
 from torch import Tensor
@@ -7,19 +7,19 @@ from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask, cell_centres
 from qnerf.model.field import Field
 
-DECAY = 0.7  # of the opacity that was seen, from one look at a cell to the next
-CHUNK = 2**15  # cells looked at together
-INFINITE = 1e12  # world units
-STEP = 1e-6  # cells, of the difference that stands for a derivative
+DECAY = 0.7  # factor on the recorded opacity of a cell at each look
+CHUNK = 2**15  # cells evaluated at once
+INFINITE = 1e12  # world units beyond which a point counts as infinitely far
+STEP = 1e-6  # cells: step of the finite difference
 
 
 class Occupancy(SpaceMask):
     """A mask that closes where the field is empty (after Sec. 3.2, arXiv:2210.04847).
 
-    Every `every` steps the density at a random point of each allowed cell is looked at. What counts is the cell's
-    opacity, 1 - exp(-density x length of its shortest side): the largest seen, times 0.7 for every look since. The mask
-    is open where a cell, or one of the 26 around it, has at least `min_opacity`. Closed cells are looked at like all
-    others and open again when the field around them grows into them; a field that is empty everywhere closes nothing.
+    Every `every` steps it looks at the density of a random point in each allowed cell. The opacity of a cell is
+    1 - exp(-density x length of its shortest side); each cell keeps the largest one so far, times 0.7 per look since.
+    The mask is open where a cell or one of its 26 neighbours has at least `min_opacity`. Closed cells are looked at,
+    too, and open again when the field grows into them. If the field is empty everywhere, all allowed cells stay open.
 
     Args:
         allowed: (n, n, n) bool over the unit cube: where density may be at all.
@@ -45,16 +45,16 @@ class Occupancy(SpaceMask):
         self.register_buffer("cells", cells, persistent=False)
         self.register_buffer("sides", sides, persistent=False)
         self.register_buffer("allowed", allowed, persistent=False)
-        self.register_buffer("grid", allowed.clone())  # kept by a checkpoint; so is the opacity
+        self.register_buffer("grid", allowed.clone())  # in checkpoints, like the opacity
         self.register_buffer("opacity", torch.zeros_like(sides))
 
     def due(self, step: int) -> bool:
-        """Whether this step begins with a look."""
+        """Whether to look before this step."""
         return step >= self.after and (step - self.after) % self.every == 0
 
     @torch.no_grad()
     def look(self, field: Field, generator: torch.Generator) -> None:
-        """Opens and closes cells by the field's density, taken in evaluation mode; `generator` places the points."""
+        """Opens and closes cells by the field's density in evaluation mode; `generator` draws the points."""
         n = self.grid.shape[0]
         corners = torch.stack([self.cells // (n * n), self.cells // n % n, self.cells % n], dim=-1)
         inside = torch.rand(corners.shape, dtype=self.sides.dtype, device=generator.device, generator=generator)
@@ -68,19 +68,19 @@ class Occupancy(SpaceMask):
         occupied = torch.zeros(n**3, device=self.grid.device)
         occupied[self.cells] = (self.opacity >= self.min_opacity).to(occupied.dtype)
         around = torch.nn.functional.max_pool3d(occupied.view(1, 1, n, n, n), 3, stride=1, padding=1)[0, 0] > 0
-        found = around & self.allowed
-        self.grid = found if bool(found.any()) else self.allowed.clone()
+        opened = around & self.allowed
+        self.grid = opened if bool(opened.any()) else self.allowed.clone()
 
 
 def reachable(contraction: Contraction, n: int) -> Tensor:
-    """Whether some world point lies at a cell's centre (n^3,): none does in the corners around an l2 ball."""
+    """Whether a cell's centre is the image of a world point (n^3,). In the corners outside an l2 ball it is not."""
     return contraction.inverse(cell_centres(n)).abs().amax(-1) < INFINITE
 
 
 def shortest_sides(contraction: Contraction, n: int) -> Tensor:
     """World length of the shortest of each cell's three sides, through its centre (n^3,), row by row.
 
-    By the derivative there: the outermost sides of a contracted cube end at infinity.
+    Measured by the derivative at the centre, because the outermost sides of a contracted cube end at infinity.
     """
     centres, steps = cell_centres(n), STEP / n * torch.eye(3, dtype=torch.float64)
     moved = [contraction.inverse(centres + step) - contraction.inverse(centres - step) for step in steps]

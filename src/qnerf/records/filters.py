@@ -17,7 +17,7 @@ import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import pandas as pd
@@ -46,7 +46,7 @@ class Filter:
 
     def matches(self, value: Any) -> bool:
         if self.operator in _ORDER:
-            return _is_number(value) and _ORDER[self.operator](value, float(self.values[0]))
+            return is_number(value) and _ORDER[self.operator](value, float(self.values[0]))
         if self.operator == "in":
             return self.values[0] in str(value)
         return any(_equals(value, wanted) for wanted in self.values) == (self.operator == "=")
@@ -146,11 +146,12 @@ def _equals(value: Any, wanted: str) -> bool:
         return wanted.lower() == str(value).lower()
     # A column that is a number in some runs and text in others holds text: 10 is "10.0" there.
     return _number(value) == _number(wanted) or (
-        not _is_number(value) and fnmatchcase(str(value), wanted.replace("[", "[[]"))
+        not is_number(value) and fnmatchcase(str(value), wanted.replace("[", "[[]"))
     )
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether the value is an int or a float. A bool is not a number here."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 

@@ -1,6 +1,6 @@
 """Where along a ray colours are computed.
 
-The colour head is the costliest part of a field, most of all when it is a circuit, and the samples that decide a ray's
+The colour head is the costliest part of a field, above all when it is a circuit, and the samples that decide a ray's
 colour lie close together. Samples whose density was not evaluated have weight 0 and never get a colour.
 """
 
@@ -11,26 +11,27 @@ from torch import Tensor, nn
 
 from qnerf.config.checks import at_least
 from qnerf.config.registry import Registry
+from qnerf.heads.base import MIN_BATCH
 
 SHADINGS: "Registry[Shading]" = Registry("shading")
 
-MIN_SAMPLES = 2  # for a batch normalisation in the head
-SMALL = 0.1
+SMALL = 0.1  # of an equal part, see `MergeShading`
 
 
 class Shaded(NamedTuple):
     """M points on each ray that may get a colour."""
 
-    shares: Tensor  # (R, M) compositing weights of their colours; their sum per ray is that of the samples' shares
+    shares: Tensor  # (R, M) compositing weights of the colours; their sum per ray is the same as for the samples
     geometry: Tensor  # (R, M, G)
-    mask: Tensor | None  # (R, M) bool: which get a colour, the others have weight 0; None: all
+    mask: Tensor | None  # (R, M) bool: which points get a colour, the others have weight 0; None: all
 
 
 class Shading(nn.Module):
-    """Shares (R, K) of the samples in their rays' colours, at least 0, their geometry features (R, K, G), and which of
-    them were evaluated (R, K), None for all -> `Shaded`.
+    """Chooses the points of each ray that get a colour.
 
-    It decides alike in training and evaluation, so that a head's normalisation sees the same kind of inputs in both.
+    `forward` takes the compositing weights `shares` (R, K) of the samples, at least 0, their `geometry` features
+    (R, K, G), and which samples were `evaluated` (R, K), None for all. It works the same way in training and
+    evaluation, so a head's normalisation sees the same kind of inputs in both.
     """
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
@@ -39,34 +40,34 @@ class Shading(nn.Module):
 
 @SHADINGS.register("none")
 class EverySample(Shading):
-    """Every sample that has a geometry gets a colour."""
+    """Every evaluated sample gets a colour."""
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         return Shaded(shares, geometry, evaluated)
 
 
 class Selection(Shading):
-    """Some samples get a colour, at least one on each ray that has any; they share what the others would have had."""
+    """Some samples get a colour, at least one per ray that has any. They take over the weight of the others."""
 
     def select(self, shares: Tensor) -> Tensor:
-        """Shares (R, K), -1 of a sample that was not evaluated -> which get a colour (R, K)."""
+        """Shares (R, K), -1 where a sample was not evaluated -> which samples get a colour (R, K)."""
         raise NotImplementedError
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         with torch.no_grad():
             ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
             mask = self.select(ranked) & (ranked >= 0)
-            if int(mask.sum()) < MIN_SAMPLES:  # nearly all rays are empty
+            if int(mask.sum()) < MIN_BATCH:  # nearly all rays are empty
                 mask = ranked >= 0
-        left = shares * mask
+        selected = shares * mask
         total = shares.sum(-1, keepdim=True)
-        scale = total / left.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
-        return Shaded(left * scale, geometry, mask)
+        scale = total / selected.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
+        return Shaded(selected * scale, geometry, mask)
 
 
 @SHADINGS.register("threshold")
 class ThresholdShading(Selection):
-    """Samples whose share is at least `min_share`: those left out of a ray sum to less than K `min_share`.
+    """Samples whose share is at least `min_share`; the others of a ray sum to less than K `min_share`.
 
     Args:
         min_share: share of a ray's colour, 0 to 1.
@@ -84,10 +85,10 @@ class ThresholdShading(Selection):
 
 @SHADINGS.register("top")
 class TopShading(Selection):
-    """The `samples` largest shares of each ray.
+    """The samples with the largest shares of each ray.
 
     Args:
-        samples: at least 1.
+        samples: number per ray, at least 1.
     """
 
     def __init__(self, *, samples: int = 8) -> None:
@@ -102,19 +103,18 @@ class TopShading(Selection):
 
 @SHADINGS.register("merge")
 class MergeShading(Shading):
-    """Samples that follow each other share a colour: that of their mean geometry, weighted by their shares.
+    """Neighbouring samples share one colour, computed from their mean geometry weighted by their shares.
 
-    A ray's share is cut into `parts` equal ones, in the order in which the ray passes them; a sample belongs to the
-    part in which its middle falls. Where the features change little across a part, so does the colour, and nothing is
-    left out.
+    A ray's total share is cut into `parts` equal parts along the ray; a sample belongs to the part in which the middle
+    of its share falls. No sample is left out. If the features change little across a part, so does the colour.
 
-    How a sample's share s_i moves the mean m of its part, (g_i - m) / S, grows without bound where the part's share S
-    is small. A colour head alone gives such a part a gradient as small as S; a normalisation over the batch hands it
-    one as large as anybody's, which 1 / S would make the largest of all. Below `SMALL` of an equal part, S is taken as
-    that much in this derivative.
+    The derivative of a part's mean m by a sample's share s_i is (g_i - m) / S, which grows without bound as the part's
+    share S shrinks. A colour head alone gives such a part a gradient as small as S. But batch normalisation gives it
+    one as large as any other part's, and 1 / S would make that the largest of all. So this derivative uses an S of at
+    least `SMALL` of an equal part.
 
     Args:
-        parts: of a ray, at least 1; 1 renders features first and colours once a ray.
+        parts: per ray, at least 1. With 1, features are rendered first and each ray gets one colour.
     """
 
     def __init__(self, *, parts: int = 8) -> None:
@@ -135,6 +135,6 @@ class MergeShading(Shading):
         mean = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
         mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
         mask = merged > 0
-        if int(mask.sum()) < MIN_SAMPLES:  # all rays are empty
+        if int(mask.sum()) < MIN_BATCH:  # all rays are empty
             mask[:, 0] = True
         return Shaded(merged, mean, mask)

@@ -63,6 +63,10 @@ class Scene:
     near: float | None = None  # world units; None: the scene defines no bounds
     far: float | None = None
 
+    @property
+    def has_alpha(self) -> bool:
+        return self.images.shape[-1] == 4
+
     def colors(self, view: int, background: float | Tensor) -> Tensor:
         """The view (H, W, 3) float32 in [0, 1], composited over a grey value or a colour (3,) in [0, 1]."""
         return composite(self.images[view].to(torch.float32) / 255, background)

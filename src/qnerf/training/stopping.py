@@ -1,4 +1,4 @@
-"""When a training has learnt what it can: judged by training rays that it never trains on, not by held-out views."""
+"""Early stopping, judged by training rays that are held out for validation. Held-out views play no part."""
 
 import math
 from dataclasses import dataclass
@@ -7,12 +7,16 @@ from typing import Any
 
 @dataclass
 class Plateau:
-    """Asked for the PSNR of the validation rays every `every` steps; says when the training is to stop.
+    """Stops the training after `patience` checks in a row without a gain of `min_gain_db` over the best PSNR so far.
 
-    It stops after `patience` checks in a row without a gain of `min_gain_db` over the best so far.
+    >>> plateau = Plateau(every=10, patience=2, min_gain_db=0.1)
+    >>> for psnr in (20.0, 21.0, 21.05, 21.02):
+    ...     plateau.add(psnr)
+    >>> plateau.reached
+    True
     """
 
-    every: int  # steps between checks; 0: never, and every training ray trains
+    every: int  # steps between checks; 0: never stop early
     patience: int  # checks
     min_gain_db: float
     best: float = -math.inf
@@ -23,7 +27,7 @@ class Plateau:
         return self.every > 0 and step % self.every == 0
 
     def add(self, psnr: float) -> None:
-        """Takes a check's PSNR in dB."""
+        """Records the validation PSNR of a check, in dB."""
         if psnr >= self.best + self.min_gain_db:
             self.best, self.since = psnr, 0
         else:

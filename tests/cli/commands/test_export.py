@@ -225,7 +225,7 @@ def test_a_mistake_is_one_line(run, qnerf, arguments, message):
 
 
 def test_nothing_is_exported_into_the_store_or_of_a_damaged_run(store, qnerf, tmp_path):
-    assert "holds the run itself" in qnerf("export", "aaaa", "--to", "csv", "--out", store).err
+    assert "contains the run itself" in qnerf("export", "aaaa", "--to", "csv", "--out", store).err
     assert "summary.parquet: damaged" in qnerf("export", "eeee", "--to", "csv", "--out", tmp_path / "out").err
     assert not (tmp_path / "out").exists()
 

@@ -59,7 +59,7 @@ def test_a_styled_text_is_no_markup(text):
 @given(cells=st.lists(st.text(), min_size=1, max_size=5), width=st.integers(10, 100))
 def test_a_table_has_one_line_a_row_of_printable_text(cells, width):
     columns = [
-        Column("id", lambda row: row["text"], least=10),
+        Column("id", lambda row: row["text"], min_width=10),
         Column("n", lambda row: str(len(row["text"])), right=True),
     ]
     rows = [{"text": text} for text in cells]

@@ -82,7 +82,7 @@ def test_numbers_that_differ_are_named_with_their_place(run, reproduce):
     (line,) = [line for line in output.splitlines() if "train/loss" in line]
     assert line.split() == ["metrics", "train/loss", "4", "0", "0.000999", "step=3"]
     assert "not reproduced, 1 of" in output
-    assert "nothing that is recorded of the environment differs" in output
+    assert "the recorded environments are the same" in output
     code, output = reproduce(run, "--tolerance", 0.01)
     assert code == 0
     assert "agree within 0.01; the largest relative difference is 0.000999" in output

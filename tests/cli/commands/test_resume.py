@@ -91,7 +91,7 @@ def test_what_was_interrupted_or_failed_goes_on(config, tmp_path, resume, error)
     assert state(run) == ("failed" if isinstance(error, RuntimeError) else "interrupted")
     code, said = resume(run)
     assert code == 0
-    assert "going on at step 3" in " ".join(said.split())
+    assert "resuming at step 3" in " ".join(said.split())
     assert state(run) == "finished"
     assert losses(run) == losses(whole.path)
     assert run.name == whole.run_id

@@ -10,8 +10,8 @@ def test_everything_about_a_run(store, qnerf):
     assert lines[0] == "poster-qcolor-s0-aaaaaaaaaa"
     assert lines[1].startswith("finished  40 of 40 steps  started")
     for part in (
-        "asked for  seed=0 field=qcolor", "tags       good", "note       look at the edges",
-        "1,234: density 200   color 34", "PSNR 21.50 dB   SSIM 0.500", "1m40s   25.0 ms a step",
+        "overrides  seed=0 field=qcolor", "tags       good", "note       look at the edges",
+        "1,234: density 200   color 34", "PSNR 21.50 dB   SSIM 0.500", "1m40s   25.0 ms per step",
         "view1.png  22.50  0.500", "code       c0ffee",
         "torch 2.13.0", "metrics/ (1)", "images/ (1)",
     ):  # fmt: skip

@@ -1,7 +1,7 @@
 """The console commands, one a file.
 
 Each module has `arguments(parser)`, which declares its arguments, and `main(options)`, which runs the command and
-returns the exit code, or None for 0. A module is imported only for its own command, so listing runs never waits for
+returns the exit code, or None for 0. A module is imported only for its own command, so listing runs does not wait for
 PyTorch.
 """
 
@@ -76,5 +76,5 @@ def add_many_runs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_plugins(parser: argparse.ArgumentParser) -> None:
-    """The modules that a run with plugins needs: its folder may come from anybody, so the user has to name them."""
+    """The plugins of a run. Its folder may come from anybody, so the user has to name them."""
     parser.add_argument("plugins", nargs="*", metavar="plugins=[A,B]", help="modules that the run was trained with")

@@ -14,6 +14,7 @@ from qnerf.config.compatibility import without_neutral
 from qnerf.config.identity import flatten, is_execution
 from qnerf.records import details, find
 from qnerf.records.details import Details
+from qnerf.records.filters import is_number
 from qnerf.records.printable import printable
 
 ABSENT = "-"
@@ -39,8 +40,8 @@ def main(options: argparse.Namespace) -> None:
 def compare(a: Details, b: Details) -> dict[str, Any]:
     """What differs, in sections.
 
-    `configuration`, `execution`, `environment`: name -> [value in A, value in B], only where they differ. `results`:
-    name -> [A, B, B - A] for every number; the difference is None where one of the runs has no number.
+    `configuration`, `execution`, `environment`: name -> [value in A, value in B], only if they differ. `results`: name
+    -> [A, B, B - A] for every number; the difference is None if one run has no number.
     """
     config = differences(*(flatten(without_neutral(run.config)) for run in (a, b)))
     execution = {key: pair for key, pair in config.items() if is_execution(key)}
@@ -56,7 +57,7 @@ def compare(a: Details, b: Details) -> dict[str, Any]:
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Name -> [value in a, value in b], only where they differ; None for a name that is missing."""
+    """Name -> [value in a, value in b], only if they differ; None stands for a missing name."""
     names = list(dict.fromkeys([*a, *b]))
     return {name: [a.get(name), b.get(name)] for name in names if a.get(name) != b.get(name)}
 
@@ -68,10 +69,10 @@ def _environment(run: Details) -> dict[str, Any]:
 
 def results(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
     """Name -> [A, B, B - A] for every name that is a number in one of the runs."""
-    names = [name for name in dict.fromkeys([*a, *b]) if _is_number(a.get(name)) or _is_number(b.get(name))]
+    names = [name for name in dict.fromkeys([*a, *b]) if is_number(a.get(name)) or is_number(b.get(name))]
     pairs: dict[str, list[Any]] = {name: [a.get(name), b.get(name)] for name in names}
     for pair in pairs.values():
-        pair.append(pair[1] - pair[0] if all(map(_is_number, pair)) else None)
+        pair.append(pair[1] - pair[0] if all(map(is_number, pair)) else None)
     return pairs
 
 
@@ -109,13 +110,9 @@ def _number(name: str) -> Column:
 
     def cell(row: Mapping[str, Any]) -> str:
         value = row[name]
-        if not _is_number(value):
+        if not is_number(value):
             return ABSENT if value is None else str(value)
         whole = float(value).is_integer() and abs(value) < 1e15
         return f"{int(value):{sign},}" if whole else f"{value:{sign}.4g}"
 
     return Column(name, cell, right=True, style=lambda row: "dim" if row["b - a"] == 0 else "")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)

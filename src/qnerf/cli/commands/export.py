@@ -36,10 +36,10 @@ def main(options: argparse.Namespace) -> None:
     for folder in folders:
         content = read(folder)
         if target == "mlflow":
-            made = exporter.export(content, options.uri, options.experiment or "qnerf")
+            copy = exporter.export(content, options.uri, options.experiment or "qnerf")
         else:
-            made = exporter.export(content, _out(options.out or f"exports/{target}", folder))
-        print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(made)}")
+            copy = exporter.export(content, _out(options.out or f"exports/{target}", folder))
+        print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(copy)}")
     if target == "tensorboard":
         print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
 
@@ -55,5 +55,5 @@ def _exporter(target: str) -> ModuleType:
 
 def _out(out: str, run: Path) -> Path:
     if Path(out).resolve() == run.resolve().parent:
-        raise ValueError(f"{out}: holds the run itself; exports go into another folder")
+        raise ValueError(f"{out}: contains the run itself; expected another folder")
     return Path(out)

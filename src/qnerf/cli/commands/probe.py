@@ -1,14 +1,11 @@
 """`qnerf probe RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf probe RUN rays`."""
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.upgrade_config import check_identity, stored
 from qnerf.records import find, state
-
-if TYPE_CHECKING:
-    from qnerf.probes import Trained
 
 PROBES = ("spectrum", "encoding", "rays", "units")
 DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
@@ -36,16 +33,18 @@ def main(options: argparse.Namespace) -> None:
     repeated = [option for option in options.options if option.startswith("plugins=")]
     settings = [option for option in options.options if "=" in option and option not in repeated]
     _check(names, settings)
-    conditions = _conditions(settings) if settings or not names else None
+    conditions, views = _conditions(settings) if settings or not names else (None, 0)
 
     from qnerf.probes import load, probe
+    from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
 
     trained = load(run, stored(run, repeated)[0] if state(run) == "finished" else None)
     check_identity(run, trained.scene.fingerprint)
     for name in names:
         print(probe(trained, name))
     if conditions is not None:
-        _measure(trained, *conditions)
+        evaluate_hardware(trained, conditions, views=views, tell=print)
+        print(f"rows in {trained.folder / FILE}")
 
 
 def _check(names: list[str], settings: list[str]) -> None:
@@ -58,23 +57,16 @@ def _check(names: list[str], settings: list[str]) -> None:
 
 
 def _conditions(settings: list[str]) -> tuple[list[Any], int]:
-    """What the options ask for, and how many views."""
+    """The conditions to measure under, and the number of views."""
     from qnerf.probes.shots_and_noise import grid
 
-    given = dict(option.split("=", 1) for option in settings)
-    values = DEFAULTS | given
+    chosen = dict(option.split("=", 1) for option in settings)
+    values = DEFAULTS | chosen
     shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
     views, seed = _one("views", values["views"]), _one("seed", values["seed"])
-    if "noise" in given and not p:
-        raise ValueError(f"noise={values['noise']} expects its probabilities as well, such as p=0.001,0.01")
+    if "noise" in chosen and not p:
+        raise ValueError(f"noise={values['noise']} also expects probabilities, such as p=0.001,0.01")
     return grid(shots, values["noise"], p, seed), views
-
-
-def _measure(trained: "Trained", conditions: list[Any], views: int) -> None:
-    from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
-
-    evaluate_hardware(trained, conditions, views=views, tell=print)
-    print(f"rows in {trained.folder / FILE}")
 
 
 def _one(name: str, text: str) -> int:

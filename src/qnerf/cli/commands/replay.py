@@ -3,24 +3,21 @@
 import argparse
 from pathlib import Path
 
-from qnerf.cli import overrides as typed
-from qnerf.cli import plugins
 from qnerf.cli.commands import add_plugins
-from qnerf.cli.upgrade_config import complete, todays_defaults
-from qnerf.config.compatibility import fill_added, upgrade_config
-from qnerf.config.plugins import check_plugins
+from qnerf.cli.upgrade_config import fill
+from qnerf.config.compatibility import upgrade_config
 from qnerf.records.printable import printable
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Repeats the training step in which numerics.finite_checks=true found a value that is not finite. "
-        "Exit code 1: one occurs again; 0: none does; 2: the step cannot be repeated."
+        "Exit code 1: it happens again; 0: all values are finite; 2: the step cannot be repeated."
     )
-    parser.add_argument("file", type=Path, metavar="FILE", help="nonfinite.pt of the run's folder")
+    parser.add_argument("file", type=Path, metavar="FILE", help="nonfinite.pt in the run's folder")
     add_plugins(parser)
-    parser.add_argument("--scene", metavar="DIR", help="where the scene lies now (default: scene.path of the run)")
-    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], help="default: that of the run")
+    parser.add_argument("--scene", metavar="DIR", help="where the scene is now (default: scene.path of the run)")
+    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], help="default: the device of the run")
 
 
 def main(options: argparse.Namespace) -> int:
@@ -34,10 +31,7 @@ def main(options: argparse.Namespace) -> int:
 
     content = load_step(options.file)
     config = upgrade_config(content["config"])
-    check_plugins(options.file, config.get("plugins", []), repeated := typed.plugins(options.plugins))
-    plugins.load(repeated)
-    fill_added(config)
-    complete(config, todays_defaults(config), str(options.file))
+    fill(config, options.file, options.plugins)
     if options.scene is not None:
         config["scene"]["path"] = options.scene
     if options.device is not None:

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from qnerf.cli.commands import add_plugins, add_run
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
-from qnerf.cli.upgrade_config import check_identity, stored
+from qnerf.cli.upgrade_config import run_stored, stored
 from qnerf.records import find, state
 from qnerf.records.printable import printable
 
@@ -31,12 +31,12 @@ COLUMNS = (
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Runs a finished run again with its configuration, seed and threads, compares every number (clocks left out) "
-        "and says what differs in the environment. Exit code 1 where the numbers differ."
+        "Trains a finished run again with its configuration, seed and threads, compares every number except times, and "
+        "lists the differences of the environments. Exit code 1: numbers differ."
     )
     add_run(parser)
     add_plugins(parser)
-    parser.add_argument("--keep", metavar="DIR", type=Path, help="store that keeps the second run (default: none)")
+    parser.add_argument("--keep", metavar="DIR", type=Path, help="store for the second run (default: it is deleted)")
     parser.add_argument(
         "--tolerance",
         metavar="X",
@@ -54,44 +54,26 @@ def main(options: argparse.Namespace) -> int:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
     config, filled = stored(run, options.plugins)
 
-    from qnerf import experiment
-    from qnerf.cli.display import LiveDisplay
     from qnerf.records.reproduction import compare, environment_differences, recorded_threads
-    from qnerf.training.trainer import Diverged
 
-    check_identity(run, experiment.prepare(config)[2].fingerprint)
     config["threads"] = recorded_threads(run) or config["threads"]
-    config["run"]["force"] = True  # --keep may have kept one already
-    display = LiveDisplay(console(), live=config["run"]["progress"])
-    if filled:
-        display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
-    with _store(options.keep) as store:
+    config["run"]["force"] = True  # the folder of --keep may contain an earlier one
+    second = options.keep and contextlib.nullcontext(options.keep)
+    with second or tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = str(store)
-        try:
-            outcome = experiment.run(config, (), display)
-        except Diverged as error:
-            raise ValueError(str(error)) from error
+        outcome = run_stored(run, config, filled)
         if outcome.state != "finished":
-            display.note(outcome.message)
+            print(printable(outcome.message))
             return 130 if outcome.state == "interrupted" else 1
         compared = compare(run, outcome.path)
         different = environment_differences(run, outcome.path)
     return report(run, compared, different, options.tolerance)
 
 
-@contextlib.contextmanager
-def _store(keep: Path | None) -> Iterator[Path]:
-    if keep is not None:
-        yield keep
-        return
-    with tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as folder:
-        yield Path(folder)
-
-
 def report(
     run: Path, compared: "Sequence[Compared]", different: Mapping[str, tuple[str, str]], tolerance: float
 ) -> int:
-    """Prints what agrees, what does not, and what differs in the environment; the exit code."""
+    """Prints which numbers agree, which differ, and how the environments differ; returns the exit code."""
     out = console()
     wrong = [item for item in compared if not item.agrees(tolerance)]
     numbers, largest = sum(item.numbers for item in compared), max((item.largest for item in compared), default=0.0)
@@ -105,5 +87,5 @@ def report(
         rows = [{"name": name, "then": then, "now": now} for name, (then, now) in different.items()]
         print_table(out, [Column(title, itemgetter(title), limit=60) for title in ("name", "then", "now")], rows)
     elif wrong:
-        print("nothing that is recorded of the environment differs")
+        print("the recorded environments are the same")
     return 1 if wrong else 0

@@ -4,15 +4,15 @@ import argparse
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.text import console
-from qnerf.cli.upgrade_config import CHANGEABLE, check_identity, stored
+from qnerf.cli.upgrade_config import CHANGEABLE, run_stored, stored
 from qnerf.records import find, owner, state
 from qnerf.records.printable import printable
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Goes on with an interrupted or failed run from its last checkpoint, with the configuration that it was "
-        "started with. A finished or running one is left alone."
+        "Continues an interrupted or failed run from its last checkpoint, with the configuration that it was started "
+        "with. Does nothing if the run is finished or running."
     )
     add_run(parser)
     parser.add_argument(
@@ -29,17 +29,8 @@ def main(options: argparse.Namespace) -> int:
         return 0
     config, filled = stored(run, options.overrides)
 
-    from qnerf import experiment
-    from qnerf.cli.display import LiveDisplay, print_outcome
-    from qnerf.training.trainer import Diverged
+    from qnerf.cli.display import print_outcome
 
-    check_identity(run, experiment.prepare(config)[2].fingerprint)
-    display = LiveDisplay(console(), live=config["run"]["progress"])
-    if filled:
-        display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
-    try:
-        outcome = experiment.run(config, (), display, name=run.name)
-    except Diverged as error:
-        raise ValueError(str(error)) from error
-    print_outcome(display.console, outcome)
+    outcome = run_stored(run, config, filled, run.name)
+    print_outcome(console(), outcome)
     return 130 if outcome.state == "interrupted" else 0

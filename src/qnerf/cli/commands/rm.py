@@ -17,7 +17,7 @@ from qnerf.records.files import reporting
 from qnerf.records.owner import OwnerInfo, Ownership
 
 MARKS = ("status.json", "summary.parquet", "owner")
-"""A folder without any of them is no run, and stays."""
+"""A folder without any of these is not a run and is never deleted."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,9 +32,9 @@ def main(options: argparse.Namespace) -> int:
     folders = list(dict.fromkeys(_checked(find(name, options.store).absolute()) for name in options.runs))
     out = console()
     for folder in folders:
-        what = "link" if folder.is_symlink() else state(folder)
-        held = size(sum(_sizes(folder)))
-        out.print(styled(folder, limit=200), styled(what, STATE_STYLES.get(what, "")), held, soft_wrap=True)
+        kind = "link" if folder.is_symlink() else state(folder)
+        total = size(sum(_sizes(folder)))
+        out.print(styled(folder, limit=200), styled(kind, STATE_STYLES.get(kind, "")), total, soft_wrap=True)
     if not options.yes and not _agreed(len(folders)):
         out.print("nothing deleted")
         return 1
@@ -45,16 +45,16 @@ def main(options: argparse.Namespace) -> int:
 
 
 def delete(folder: Path) -> None:
-    """Takes a run out of its store in one rename, then removes it. Of a link only the link goes.
+    """Moves a run out of its store in one rename, then removes it. For a link, only the link is removed.
 
     Raises:
-        StoreError: somebody is writing the run, or it cannot be removed.
+        StoreError: another process is writing the run, or it cannot be removed.
     """
     if folder.is_symlink():
         with reporting(folder, "delete"):
             folder.unlink()
         return
-    held = _take(folder)
+    ownership = _take(folder)
     try:
         trash = folder.parent / ".tmp"
         with reporting(folder, "delete"):
@@ -62,29 +62,29 @@ def delete(folder: Path) -> None:
             gone = trash / f"old-{folder.name}-{secrets.token_hex(4)}"
             os.rename(folder, gone)
     except StoreError:
-        if held is not None:
-            held.release()
+        if ownership is not None:
+            ownership.release()
         raise
     with reporting(gone, "delete"):
         shutil.rmtree(gone)  # never follows a link
-    for leftover in trash.glob("old-*"):  # of one that was killed in the middle
+    for leftover in trash.glob("old-*"):  # of a command that was killed in between
         shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _take(folder: Path) -> Ownership | None:
-    """The right to write the run, so that nobody starts to in the meantime; None where the disk is too full for it."""
+    """Acquires the run, so that nobody starts to write it meanwhile; None if the disk is too full to do so."""
     try:
-        held = owner.acquire(folder)
+        acquired = owner.acquire(folder)
     except StoreError as error:
         full = isinstance(error.__cause__, OSError) and error.__cause__.errno in (errno.ENOSPC, errno.EDQUOT)
         if not full or state(folder) == "running":
             raise
-        return None  # a full disk is what runs are deleted for
-    if isinstance(held, OwnerInfo):
-        raise StoreError(f"{folder}: being written by {held}; stop it first")
-    if held is None:
+        return None  # deleting runs is the way to free a full disk
+    if isinstance(acquired, OwnerInfo):
+        raise StoreError(f"{folder}: being written by {acquired}; stop it first")
+    if acquired is None:
         raise StoreError(f"{folder}: gone already")
-    return held
+    return acquired
 
 
 def _checked(folder: Path) -> Path:
@@ -98,7 +98,7 @@ def _checked(folder: Path) -> Path:
 
 def _agreed(count: int) -> bool:
     if not sys.stdin.isatty():
-        raise ValueError("nobody to ask, standard input is no terminal: --yes deletes without asking")
+        raise ValueError("cannot ask, standard input is not a terminal: --yes deletes without asking")
     question = f"delete {'this run' if count == 1 else f'these {count} runs'} for good? [y/N] "
     return input(question).strip().lower() in ("y", "yes")
 

@@ -15,7 +15,7 @@ from qnerf.metrics import METRICS
 from qnerf.records import filters, index
 from qnerf.records.printable import ELLIPSIS, printable
 
-EPILOG = """filters, of which a run must meet all:
+EPILOG = """filters (a run must match all of them):
   qcolor-hashC5              a part of the id
   field=qcolor,qboth         a column has one of the values
   state=failed  tag=good     so do states and tags
@@ -30,14 +30,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     parser.add_argument("filters", nargs="*", metavar="FILTER", help="which runs; see below")
     add_store(parser)
-    parser.add_argument("--sort", metavar="COLUMN", default="created", help="largest first, or text from a to z")
-    parser.add_argument("--reverse", action="store_true", help="the other way round")
+    parser.add_argument(
+        "--sort", metavar="COLUMN", default="created", help="column to sort by: numbers largest first, text from a to z"
+    )
+    parser.add_argument("--reverse", action="store_true", help="reverse the order")
     parser.add_argument("--limit", type=int, metavar="N", help="first N runs; 0: all (default: what the screen holds)")
-    parser.add_argument("--columns", default="", metavar="A,B", help="further columns, such as seed,train.lr")
+    parser.add_argument("--columns", default="", metavar="A,B", help="more columns, such as seed,train.lr")
     parser.add_argument("--all-columns", action="store_true", help="every column there is")
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="one object a run, numbers in full")
-    form.add_argument("--ids", action="store_true", help="ids alone, one a line, for `xargs qnerf rm`")
+    form.add_argument("--json", action="store_true", help="one object per run, numbers in full")
+    form.add_argument("--ids", action="store_true", help="only ids, one per line, for `xargs qnerf rm`")
 
 
 def main(options: argparse.Namespace) -> None:
@@ -55,17 +57,17 @@ def main(options: argparse.Namespace) -> None:
         sys.stdout.writelines(f"{printable(name)}\n" for name in limited(frame, options.limit).get("run_id", ()))
     elif frame.empty:
         where = printable(options.store)
-        print(f"none of {len(everything):,} runs in {where} is that" if len(everything) else f"no runs in {where}")
+        print(f"none of {len(everything):,} runs in {where} matches" if len(everything) else f"no runs in {where}")
     else:
         extra = [name for name in frame.columns if name not in NEEDED] if options.all_columns else extra
         print_runs(out, frame, screen(out) if options.limit is None else options.limit, extra)
 
 
 def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> pd.DataFrame:
-    """The store's runs with the columns of the table and `further` ones, or with every column.
+    """The store's runs with the columns of the table and those in `further`, or with every column.
 
     Raises:
-        ValueError: no run has one of the further columns; the line names similar ones.
+        ValueError: no run has one of those in `further`; the message names similar ones.
     """
     with Reading() as reading:
         frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])), progress=reading)
@@ -75,23 +77,23 @@ def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> 
 
 
 class Reading:
-    """One line on a terminal's standard error while many runs are read for the first time; gone afterwards."""
+    """A line on standard error, if it is a terminal, while many runs are read for the first time."""
 
     MANY = 500
 
     def __init__(self) -> None:
-        self.told = False
+        self.visible = False
 
     def __call__(self, file: str, number: int, total: int) -> None:
         if total >= self.MANY and number % 100 == 0 and sys.stderr.isatty():
             self._write(f"reading {file}: {number:,} of {total:,}")
-            self.told = True
+            self.visible = True
 
     def __enter__(self) -> "Reading":
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.told:
+        if self.visible:
             self._write("")
 
     def _write(self, text: str) -> None:
@@ -110,12 +112,12 @@ def limited(frame: pd.DataFrame, limit: int | None) -> pd.DataFrame:
 
 
 def screen(out: Console) -> int:
-    """Runs that one screen holds beside the titles, the line below them and the next prompt; 0, all, when piped."""
+    """How many runs fit on the screen with the titles, the closing line and the prompt; 0, all of them, when piped."""
     return max(out.height - 4, 5) if out.is_terminal else 0
 
 
 def print_runs(out: Console, frame: pd.DataFrame, limit: int, extra: Sequence[str] = ()) -> None:
-    """The table; on a terminal with a line below that counts the states and what was left out."""
+    """The table, and on a terminal a line that counts the states and the runs left out."""
     shown = records(limited(frame, limit))
     print_table(out, columns(shown, extra), shown)
     if out.is_terminal:
@@ -130,23 +132,23 @@ def counts(frame: pd.DataFrame, shown: int) -> str:
 
 
 def columns(rows: Sequence[Row], extra: Sequence[str] = ()) -> list[Column]:
-    """The usual columns and `extra`; tags and errors only where a run has some."""
+    """The usual columns and `extra`; tags and errors only if a run has some."""
     usual = [*COLUMNS, *(_extra(name, rows) for name in extra)]
     if any(row.get("tags") for row in rows):
         usual.append(Column("tags", tags, rank=5, style=lambda row: "magenta"))
     if any(not missing(row.get("error")) for row in rows):
-        usual.append(Column("error", _cell("error"), rank=6, style=lambda row: "red", least=16, limit=60))
+        usual.append(Column("error", _cell("error"), rank=6, style=lambda row: "red", min_width=16, limit=60))
     return usual
 
 
 def records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """One dict a row, None where there is no value."""
+    """One dict per row, with None for a missing value."""
     rows = frame.to_dict("records")
     return [{str(key): None if missing(value) else value for key, value in row.items()} for row in rows]
 
 
 def steps(row: Row) -> str:
-    """`1,500`, or `740/1,500` of a run that has not reached its end."""
+    """`1,500`, or `740/1,500` for a run that is not complete."""
     step, last = row.get("step"), row.get("train.steps")
     if missing(step):
         return "-"
@@ -158,7 +160,7 @@ def tags(row: Row) -> str:
 
 
 def qiren(row: Row) -> str:
-    """Only where a head is a circuit."""
+    """Layers and re-uploadings, if a head is a circuit."""
     return "-" if row.get("field") == "classical" else _cell("qiren")(row)
 
 
@@ -171,7 +173,7 @@ def _cell(name: str) -> Callable[[Row], str]:
 
 
 def _extra(name: str, rows: Sequence[Row]) -> Column:
-    """A further column, under the name that it was asked for by; a metric in its own number of digits."""
+    """One more column under its own name; a metric in its own format."""
     if name in METRICS:
         return metric_column(METRICS[name], name, rank=2)
     numbers = all(isinstance(row.get(name), (int, float, type(None))) for row in rows)
@@ -184,7 +186,7 @@ def _heads(row: Row) -> str:
 
 
 COLUMNS = (
-    Column("id", lambda row: row["run_id"], least=14, tail=13, limit=255),
+    Column("id", lambda row: row["run_id"], min_width=14, tail=13, limit=255),
     Column("state", lambda row: row["state"], style=lambda row: STATE_STYLES.get(row["state"], "")),
     Column("field", _cell("field"), rank=1),
     Column("encoder", _cell("encoder"), rank=8),
@@ -196,7 +198,7 @@ COLUMNS = (
     Column("time", lambda row: duration(row.get("train_s")), rank=4, right=True),
     Column("age", lambda row: age(row.get("created")), rank=3, right=True),
 )
-"""`heads`: parameters of the density and colour heads, which is where the fields differ."""
+"""`heads`: parameters of the density and colour heads, in which fields differ."""
 
 NEEDED = (
     "run_id", "state", "error", "field", "encoder", "qiren", "params.total", "params.density", "params.color",

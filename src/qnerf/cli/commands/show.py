@@ -63,8 +63,8 @@ def show(out: Console, run: Details, config: bool = False) -> None:
         out.print(tree("configuration", run.config))
     _environment(out, run)
     _section(out, "files", str(run.path))
-    for name, held in files(run.path).items():
-        out.print(Text(f"  {printable(name, 60):<28} {size(held):>9}"))
+    for name, length in files(run.path).items():
+        out.print(Text(f"  {printable(name, 60):<28} {size(length):>9}"))
 
 
 def _head(out: Console, run: Details) -> None:
@@ -75,7 +75,7 @@ def _head(out: Console, run: Details) -> None:
     for problem in run.problems:
         out.print(styled(problem, "red", 2000), soft_wrap=True)
     if run.overrides:
-        _pair(out, "asked for", " ".join(run.overrides))
+        _pair(out, "overrides", " ".join(run.overrides))
     if run.annotations.tags:
         _pair(out, "tags", ", ".join(run.annotations.tags), "magenta")
     if run.annotations.note:
@@ -96,24 +96,24 @@ def state_line(run: Details) -> Text:
 
 def _results(out: Console, run: Details) -> None:
     values = run.results
-    shown = [item for item in image_metrics() if not missing(values.get(item.key))]
+    metrics = [item for item in image_metrics() if not missing(values.get(item.key))]
     parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
-    if not shown and not parts:
+    if not metrics and not parts:
         return
     _section(out, "results")
-    if shown:
-        texts = (f"{item.label} {measured(values[item.key], item, unit=True)}" for item in shown)
+    if metrics:
+        texts = (f"{item.label} {measured(values[item.key], item, unit=True)}" for item in metrics)
         _pair(out, "held out", "   ".join(texts))
     if parts:
         listed = "   ".join(f"{name} {count(value)}" for name, value in parts.items() if value and name != "total")
         _pair(out, "parameters", f"{count(parts.get('total'))}: {listed}")
     step = metric_of("step_ms")
     if not missing(values.get("train_s")):
-        a_step = f"{measured(values.get('step_ms'), step, unit=True)} a step, {step.explanation}"
+        a_step = f"{measured(values.get('step_ms'), step, unit=True)} per step, {step.explanation}"
         _pair(out, "training", f"{duration(values['train_s'])}   {a_step}")
     times = {key[5:-3]: value for key, value in values.items() if key.startswith("time.") and key.endswith("_ms")}
     if times:
-        _pair(out, "of a step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms")
+        _pair(out, "per step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms")
 
 
 def _views(out: Console, run: Details) -> None:
@@ -121,37 +121,42 @@ def _views(out: Console, run: Details) -> None:
     if not len(views) or "image" not in views:
         return
     _section(out, f"held-out views after step {count(views['step'].iloc[0])}" if "step" in views else "held-out views")
-    shown = [item for item in image_metrics() if item.key in views and views[item.key].notna().any()]
-    columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, shown)]
+    metrics = [item for item in image_metrics() if item.key in views and views[item.key].notna().any()]
+    columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, metrics)]
     print_table(out, columns, views.to_dict("records"))  # type: ignore[arg-type]
 
 
 def _environment(out: Console, run: Details) -> None:
-    found = run.environment
-    if not found:
+    environment = run.environment
+    if not environment:
         return
     _section(out, "environment")
-    git, cpu, gpu, threads = (_dict(found.get(name)) for name in ("git", "cpu", "gpu", "threads"))
+    git, cpu, gpu, threads = (_dict(environment.get(name)) for name in ("git", "cpu", "gpu", "threads"))
     if git.get("commit"):
         _pair(out, "code", f"{git['commit']}{', with changes (dirty.diff)' if git.get('dirty') else ''}")
     names = gpu.get("names")
-    machine = [found.get("host"), cpu.get("model"), f"cores {cpu.get('usable')}", f"threads {threads.get('torch')}"]
+    machine = [
+        environment.get("host"),
+        cpu.get("model"),
+        f"cores {cpu.get('usable')}",
+        f"threads {threads.get('torch')}",
+    ]
     _pair(out, "machine", ", ".join(str(x) for x in [*machine, *(names if isinstance(names, list) else [])]))
-    packages = _dict(found.get("packages"))
+    packages = _dict(environment.get("packages"))
     versions = "  ".join(f"{name} {version}" for name, version in packages.items() if version)
-    _pair(out, "versions", f"python {found.get('python')}  {versions}")
+    _pair(out, "versions", f"python {environment.get('python')}  {versions}")
 
 
 def files(run: Path) -> dict[str, int]:
-    """Name -> bytes of what the run's folder holds; a folder is the sum of its files. Hidden ones are left out."""
-    found = {}
+    """Name -> bytes of each file in the run's folder, and of each folder in it. Hidden ones are left out."""
+    lengths = {}
     for path in sorted(run.iterdir()):
         if path.name.startswith("."):
             continue
         inside = path.is_dir() and not path.is_symlink()
-        held = [item.lstat().st_size for item in (path.iterdir() if inside else [path])]
-        found[f"{path.name}/ ({len(held)})" if inside else path.name] = sum(held)
-    return found
+        sizes = [item.lstat().st_size for item in (path.iterdir() if inside else [path])]
+        lengths[f"{path.name}/ ({len(sizes)})" if inside else path.name] = sum(sizes)
+    return lengths
 
 
 def _section(out: Console, title: str, more: str = "") -> None:
@@ -160,15 +165,15 @@ def _section(out: Console, title: str, more: str = "") -> None:
 
 
 def _pair(out: Console, name: str, text: str, style: str = "", lines: bool = False) -> None:
-    """A name and its text, which hangs beside it over as many lines as the terminal needs."""
-    shown = Text(text if lines else printable(text), style)
+    """A name and its text, which is wrapped beside the name on a terminal."""
+    body = Text(text if lines else printable(text), style)
     if not out.is_terminal:
-        out.print(Text(f"  {name:<10} {shown.plain}"), soft_wrap=True)
+        out.print(Text(f"  {name:<10} {body.plain}"), soft_wrap=True)
         return
     grid = Table.grid(padding=(0, 1, 0, 2), pad_edge=True, collapse_padding=False)
     grid.add_column(width=10, style="dim")
     grid.add_column(overflow="fold")
-    grid.add_row(name, shown)
+    grid.add_row(name, body)
     out.print(grid)
 
 

@@ -8,7 +8,7 @@ from qnerf.records.printable import printable
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Adds or removes tags of a run; without TAG, prints its tags, one a line."
+    parser.description = "Adds or removes tags of a run; without TAG, prints its tags, one per line."
     add_run(parser)
     parser.add_argument("tags", nargs="*", metavar="TAG", help="tags to add; commas work too")
     parser.add_argument("--remove", action="append", default=[], metavar="TAG", help="a tag to remove")
@@ -17,8 +17,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> None:
     run = find(options.run, options.store)
     add, remove = _split(options.tags), _split(options.remove)
-    have = annotations.change_tags(run, add, remove) if add or remove else annotations.read(run)
-    for tag in have.tags:
+    annotated = annotations.change_tags(run, add, remove) if add or remove else annotations.read(run)
+    for tag in annotated.tags:
         print(printable(tag, annotations.TAG_LENGTH))
 
 

@@ -55,7 +55,7 @@ def main(options: argparse.Namespace) -> None:
 
 
 Frame = Callable[[], tuple[RenderableType, bool]]
-"""Makes what is shown now, and says whether there is more to come."""
+"""Returns the current picture, and whether to keep refreshing it."""
 
 
 def follow(out: Console, frame: Frame, every: float) -> None:
@@ -68,19 +68,19 @@ def follow(out: Console, frame: Frame, every: float) -> None:
 
 
 def store_frame(store: str, out: Console) -> tuple[RenderableType, bool]:
-    """The newest runs that the screen holds; there is always more to come."""
-    found = listing.load(store)
-    if found.empty:
+    """The newest runs that fit on the screen, refreshed until Ctrl-C."""
+    frame = listing.load(store)
+    if frame.empty:
         return Text(f"no runs in {printable(store)}"), True
-    found = listing.arrange(found)
-    rows = listing.records(listing.limited(found, listing.screen(out)))
+    frame = listing.arrange(frame)
+    rows = listing.records(listing.limited(frame, listing.screen(out)))
     columns = listing.columns(rows)
     lines = table(columns, rows, out.width) if out.is_terminal else map(Text, plain_lines(columns, rows))
-    return Group(*lines, Text(listing.counts(found, len(rows)), "dim")), True
+    return Group(*lines, Text(listing.counts(frame, len(rows)), "dim")), True
 
 
 def run_frame(folder: Path, out: Console) -> tuple[RenderableType, bool]:
-    """A run's progress, and whether it still runs."""
+    """A run's progress, refreshed while it runs."""
     run = details.read(folder)
     return Group(
         *progress(run, read_metrics(folder), out.width, ascii_only=not _shows(out, BLOCKS))
@@ -115,11 +115,11 @@ CURVES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "train/psnr": (metric_of("psnr").label, np.asarray),
     "eval/psnr": ("held out", np.asarray),
 }
-"""Key of metrics.parquet -> title, function of the values that are drawn."""
+"""Key of metrics.parquet -> title, and the function applied to its values before drawing."""
 
 
 def steps_per_second(rows: pd.DataFrame) -> float | None:
-    """Rate over the last logged rows of one key; None where there are too few."""
+    """Rate over the last logged rows of one key; None if there are too few."""
     recent = rows.tail(RECENT)
     steps = recent["step"].iloc[-1] - recent["step"].iloc[0]
     seconds = recent["time_s"].iloc[-1] - recent["time_s"].iloc[0]
@@ -132,10 +132,10 @@ def _bar(run: Details, rate: float | None, width: int, ascii_only: bool) -> Text
     room = max(width - BESIDE, 10)
     done = round(share * room)
     full, empty = ("#", "-") if ascii_only else ("━", "─")
-    told = f"  {share:4.0%}"
+    label = f"  {share:4.0%}"
     if rate is not None:
-        told += f"  {rate:.1f} steps/s  {duration((run.steps - run.step) / rate)} left"
-    return Text.assemble(" " * 10, (full * done, "green"), (empty * (room - done), "dim"), told)
+        label += f"  {rate:.1f} steps/s  {duration((run.steps - run.step) / rate)} left"
+    return Text.assemble(" " * 10, (full * done, "green"), (empty * (room - done), "dim"), label)
 
 
 def _shows(out: Console, text: str) -> bool:
