@@ -187,7 +187,17 @@ def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatc
     assert len(done) == calls
 
 
-def test_an_unknown_choice_is_one_line():
-    command = [sys.executable, "-m", "src.run", "encoder=fourier"]
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("encoder=fourier", "encoder=fourier: unknown; known: hash, none, pe, rff"),
+        ("encoder.band=3", "unknown option encoder.band; known: bands, frequency_window, include_input"),
+        ("color.mlp.wide=3", "unknown option color.mlp.wide; known: init, layers, width"),
+    ],
+)
+def test_an_unknown_choice_or_option_is_one_line(override, message):
+    command = [sys.executable, "-m", "src.run", "encoder=pe", override]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (1, "error: encoder=fourier: unknown; known: hash, none, pe, rff\n")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {message}")
+    assert done.stderr.count("\n") == 1

@@ -4,8 +4,10 @@ The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` pu
 started the sweep through the sweep's folder.
 """
 
+import contextlib
 import importlib.util
 import os
+import re
 import signal
 import sys
 import threading
@@ -18,7 +20,7 @@ from typing import Any, TextIO
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, MissingConfigException
+from hydra.errors import CompactHydraException, HydraException, MissingConfigException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -218,6 +220,22 @@ def _report(sweep: Sweep) -> int:
     return 1 if failures else 0
 
 
+def _unknown_option(message: str) -> list[str]:
+    """One line with the known options, if Hydra's message is about an unknown one; else nothing."""
+    unknown = re.match(r"Could not override '([\w.@]+)'", message)
+    if unknown is None:
+        return []
+    group, _, _ = unknown[1].rpartition(".")
+    options = [word for word in sys.argv[1:] if "=" in word and not word.startswith((unknown[1], "-", "hydra"))]
+    with contextlib.suppress(HydraException, OmegaConfBaseException):
+        with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+            config = hydra.compose("config", [word for word in options if "," not in word])
+        node = OmegaConf.select(config, group) if group else config
+        if isinstance(node, DictConfig):
+            return [f"error: unknown option {unknown[1]}; known: {', '.join(sorted(map(str, node)))}"]
+    return []
+
+
 def run_command() -> None:
     """Composes the configuration from conf/ and the command line, and runs it."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of printing them itself
@@ -240,7 +258,8 @@ def run_command() -> None:
         print(f"error: {group or 'config'}={name}: unknown; {known}", file=sys.stderr)
         code = 1
     except CompactHydraException as error:
-        print(error, *([error.__cause__] if error.__cause__ else []), sep="\n", file=sys.stderr)
+        causes = [error.__cause__] if error.__cause__ else []
+        print(*(_unknown_option(str(error)) or (error, *causes)), sep="\n", file=sys.stderr)
         code = 1
     except Exception as error:
         if not _started:

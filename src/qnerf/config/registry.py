@@ -34,7 +34,8 @@ class Registry(Generic[T]):
 
     def register(self, name: str) -> Callable[[Callable[..., T]], Callable[..., T]]:
         def add(component: Callable[..., T]) -> Callable[..., T]:
-            assert name not in self._components, f"{self.group}={name} is registered twice"
+            if name in self._components:
+                raise ValueError(f"{self.group}={name}: the name is taken by {self._components[name].__module__}")
             self._components[name] = component
             return component
 

@@ -36,6 +36,11 @@ def chosen(node: Mapping[str, Any]) -> type[Head]:
 
 
 def head_options(node: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of the head that `node` names, including those of the heads that it extends."""
+    """The options of the head that `node` names, including those of the heads that it extends.
+
+    An option that the configuration lacks, as with `color.name=...` instead of `color=...`, has its default.
+    """
+    parameters = HEADS.options(node["name"]).items()
+    defaults = {key: parameter.default for key, parameter in parameters if parameter.default is not parameter.empty}
     names = [HEADS.name_of(ancestor) for ancestor in reversed(chosen(node).__mro__)]
-    return {key: value for name in names if name for key, value in node.get(name, {}).items()}
+    return defaults | {key: value for name in names if name for key, value in node.get(name, {}).items()}
