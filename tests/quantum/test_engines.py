@@ -141,11 +141,38 @@ def test_gradcheck(engine: Callable[[Circuit], Function], wires: int, spectral: 
     assert torch.autograd.gradcheck(engine(circuit), (x, w))
 
 
-def test_plain_torch_is_differentiable_twice() -> None:
+@pytest.mark.parametrize("engine", [torch_engine, compiled_engine, cone_engine, cone_reference])
+def test_every_engine_is_differentiable_twice(engine: Callable[[Circuit], Function]) -> None:
     circuit = ANSATZE.build("qiren", 2, 1)
     x = torch.randn(2, 2, dtype=torch.float64, requires_grad=True)
     w = torch.randn(circuit.rows, 3, 2, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradgradcheck(torch_engine(circuit), (x, w))
+    assert torch.autograd.gradgradcheck(engine(circuit), (x, w))
+
+
+@pytest.mark.parametrize("engine", [compiled_engine, cone_engine])
+def test_a_loss_of_derivatives_trains_as_with_plain_torch(engine: Callable[[Circuit], Function]) -> None:
+    """As in a physics-informed network: du/dx enters the loss, which is differentiated by the weights."""
+    circuit = ANSATZE.build("qiren", 4, 1)
+    generator = torch.Generator().manual_seed(5)
+    x = torch.randn(16, 4, generator=generator, dtype=torch.float64, requires_grad=True)
+    w = torch.randn(circuit.rows, 3, 4, generator=generator, dtype=torch.float64, requires_grad=True)
+
+    def gradient(evaluate: Function) -> torch.Tensor:
+        u = evaluate(x, w).sum(-1)
+        (slope,) = torch.autograd.grad(u.sum(), x, create_graph=True)
+        assert slope.requires_grad
+        (second,) = torch.autograd.grad(slope[:, 1].sum(), x, create_graph=True)
+        loss = (u - 1).square().mean() + (second[:, 1] + slope[:, 0] + u).square().mean()
+        return torch.autograd.grad(loss, w)[0]
+
+    torch.testing.assert_close(gradient(engine(circuit)), gradient(torch_engine(circuit)), rtol=1e-10, atol=1e-12)
+
+
+def test_only_the_weights_may_need_second_derivatives() -> None:
+    circuit = ANSATZE.build("qiren", 3, 2)
+    x = torch.randn(4, 3, dtype=torch.float64)
+    w = torch.randn(circuit.rows, 3, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradgradcheck(lambda weights: compiled_engine(circuit)(x, weights), (w,))
 
 
 @pytest.mark.parametrize(("wires", "spectral"), [(1, 2), (3, 1), (4, 2), (6, 1), (8, 2)])

@@ -42,8 +42,8 @@ class QuantumLayer(nn.Module):
         ansatz: a name in `qnerf.quantum.circuit.ANSATZE`.
         ansatz_options: keyword-only parameters of that ansatz.
         init: a name in `qnerf.quantum.initial_angles.INITS`. Angles are drawn from torch's global generator.
-        backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device, and can be
-            differentiated twice; auto takes compiled wherever it can run.
+        backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device; auto takes
+            compiled wherever it can run. Second and higher derivatives (`create_graph=True`) go through plain PyTorch.
         device, diff_method, shots, noise, seed: of method=pennylane, see `qnerf.quantum.pennylane.make_node`.
 
     Parameters: `weights1` (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in

@@ -8,7 +8,7 @@ will do.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from math import pi, prod
 from typing import Any
@@ -25,6 +25,7 @@ from qnerf.quantum.compiled.engine import (
     StatevectorEngine,
     cos_sin,
     cos_sin_of_half,
+    differentiable_gradients,
     flat_weights,
     from_blocks,
     numpy_dtype,
@@ -142,7 +143,7 @@ class LightConeEngine:
     """
 
     def __init__(self, circuit: Circuit) -> None:
-        self.grid = interpolation(circuit)
+        self.circuit, self.grid = circuit, interpolation(circuit)
         self.engine = StatevectorEngine(normal_form(circuit))
         self.points = cos_sin_of_half(to_blocks(self.grid.points, lanes(8)), self.engine.arrays.encoding_scales)
 
@@ -195,14 +196,16 @@ class _Polynomials(torch.autograd.Function):
         parts = parts_of(trig)
         arguments = trig, trig.shape[3], grid.highest_degree, table, grid.wires, grid.basis_sizes, grid.wire_counts
         run(polynomial.evaluate, parts, parts, *arguments, out)
+        ctx.save_for_backward(x, weights)
         ctx.saved = cone, bound, expectations, parts, arguments
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
         return from_blocks(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         cone, bound, expectations, parts, arguments = ctx.saved
+        if torch.is_grad_enabled():
+            return None, *differentiable_gradients(ctx, partial(evaluate_reference, cone.circuit), gradient)
         batch, shape, dtype = ctx.shapes
         grid, trig, table = cone.grid, arguments[0], arguments[3]
         width = trig.shape[3]

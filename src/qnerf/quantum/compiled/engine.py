@@ -14,6 +14,8 @@ threads.
 Shapes: n wires; `width` samples in a block; `encodings` different scales of the input; `steps` of the normal form.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import jit, run
+from qnerf.quantum import statevector
 from qnerf.quantum.compiled import backward_passes, forward_passes
 from qnerf.quantum.compiled.simd import inner, keep_apart, lanes, load, splat, start_of_line, store
 from qnerf.quantum.compiled.tables import (
@@ -478,17 +481,33 @@ class _Simulate(torch.autograd.Function):
         bound = engine.bind(flat_weights(weights), numpy_dtype(x.dtype))
         trig = cos_sin_of_half(to_blocks(x.detach().numpy(), bound.width), engine.arrays.encoding_scales)
         out, expectations = bound.forward(trig)
+        ctx.save_for_backward(x, weights)
+        ctx.form = engine.form
         ctx.saved = bound, trig, expectations
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
         return from_blocks(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        if torch.is_grad_enabled():
+            return None, *differentiable_gradients(ctx, partial(statevector.evaluate, ctx.form), gradient)
         bound, trig, expectations = ctx.saved
         batch, shape, dtype = ctx.shapes
         inputs, weights = bound.backward(trig, expectations, to_blocks(gradient.detach().numpy(), bound.width))
         return None, from_blocks(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
+
+
+def differentiable_gradients(
+    ctx: Any, evaluate: Callable[[Tensor, Tensor], Tensor], gradient: Tensor
+) -> list[Tensor | None]:
+    """The gradients of inputs and weights through plain PyTorch, for `create_graph=True`: they have derivatives again.
+
+    The compiled backward pass is a constant to autograd, so second derivatives through it would be wrong.
+    """
+    inputs = ctx.saved_tensors
+    needed = [tensor for tensor in inputs if tensor.requires_grad]
+    gradients = iter(torch.autograd.grad(evaluate(*inputs), needed, gradient, create_graph=True))
+    return [next(gradients) if tensor.requires_grad else None for tensor in inputs]
 
 
 def numpy_dtype(dtype: torch.dtype) -> Any:
