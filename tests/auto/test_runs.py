@@ -137,7 +137,7 @@ def test_unusual_scenes_train(auto, world, decisions):
         (
             constant(9),
             ("contraction.name=box", "+contraction.half_extent=auto"),
-            r"contraction\.half_extent=auto: silhouettes bound no object here; give it in world units",
+            r"contraction\.half_extent=auto: silhouettes bound no object here; set it in world units",
         ),
     ],
 )

@@ -60,8 +60,8 @@ def test_a_sweep_runs_every_job_and_one_failure_does_not_stop_the_others(small):
         (["qiren.qubits=40"], "error: "),
         (["scene=nerfstudio"], "error: scene.path must be given"),
         (["scene=nerfstudio", "scene.path=/nowhere"], "/nowhere"),
-        (["field=quantum"], "Could not find 'field/quantum'"),
-        (["qiren.depth=3"], "Key 'depth' is not in struct"),
+        (["field=quantum"], "field=quantum: unknown; known: classical"),
+        (["qiren.depth=3"], "unknown option qiren.depth; known: ansatz"),
     ],
 )
 def test_a_mistake_is_told_without_a_traceback(tmp_path, arguments, message):
