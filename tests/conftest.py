@@ -31,11 +31,14 @@ SLOW = (
     "analysis/test_report_browser.py",
     "analysis/test_results.py",
     "analysis/test_tables.py",
+    "auto/test_resolve.py",
+    "auto/test_runs.py",
     "cli/commands/test_reproduce.py",
     "cli/commands/test_resume.py",
     "cli/test_launch.py",
     "cli/test_main.py",
-    "config/test_conf.py::test_every_job_of_every_sweep",
+    "config/test_conf.py::test_every",
+    "config/test_plugins.py",
     "faults/",
     "install/test_distributions.py",
     "kernels/test_jit.py",
@@ -44,10 +47,17 @@ SLOW = (
     "numerics/test_determinism.py",
     "numerics/test_losses_cases.py",
     "numerics/test_schedule.py::test_resumed_exactly",
+    "probes/",
     "records/test_index.py::test_a_store_that_changes",
+    "records/test_live_parquet.py",
+    "records/test_live_readers.py",
     "slurm/",
+    "test_documents.py::test_a_command",
+    "test_experiment.py",
+    "training/test_finite_checks.py",
+    "training/test_trainer.py",
 )
-"""Beginnings of the ids, below tests/, of tests that take more than about four seconds, setup included."""
+"""Beginnings of the ids, below tests/, of tests that take seconds, setup included, or that are many and train."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
