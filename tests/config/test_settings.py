@@ -15,10 +15,10 @@ def test_every_value_arrives():
     ("override", "message"),
     [
         ("train.steps=-1", "train.steps must be at least 1, got -1"),
-        ("train.steps=1.5", "train: steps expects int, got 1.5 (float)"),
+        ("train.steps=1.5", "train.steps expects int, got 1.5 (float)"),
         ("train.lr=0", "train.lr must be finite and above 0, got 0"),
-        ("train.lr=nan", "train.lr must be finite and above 0, got nan"),
-        ("train.rays=many", "train: rays expects int, got 'many' (str)"),
+        ("train.lr=nan", "train.lr must be finite, got nan"),
+        ("train.rays=many", "train.rays expects int, got 'many' (str)"),
         ("render.background=blue", "render.background must be one of last_sample, white, black, random, got 'blue'"),
         ("render.near=2000", "render.near must be below render.far, got 2000 and 1000.0"),
         ("device=gpu", "device must be one of auto, cpu, cuda, got 'gpu'"),

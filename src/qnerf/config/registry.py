@@ -2,9 +2,10 @@
 
 import functools
 import inspect
-import types
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Generic, TypeVar, get_type_hints
+
+from qnerf.config import bounds
 
 T = TypeVar("T")
 
@@ -69,7 +70,7 @@ class Registry(Generic[T]):
             raise ValueError(f"{self.group}={name}: {error}") from error
 
     def check(self, name: str, options: Mapping[str, Any]) -> None:
-        check_options(f"{self.group}={name}", self.get(name), options)
+        check_options(f"{self.group}={name}: ", self.get(name), options)
 
 
 @functools.cache
@@ -77,7 +78,7 @@ def options_of(component: Callable[..., Any]) -> dict[str, tuple[inspect.Paramet
     """Name -> parameter and annotation of each option of the component, its own first."""
     options: dict[str, tuple[inspect.Parameter, Any]] = {}
     for function in _signatures(component):
-        hints = get_type_hints(function)
+        hints = get_type_hints(function, include_extras=True)
         for parameter in inspect.signature(function).parameters.values():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
                 options.setdefault(parameter.name, (parameter, hints.get(parameter.name, Any)))
@@ -98,26 +99,14 @@ def _signatures(component: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
                 return
 
 
-def check_options(label: str, component: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """ValueError unless every option is a keyword-only parameter of `component` and its value fits the annotation."""
+def check_options(where: str, component: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """ValueError unless every option is a keyword-only parameter of `component` and its value fits the annotation.
+
+    where: what comes before an option's name in messages, such as "train." or "encoder=hash: ".
+    """
     known = options_of(component)
     for key, value in options.items():
         if key not in known:
+            label = where.rstrip(".: ") or "config"
             raise ValueError(f"{label}: unknown option {key}={value!r}; known: {', '.join(known) or 'none'}")
-        hint = known[key][1]
-        if not _fits(value, hint):
-            expected = hint.__name__ if inspect.isclass(hint) and not get_args(hint) else str(hint)
-            raise ValueError(f"{label}: {key} expects {expected}, got {value!r} ({type(value).__name__})")
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether the value has the annotated type. YAML's lists are tuples, too, and a bool is not a number."""
-    origin = get_origin(hint)
-    if origin in (Union, types.UnionType):
-        return any(_fits(value, part) for part in get_args(hint))
-    if hint in (int, float):
-        return isinstance(value, (int, hint)) and not isinstance(value, bool)
-    if origin in (list, tuple):
-        return isinstance(value, (list, tuple))
-    expected = origin or hint
-    return expected is Any or not inspect.isclass(expected) or isinstance(value, expected)
+        bounds.check(f"{where}{key}", value, known[key][1])

@@ -209,7 +209,7 @@ def _build(group: str, component: type[T], node: Any) -> T:
     missing = sorted(names - set(node))
     if missing:
         raise ValueError(f"{group}: missing {', '.join(missing)}")
-    check_options(group, component, node)
+    check_options("" if component is Settings else f"{group}.", component, node)
     return component(**node)
 
 

@@ -1,0 +1,46 @@
+"""How much memory this process may still ask for, and a one-line refusal before it asks for more."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def available_bytes() -> int | None:
+    """The least that the machine, the container's limit (cgroup) and `ulimit -v` leave; None if nothing tells."""
+    return min(_limits(), default=None)
+
+
+def require(what: str, needed: float, *, hint: str = "") -> None:
+    """ValueError "WHAT would take 12 GiB of memory; 8.1 GiB are available" if `needed` bytes are more than there are.
+
+    hint: what to change, appended after a semicolon.
+    """
+    available = available_bytes()
+    if available is not None and needed > available:
+        advice = f"; {hint}" if hint else ""
+        raise ValueError(f"{what} would take {_text(needed)} of memory; {_text(available)} are available{advice}")
+
+
+def _text(size: float) -> str:
+    return f"{size / 2**30:,.1f} GiB" if size >= 2**30 else f"{size / 2**20:,.0f} MiB"
+
+
+def _limits() -> Iterator[int]:
+    with contextlib.suppress(OSError, StopIteration, ValueError, IndexError):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        yield int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1]) * 1024
+    for limit, used in (
+        ("memory.max", "memory.current"),
+        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
+    ):
+        with contextlib.suppress(OSError, ValueError):  # "max": no limit
+            root = Path("/sys/fs/cgroup")
+            yield max(int((root / limit).read_text()) - int((root / used).read_text()), 0)
+    with contextlib.suppress(ImportError, OSError, ValueError, IndexError):
+        import resource  # not on Windows
+
+        soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if soft != resource.RLIM_INFINITY:
+            used_pages = int(Path("/proc/self/statm").read_text().split()[0])
+            yield max(soft - used_pages * os.sysconf("SC_PAGE_SIZE"), 0)
