@@ -7,6 +7,7 @@ are finite and integers have at most 64 bits without a declaration. Hypothesis b
 import inspect
 import math
 import types
+from collections.abc import Callable
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from annotated_types import Ge, GroupedMetadata, Gt, Interval, Le, Lt, MaxLen, MinLen
@@ -16,7 +17,6 @@ NonNegativeFloat = Annotated[float, Interval(ge=0)]
 Share = Annotated[float, Interval(ge=0, le=1)]
 PositiveInt = Annotated[int, Interval(ge=1, le=10**9)]
 NonNegativeInt = Annotated[int, Interval(ge=0, le=10**9)]
-# `Annotated[int, Interval(...)]` of its own where a larger value than about 10^4 cannot be meant.
 
 
 def check(name: str, value: Any, hint: Any) -> None:
@@ -102,18 +102,13 @@ def _is_inside(value: float, limits: list[Any]) -> bool:
             return False
     elif not math.isfinite(value):
         return False
-    return all(
-        value > limit.gt
-        if isinstance(limit, Gt)
-        else value >= limit.ge
-        if isinstance(limit, Ge)
-        else value < limit.lt
-        if isinstance(limit, Lt)
-        else value <= limit.le
-        if isinstance(limit, Le)
-        else True
-        for limit in limits
-    )
+    tests: dict[type, Callable[[float, Any], bool]] = {
+        Gt: lambda value, limit: value > limit.gt,
+        Ge: lambda value, limit: value >= limit.ge,
+        Lt: lambda value, limit: value < limit.lt,
+        Le: lambda value, limit: value <= limit.le,
+    }
+    return all(tests[type(limit)](value, limit) for limit in limits if type(limit) in tests)
 
 
 def _limits_text(value: float, limits: list[Any]) -> str:
