@@ -21,9 +21,9 @@ NonNegativeInt = Annotated[int, Interval(ge=0, le=10**9)]
 Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
 Count = Annotated[int, Interval(ge=1, le=2**16)]  # units, features, samples: each takes memory
 Depth = Annotated[int, Interval(ge=1, le=256)]  # layers
-Factor = Annotated[float, Interval(ge=-1e6, le=1e6)]
-PositiveFactor = Annotated[float, Interval(gt=0, le=1e6)]
-NonNegativeFactor = Annotated[float, Interval(ge=0, le=1e6)]
+Factor = Annotated[float, Interval(ge=-(10**6), le=10**6)]
+PositiveFactor = Annotated[float, Interval(gt=0, le=10**6)]
+NonNegativeFactor = Annotated[float, Interval(ge=0, le=10**6)]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -74,7 +74,7 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     >>> circle(radius=0)
     Traceback (most recent call last):
         ...
-    ValueError: radius must be above 0 and at most 1000000.0, got 0
+    ValueError: radius must be above 0 and at most 1000000, got 0
     """
     signature = inspect.signature(function)
 

@@ -105,7 +105,7 @@ class Box(Contraction):
 
     bounded = True
 
-    def __init__(self, *, half_extent: Annotated[float, Interval(ge=1e-6, le=1e6)] = 1.0) -> None:
+    def __init__(self, *, half_extent: Annotated[float, Interval(ge=1e-6, le=10**6)] = 1.0) -> None:
         super().__init__()
         self.half_extent = half_extent
 

@@ -163,7 +163,7 @@ class QirenHead(Head):
             layer_in = in_dim if index == 0 else qubits
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(qubits, out_dim)
-        if center:
+        if center and not self.readout.weight.is_meta:
             self.center()
 
     @torch.no_grad()

@@ -71,7 +71,7 @@ class ProposalSampler(Sampler):
         update_every: PositiveInt = 5,
         update_warmup: Annotated[int, Interval(ge=0, le=10**6)] = 0,
         anneal_steps: NonNegativeInt = 1000,
-        anneal_slope: Annotated[float, Interval(ge=1, le=1e6)] = 10.0,
+        anneal_slope: Annotated[float, Interval(ge=1, le=10**6)] = 10.0,
         padding: NonNegativeFactor = 0.01,
         levels: Levels = 5,
         base_resolution: Resolution = 16,
