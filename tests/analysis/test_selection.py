@@ -72,4 +72,4 @@ def test_a_run_that_differs_in_nothing_that_acts_counts_once():
     assert selection.note == "left out: 2 repeating another"
     assert selection.runs["psnr"].tolist() == [20.0, 21.0, 22.0, 23.0]
     assert selection.runs["qiren"].fillna("none").tolist() == ["none", "none", "none", "1L2S"]
-    assert selection.runs["color.mlp.width"].fillna(0).tolist() == [64, 64, 32, 0]
+    assert selection.runs["color.mlp.width"].astype(float).fillna(0).tolist() == [64, 64, 32, 0]

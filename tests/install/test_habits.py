@@ -45,4 +45,16 @@ def test_ci_run_reads_its_commands_from_readme() -> None:
     assert marks == ["install", "test"]
     for mark in marks:
         assert f"<!-- {mark} -->\n```" in readme
-    assert subprocess.run(["bash", "-n", ROOT / ".ci" / "run"], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("script", ["run", "floors"])
+def test_a_script_is_bash(script: str) -> None:
+    assert subprocess.run(["bash", "-n", ROOT / ".ci" / script], check=False).returncode == 0
+
+
+def test_every_dependency_has_a_lower_bound() -> None:
+    """`.ci/floors` installs the bound itself, so each requirement starts with it."""
+    extras = PROJECT["optional-dependencies"]
+    requirements = [*PROJECT["dependencies"], *(line for extra in extras.keys() - {"dev"} for line in extras[extra])]
+    unbounded = [line for line in requirements if not re.match(r"qnerf\[|[\w.-]+(\[\w+\])?[>=]=[\d.]+", line)]
+    assert not unbounded

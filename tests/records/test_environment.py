@@ -38,7 +38,7 @@ def test_capture_is_plain_and_complete() -> None:
     assert json.loads(json.dumps(seen)) == seen
     assert seen["seed"] == 7
     assert seen["threads"]["torch"] == torch.get_num_threads()
-    assert seen["packages"]["torch"] == torch.__version__
+    assert seen["packages"]["torch"].split("+")[0] == torch.__version__.split("+")[0]  # some builds add "+cu124"
     assert seen["packages"]["qnerf"]
     assert seen["cpu"]["model"]
     assert seen["cpu"]["usable"] >= 1

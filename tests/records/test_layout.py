@@ -18,6 +18,9 @@ from qnerf import records
 from qnerf.records import RunStore, store
 from tests.helpers.stores import CONFIG, claimed
 
+TEXT = str(pd.Series(["text"]).dtype)
+"""What pandas reads text as: `object` before pandas 3, `str` since."""
+
 
 def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:
     claim = store_.claim(
@@ -31,7 +34,7 @@ def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:
     assert {k: str(v) for k, v in metrics.dtypes.items()} == {
         "step": "int64",
         "time_s": "float64",
-        "key": "str",
+        "key": TEXT,
         "value": "float64",
     }
     assert len(pd.read_parquet(claim.dir / "eval.parquet")) == 0
@@ -68,7 +71,7 @@ def test_evaluation_keeps_its_types(store_: RunStore) -> None:
     assert frame["psnr"].tolist() == [20.0, 21.5]
     assert frame["step"].tolist() == [40, 40]
     assert {str(frame[name].dtype) for name in ("ssim", "lpips", "depth_error", "view")} == {"float64"}
-    assert {str(frame[name].dtype) for name in ("image", "lpips_reason", "note")} == {"str"}
+    assert {str(frame[name].dtype) for name in ("image", "lpips_reason", "note")} == {TEXT}
     with pytest.raises(ValueError, match="psnr: expected a number, got 'high'"):
         run.write_eval([{"image": "a.png", "psnr": "high"}])
     run.finish()
