@@ -23,7 +23,7 @@ from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
-from qnerf.heads.activations import ACTIVATIONS
+from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
 from qnerf.model.labels import labels, slug
@@ -132,15 +132,19 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
     density = build_head(settings.density, encoder.out_dim, 1 + settings.geo_features)
     kind = settings.color["directions"]
     options = {"sh": {"degree": settings.color["degree"]}, "raw": {"scale": settings.color["direction_scale"]}}
-    directions = DIRECTIONS.build(kind, **options.get(kind, {}))
+    interval = settings.color["direction_interval"]
+    directions = DIRECTIONS.build(kind, interval=interval, **options.get(kind, {}))
     color_in = directions.out_dim + settings.geo_features + settings.appearance
     color = build_head(settings.color, color_in, 3)
-    activation = ACTIVATIONS.get(settings.density["activation"])
+    activations = (
+        DENSITY_ACTIVATIONS.get(settings.density["activation"]),
+        COLOR_ACTIVATIONS.get(settings.color["activation"]),
+    )
     initial = settings.density["initial"]
     if not initial > 0:
         raise ValueError(f"density.initial must be above 0, got {initial}")
     appearance = settings.appearance
-    return Field(contraction, encoder, directions, density, color, activation, initial, views, trained, appearance)
+    return Field(contraction, encoder, directions, density, color, *activations, initial, views, trained, appearance)
 
 
 def build_model(settings: Settings, scene: Scene) -> Model:
