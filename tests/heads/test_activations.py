@@ -58,4 +58,5 @@ def test_gradients_of_color_activations(name: str) -> None:
     assert torch.autograd.gradgradcheck(COLOR_ACTIVATIONS.get(name), x)
     extreme = torch.tensor([-1e4, 1e4], requires_grad=True)
     COLOR_ACTIVATIONS.get(name)(extreme).sum().backward()
-    assert extreme.grad is not None and bool(extreme.grad.isfinite().all())
+    assert extreme.grad is not None
+    assert bool(extreme.grad.isfinite().all())
