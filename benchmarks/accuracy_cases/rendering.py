@@ -16,7 +16,7 @@ from benchmarks.accuracy_cases import EPS, Case, Function, fast_and_plain, round
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.heads import HEADS
-from qnerf.heads.activations import trunc_exp
+from qnerf.heads.activations import sigmoid, trunc_exp
 from qnerf.model.field import Field
 from qnerf.rendering.render import render, volume_weights, volume_weights_reference
 from qnerf.types import Samples
@@ -58,7 +58,7 @@ class SmallField(nn.Module):
         color = HEADS.build("mlp", sh.out_dim + 5, 3, layers=3, width=64)
         contraction = CONTRACTIONS.build("linf")
         self.field = Field(
-            contraction, encoding, sh, density, color, trunc_exp, 1.0, views=1, trained=[0], appearance=0
+            contraction, encoding, sh, density, color, trunc_exp, sigmoid, 1.0, views=1, trained=[0], appearance=0
         )
         self.origins = nn.Parameter(torch.rand(rays, 3) - 0.5)
         self.directions = nn.Parameter(nn.functional.normalize(torch.randn(rays, 3), dim=-1))

@@ -24,7 +24,7 @@ from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
-from qnerf.heads.activations import ACTIVATIONS
+from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
 from qnerf.model.labels import labels, slug
@@ -134,14 +134,18 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
     density = build_head(settings.density, encoder.out_dim, 1 + settings.geo_features)
     kind = settings.color["directions"]
     options = {"sh": {"degree": settings.color["degree"]}, "raw": {"scale": settings.color["direction_scale"]}}
-    directions = DIRECTIONS.build(kind, **options.get(kind, {}))
+    interval = settings.color["direction_interval"]
+    directions = DIRECTIONS.build(kind, interval=interval, **options.get(kind, {}))
     color_in = directions.out_dim + settings.geo_features + settings.appearance
     color = build_head(settings.color, color_in, 3)
-    activation = ACTIVATIONS.get(settings.density["activation"])
+    activations = (
+        DENSITY_ACTIVATIONS.get(settings.density["activation"]),
+        COLOR_ACTIVATIONS.get(settings.color["activation"]),
+    )
     initial = settings.density["initial"]
     bounds.check("density.initial", initial, bounds.PositiveFactor)
     appearance = settings.appearance
-    return Field(contraction, encoder, directions, density, color, activation, initial, views, trained, appearance)
+    return Field(contraction, encoder, directions, density, color, *activations, initial, views, trained, appearance)
 
 
 def build_field_and_sampler(settings: Settings, scene: Scene) -> tuple[Field, Sampler]:

@@ -12,7 +12,7 @@ from qnerf.config.settings import settings_from
 from qnerf.encoders import DIRECTIONS
 from qnerf.experiment import build_head, run
 from qnerf.heads import head_options
-from qnerf.heads.activations import ACTIVATIONS
+from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.quantum.circuit import Encoding
 from qnerf.quantum.initial_angles import INITS
 from qnerf.rendering.spacing import SPACINGS
@@ -28,7 +28,8 @@ def choices(group: str) -> list[str]:
 REGISTRIES = dict(groups())
 VALUES = {
     "color.directions": DIRECTIONS,
-    "density.activation": ACTIVATIONS,
+    "color.activation": COLOR_ACTIVATIONS,
+    "density.activation": DENSITY_ACTIVATIONS,
     "qiren.init": INITS,
     "sampler.spacing": SPACINGS,
 }

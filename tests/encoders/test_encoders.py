@@ -328,6 +328,11 @@ def test_direction_components():
     assert raw.out_dim == 3
     assert torch.equal(raw(directions), directions)
     assert torch.equal(DIRECTIONS.build("raw", scale=2.0)(directions), 2 * directions)
+    moved = (directions + 1) / 2
+    assert torch.equal(DIRECTIONS.build("raw", interval="unit")(directions), moved)
+    assert torch.equal(DIRECTIONS.build("sh", interval="unit")(directions), spherical_harmonics(moved, 4))
+    with pytest.raises(ValueError, match="interval expects one of signed, unit"):
+        DIRECTIONS.build("raw", interval="both")
 
 
 @given(st.integers(1, 20), st.floats(0, 1), st.floats(0, 1))

@@ -151,7 +151,7 @@ def test_heads_see_the_evaluated_samples_alone_and_each_ray_keeps_its_last(field
 
 def test_an_infinite_density_where_none_may_be_is_none(field, points):
     field.mask = SpaceMask(torch.zeros(2, 2, 2, dtype=torch.bool))
-    field.activation = lambda raw: torch.full_like(raw, float("inf"))
+    field.density_activation = lambda raw: torch.full_like(raw, float("inf"))
     assert torch.equal(field.density(points), torch.zeros(5, 7))
 
 

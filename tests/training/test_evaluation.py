@@ -69,3 +69,21 @@ def test_near_depth_is_brighter_than_far():
     shaded = shade(torch.tensor([[1.0, 2.0, 1000.0]])).sum(-1)
     assert shaded[0, 0] > shaded[0, 1] > shaded[0, 2]
     assert torch.isfinite(shade(torch.full((3, 3), 2.0))).all()
+
+
+@pytest.mark.parametrize("activation", ["linear", "scaled", "sigmoid"])
+def test_colours_are_clamped_in_evaluation_alone(tiny, activation):
+    settings = settings_from(tiny("field=qcolor", "qiren.qubits=3", f"color.activation={activation}"))
+    scene = build_scene(settings)
+    model = build_model(settings, scene)
+    with torch.no_grad():
+        model.field.color_head.readout.bias.fill_(2.0)
+    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+    table = ray_table(settings, scene)
+    evaluator = Evaluator(scene, table, model, background="white", chunk=2048, watch=watch)
+    assert float(evaluator.render(scene.eval[0], step=0).color.max()) <= 1
+    rendering, _, _ = model(table.view(scene.eval[0]), background="last_sample", step=0, watch=watch)
+    outside = bool((rendering.color > 1).any())
+    assert outside == (activation == "linear"), "training compares a linear colour as it is"
+    rendering.color.sum().backward()
+    assert float(model.field.color_head.readout.bias.grad.abs().sum()) > 0

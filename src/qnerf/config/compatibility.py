@@ -35,6 +35,9 @@ _HEADS = ("density", "color")
 
 ADDED: dict[str, Any] = {
     "plugins": [],
+    "color.direction_interval": "signed",
+    "color.activation": "sigmoid",
+    "color.activations": {"mlp": "sigmoid", "qiren": "sigmoid", "qfgn": "sigmoid"},
     "qiren.ansatz_options": {
         "qiren": {
             "sublayers": 2,

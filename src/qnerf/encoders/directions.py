@@ -1,6 +1,6 @@
 """View directions -> features."""
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -51,9 +51,23 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
 
 
 class Directions(nn.Module):
-    """Unit directions (..., 3) -> features (..., out_dim)."""
+    """Unit directions (..., 3) -> features (..., out_dim).
+
+    Args:
+        interval: "signed" takes the direction d as it is; "unit" takes (d + 1) / 2, whose coordinates lie in [0, 1].
+            Nerfacto's heads receive "unit"; tiny-cuda-nn turns it back before its spherical harmonics, nerfstudio's
+            PyTorch implementation does not.
+    """
 
     out_dim: int
+
+    def __init__(self, *, interval: Literal["signed", "unit"] = "signed") -> None:
+        super().__init__()
+        self.interval = interval
+
+    def inputs(self, directions: Tensor) -> Tensor:
+        """The directions in the chosen interval."""
+        return directions if self.interval == "signed" else (directions + 1) / 2
 
 
 @DIRECTIONS.register("sh")
@@ -64,15 +78,15 @@ class SphericalHarmonics(Directions):
         degree: number of bands, 1 to 4.
     """
 
-    def __init__(self, in_dim: int = 3, *, degree: Degree = 4) -> None:
-        super().__init__()
+    def __init__(self, in_dim: int = 3, *, degree: Degree = 4, **options: Any) -> None:
+        super().__init__(**options)
         if in_dim != 3:
             raise ValueError(f"directions=sh: directions must have 3 coordinates, got {in_dim}")
         self.degree = degree
         self.out_dim = degree**2
 
     def forward(self, directions: Tensor) -> Tensor:
-        return spherical_harmonics(directions, self.degree)
+        return spherical_harmonics(self.inputs(directions), self.degree)
 
 
 @DIRECTIONS.register("raw")
@@ -83,10 +97,11 @@ class RawDirections(Directions):
         scale: factor.
     """
 
-    def __init__(self, in_dim: int = 3, *, scale: NonNegativeFactor = 1.0) -> None:
-        super().__init__()
+    def __init__(self, in_dim: int = 3, *, scale: NonNegativeFactor = 1.0, **options: Any) -> None:
+        super().__init__(**options)
         self.scale = scale
         self.out_dim = in_dim
 
     def forward(self, directions: Tensor) -> Tensor:
-        return directions if self.scale == 1.0 else directions * self.scale
+        inputs = self.inputs(directions)
+        return inputs if self.scale == 1.0 else inputs * self.scale

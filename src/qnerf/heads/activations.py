@@ -1,4 +1,4 @@
-"""Raw output of the density head -> density >= 0."""
+"""Raw output of a head -> density >= 0, or colour."""
 
 import math
 from typing import Any
@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from qnerf.config.registry import Registry
 
-ACTIVATIONS: Registry[Tensor] = Registry("activation")
+DENSITY_ACTIVATIONS: Registry[Tensor] = Registry("density.activation")
+COLOR_ACTIVATIONS: Registry[Tensor] = Registry("color.activation")
 
 _BOUND = 15.0  # on the argument of the derivative
 
@@ -26,7 +27,7 @@ class _TruncExp(torch.autograd.Function):
         return grad * y.clamp(math.exp(-_BOUND), math.exp(_BOUND))
 
 
-@ACTIVATIONS.register("trunc_exp")
+@DENSITY_ACTIVATIONS.register("trunc_exp")
 def trunc_exp(x: Tensor) -> Tensor:
     """exp(x); the derivative is taken at x clamped to [-15, 15], so it neither vanishes nor overflows.
 
@@ -38,7 +39,28 @@ def trunc_exp(x: Tensor) -> Tensor:
     return _TruncExp.apply(x)
 
 
-@ACTIVATIONS.register("softplus")
+@DENSITY_ACTIVATIONS.register("softplus")
 def softplus(x: Tensor) -> Tensor:
     """log(1 + exp(x)); above 40 it equals x to the last bit, also in float64."""
     return nn.functional.softplus(x, threshold=40.0)
+
+
+@COLOR_ACTIVATIONS.register("sigmoid")
+def sigmoid(x: Tensor) -> Tensor:
+    """1 / (1 + exp(-x)): colours in (0, 1). The slope is at most 1/4."""
+    return torch.sigmoid(x)
+
+
+@COLOR_ACTIVATIONS.register("linear")
+def linear(x: Tensor) -> Tensor:
+    """x itself. Training compares it with the image as it is; evaluation clamps the rendered colour to [0, 1].
+
+    This is the output of the published quantum colour head (github.com/yeray142/quantum-nerf).
+    """
+    return x
+
+
+@COLOR_ACTIVATIONS.register("scaled")
+def scaled(x: Tensor) -> Tensor:
+    """sigmoid(4 x): colours in (0, 1), with the slope 1 at 0 that `linear` has."""
+    return torch.sigmoid(4 * x)

@@ -19,8 +19,9 @@ class Field(nn.Module):
         encoder: unit-cube points (N, 3) -> features (N, F).
         directions: unit view directions (R, 3) -> features (R, D).
         density: head (N, F) -> (N, 1 + G): raw density, and G geometry features.
-        color: head (N, D + G + A) -> (N, 3): colour before the sigmoid.
-        activation: raw density -> density >= 0.
+        color: head (N, D + G + A) -> (N, 3): raw colour.
+        density_activation: raw density -> density >= 0.
+        color_activation: raw colour -> colour.
         initial: factor on the density: with `trunc_exp`, the density per world unit of a head that returns 0.
         views: number of views of the scene, held-out ones included.
         trained: indices of the training views, which learn an appearance.
@@ -34,7 +35,8 @@ class Field(nn.Module):
         directions: nn.Module,
         density: nn.Module,
         color: nn.Module,
-        activation: Callable[[Tensor], Tensor],
+        density_activation: Callable[[Tensor], Tensor],
+        color_activation: Callable[[Tensor], Tensor],
         initial: float,
         views: int,
         trained: Sequence[int],
@@ -46,7 +48,8 @@ class Field(nn.Module):
         self.directions = directions
         self.density_head = density
         self.color_head = color
-        self.activation = activation
+        self.density_activation = density_activation
+        self.color_activation = color_activation
         self.initial = initial
         self.appearance = nn.Embedding(views, appearance) if appearance else None
         self.trained: Tensor
@@ -81,7 +84,7 @@ class Field(nn.Module):
         return density, scatter(raw[:, 1:], index, shape), evaluated
 
     def _activated(self, raw: Tensor) -> Tensor:
-        density = self.activation(raw)
+        density = self.density_activation(raw)
         return density if self.initial == 1.0 else density * self.initial
 
     def density(self, points: Tensor) -> Tensor:
@@ -101,7 +104,7 @@ class Field(nn.Module):
         return self._activated(self.density_head(self.encoder(unit))[:, 0])
 
     def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, mask: Tensor | None = None) -> Tensor:
-        """Colours (R, K, 3) in [0, 1].
+        """Colours (R, K, 3), in [0, 1] if the activation bounds them.
 
         Args:
             geometry: (R, K, G) features.
@@ -119,14 +122,14 @@ class Field(nn.Module):
         if mask is None:
             expanded = ray_features[:, None, :].expand(-1, samples, -1)
             features = torch.cat([expanded, geometry], dim=-1)
-            return torch.sigmoid(self.color_head(features.flatten(0, 1))).view(rays, samples, 3)
+            return self.color_activation(self.color_head(features.flatten(0, 1))).view(rays, samples, 3)
         index = mask.flatten().nonzero()[:, 0]
         ray = torch.div(index, samples, rounding_mode="floor")
         features = torch.cat([ray_features[ray], geometry.flatten(0, 1)[index]], dim=-1)
-        return scatter(torch.sigmoid(self.color_head(features)), index, mask.shape)
+        return scatter(self.color_activation(self.color_head(features)), index, mask.shape)
 
     def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
-        """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3) in [0, 1]."""
+        """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3)."""
         density, geometry, _ = self.geometry(points)
         return density, self.color(geometry, directions, cameras)
 
