@@ -4,7 +4,6 @@ A folder may come from anybody: nothing in it is executed, no link in it is foll
 beyond the size of those that a run writes.
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,8 @@ import yaml  # type: ignore[import-untyped]
 
 from qnerf.config.compatibility import today, upgrade_config
 from qnerf.records import owner
-from qnerf.records.files import StoreError, one_line, read_bytes, read_json, refuse_links, reporting
+from qnerf.records.files import StoreError, folders_in, one_line, read_bytes, read_json, reporting
+from qnerf.records.numbered import PARTS
 from qnerf.records.schemas import METRICS_SCHEMA
 
 STATES = ("running", "finished", "interrupted", "failed")
@@ -33,7 +33,7 @@ def runs(root: str | Path) -> list[Path]:
     with reporting(root, "read"):
         if not root.is_dir():
             return []
-        return sorted(path for path in root.iterdir() if not path.name.startswith(".") and path.is_dir())
+        return [path for path in folders_in(root, root=root) if not path.name.startswith(".")]
 
 
 def read_status(run_dir: str | Path) -> dict[str, Any]:
@@ -114,10 +114,9 @@ def read_summary(run_dir: str | Path) -> dict[str, Any]:
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:
     """Columns step, time_s, key, value, in the order of logging; StoreError names a damaged part."""
     folder = Path(run_dir) / "metrics"
-    refuse_links(folder)
     with reporting(folder, "read"):
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.name.startswith("part-"))
-    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *(read_part(folder / name) for name in names)]).to_pandas()
+        parts = PARTS.in_folder(folder).values()
+    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *map(read_part, parts)]).to_pandas()
 
 
 def read_part(path: Path) -> pa.Table:
