@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
-from qnerf.records import StoreError
+from qnerf.records import StoreError, find
 from tests.helpers.spoiled import CONFIG, interrupted, store
 
 READERS = {
@@ -52,7 +52,12 @@ def test_a_run_that_is_a_link_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="a: is a link"):
         store(tmp_path).claim("a", CONFIG)
     assert contents(tmp_path / "outside") == before
-    assert len(records.read_metrics(run)) == 10  # a run that was moved to another disk and linked can still be read
+    assert records.runs(run.parent) == []
+    with pytest.raises(StoreError, match="a: is a link"):
+        records.read_metrics(run)
+    with pytest.raises(StoreError, match="a: is a link"):
+        find("a", run.parent)
+    assert len(records.read_metrics(find(str(run)))) == 10  # the user names the link
 
 
 @pytest.mark.parametrize("name", ["status.json", "config.yaml", "summary.parquet", "eval.parquet", "checkpoint.pt"])
