@@ -40,6 +40,8 @@ def store_folder(store: str | Path) -> Path:
 def existing_store(store: str | Path) -> Path:
     """As `store_folder`, for reading: ValueError if there is no such folder. The default store may be absent."""
     folder = store_folder(store)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{store}: not a folder; expected a folder of runs")
     if str(store) != DEFAULT and not folder.exists():
         raise ValueError(f"{store}: no such folder; expected a folder of runs")
     return folder
