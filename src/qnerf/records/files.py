@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from qnerf.records.plain_values import check_plain
+
 MAX_JSON_BYTES = 2**20
 
 
@@ -81,6 +83,7 @@ def parse_json(data: bytes) -> dict[str, Any]:
         raise ValueError("nested too deeply") from None
     if not isinstance(record, dict):
         raise ValueError(f"expected an object, got {type(record).__name__}")
+    check_plain(record)
     return record
 
 
