@@ -76,7 +76,7 @@ def load(folder: str | Path) -> pd.DataFrame:
         StoreError: the table is damaged, or a run's id is none.
     """
     file = Path(folder) / RUNS
-    table = with_kinds(read_table(file), {"run_id": "text", "state": "text"}, file)
+    table = with_kinds(read_table(file, root=file.parent), {"run_id": "text", "state": "text"}, file)
     table = table.rename_columns([today(name) for name in table.schema.names])
     known = {name: kind for name in table.schema.names if (kind := known_kind(name)) is not None}
     frame = with_kinds(table, known, file).to_pandas()
@@ -136,5 +136,5 @@ def _of_runs(file: Path, name: str) -> dict[str, pd.DataFrame]:
 
 @lru_cache(maxsize=8)
 def _read(file: Path, name: str, _changed: int) -> dict[str, pd.DataFrame]:
-    table = checked_table(with_kinds(read_table(file), {"run_id": "text"}, file), name, file)
+    table = checked_table(with_kinds(read_table(file, root=file.parent), {"run_id": "text"}, file), name, file)
     return {str(run): rows for run, rows in table.to_pandas().groupby("run_id", sort=False)}

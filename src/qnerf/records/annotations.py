@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qnerf.records import files, owner
-from qnerf.records.files import StoreError, refuse_links, reporting
+from qnerf.records.deletion import require_run
+from qnerf.records.files import StoreError, reporting
 from qnerf.records.printable import printable
 
 FILE = "annotations.json"
@@ -103,9 +104,9 @@ def _write(path: Path, annotations: Annotations) -> Annotations:
 def _changing(run_dir: Path) -> Iterator[Path]:
     """The path of the file, which no other process changes in the meantime."""
     path, lock = run_dir / FILE, run_dir / ".annotations"
-    refuse_links(run_dir, lock, lock / "owner")
+    require_run(run_dir)
     with reporting(path):
-        lock.mkdir(exist_ok=True)
+        files.make_folder(lock)
     end = time.monotonic() + PATIENCE
     while not isinstance(claim := owner.acquire(lock, watch=0), owner.Ownership):
         if time.monotonic() > end:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qnerf.records.files import StoreError, read_bytes, reporting
+from qnerf.records.files import StoreError, files_in, read_bytes, reporting
 from qnerf.records.parquet import reading
 
 MAX_BYTES = 2**28
@@ -17,10 +17,10 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 def listed(run_dir: str | Path) -> list[Path]:
     """The pictures of a run, sorted by name. Links, folders and pipes are none, nor is what a linked folder holds."""
     folder = Path(run_dir) / "images"
-    if folder.is_symlink() or not folder.is_dir():
+    try:
+        return files_in(folder, "*.png")
+    except (OSError, StoreError):  # there is none, or a link
         return []
-    with reporting(folder, "read"):
-        return [path for path in sorted(folder.glob("*.png")) if path.is_file() and not path.is_symlink()]
 
 
 def read_png_bytes(path: Path) -> tuple[bytes, int, int]:

@@ -4,7 +4,6 @@ A folder may come from anybody: nothing in it is executed, no link in it is foll
 beyond the size of those that a run writes.
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,8 @@ import yaml  # type: ignore[import-untyped]
 from qnerf.config.compatibility import upgrade_config
 from qnerf.metrics import image_metrics
 from qnerf.records import owner, summary_row
-from qnerf.records.files import StoreError, one_line, read_bytes, read_json, refuse_links, reporting
+from qnerf.records.files import StoreError, folders_in, one_line, read_bytes, read_json, reporting
+from qnerf.records.numbered import PARTS
 from qnerf.records.parquet import MAX_ROWS, parse_table, reading, with_kinds
 from qnerf.records.plain_values import check_plain
 from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, plain_row
@@ -35,7 +35,7 @@ def runs(root: str | Path) -> list[Path]:
     with reporting(root, "read"):
         if not root.is_dir():
             return []
-        return sorted(path for path in root.iterdir() if not path.name.startswith(".") and path.is_dir())
+        return [path for path in folders_in(root, root=root) if not path.name.startswith(".")]
 
 
 def read_status(run_dir: str | Path) -> dict[str, Any]:
@@ -116,10 +116,9 @@ def read_summary(run_dir: str | Path) -> dict[str, Any]:
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:
     """Columns step, time_s, key, value, in the order of logging; StoreError names a damaged part."""
     folder = Path(run_dir) / "metrics"
-    refuse_links(folder)
     with reporting(folder, "read"):
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.name.startswith("part-"))
-    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *(read_part(folder / name) for name in names)]).to_pandas()
+        parts = PARTS.in_folder(folder).values()
+    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *map(read_part, parts)]).to_pandas()
 
 
 def read_part(path: Path) -> pa.Table:
@@ -158,12 +157,15 @@ def checked_table(table: pa.Table, name: str, label: object) -> pa.Table:
     return with_kinds(table, metrics | TABLES[name], label)
 
 
-def read_table_bytes(path: Path) -> bytes:
-    """A Parquet file as it is; StoreError if it is absent or too large."""
+def read_table_bytes(path: Path, *, root: Path | None = None) -> bytes:
+    """A Parquet file as it is; StoreError if it is absent or too large. root: as in `files`."""
     with reporting(path, "read"):
-        return read_bytes(path, MAX_TABLE_BYTES)
+        return read_bytes(path, MAX_TABLE_BYTES, root=root)
 
 
-def read_table(path: Path, *, max_rows: int = MAX_ROWS) -> pa.Table:
-    """A Parquet file in memory; StoreError if it is absent or damaged, or would unpack to more than a run writes."""
-    return parse_table(read_table_bytes(path), path, max_rows=max_rows)
+def read_table(path: Path, *, max_rows: int = MAX_ROWS, root: Path | None = None) -> pa.Table:
+    """A Parquet file in memory; StoreError if it is absent or damaged, or would unpack to more than a run writes.
+
+    root: as in `files`.
+    """
+    return parse_table(read_table_bytes(path, root=root), path, max_rows=max_rows)

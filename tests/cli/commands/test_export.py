@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from qnerf.export import content, to_csv
-from qnerf.records.spreadsheets import without_formula
 from qnerf.records import annotations, read_metrics, read_status
+from qnerf.records.spreadsheets import without_formula
 
 
 @pytest.fixture
