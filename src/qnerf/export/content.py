@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from qnerf.records import StoreError, details, read_metrics
+from qnerf.records import StoreError, details, pictures, read_metrics
 from qnerf.records.annotations import Annotations
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -68,10 +68,10 @@ def read(folder: Path) -> Content:
         annotations=run.annotations,
         metrics=metrics,
         files=_regular(path for pattern in _FILES for path in sorted(run.path.glob(pattern))),
-        images=_regular(sorted((run.path / "images").glob("*.png"))),
+        images=pictures.listed(run.path),
     )
 
 
 def _regular(paths: Iterable[Path]) -> list[Path]:
     # A link could lead to any file on this machine, and exported files may go to a server.
-    return [path for path in paths if path.is_file() and not path.is_symlink() and not path.parent.is_symlink()]
+    return [path for path in paths if path.is_file() and not path.is_symlink()]

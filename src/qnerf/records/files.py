@@ -32,6 +32,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from qnerf.records.plain_values import check_plain
+
 MAX_JSON_BYTES = 2**20
 
 SUBFOLDERS = frozenset({"metrics", "images", "owner", ".annotations"})
@@ -268,6 +270,7 @@ def parse_json(data: bytes) -> dict[str, Any]:
         raise ValueError("nested too deeply") from None
     if not isinstance(record, dict):
         raise ValueError(f"expected an object, got {type(record).__name__}")
+    check_plain(record)
     return record
 
 

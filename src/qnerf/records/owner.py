@@ -183,12 +183,13 @@ def last_heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
     return unix_time(value)
 
 
+MAX_TIME = 253_402_300_799.0  # Unix time of the end of the year 9999, the last that a date can hold
+
+
 def unix_time(value: Any) -> float | None:
-    """A time from a file that anybody may have written; None if it is not a number."""
-    try:
-        return float(value) if isinstance(value, (int, float)) else None
-    except OverflowError:
-        return None
+    """A time from a file that anybody may have written; None if it is no number from 0 to `MAX_TIME`."""
+    is_time = isinstance(value, (int, float)) and 0 <= value <= MAX_TIME
+    return float(value) if is_time else None
 
 
 def _is_released(record: dict[str, Any]) -> bool:

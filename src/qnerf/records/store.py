@@ -35,7 +35,7 @@ from qnerf.records.files import (
 from qnerf.records.location import store_folder
 from qnerf.records.numbered import PARTS
 from qnerf.records.owner import OwnerInfo, Ownership
-from qnerf.records.read import read_config, read_status, read_table, runs
+from qnerf.records.read import read_config, read_evaluation, read_status, read_summary, runs
 from qnerf.records.writer import EMPTY_PART, FORMAT, Run, running_status
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
@@ -258,9 +258,9 @@ class _InitialContent:
                 write("config.yaml", to_yaml(self.config).encode())
             if not exists(folder / "overrides.txt"):
                 write("overrides.txt", "".join(f"{line}\n" for line in self.overrides).encode())
-            if not _is_readable(read_table, folder / "eval.parquet"):
+            if not _is_readable(read_evaluation, folder):
                 write("eval.parquet", live_parquet.encode(schemas.evaluation([], 0)))
-            if not _is_readable(read_table, folder / "summary.parquet"):
+            if not _is_readable(read_summary, folder):
                 row = self.columns | {"run_id": self.run_id, "state": "running"}
                 write("summary.parquet", summary_row.encode(schemas.summary(row, self.config)))
             if not exists(folder / "metrics"):
