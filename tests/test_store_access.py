@@ -18,6 +18,7 @@ ALLOWED = {
     "src/qnerf/records/store.py": "makes the store's root",
     "src/qnerf/records/environment.py": "reads /proc and the checkout of qnerf",
     "src/qnerf/records/owner.py": "reads /proc",
+    "src/qnerf/records/pictures.py": "decodes a picture that `files` has opened",
     "src/qnerf/records/index/index_file.py": "makes the user's cache folder",
     "src/qnerf/records/index/remote.py": "copies a remote run's metrics to a temporary folder",
     "src/qnerf/cli/errors.py": "opens the null device",

@@ -57,7 +57,8 @@ def is_run(folder: Path, run_id: str | None = None) -> bool:
 
 def require_run(folder: Path) -> None:
     """StoreError if the folder is not a run, or if it is a link."""
-    refuse_links(folder, folder / "owner")
+    refuse_links(folder, root=folder.parent)
+    refuse_links(folder / "owner")
     # A file may be replaced between the listing and the reading.
     if not any(is_run(folder) for _ in range(3)):
         raise StoreError(f"{folder}: not a run: it has neither an owner/ nor a status.json that qnerf wrote for it")
