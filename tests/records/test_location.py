@@ -1,6 +1,7 @@
 """Where a store may be, and which folders are runs."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -60,7 +61,16 @@ def test_a_folder_with_files_of_the_same_names_is_no_run(tmp_path: Path) -> None
     assert {path: path.read_bytes() for path in mine.rglob("*") if path.is_file()} == before
 
 
-def test_one_of_two_marks_is_enough(store_: RunStore) -> None:
+def test_a_run_whose_records_a_power_cut_emptied_goes_on(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.interrupt()
+    for path in [run.dir / "status.json", *run.dir.glob("owner/*")]:
+        path.write_bytes(b"")
+        os.utime(path, (0, 0))
+    claimed(store_).finish()
+
+
+def test_one_mark_is_enough(store_: RunStore) -> None:
     run = claimed(store_)
     run.interrupt()
     assert is_run(run.dir)
@@ -86,9 +96,18 @@ def test_a_folder_of_the_working_directory_is_named_as_a_path(
 
 
 @pytest.mark.parametrize(
-    "name", ["part-00000 (1).parquet", "part-0.parquet", "part-000000.parquet", "part-\u0660\u0660\u0660\u0660\u0660.parquet", "part-.parquet",
-             "part-1000000000.parquet", f"part-{'9' * 200}.parquet", "xpart-00000.parquet"],
-)  # fmt: skip
+    "name",
+    [
+        "part-00000 (1).parquet",
+        "part-0.parquet",
+        "part-000000.parquet",
+        "part-\u0660\u0660\u0660\u0660\u0660.parquet",
+        "part-.parquet",
+        "part-1000000000.parquet",
+        f"part-{'9' * 200}.parquet",
+        "xpart-00000.parquet",
+    ],
+)
 def test_a_number_has_one_name(name: str) -> None:
     assert PARTS.number(name) is None
     assert PARTS.number("part-100000.parquet") == 100000
