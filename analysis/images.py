@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
+
+from qnerf.records.pictures import listed, read_png
 
 
 class Panels(NamedTuple):
@@ -19,7 +20,7 @@ class Panels(NamedTuple):
 
 def pictures(run: str | Path) -> dict[str, Path]:
     """Name of a held-out view -> its picture, sorted by name; empty if the run has none."""
-    return {path.stem: path for path in sorted((Path(run) / "images").glob("*.png"))}
+    return {path.stem: path for path in listed(run)}
 
 
 def common_pictures(runs: Iterable[str]) -> tuple[list[str], dict[str, dict[str, Path]]]:
@@ -30,11 +31,7 @@ def common_pictures(runs: Iterable[str]) -> tuple[list[str], dict[str, dict[str,
 
 def panels(picture: str | Path) -> Panels:
     """The panels, without the enlargement. Raises ValueError if the file is not such a picture."""
-    try:
-        with Image.open(picture) as image:
-            pixels = np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError) as error:  # what Pillow raises for a damaged PNG
-        raise ValueError(f"{picture}: not readable as a picture: {' '.join(str(error).split())}") from error
+    pixels = read_png(Path(picture))
     width = pixels.shape[1]
     if width % len(Panels._fields):
         raise ValueError(f"{picture}: expected {' | '.join(Panels._fields)} of equal width, got {width} pixels")

@@ -1,7 +1,10 @@
 """`qnerf pack STORE FOLDER` or `python -m analysis.pack`: see `--help`."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from qnerf.records.printable import printable
 
 from . import command, packed
 from .figures import FIGURES
@@ -32,13 +35,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for file in [*options.folder.glob("*.png"), *options.folder.glob("*.md")]:
         if title(file.stem) != file.stem or file.stem in PAPER_TABLES:
             file.unlink()  # made from the runs that were packed before
-    finished = packed.pack(frame, options.folder)
+    finished, problems = packed.pack(frame, options.folder)
+    for problem in problems:
+        print(f"left out: {printable(problem)}", file=sys.stderr)
     print(f"{finished} runs{f' finished, {unfinished} not' if unfinished else ''}, in {options.folder}")
     if options.figures:
         draw(frame, options.figures, options.folder, ["png"])
     if options.paper:
         heading, table = PAPER_TABLES[options.paper]
-        (options.folder / f"{options.paper}.md").write_text(f"**{heading}**\n\n{table(frame).markdown()}\n")
+        (options.folder / f"{options.paper}.md").write_text(
+            f"**{heading}**\n\n{table(frame).markdown()}\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

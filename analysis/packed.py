@@ -3,6 +3,8 @@
 `analysis.pack` writes such a folder. It is read like a store, and every table here can be made from it.
 """
 
+import re
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,31 +12,47 @@ import pandas as pd
 
 from qnerf.config.compatibility import today
 from qnerf.records import StoreError
-from qnerf.records.read import read_table
+from qnerf.records.parquet import with_kinds
+from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
+from qnerf.records.schemas import known_kind
 
 RUNS, VIEWS = "runs.parquet", "views.parquet"
 PROBES = ("units", "eval_hardware")
 """Tables that `qnerf probe` leaves in a run's folder and that are small enough to keep."""
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
 """Columns about the machine that a run was done on, which are not packed."""
 
 
-def pack(runs: pd.DataFrame, folder: Path) -> int:
-    """Writes runs from `analysis.load.runs`, and the held-out views and `PROBES` of the finished ones; returns their
-    number. Files that the folder has are replaced. A scene's name is packed, its location is not.
+def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
+    """Writes runs from `analysis.load.runs`, and the held-out views and `PROBES` of the finished ones.
+
+    Returns the number of finished runs, and a line for each damaged file. A run without readable views is packed as
+    damaged. Files that the folder has are replaced. A scene's name is packed, its location is not.
     """
     chosen = runs.sort_values("run_id", ignore_index=True)
     finished = chosen[chosen["state"] == "finished"]
-    parts = []
+    parts: list[pd.DataFrame] = []
     probed: dict[str, list[pd.DataFrame]] = {probe: [] for probe in PROBES}
-    for name, path in zip(finished["run_id"], finished["path"], strict=True):
-        rows = views(path)
-        if rows is None:
-            rows = read_table(Path(path) / "eval.parquet").to_pandas()
+    problems = []
+    for number, name, path in zip(finished.index, finished["run_id"], finished["path"], strict=True):
+        try:
+            rows = views(path)
+        except StoreError as error:
+            problems.append(str(error))
+            chosen.loc[number, "state"] = "damaged"
+            continue
         parts.append(rows[["image", *rows.select_dtypes("number")]].assign(run_id=name))
         for probe, tables in probed.items():
-            if has(path, probe):
-                tables.append(found(path, probe).assign(run_id=name))
+            try:
+                own = probe_table(path, probe)
+            except StoreError as error:
+                problems.append(str(error))
+                continue
+            if own is not None:
+                tables.append(own.assign(run_id=name))
+    if not parts:
+        raise StoreError(problems[0])
     folder.mkdir(parents=True, exist_ok=True)
     portable = chosen.drop(columns=[name for name in _HERE if name in chosen])
     portable.to_parquet(folder / RUNS, index=False)
@@ -43,51 +61,80 @@ def pack(runs: pd.DataFrame, folder: Path) -> int:
         (folder / f"{probe}.parquet").unlink(missing_ok=True)
         if tables:
             pd.concat(tables, ignore_index=True).to_parquet(folder / f"{probe}.parquet", index=False)
-    return len(finished)
+    return len(parts), problems
 
 
 def is_packed(folder: str | Path) -> bool:
-    return (Path(folder) / RUNS).is_file()
+    """Whether the folder has both tables that every packed folder has; one alone is a stray file in a store."""
+    return all((Path(folder) / name).is_file() for name in (RUNS, VIEWS))
 
 
 def load(folder: str | Path) -> pd.DataFrame:
-    """The frame of `analysis.load.runs` for a packed folder; a run's `path` is the folder and its id."""
-    frame = pd.read_parquet(Path(folder) / RUNS).rename(columns=today)
+    """The frame of `analysis.load.runs` for a packed folder; a run's `path` is the folder and its id.
+
+    Raises:
+        StoreError: the table is damaged, or a run's id is none.
+    """
+    file = Path(folder) / RUNS
+    table = with_kinds(read_table(file, root=file.parent), {"run_id": "text", "state": "text"}, file)
+    table = table.rename_columns([today(name) for name in table.schema.names])
+    known = {name: kind for name in table.schema.names if (kind := known_kind(name)) is not None}
+    frame = with_kinds(table, known, file).to_pandas()
+    if odd := [name for name in frame["run_id"] if not isinstance(name, str) or not RUN_ID.fullmatch(name)]:
+        raise StoreError(f"{file}: damaged: expected the ids of runs, got {odd[0]!r:.60}")
     return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])
 
 
-def views(path: str | Path) -> pd.DataFrame | None:
-    """The held-out views of a run in a packed folder; None where `path` is not in one."""
-    folder = Path(path).parent
-    if not is_packed(folder):
-        return None
-    own = _of_runs(folder / VIEWS).get(Path(path).name)
+def views(path: str | Path) -> pd.DataFrame:
+    """The held-out views of a run in a store or in a packed folder; StoreError if they are absent or damaged."""
+    path = Path(path)
+    if not is_packed(path.parent):
+        return read_evaluation(path)
+    file = path.parent / VIEWS
+    own = _of_runs(file, "eval").get(path.name)
     if own is None:
-        raise StoreError(f"{path}: no such run in {folder / VIEWS}")
+        raise StoreError(f"{path}: no such run in {file}")
     return own
 
 
 def has(path: str | Path, probe: str) -> bool:
-    """Whether a run, in a store or packed, has a table of that name from `qnerf probe`."""
+    """Whether a run, in a store or packed, has a table of that name from `qnerf probe`, even a damaged one."""
     path = Path(path)
     if not is_packed(path.parent):
         return (path / f"{probe}.parquet").is_file()
     file = path.parent / f"{probe}.parquet"
-    return file.is_file() and path.name in _of_runs(file)
+    return file.is_file() and path.name in _of_runs(file, probe)
 
 
-def found(path: str | Path, probe: str) -> pd.DataFrame:
-    """The table of a probe; check with `has` first."""
+def probe_table(path: str | Path, probe: str) -> pd.DataFrame | None:
+    """The table of a probe; None if the run was not probed. StoreError if it is damaged."""
     path = Path(path)
+    if not has(path, probe):
+        return None
     if is_packed(path.parent):
-        return _of_runs(path.parent / f"{probe}.parquet")[path.name]
-    return read_table(path / f"{probe}.parquet").to_pandas()
+        return _of_runs(path.parent / f"{probe}.parquet", probe)[path.name]
+    return read_probe(path, probe)
 
 
-def _of_runs(file: Path) -> dict[str, pd.DataFrame]:
-    return _read(file, file.stat().st_mtime_ns)
+def probe_tables(paths: Iterable[str], probe: str) -> tuple[dict[str, pd.DataFrame], str]:
+    """Run -> its table of a probe, for the runs that have a readable one, and a note that counts the damaged ones."""
+    tables, damaged = {}, []
+    for path in paths:
+        try:
+            own = probe_table(path, probe)
+        except StoreError as error:
+            damaged.append(str(error))
+            continue
+        if own is not None:
+            tables[path] = own
+    return tables, f"left out: {len(damaged)} damaged, the first {damaged[0]}" if damaged else ""
+
+
+def _of_runs(file: Path, name: str) -> dict[str, pd.DataFrame]:
+    return _read(file, name, file.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=8)
-def _read(file: Path, _changed: int) -> dict[str, pd.DataFrame]:
-    return {str(name): rows for name, rows in pd.read_parquet(file).groupby("run_id", sort=False)}
+def _read(file: Path, name: str, _changed: int) -> dict[str, pd.DataFrame]:
+    table = checked_table(with_kinds(read_table(file, root=file.parent), {"run_id": "text"}, file), name, file)
+    return {str(run): rows for run, rows in table.to_pandas().groupby("run_id", sort=False)}

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from qnerf.records.files import read_bytes
+from qnerf.records.parquet import reading
+
 from . import command, load
 from .figures.files import title
 from .paper import PAPER_TABLES
@@ -33,6 +36,7 @@ The runs of a table were not all trained at the same time, so compare step times
 instead. {hardware}
 """
 
+MAX_TEXT_BYTES = 2**20
 QUALITY = ("psnr", "ssim", "depth_error")
 
 
@@ -368,7 +372,7 @@ def page(folder: Path) -> str:
             f"got {', '.join(unknown) or 'none'}"
         )
     file = folder / "hardware.txt"
-    parts = [HEAD.format(hardware=file.read_text().strip() if file.is_file() else "").rstrip()]
+    parts = [HEAD.format(hardware=read_text(file) if file.is_file() else "").rstrip()]
     for name, question in QUESTIONS.items():
         if name in present:
             parts += section(name, question, load.runs(folder / name)) + stored(folder / name)
@@ -377,12 +381,18 @@ def page(folder: Path) -> str:
 
 def stored(folder: Path) -> list[str]:
     """What `analysis.pack` made from parts of the runs that it does not pack: tables of the paper and figures."""
-    tables = [file.read_text().strip() for file in sorted(folder.glob("*.md"))]
+    tables = [read_text(file) for file in sorted(folder.glob("*.md"))]
     pictures = [
         f"![{title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"
         for file in sorted(folder.glob("*.png"))
     ]
     return tables + pictures
+
+
+def read_text(file: Path) -> str:
+    """A small text file; StoreError if it is a link, large, or not UTF-8."""
+    with reading(file):
+        return read_bytes(file, MAX_TEXT_BYTES).decode().strip()
 
 
 def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:
@@ -409,7 +419,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     text = page(options.folder)
     if options.write:
-        options.write.write_text(text)
+        options.write.write_text(text, encoding="utf-8")
     else:
         sys.stdout.write(text)
 

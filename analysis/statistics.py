@@ -2,14 +2,12 @@
 
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.records import StoreError
-from qnerf.records.read import read_table
 
 from . import packed
 
@@ -95,9 +93,6 @@ def _views(path: str, metric: str) -> tuple[list[str], np.ndarray]:
     """Images and values; empty where the file is absent, damaged or without the metric."""
     try:
         own = packed.views(path)
-        if own is not None:
-            return own["image"].tolist(), own[metric].to_numpy()
-        table = read_table(Path(path) / "eval.parquet")
-        return table["image"].to_pylist(), table[metric].to_numpy()
+        return own["image"].tolist(), own[metric].to_numpy()
     except (StoreError, KeyError):
         return [], np.empty(0)

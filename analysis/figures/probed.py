@@ -9,21 +9,22 @@ from .. import packed
 
 def probed(run: str | Path, name: str) -> pd.DataFrame:
     """A run's `<name>.parquet`. Raises ValueError with the command that writes it if there is none."""
-    if not packed.has(run, name):
+    table = packed.probe_table(run, name)
+    if table is None:
         raise ValueError(f"{run}: has no {name}.parquet; {command(name, Path(run).name)} writes it")
-    return packed.found(run, name)
+    return table
 
 
 def having(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    """The runs that have a `<name>.parquet`. Raises ValueError with the command that writes it if none has."""
-    runs = frame[[packed.has(path, name) for path in frame["path"]]]
-    if runs.empty:
-        raise ValueError(f"none of {len(frame)} runs has {name}.parquet; {command(name)} writes it")
-    return runs
+    """The runs that have a readable `<name>.parquet`. Raises ValueError with the command that writes it if none has."""
+    tables, damaged = packed.probe_tables(frame["path"], name)
+    if not tables:
+        raise ValueError(damaged or f"none of {len(frame)} runs has {name}.parquet; {command(name)} writes it")
+    return frame[frame["path"].isin(list(tables))]
 
 
 def best_of(frame: pd.DataFrame, name: str) -> str:
-    """The folder of the run of highest PSNR that has a `<name>.parquet`."""
+    """The folder of the run of highest PSNR that has a readable `<name>.parquet`."""
     return str(having(frame, name).sort_values("psnr", ascending=False)["path"].iloc[0])
 
 

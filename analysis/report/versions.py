@@ -1,8 +1,9 @@
 """Which version of qnerf wrote each run."""
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
+
+from qnerf.records.files import read_json
 
 
 def versions(paths: Iterable[str]) -> list[str | None]:
@@ -12,6 +13,6 @@ def versions(paths: Iterable[str]) -> list[str | None]:
 
 def _version(path: Path) -> str | None:
     try:
-        return str(json.loads(path.read_bytes())["packages"]["qnerf"])
+        return str(read_json(path)["packages"]["qnerf"])
     except (OSError, ValueError, KeyError, TypeError):  # absent, damaged, or of another form
         return None

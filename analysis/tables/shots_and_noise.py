@@ -20,12 +20,11 @@ def shots_and_noise(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     check_keys(frame, rows)
     selection = select(frame)
     refuse_mixtures(selection.runs, rows)
-    measured = selection.runs[[packed.has(path, FILE) for path in selection.runs["path"]]]
+    tables, damaged = packed.probe_tables(selection.runs["path"], FILE)
+    measured = selection.runs[selection.runs["path"].isin(list(tables))]
     if measured.empty:
-        raise ValueError("no run was measured: qnerf probe RUN shots=100,1000")
-    each = pd.concat(
-        [means(packed.found(run["path"], FILE)).assign(**run[list(rows)]) for _, run in measured.iterrows()]
-    )
+        raise ValueError(damaged or "no run was measured: qnerf probe RUN shots=100,1000")
+    each = pd.concat([means(tables[run["path"]]).assign(**run[list(rows)]) for _, run in measured.iterrows()])
     exact_first = each.assign(noisy=each["noise"] != "none").sort_values(["noisy", "noise", "p", "shots"])
     order = exact_first[CONDITION].drop_duplicates().itertuples(index=False)
     columns = [condition_name(*condition) for condition in order]

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from qnerf.records.spreadsheets import as_csv
+
 _LATEX = str.maketrans(
     {
         "\\": r"\textbackslash{}",
@@ -77,7 +79,7 @@ class Table:
         """The numbers in full, one column each (`psnr_mean`, `psnr_std`, `psnr_n`), without title and notes."""
         flat = self.data.reset_index() if self.data.index.names != [None] else self.data
         flat.columns = ["_".join(filter(None, map(str, _parts(name)))) for name in flat.columns]
-        return flat.to_csv(index=False, lineterminator="\n").rstrip("\n")
+        return as_csv(flat).rstrip("\n")
 
     def _rows(self, escape: Callable[[str], str], emphasis: str) -> list[list[str]]:
         return [

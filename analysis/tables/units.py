@@ -23,11 +23,11 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
     check_keys(frame, rows)
     selection = select(frame)
     refuse_mixtures(selection.runs, rows)
-    measured = {str(path): _measured(str(path), head) for path in selection.runs["path"]}
-    probed = selection.runs[[measured[str(path)] is not None for path in selection.runs["path"]]]
+    tables, damaged = packed.probe_tables(selection.runs["path"], "units")
+    probed = selection.runs[selection.runs["path"].isin(list(tables))]
     if probed.empty:
-        raise ValueError("no run was probed: qnerf probe RUN units")
-    columns = pd.DataFrame([measured[str(path)] for path in probed["path"]], index=probed.index)
+        raise ValueError(damaged or "no run was probed: qnerf probe RUN units")
+    columns = pd.DataFrame([_measured(tables[path], head) for path in probed["path"]], index=probed.index)
     groups = pd.concat([probed[[*rows, "psnr"]], columns], axis=1).groupby(list(rows), dropna=False)
     data = groups.mean().assign(n=groups.size())
     text = pd.DataFrame({name: data.index.get_level_values(name).map(label) for name in data.index.names})
@@ -42,21 +42,18 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
         f"of the {head} head, on 1,024 training rays; dead: hidden units that are 0 on all samples; spread: standard "
         "deviation of the raw values over the samples",
         *([f"left out: {left} not probed"] if left else []),
-        *filter(None, [selection.note]),
+        *filter(None, [damaged, selection.note]),
     ]
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     return Table("How alive it is", text, data, bold, tuple(notes))
 
 
-def _measured(path: str, head: str) -> dict[str, float] | None:
-    """Of one run: share of dead units and spread of the raw values, at the start and the end; None: not probed."""
-    if not packed.has(path, "units"):
-        return None
-    table = packed.found(path, "units")
-    found: dict[str, float] = {}
+def _measured(table: pd.DataFrame, head: str) -> dict[str, float]:
+    """Of one run: share of dead units and spread of the raw values, at the start and the end."""
+    result: dict[str, float] = {}
     for name, kind, column in (("dead", "relu", "dead"), ("spread", "output", "std")):
         for when in ("start", "end"):
             own = table[(table["head"] == head) & (table["when"] == when) & (table["kind"] == kind)]
             total = own["units"].sum()
-            found[f"{name}, {when}"] = float((own[column] * own["units"]).sum() / total) if total else math.nan
-    return found
+            result[f"{name}, {when}"] = float((own[column] * own["units"]).sum() / total) if total else math.nan
+    return result

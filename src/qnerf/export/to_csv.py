@@ -1,12 +1,12 @@
 """CSV: `<out>/<run_id>/metrics.csv`, `eval.csv` and `summary.csv`, each replaced whole."""
 
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from qnerf.export.content import Content
 from qnerf.records.files import replace, reporting
+from qnerf.records.spreadsheets import as_csv
 
 
 def export(content: Content, out: Path) -> Path:
@@ -32,25 +32,9 @@ def wide(metrics: pd.DataFrame, created: float) -> pd.DataFrame:
     rows = metrics.drop_duplicates(["step", "key"], keep="last")
     values = rows.assign(value=rows["value"].map(repr)).pivot(index="step", columns="key", values="value")
     time_s = rows.groupby("step")["time_s"].max()
-    values.insert(0, "time_s", time_s)
-    values.insert(1, "wall_time", created + time_s)
-    return values.reset_index()
+    times = pd.DataFrame({"step": time_s.index, "time_s": time_s, "wall_time": created + time_s})
+    return pd.concat([times, values], axis=1)  # a key may have the name of one of the first columns
 
 
 def _write(path: Path, frame: pd.DataFrame) -> None:
-    replace(path, frame.map(without_formula).to_csv(index=False).encode())
-
-
-def without_formula(value: Any) -> Any:
-    """Puts an apostrophe before text that a spreadsheet would run as a formula; numbers stay.
-
-    >>> without_formula("=1+1"), without_formula("-1e3"), without_formula(-3)
-    ("'=1+1", '-1e3', -3)
-    """
-    if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r")):
-        return value
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}"
-    return value
+    replace(path, as_csv(frame).encode(errors="backslashreplace"))

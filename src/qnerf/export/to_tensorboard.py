@@ -4,9 +4,9 @@ PyTorch's SummaryWriter would decode and re-encode every image, rename the texts
 their own.
 """
 
+import contextlib
 import json
 import shutil
-import struct
 import tempfile
 import textwrap
 from collections.abc import Iterator
@@ -19,7 +19,8 @@ from tensorboard.plugins.text.summary_v2 import text_pb
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
 from qnerf.export.content import Content
-from qnerf.records.files import reporting
+from qnerf.records.files import StoreError, reporting
+from qnerf.records.pictures import read_png_bytes
 
 SUFFIX = ".qnerf"
 _STATUS = {"finished": api_pb2.STATUS_SUCCESS, "failed": api_pb2.STATUS_FAILURE, "running": api_pb2.STATUS_RUNNING}
@@ -59,9 +60,8 @@ def events(content: Content) -> Iterator[event_pb2.Event]:
         scalar = summary_pb2.Summary.Value(tag=key, simple_value=value)
         yield _event(content.created + time_s, step, summary_pb2.Summary(value=[scalar]))
     for path in content.images:
-        image = _image(f"images/{path.stem}", path.read_bytes())
-        if image is not None:
-            yield _event(content.ended, content.step, image)
+        with contextlib.suppress(StoreError):  # damaged
+            yield _event(content.ended, content.step, _image(f"images/{path.stem}", path))
     yield _event(content.ended, content.step, _session_end(content))
 
 
@@ -95,10 +95,8 @@ def _texts(content: Content) -> dict[str, str]:
     return {name: text for name, text in texts.items() if text}
 
 
-def _image(tag: str, data: bytes) -> Any:
-    """The PNG as it is, without decoding it; None for anything else."""
-    if not data.startswith(b"\x89PNG\r\n\x1a\n") or len(data) < 24:
-        return None
-    width, height = struct.unpack(">II", data[16:24])
+def _image(tag: str, path: Path) -> Any:
+    """The PNG as it is, without decoding it; StoreError for anything else."""
+    data, width, height = read_png_bytes(path)
     image = summary_pb2.Summary.Image(width=width, height=height, colorspace=3, encoded_image_string=data)
     return summary_pb2.Summary(value=[summary_pb2.Summary.Value(tag=tag, image=image)])

@@ -1,5 +1,6 @@
 """Everything about one run, as far as it can be read."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,20 +13,23 @@ from qnerf.records import annotations
 from qnerf.records.annotations import Annotations
 from qnerf.records.files import StoreError, read_bytes, read_json, reporting
 from qnerf.records.owner import unix_time
-from qnerf.records.read import read_config, read_status, read_summary, read_table, state
-from qnerf.records.schemas import results
+from qnerf.records.parquet import reading
+from qnerf.records.read import read_config, read_evaluation, read_status, read_summary, state
+from qnerf.records.schemas import check_status, results
 
 MAX_OVERRIDES_BYTES = 2**20
 _T = TypeVar("_T")
+_U = TypeVar("_U")
 
 
 @dataclass
 class Details:
     """A run as plain values.
 
-    state: as `records.state`. status: status.json. config: nested, as in config.yaml. results: summary.parquet
-    without the configuration and without absent values. environment: where the run started. evaluation: one row per
-    image. problems: one line for each part that is damaged or missing; that part is empty here.
+    state: as `records.state`, or damaged if summary.parquet or status.json is. status: status.json. config: nested, as
+    in config.yaml. results: summary.parquet without the configuration and without absent values. environment: where
+    the run started. evaluation: one row per image. problems: one line for each part that is damaged or missing; that
+    part is empty here.
     """
 
     path: Path
@@ -82,7 +86,7 @@ def read(run_dir: str | Path) -> Details:
     status = read_status(folder)
     details = Details(folder, state(folder, status), status)
 
-    def attempt(reader: Callable[[Path], _T], path: Path, default: _T) -> _T:
+    def attempt(reader: Callable[[Path], _T], path: Path, default: _U) -> _T | _U:
         try:
             with reporting(path, "read"):
                 return reader(path)
@@ -90,20 +94,31 @@ def read(run_dir: str | Path) -> Details:
             details.problems.append(str(error))
             return default
 
-    if not status:
-        details.problems.append(f"{folder / 'status.json'}: missing or damaged")
     nothing: dict[str, Any] = {}
+    checked = attempt(_checked_status, folder / "status.json", None)
+    summary = attempt(read_summary, folder, None)
+    for name, content in (("status.json", checked), ("summary.parquet", summary)):
+        if content is None and os.path.lexists(folder / name):
+            details.state = "damaged"
     details.config = attempt(read_config, folder, nothing)
-    summary = results(attempt(read_summary, folder, nothing), details.config)
-    details.results = {name: value for name, value in summary.items() if value is not None}
+    details.results = {
+        name: value for name, value in results(summary or {}, details.config).items() if value is not None
+    }
     # A run that has just started, or that another program wrote, may lack these two.
     if (overrides := folder / "overrides.txt").exists():
         details.overrides = attempt(_read_lines, overrides, [])
     if (environment := folder / "environment.json").exists():
         details.environment = attempt(read_json, environment, nothing)
-    details.evaluation = attempt(lambda path: read_table(path).to_pandas(), folder / "eval.parquet", pd.DataFrame())
+    details.evaluation = attempt(read_evaluation, folder, pd.DataFrame())
     details.annotations = attempt(annotations.read, folder, Annotations())
     return details
+
+
+def _checked_status(path: Path) -> dict[str, Any]:
+    status = read_json(path)
+    with reading(path):
+        check_status(status)
+    return status
 
 
 def _read_lines(path: Path) -> list[str]:

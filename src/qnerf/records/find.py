@@ -1,24 +1,33 @@
 """Finds a run by what a user types: its folder, its id, or a part of its id that no other run has."""
 
 import difflib
+import os
 from pathlib import Path
 
+from qnerf.records.files import exists, refuse_links
+from qnerf.records.location import existing_store
 from qnerf.records.read import RUN_MARKERS, runs
 
 
 def find(name: str | Path, store: str | Path = "runs") -> Path:
     """The run's folder.
 
-    name: a run's folder, or in `store` an id, or any part of an id that no other id contains.
+    name: a run's folder, written with a separator (`runs/ID`, `./ID`); or in `store` an id, or any part of an id that
+    no other id contains. A folder of the working directory that has the name of a run is not looked at.
 
     Raises:
         ValueError: no run or more than one; the line names the nearest ids.
     """
-    folder = Path(name)
-    if any((folder / file).exists() for file in RUN_MARKERS):
+    text = str(name)
+    if is_path(text):
+        folder = Path(name).resolve() if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
+        if not any(exists(folder / file) for file in RUN_MARKERS):
+            raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder
-    known = {path.name: path for path in runs(store)}
-    text = str(name).rstrip("/")
+    folder = existing_store(store)
+    if text:
+        refuse_links(folder / text, root=folder)
+    known = {path.name: path for path in runs(folder)}
     if text in known:
         return known[text]
     matches = [run_id for run_id in known if text and text in run_id]
@@ -30,6 +39,11 @@ def find(name: str | Path, store: str | Path = "runs") -> Path:
         raise ValueError(f"{text}: no such run; there are no runs in {store}")
     nearest = difflib.get_close_matches(text, known, n=3, cutoff=0.3) or sorted(known)
     raise ValueError(f"{text}: no such run in {store}; it has {_listed(nearest)}")
+
+
+def is_path(name: str) -> bool:
+    """Whether a user means a folder, not an id."""
+    return name in (os.curdir, os.pardir) or any(separator in name for separator in (os.sep, os.altsep) if separator)
 
 
 def _listed(names: list[str], limit: int = 4) -> str:

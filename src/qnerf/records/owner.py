@@ -16,7 +16,6 @@ import contextlib
 import json
 import os
 import platform
-import re
 import secrets
 import subprocess
 import sys
@@ -26,14 +25,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, read_json, reporting, temporary_path
+from qnerf.records import files
+from qnerf.records.files import StoreError, read_json, reporting
+from qnerf.records.numbered import OWNERS
 
 HEARTBEAT_INTERVAL = 3.0  # seconds between heartbeats
 HEARTBEAT_LIMIT = 180.0  # seconds; network file systems may show files a minute late
 WATCH_TIME = 4 * HEARTBEAT_INTERVAL  # seconds that an old heartbeat is watched before the run is taken over
 
 _HELD, _RELEASED = b'"released": false', b'"released": true '  # of equal length: the file is marked in place
-_FILE_NAME = re.compile(r"(\d{6,})\.json")
 _released_nonces: set[str] = set()  # claims released by this process, in case a broken disk refused the mark
 
 
@@ -110,9 +110,11 @@ class Ownership:
         path = _owner_file(self.directory, self.number)
         if _read(path).get("nonce") != self.nonce:
             return
-        with reporting(path), open(path, "r+b") as file:  # in place: this must work on a full disk too
-            file.seek(file.read().index(_HELD))
-            file.write(_RELEASED)
+        with reporting(path), files.open_plain(path, "r+b", max_bytes=files.MAX_JSON_BYTES) as file:
+            position = file.read().find(_HELD)
+            if position >= 0:
+                file.seek(position)
+                file.write(_RELEASED)  # in place: this must work on a full disk too
 
 
 def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:
@@ -136,7 +138,7 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
     for _ in range(1000):
         with reporting(directory, "claim the run"):
             try:
-                (directory / "owner").mkdir(exist_ok=True)
+                files.make_folder(directory / "owner")
                 number, record = latest(directory)
                 if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
                     return OwnerInfo.from_record(record)
@@ -146,9 +148,9 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
                 if _succeeds(directory, ownership, record):
                     _remove_older(directory, ownership.number)
                     return ownership
-                _owner_file(directory, ownership.number).unlink(missing_ok=True)
+                files.delete(_owner_file(directory, ownership.number), ignore_errors=True)
             except FileNotFoundError:
-                if not directory.is_dir():
+                if not files.exists(directory, root=directory.parent):
                     return None
     raise StoreError(f"{directory}: cannot claim the run: its owner changes all the time")
 
@@ -156,30 +158,11 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
 def create(directory: Path, number: int) -> Ownership | None:
     """Creates owner file `number`, exclusively and whole; None if it exists."""
     path = _owner_file(directory, number)
+    if OWNERS.number(path.name) is None:
+        raise StoreError(f"{path.parent}: there is no number after {number - 1}; delete this folder")
     nonce = secrets.token_hex(8)
     record = asdict(Process.current()) | {"nonce": nonce, "since": time.time(), "released": False}
-    data = json.dumps(record).encode()
-    temporary = temporary_path(path)
-    temporary.write_bytes(data)
-    try:
-        try:
-            os.link(temporary, path)
-        except FileExistsError:
-            # A network file system may repeat a request that had succeeded. The link count tells.
-            return Ownership(directory, number, nonce) if temporary.stat().st_nlink == 2 else None
-        except FileNotFoundError:
-            raise
-        except OSError:  # this file system has no hard links
-            try:
-                handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
-            except FileExistsError:
-                return None
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-    return Ownership(directory, number, nonce)
+    return Ownership(directory, number, nonce) if files.create(path, json.dumps(record).encode()) else None
 
 
 def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
@@ -200,12 +183,13 @@ def last_heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
     return unix_time(value)
 
 
+MAX_TIME = 253_402_300_799.0  # Unix time of the end of the year 9999, the last that a date can hold
+
+
 def unix_time(value: Any) -> float | None:
-    """A time from a file that anybody may have written; None if it is not a number."""
-    try:
-        return float(value) if isinstance(value, (int, float)) else None
-    except OverflowError:
-        return None
+    """A time from a file that anybody may have written; None if it is no number from 0 to `MAX_TIME`."""
+    is_time = isinstance(value, (int, float)) and 0 <= value <= MAX_TIME
+    return float(value) if is_time else None
 
 
 def _is_released(record: dict[str, Any]) -> bool:
@@ -213,20 +197,26 @@ def _is_released(record: dict[str, Any]) -> bool:
 
 
 def _is_active(directory: Path, number: int, record: dict[str, Any], watch: float) -> bool:
+    """Whether the owner in `record` lives. If only the clock says that it does not, it is watched for a sign of life:
+    a heartbeat that changes, to whatever time, or a change of its owner file."""
     process = Process.from_record(record)
-    if process is None:  # damaged, or still being written on a file system without hard links
-        with contextlib.suppress(OSError):
-            return is_recent(_owner_file(directory, number).stat().st_mtime)
+    running = None if process is None else process.is_running()
+    if running is not None:
+        return running
+
+    def sign() -> tuple[float | None, int, dict[str, Any] | None]:
+        if process is not None:
+            return last_heartbeat(directory, record), *latest(directory)
+        # damaged, or still being written on a file system without hard links
+        return files.status(_owner_file(directory, number)).st_mtime, *latest(directory)
+
+    first = sign()
+    if is_recent(first[0]):
         return True
-    heartbeat = last_heartbeat(directory, record)
-    if is_alive(record, heartbeat):
-        return True
-    if process.is_running() is False:
-        return False
     end = time.monotonic() + watch
     while time.monotonic() < end:
         time.sleep(min(0.2, watch))
-        if last_heartbeat(directory, record) != heartbeat:
+        if sign() != first:
             return True
     return False
 
@@ -243,16 +233,15 @@ def _succeeds(directory: Path, ownership: Ownership, before: dict[str, Any] | No
 def _remove_older(directory: Path, number: int) -> None:
     for older in sorted(_numbers(directory)):
         if older < number:
-            with contextlib.suppress(OSError):
-                _owner_file(directory, older).unlink()
+            files.delete(_owner_file(directory, older), ignore_errors=True)
 
 
 def _numbers(directory: Path) -> list[int]:
-    return [int(match[1]) for name in os.listdir(directory / "owner") if (match := _FILE_NAME.fullmatch(name))]
+    return list(OWNERS.in_folder(directory / "owner"))
 
 
 def _owner_file(directory: Path, number: int) -> Path:
-    return directory / "owner" / f"{number:06d}.json"
+    return directory / "owner" / OWNERS.name(number)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -4,19 +4,21 @@ A folder may come from anybody: nothing in it is executed, no link in it is foll
 beyond the size of those that a run writes.
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.config.compatibility import today, upgrade_config
-from qnerf.records import owner
-from qnerf.records.files import StoreError, one_line, read_bytes, read_json, refuse_links, reporting
-from qnerf.records.schemas import METRICS_SCHEMA
+from qnerf.config.compatibility import upgrade_config
+from qnerf.metrics import image_metrics
+from qnerf.records import owner, summary_row
+from qnerf.records.files import StoreError, folders_in, one_line, read_bytes, read_json, reporting
+from qnerf.records.numbered import PARTS
+from qnerf.records.parquet import MAX_ROWS, parse_table, reading, with_kinds
+from qnerf.records.plain_values import check_plain
+from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, plain_row
 
 STATES = ("running", "finished", "interrupted", "failed")
 RUN_MARKERS = ("summary.parquet", "status.json", "config.yaml")
@@ -24,7 +26,7 @@ RUN_MARKERS = ("summary.parquet", "status.json", "config.yaml")
 
 MAX_CONFIG_BYTES = 2**18
 MAX_TABLE_BYTES = 2**28
-MAX_TABLE_ROWS = 2**22  # per file; run-length encoding packs more rows than fit into memory into a few bytes
+MAX_VIEWS = 2**14  # rows of eval.parquet, which `qnerf show` lists
 
 
 def runs(root: str | Path) -> list[Path]:
@@ -33,7 +35,7 @@ def runs(root: str | Path) -> list[Path]:
     with reporting(root, "read"):
         if not root.is_dir():
             return []
-        return sorted(path for path in root.iterdir() if not path.name.startswith(".") and path.is_dir())
+        return [path for path in folders_in(root, root=root) if not path.name.startswith(".")]
 
 
 def read_status(run_dir: str | Path) -> dict[str, Any]:
@@ -80,6 +82,7 @@ def read_config(run_dir: str | Path) -> dict[str, Any]:
         data = read_bytes(path, MAX_CONFIG_BYTES)
     try:
         config = yaml.load(data, Loader=_Loader)
+        check_plain(config)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise StoreError(f"{path}: not readable as YAML: {one_line(error)}") from error
     if not isinstance(config, dict):
@@ -105,46 +108,64 @@ class _Loader(yaml.SafeLoader):
 def read_summary(run_dir: str | Path) -> dict[str, Any]:
     """summary.parquet as plain values. Its `state` is the one last written; `state(run_dir)` is the true one."""
     path = Path(run_dir) / "summary.parquet"
-    rows: list[dict[str, Any]] = read_table(path).to_pylist()
-    if len(rows) != 1:
-        raise StoreError(f"{path}: expected one row, got {len(rows)}")
-    return {today(name): value for name, value in rows[0].items()}
+    data = read_table_bytes(path)
+    with reading(path):
+        return plain_row(*summary_row.decode(data, path))
 
 
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:
     """Columns step, time_s, key, value, in the order of logging; StoreError names a damaged part."""
     folder = Path(run_dir) / "metrics"
-    refuse_links(folder)
     with reporting(folder, "read"):
-        names = sorted(entry.name for entry in os.scandir(folder) if entry.name.startswith("part-"))
-    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *(read_part(folder / name) for name in names)]).to_pandas()
+        parts = PARTS.in_folder(folder).values()
+    return pa.concat_tables([METRICS_SCHEMA.empty_table(), *map(read_part, parts)]).to_pandas()
 
 
 def read_part(path: Path) -> pa.Table:
-    """One file of metrics/, with the columns and types of `schemas.METRICS_SCHEMA`."""
+    """One file of metrics/, with the columns and types of `schemas.METRICS_SCHEMA` and a value in every cell."""
     table = read_table(path)
     if table.schema.names != METRICS_SCHEMA.names:
         raise StoreError(f"{path}: expected columns {METRICS_SCHEMA.names}, got {table.schema.names}")
-    try:
-        return table.cast(METRICS_SCHEMA)
-    except pa.ArrowException as error:
-        raise StoreError(f"{path}: damaged: {one_line(error)}") from error
+    table = with_kinds(table, METRICS_KINDS, path).cast(METRICS_SCHEMA)
+    if any(column.null_count for column in table.columns):
+        raise StoreError(f"{path}: damaged: has rows without a step, time, key or value")
+    return table
 
 
-def read_table_bytes(path: Path) -> bytes:
-    """A Parquet file as it is; StoreError if it is absent or too large."""
+def read_evaluation(run_dir: str | Path) -> pd.DataFrame:
+    """eval.parquet, one row per held-out image: `image`, `step`, and metrics as numbers.
+
+    Raises:
+        StoreError: the file is absent or damaged, or a metric is no number.
+    """
+    return read_probe(run_dir, "eval")
+
+
+def read_probe(run_dir: str | Path, name: str) -> pd.DataFrame:
+    """The table `<name>.parquet` that `qnerf probe` left in a run's folder, see `schemas.TABLES`.
+
+    Raises:
+        StoreError: the file is absent or damaged, or lacks one of the columns.
+    """
+    path = Path(run_dir) / f"{name}.parquet"
+    return checked_table(read_table(path, max_rows=MAX_VIEWS if name == "eval" else MAX_ROWS), name, path).to_pandas()
+
+
+def checked_table(table: pa.Table, name: str, label: object) -> pa.Table:
+    """The table with the columns of `schemas.TABLES[name]`, and image metrics as numbers; StoreError if it differs."""
+    metrics = {item.key: "float" for item in image_metrics() if item.key in table.schema.names}
+    return with_kinds(table, metrics | TABLES[name], label)
+
+
+def read_table_bytes(path: Path, *, root: Path | None = None) -> bytes:
+    """A Parquet file as it is; StoreError if it is absent or too large. root: as in `files`."""
     with reporting(path, "read"):
-        return read_bytes(path, MAX_TABLE_BYTES)
+        return read_bytes(path, MAX_TABLE_BYTES, root=root)
 
 
-def read_table(path: Path) -> pa.Table:
-    """A Parquet file in memory; StoreError if it is absent or damaged."""
-    data = read_table_bytes(path)
-    try:
-        # Not pq.read_table: if its threads still hold Python's buffer when the interpreter ends, the process aborts.
-        file = pq.ParquetFile(pa.BufferReader(data))
-        if file.metadata.num_rows > MAX_TABLE_ROWS:
-            raise StoreError(f"{path}: has {file.metadata.num_rows:,} rows; expected at most {MAX_TABLE_ROWS:,}")
-        return file.read(use_threads=False)
-    except (pa.ArrowException, OSError) as error:
-        raise StoreError(f"{path}: damaged: {one_line(error)}") from error
+def read_table(path: Path, *, max_rows: int = MAX_ROWS, root: Path | None = None) -> pa.Table:
+    """A Parquet file in memory; StoreError if it is absent or damaged, or would unpack to more than a run writes.
+
+    root: as in `files`.
+    """
+    return parse_table(read_table_bytes(path, root=root), path, max_rows=max_rows)

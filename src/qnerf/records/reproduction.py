@@ -12,7 +12,7 @@ import pandas as pd
 from qnerf.records import StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import MAX_FILE_BYTES, differences, environment_files
 from qnerf.records.files import read_bytes, read_json
-from qnerf.records.read import read_table
+from qnerf.records.read import read_evaluation
 from qnerf.records.schemas import results
 
 CLOCKS = ("time/", "time.", "eval/eval_s", "eval_s", "train_s", "step_ms", "peak_memory_mb")
@@ -56,7 +56,8 @@ def environments(run: Path) -> list[dict[str, Any]]:
             break
         environment = read_json(path)
         text = read_bytes(patch, MAX_FILE_BYTES).decode(errors="replace") if patch.exists() else ""
-        result.append(environment | {"git": {**environment.get("git", {}), "diff": text}})
+        git = environment.get("git")
+        result.append(environment | {"git": {**(git if isinstance(git, dict) else {}), "diff": text}})
     return result
 
 
@@ -81,7 +82,7 @@ def _metrics(run: Path) -> pd.DataFrame:
 
 
 def _evaluation(run: Path) -> pd.DataFrame:
-    rows = read_table(run / "eval.parquet").to_pandas()
+    rows = read_evaluation(run)
     numbers = rows.set_index("image").select_dtypes("number").drop(columns="step")
     return numbers.melt(ignore_index=False, var_name="name").rename_axis("position").reset_index()
 

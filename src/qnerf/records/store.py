@@ -3,9 +3,7 @@
 import contextlib
 import errno
 import json
-import os
 import re
-import secrets
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,23 +14,31 @@ import yaml  # type: ignore[import-untyped]
 
 from qnerf.config.identity import identity, plain
 from qnerf.records import live_parquet, owner, schemas, summary_row
+from qnerf.records.deletion import delete_leftovers, discard, is_run, require_run, temporary_folder
 from qnerf.records.files import (
     MAX_JSON_BYTES,
+    SUBFOLDERS,
+    TRASH,
     StoreError,
     delete,
+    entries_in,
+    exists,
+    make_folder,
     read_bytes,
     refuse_links,
     remove_temporary_files,
+    rename,
     replace,
     reporting,
     temporary_path,
 )
+from qnerf.records.location import store_folder
+from qnerf.records.numbered import PARTS
 from qnerf.records.owner import OwnerInfo, Ownership
-from qnerf.records.read import read_config, read_status, read_table, runs
+from qnerf.records.read import read_config, read_evaluation, read_status, read_summary, runs
 from qnerf.records.writer import EMPTY_PART, FORMAT, Run, running_status
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
-_ABANDONED_S = 3600.0  # nobody takes so long to make a new run's folder
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ class RunStore:
     def __init__(
         self, root: str | Path, *, every: float = owner.HEARTBEAT_INTERVAL, watch: float = owner.WATCH_TIME
     ) -> None:
-        self.root = Path(root)
+        self.root = store_folder(root)
         self.every = every
         self.watch = watch
 
@@ -93,15 +99,20 @@ class RunStore:
         if not force and read_status(directory).get("state") == "finished":
             return _finished(directory)
         with reporting(self.root):
-            (self.root / ".tmp").mkdir(parents=True, exist_ok=True)
-        self._delete_leftovers(run_id)
+            self.root.mkdir(parents=True, exist_ok=True)
+            make_folder(self.root / TRASH, root=self.root)
+        delete_leftovers(self.root, run_id)
         for _ in range(1000):
-            refuse_links(directory, *(directory / name for name in ("owner", "metrics", "images")))
-            if _is_vacant(directory):
+            refuse_links(directory, root=self.root)
+            refuse_links(*(directory / name for name in sorted(SUBFOLDERS)))
+            if self._is_vacant(directory):
                 published = self._publish(self._make_folder(content, 0), directory)
                 if published is None:
                     continue
                 return Claim("new", directory, f"{directory}: new run", self._open(published, resumed=False))
+            if not is_run(directory) and self._is_vacant(directory):
+                continue
+            require_run(directory)
             holder = owner.acquire(directory, self.watch)
             if holder is None:
                 continue
@@ -119,11 +130,15 @@ class RunStore:
                     return Claim("new", directory, f"{directory}: done over", self._open(published, resumed=False))
                 _refuse_newer_format(directory)
                 remove_temporary_files(directory)
+                without_rows = _has_begun(directory) and not _has_metrics(directory)
                 content.complete(directory)
-            onward = "from its checkpoint" if any(directory.glob("checkpoint*.pt")) else "from the start"
+            onward = "from its checkpoint" if _has_checkpoint(directory) else "from the start"
             stored = before if before == "failed" else "interrupted"
             message = f"{directory}: was {stored}, going on {onward}"
-            return Claim("resumed", directory, message, self._open(holder, resumed=True))
+            run = self._open(holder, resumed=True)
+            if without_rows:
+                run.warn(f"{directory / 'metrics'}: missing or empty; the rows logged before are lost")
+            return Claim("resumed", directory, message, run)
         raise StoreError(f"{directory}: cannot claim the run: its folder comes and goes all the time")
 
     def _open(self, ownership: Ownership, *, resumed: bool) -> Run:
@@ -132,10 +147,12 @@ class RunStore:
 
     def _make_folder(self, content: "_InitialContent", number: int) -> Ownership:
         """A complete folder of a run, still under a temporary name."""
-        folder = self._temporary_folder("new", content.run_id)
+        with reporting(self.root / content.run_id):
+            folder = temporary_folder(self.root, "new", content.run_id)
+            make_folder(folder)
         try:
             with reporting(self.root / content.run_id):
-                (folder / "owner").mkdir(parents=True)
+                make_folder(folder / "owner")
                 ownership = owner.create(folder, number)
             assert ownership is not None
             content.complete(folder)
@@ -149,7 +166,7 @@ class RunStore:
         """Renames a complete folder to its final name; None if another process was faster."""
         with reporting(directory, "create the run's folder"):
             try:
-                os.rename(made.directory, directory)
+                rename(made.directory, directory, root=self.root)
             except OSError as error:
                 delete(made.directory, ignore_errors=True)
                 if error.errno in (errno.EEXIST, errno.ENOTEMPTY):
@@ -162,28 +179,24 @@ class RunStore:
         new = self._make_folder(content, current.number)
         with contextlib.suppress(StoreError, OSError):  # tags and note are the user's, they are no results
             annotations = read_bytes(current.directory / "annotations.json", MAX_JSON_BYTES)
-            (new.directory / "annotations.json").write_bytes(annotations)
-        old = self._temporary_folder("old", content.run_id)
+            replace(new.directory / "annotations.json", annotations)
         try:
             with reporting(current.directory, "be done over"):
-                os.rename(current.directory, old)
+                old = temporary_folder(self.root, "old", content.run_id)
+                rename(current.directory, old, root=self.root)
         except StoreError:
             delete(new.directory, ignore_errors=True)
             raise
         try:
             return self._publish(new, current.directory)
         finally:
-            delete(old, ignore_errors=True)
+            discard(old, ignore_errors=True)
 
-    def _temporary_folder(self, kind: str, run_id: str) -> Path:
-        return self.root / ".tmp" / f"{kind}-{run_id}-{secrets.token_hex(4)}"
-
-    def _delete_leftovers(self, run_id: str) -> None:
-        """Deletes what killed processes left of this run: replaced content, and new folders that were not published."""
-        for path in (self.root / ".tmp").glob(f"*-{run_id}-*"):
-            with contextlib.suppress(OSError):
-                if path.name.startswith("old-") or abs(time.time() - path.stat().st_mtime) > _ABANDONED_S:
-                    delete(path, ignore_errors=True)
+    def _is_vacant(self, directory: Path) -> bool:
+        try:
+            return not entries_in(directory, root=self.root)
+        except (FileNotFoundError, NotADirectoryError):
+            return True
 
 
 @contextlib.contextmanager
@@ -196,11 +209,19 @@ def _released_on_error(ownership: Ownership) -> Iterator[None]:
         raise
 
 
-def _is_vacant(directory: Path) -> bool:
+def _has_checkpoint(directory: Path) -> bool:
+    return any(exists(directory / name) for name in ("checkpoint.pt", "checkpoint.prev.pt"))
+
+
+def _has_begun(directory: Path) -> bool:
+    return _has_checkpoint(directory) or bool(read_status(directory).get("step"))
+
+
+def _has_metrics(directory: Path) -> bool:
     try:
-        return not any(directory.iterdir())
-    except (FileNotFoundError, NotADirectoryError):
-        return True
+        return bool(PARTS.in_folder(directory / "metrics"))
+    except FileNotFoundError:
+        return False
 
 
 def _refuse_newer_format(directory: Path) -> None:
@@ -232,21 +253,23 @@ class _InitialContent:
             replace(folder / name, data, durable=False)
 
         with reporting(folder):
-            (folder / "images").mkdir(exist_ok=True)
+            make_folder(folder / "images")
             if not _is_readable(read_config, folder):
                 write("config.yaml", to_yaml(self.config).encode())
-            if not (folder / "overrides.txt").exists():
+            if not exists(folder / "overrides.txt"):
                 write("overrides.txt", "".join(f"{line}\n" for line in self.overrides).encode())
-            if not _is_readable(read_table, folder / "eval.parquet"):
+            if not _is_readable(read_evaluation, folder):
                 write("eval.parquet", live_parquet.encode(schemas.evaluation([], 0)))
-            if not _is_readable(read_table, folder / "summary.parquet"):
+            if not _is_readable(read_summary, folder):
                 row = self.columns | {"run_id": self.run_id, "state": "running"}
                 write("summary.parquet", summary_row.encode(schemas.summary(row, self.config)))
-            if not (folder / "metrics").is_dir():
+            if not exists(folder / "metrics"):
                 temporary = temporary_path(folder / "metrics")
-                temporary.mkdir()
-                (temporary / "part-00000.parquet").write_bytes(EMPTY_PART)
-                os.rename(temporary, folder / "metrics")
+                make_folder(temporary)
+                replace(temporary / PARTS.name(0), EMPTY_PART, durable=False)
+                rename(temporary, folder / "metrics")
+            elif not _has_metrics(folder):
+                replace(folder / "metrics" / PARTS.name(0), EMPTY_PART, temporary_folder=folder, durable=False)
 
     def write_status(self, folder: Path, ownership: Ownership) -> None:
         now = time.time()

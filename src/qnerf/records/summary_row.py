@@ -11,9 +11,10 @@ import zlib
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from qnerf.records.files import StoreError
 from qnerf.records.live_parquet import footer_start, write
+from qnerf.records.parquet import open_table, read_columns
 
 _MARKER = b'["qnerf.row", "'
 _DECODER = json.JSONDecoder()
@@ -33,19 +34,21 @@ def encode(table: pa.Table, before: bytes = b"", after: bytes = b"") -> bytes:
     return bytes(data)
 
 
-def decode(data: bytes) -> tuple[list[str], list[str], list[Any]]:
+def decode(data: bytes, label: object = "summary.parquet") -> tuple[list[str], list[str], list[Any]]:
     """Names, Arrow types and values of the columns of the one row.
 
+    label: the path or URL for error messages.
+
     Raises:
-        ValueError: damaged, or not one row. pyarrow's own errors are ValueErrors or OSErrors.
+        StoreError: damaged, or not one row.
     """
     repeated = _repeated_row(data)
     if repeated is not None:
         return repeated
-    file = pq.ParquetFile(pa.BufferReader(data))
+    file = open_table(data, label)
     if file.metadata.num_rows != 1:
-        raise ValueError(f"expected one row, got {file.metadata.num_rows:,}")
-    table = file.read(use_threads=False)
+        raise StoreError(f"{label}: expected one row, got {file.metadata.num_rows:,}")
+    table = read_columns(file, label)
     values = [column[0].as_py() for column in table.columns]
     return table.schema.names, [str(kind) for kind in table.schema.types], values
 

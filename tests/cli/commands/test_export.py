@@ -8,6 +8,7 @@ import pytest
 
 from qnerf.export import content, to_csv
 from qnerf.records import annotations, read_metrics, read_status
+from qnerf.records.spreadsheets import without_formula
 
 
 @pytest.fixture
@@ -60,7 +61,7 @@ def test_csv_tells_values_that_are_no_number_from_absent_ones():
     [("=1+1", "'=1+1"), ("@x", "'@x"), ("-x", "'-x"), ("-1e3", "-1e3"), ("+5", "+5"), ("text", "text"), (-3, -3)],
 )
 def test_csv_has_no_formulas(value, cell):
-    assert to_csv.without_formula(value) == cell
+    assert without_formula(value) == cell
 
 
 def test_csv_again_replaces_and_leaves_other_files(run, qnerf, tmp_path):

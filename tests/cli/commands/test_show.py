@@ -57,7 +57,7 @@ def test_what_is_damaged_is_told_and_the_rest_is_shown(store, qnerf):
     for part in ("summary.parquet: damaged", "annotations.json: ", "environment.json: damaged", "view0.png  20.00"):
         assert part in done.out, part
     (run / "status.json").unlink()
-    assert "status.json: missing or damaged" in qnerf("show", "eeee").out
+    assert "status.json: cannot read: No such file" in qnerf("show", "eeee").out
 
 
 def test_no_line_is_wider_than_the_terminal(store, qnerf, terminal):

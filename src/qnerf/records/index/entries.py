@@ -7,11 +7,13 @@ from typing import Any
 
 from qnerf.config.compatibility import today
 from qnerf.records import summary_row
-from qnerf.records.files import one_line, parse_json
+from qnerf.records.files import StoreError, parse_json
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
-from qnerf.records.index.ragged_rows import KIND_OF_TYPE, RaggedRow, RaggedTable, RowShape
+from qnerf.records.index.ragged_rows import RaggedRow, RaggedTable, RowShape
 from qnerf.records.owner import unix_time
+from qnerf.records.parquet import reading
 from qnerf.records.read import STATES
+from qnerf.records.schemas import check_status, summary_kinds
 
 DAMAGED = ".damaged"
 """The one value in the entry of a file that cannot be read: the reason."""
@@ -28,11 +30,12 @@ def unreadable(run: str, stamp: str, reason: str) -> RaggedRow:
 
 
 def parse(file: str, run: str, stamp: str, data: bytes) -> RaggedRow:
-    """The entry of one file: `unreadable` for a damaged summary, empty for a damaged status or annotations."""
+    """The entry of one file: `unreadable` for a damaged summary or status, empty for damaged annotations."""
     try:
-        shape, values = _PARSERS[file](data)
-    except (ValueError, TypeError, OSError) as error:  # pyarrow's errors are these too
-        return unreadable(run, stamp, f"{file} is damaged: {one_line(error)}")
+        with reading(file):
+            shape, values = _PARSERS[file](data)
+    except StoreError as error:
+        return unreadable(run, stamp, str(error))
     return RaggedRow(run, stamp, shape, values)
 
 
@@ -48,7 +51,7 @@ def _checked(entry: RaggedRow) -> RaggedRow:
     try:
         RaggedTable.of([entry])
     except (ValueError, TypeError, OverflowError):
-        reason = f"{SUMMARY} is damaged: it has values that are not of their column's type"
+        reason = f"{SUMMARY}: damaged: it has values that are not of their column's type"
         return unreadable(entry.key, entry.stamp, reason)
     return entry
 
@@ -57,29 +60,22 @@ def _parse_summary(data: bytes) -> tuple[RowShape, Sequence[Any]]:
     names, types, values = summary_row.decode(data)
     if not len(names) == len(types) == len(values):
         raise ValueError("columns, types and values differ in number")
-    shape = _shape(tuple(names), tuple(types))
-    if not all(kind in KIND_OF_TYPE for kind in types):
-        values = [
-            _text(str(value)) if kind == "text" and value is not None else value
-            for kind, value in zip(shape.kinds, values, strict=True)
-        ]
-    return shape, values
+    return _shape(tuple(names), tuple(types)), values
 
 
 @lru_cache(maxsize=4096)
 def _shape(names: tuple[str, ...], types: tuple[str, ...]) -> RowShape:
-    """One object for all runs with the same columns. Types that a run does not write are shown as text."""
-    if not all(isinstance(name, str) for name in names):
-        raise ValueError("names of columns must be text")
-    return RowShape(tuple(map(today, names)), tuple(KIND_OF_TYPE.get(kind, "text") for kind in types))
+    """One object for all runs with the same columns."""
+    return RowShape(tuple(map(today, names)), summary_kinds(names, types))
 
 
 def _parse_status(data: bytes) -> tuple[RowShape, Sequence[Any]]:
-    record = _object(data)
+    record = parse_json(data)
+    check_status(record)
     state, step = record.get("state"), record.get("step")
     return _STATUS_SHAPE, (
         state if state in STATES else None,
-        int(step) if isinstance(step, int) and abs(step) < 2**63 else None,
+        step,
         unix_time(record.get("created")),
         unix_time(record.get("heartbeat")),
         _text(record.get("error")),

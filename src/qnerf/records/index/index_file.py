@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from qnerf.records.files import StoreError, read_bytes, remove_temporary_files, replace
 from qnerf.records.index.ragged_rows import HEAD_SCHEMA, KEY, STAMP, RaggedTable, RowShape, column_names
 
-FORMAT = 2
+FORMAT = 3
 """Of the file and of its entries. A file in another format is ignored and replaced."""
 
 _METADATA = b"qnerf.index"

@@ -13,15 +13,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-KINDS = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string(), "none": pa.null()}
-KIND_OF_TYPE = {
-    **dict.fromkeys(("int64", "int32", "int16", "int8", "uint32", "uint16", "uint8"), "int"),
-    **dict.fromkeys(("double", "float", "halffloat"), "float"),
-    **dict.fromkeys(("string", "large_string"), "text"),
-    "bool": "bool",
-    "null": "none",
-}
-"""Name of an Arrow type -> the kind that holds its values."""
+from qnerf.records.parquet import KINDS
 
 KEY, STAMP, SHAPE = "key", "stamp", "shape"
 HEAD_SCHEMA = pa.schema([(KEY, pa.string()), (STAMP, pa.string()), (SHAPE, pa.int32())])

@@ -6,7 +6,6 @@ heartbeat is older than `HEARTBEAT_LIMIT`.
 """
 
 import contextlib
-import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
@@ -18,6 +17,7 @@ import pandas as pd
 
 from qnerf.records.files import StoreError, one_line
 from qnerf.records.index.locations import MAX_BYTES, UNSETTLED, Stamps, cached_index, settled_before
+from qnerf.records.numbered import PARTS
 from qnerf.records.owner import is_recent, unix_time
 from qnerf.records.read import RUN_MARKERS, read_metrics
 
@@ -25,7 +25,6 @@ BATCH = 500  # files that are fetched at once
 _EXTRAS = {"s3": "s3", "s3a": "s3"}  # protocol -> the extra of this package that reads it
 _TAGS = ("ETag", "etag", "md5Hash", "content_md5", "checksum", "generation")
 _TIMES = ("LastModified", "last_modified", "mtime", "modified", "updated", "created")
-_PART = re.compile(r"metrics/part-\d+\.parquet")
 
 
 class UrlLocation:
@@ -64,7 +63,7 @@ class UrlLocation:
 
     def metrics(self) -> pd.DataFrame:
         """As `read_metrics`, for the run at the URL."""
-        names = [path for path in self._find("metrics") if _PART.fullmatch(path)]
+        names = [path for path in self._find("metrics") if PARTS.number(path.removeprefix("metrics/")) is not None]
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "metrics").mkdir()
             for name, data in zip(names, self._contents(names), strict=True):
@@ -85,6 +84,9 @@ class UrlLocation:
                 files = self._file_system.find(f"{self._root}/{folder}" if folder else self._root, detail=True)
             except FileNotFoundError:
                 return {}
+            if not files and not folder:  # find() takes a server that does not answer for an empty folder
+                with contextlib.suppress(FileNotFoundError):
+                    self._file_system.ls(self._root)
         start = len(self._root.rstrip("/")) + 1
         return {path[start:]: information for path, information in files.items()}
 

@@ -31,6 +31,7 @@ from qnerf.records.index import entries
 from qnerf.records.index.index_file import StoredIndex, save
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY, UNSETTLED, FolderLocation, Location, Stamps
 from qnerf.records.index.ragged_rows import RaggedRow, RaggedTable
+from qnerf.records.location import existing_store, url_protocol
 
 Progress = Callable[[str, int, int], None]
 """Called with a file's name, how many of them were read, and how many there are to read."""
@@ -45,8 +46,8 @@ def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: P
     """One row per run, sorted by `run_id`. The columns are those of summary.parquet (results, parameter counts,
     timings, the flat configuration) and:
 
-    state: running | finished | interrupted | failed, or damaged if summary.parquet cannot be read.
-    error: why the run failed, or what is wrong with its summary. path: the run's folder or URL. step: the last one
+    state: running | finished | interrupted | failed, or damaged if summary.parquet or status.json cannot be read.
+    error: why the run failed, or what is damaged. path: the run's folder or URL. step: the last one
     logged. created, heartbeat: Unix times. tags: a tuple. note: text.
 
     A column with numbers in some runs and text in others is text.
@@ -77,9 +78,8 @@ def columns(store: str | Path) -> list[str]:
 
 def locate(store: str | Path) -> Location:
     """The location of a store or a run: a folder, a file:// URL, or another URL. ValueError if it cannot be read."""
-    protocol, separator, rest = str(store).partition("://")
-    if not separator or protocol == "file":
-        return FolderLocation(rest if separator else store)
+    if url_protocol(store) is None:
+        return FolderLocation(existing_store(store))
     from qnerf.records.index.remote import UrlLocation  # importing fsspec takes longer than listing a small store
 
     return UrlLocation(str(store))
@@ -140,12 +140,13 @@ def _frame(
     columns: Sequence[str] | None,
 ) -> pd.DataFrame:
     """The three tables have one row for each of `runs`, in this order."""
-    damage = summary.values(entries.DAMAGED)
+    reasons = zip(summary.values(entries.DAMAGED), status.values(entries.DAMAGED), strict=True)
+    damage = [next(filter(None, each), None) for each in reasons]
     errors = zip(damage, status.values("error"), summary.values("error"), strict=True)
     run_columns = {
         "run_id": pa.array(runs, pa.string()),
         "state": pa.array(_states(location, runs, damage, status), pa.string()),
-        "error": pa.array([next(filter(None, reasons), None) for reasons in errors], pa.string()),
+        "error": pa.array([next(filter(None, each), None) for each in errors], pa.string()),
         "path": pa.array([location.path(run) for run in runs], pa.string()),
         "step": pa.array(status.values("step"), pa.int64()),
         "created": pa.array(status.values("created"), pa.float64()),
