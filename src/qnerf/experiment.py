@@ -255,8 +255,9 @@ def run(
 
     name = name or id_of(config, scene)
     config = dict(config) | {"needs": resolved["needs"]}
-    columns = labels(resolved) | parameter_counts(model) | {"scene.fingerprint": scene.fingerprint, "steps": 0}
-    columns["scene.older_fingerprint"] = scene.older_fingerprint  # connects this run with older ones of the scene
+    # The older fingerprint connects this run with older runs of the scene.
+    fingerprints = {"scene.fingerprint": scene.fingerprint, "scene.older_fingerprint": scene.older_fingerprint}
+    columns = labels(resolved) | parameter_counts(model) | fingerprints | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
