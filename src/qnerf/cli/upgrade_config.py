@@ -104,7 +104,7 @@ def check_identity(run: Path, scene: "Scene") -> None:
     known = read_status(run).get("config")
     path = config.get("scene", {}).get("path")
     edited = f"{run / 'config.yaml'} is not the configuration that the run was started with"
-    moved = f"scene.path={path}: the scene's contents are not those that the run was started with"
+    moved = f"scene.path={path}: the scene's contents are not those that the run was started with (docs/runs.md)"
     if known is None:
         raise StoreError(f"{run}: either {edited}, or {moved}")
     raise StoreError(f"{run}: {moved if known == identity(config) else edited}")

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from qnerf.config import memory
 from qnerf.scenes.base import MIN_VIEWS, Cameras, Scene, digest
 from qnerf.scenes.images import FileId, check_downscale, common_size, file_id, find_image, open_header, read_images
 from qnerf.scenes.lens import invertible
@@ -28,6 +29,8 @@ DISTORTION = ("k1", "k2", "p1", "p2")
 FOCAL_RANGE = (1e-3, 1e6)  # focal lengths, in longer sides of the image
 MAX_OFFSET = 1e3  # of the principal point from the image's corner, in longer sides of the image
 MAX_JSON_BYTES = 2**28
+JSON_FACTOR = 8  # memory for a byte of a JSON file
+READING_BYTES = 2**27  # for linear algebra: OpenBLAS ends the process if it gets no memory
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,13 @@ def find_transforms(path: str | Path, name: str, other: tuple[str, str]) -> Path
 def read_json(file: Path) -> dict[str, Any]:
     """The file's JSON object. ValueError unless it has a non-empty list `frames`."""
     try:
-        if file.stat().st_size > MAX_JSON_BYTES:
+        size = file.stat().st_size
+        if size <= MAX_JSON_BYTES:
+            memory.require(f"{file}: reading it", READING_BYTES + JSON_FACTOR * size)
+    except OSError as error:
+        raise ValueError(f"{file} cannot be read: {error.strerror}") from error
+    try:
+        if size > MAX_JSON_BYTES:
             raise ValueError("more than 256 MiB")
         content = json.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
