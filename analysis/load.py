@@ -40,6 +40,7 @@ def runs(
         if "scene.fingerprint" in frame:  # older runs have none: assume the scene of the same name
             known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
+            _rename_older_fingerprints(frame)
     _fill_added(frame)
     return frame if filter is None else filters.require(frame, filter)
 
@@ -78,6 +79,14 @@ def _fill_added(frame: pd.DataFrame) -> None:
             value = frame.get(usual.option + name[len(option) :]) if isinstance(usual, Same) else values.get(name)
             if value is not None:
                 frame[name] = frame[name].where(frame[name].notna(), value)
+
+
+def _rename_older_fingerprints(frame: pd.DataFrame) -> None:
+    """Gives older runs today's fingerprint of their scene if a newer run has recorded both."""
+    if "scene.older_fingerprint" in frame:
+        pairs = frame[["scene.older_fingerprint", "scene.fingerprint"]].dropna()
+        frame["scene.fingerprint"] = frame["scene.fingerprint"].replace(dict(pairs.itertuples(index=False, name=None)))
+        del frame["scene.older_fingerprint"]
 
 
 def _scene_names(frame: pd.DataFrame) -> pd.Series:

@@ -51,6 +51,8 @@ SLOW = (
     "records/test_index.py::test_a_store_that_changes",
     "records/test_live_parquet.py",
     "records/test_live_readers.py",
+    "scenes/test_fingerprint.py",
+    "scenes/test_memory.py",
     "slurm/",
     "test_documents.py::test_a_command",
     "test_experiment.py",

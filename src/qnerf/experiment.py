@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -99,10 +100,16 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
 def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     """The stored `auto` decisions of this configuration's run; empty if there is no run yet."""
     try:
-        stored = read_config(Path(config["store"]) / run_id(slug(config), config, scene.fingerprint))
+        stored = read_config(Path(config["store"]) / id_of(config, scene))
     except StoreError:
         return {}
     return dict(stored.get("needs") or {})
+
+
+def id_of(config: Mapping[str, Any], scene: Scene) -> str:
+    """The id of the configuration's run; if the store has only a run under the scene's older fingerprint, its id."""
+    ids = [run_id(slug(config), config, fingerprint) for fingerprint in scene.fingerprints]
+    return next((name for name in ids if os.path.isdir(os.path.join(config["store"], name))), ids[0])
 
 
 def build_scene(settings: Settings) -> Scene:
@@ -257,9 +264,11 @@ def run(
         torch.set_num_threads(settings.threads)
     model = build_model(settings, scene)
 
-    name = name or run_id(slug(config), config, scene.fingerprint)
+    name = name or id_of(config, scene)
     config = dict(config) | {"needs": resolved["needs"]}
-    columns = labels(resolved) | parameter_counts(model) | {"scene.fingerprint": scene.fingerprint, "steps": 0}
+    # The older fingerprint connects this run with older runs of the scene.
+    fingerprints = {"scene.fingerprint": scene.fingerprint, "scene.older_fingerprint": scene.older_fingerprint}
+    columns = labels(resolved) | parameter_counts(model) | fingerprints | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)

@@ -76,7 +76,7 @@ def test_what_is_no_file(scene: tuple[Path, Path, Build], name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "value", [float("nan"), float("inf"), -float("inf"), 1e300, -1, 0, 10**400, "8", [8], {"a": 8}, True]
+    "value", [float("nan"), float("inf"), -float("inf"), 1e300, 1e-300, 1e-4, -1, 0, 10**400, "8", [8], {"a": 8}, True]
 )
 @pytest.mark.parametrize("key", ["fl_x", "fl_y", "w", "h"])
 def test_sizes_and_focal_lengths(scene: tuple[Path, Path, Build], key: str, value: Any) -> None:
@@ -103,14 +103,62 @@ def test_the_lens(scene: tuple[Path, Path, Build], key: str, value: Any) -> None
         [["__import__('os').system('true')"] * 4] * 4,
         {"a": 1},
         [[None] * 4] * 4,
+        [["1.0", 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+        [[1, 0, 0, 0], [0, True, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, False, 1]],
+        [[1, 0, 0, [0]], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+        [[1, 0, 0, 0, 0], [0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
         np.zeros((300, 300)).tolist(),
     ],
-    ids=["nan", "large", "larger", "empty", "text", "object", "null", "shape"],
+    ids=[
+        "nan",
+        "large",
+        "larger",
+        "empty",
+        "text",
+        "object",
+        "null",
+        "number as text",
+        "true",
+        "false",
+        "list",
+        "ragged",
+        "shape",
+    ],
 )
 def test_poses(scene: tuple[Path, Path, Build], matrix: Any) -> None:
     _, file, build = scene
     change(file, lambda content: content["frames"][1].update(transform_matrix=matrix))
     refused(build, "'images/001.png'")
+
+
+@pytest.mark.parametrize("value", [1e-300, 1e-9, 3.14159265358979])
+def test_angles_of_view_that_no_lens_has(scene: tuple[Path, Path, Build], value: float) -> None:
+    _, file, build = scene
+    change(file, lambda content: content["frames"][1].update(camera_angle_x=value))
+    refused(build, "'images/001.png'", "camera_angle_x", "focal length")
+
+
+@pytest.mark.parametrize("way", ["suffix", "link", "hard link", "folder"])
+def test_one_image_under_two_names(scene: tuple[Path, Path, Build], way: str) -> None:
+    folder, file, build = scene
+    other = {"suffix": "images/000", "folder": "also/000.png"}.get(way, "other.png")
+    if way == "link":
+        (folder / other).symlink_to(Path("images", "000.png"))
+    elif way == "hard link":
+        os.link(folder / "images" / "000.png", folder / other)
+    elif way == "folder":
+        (folder / "also").symlink_to("images")
+    change(file, lambda content: content["frames"][2].update(file_path=other))
+    refused(build, str(file), "one image file twice", "'images/000.png'", repr(other))
+
+
+@pytest.mark.parametrize("name", ["images/000", "other.png"])
+def test_one_image_in_two_splits(tmp_path: Path, name: str) -> None:
+    folder = blender_folder(tmp_path / "scene")
+    (folder / "other.png").symlink_to(Path("images", "000.png"))
+    change(folder / "transforms_test.json", lambda content: content["frames"][1].update(file_path=name))
+    refused(lambda: SCENES.build("blender", path=str(folder)), "training and in the evaluation split")
 
 
 @pytest.mark.parametrize(

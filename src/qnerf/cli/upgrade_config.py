@@ -23,6 +23,7 @@ from qnerf.records import StoreError, read_config, read_status
 
 if TYPE_CHECKING:
     from qnerf.experiment import Outcome
+    from qnerf.scenes import Scene
 
 CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.finite_checks", "scene.path")
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
@@ -85,7 +86,7 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
     from qnerf.cli.display import LiveDisplay
     from qnerf.training.trainer import Diverged
 
-    check_identity(run, experiment.prepare(config)[2].fingerprint)
+    check_identity(run, experiment.prepare(config)[2])
     display = LiveDisplay(console(), live=config["run"]["progress"])
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
@@ -95,15 +96,15 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
         raise ValueError(str(error)) from error
 
 
-def check_identity(run: Path, fingerprint: str) -> None:
+def check_identity(run: Path, scene: "Scene") -> None:
     """ValueError if the stored configuration or the scene's contents have changed since the run was started."""
     config = read_config(run)
-    if run.name.endswith(f"-{identity(config, fingerprint)}"):
+    if any(run.name.endswith(f"-{identity(config, fingerprint)}") for fingerprint in scene.fingerprints):
         return
     known = read_status(run).get("config")
     path = config.get("scene", {}).get("path")
     edited = f"{run / 'config.yaml'} is not the configuration that the run was started with"
-    moved = f"scene.path={path}: the scene's contents are not those that the run was started with"
+    moved = f"scene.path={path}: the scene's contents are not those that the run was started with (docs/runs.md)"
     if known is None:
         raise StoreError(f"{run}: either {edited}, or {moved}")
     raise StoreError(f"{run}: {moved if known == identity(config) else edited}")

@@ -7,12 +7,14 @@ training step only rotates it by the pose, refined or not, and does not undo len
 import torch
 from torch import Tensor
 
+from qnerf.config import memory
 from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import distort, undistort
 from qnerf.types import Rays
 
 MAX_TABLE_SIZE = 2**24  # directions in memory; beyond that, they are computed for each batch
+PART = 2**18  # directions computed at a time
 
 
 def camera_directions(cameras: Cameras, views: Tensor, pixels: Tensor) -> Tensor:
@@ -120,8 +122,20 @@ class RayTable:
         self.lens, self.lenses = self.lens.to(self.device), lenses.to(self.device)
         self.table: Tensor | None = None  # (lenses * H * W, 3)
         if len(lenses) * self.pixels <= MAX_TABLE_SIZE:
-            centres = self._centres(torch.arange(self.pixels, device=self.device))
-            self.table = torch.cat([_directions(lens, centres).to(dtype) for lens in self.lenses])
+            self.table = self._directions_of_all_pixels(scene.name)
+
+    def _directions_of_all_pixels(self, scene: str) -> Tensor:
+        """(lenses * H * W, 3), lens by lens, computed in parts so that intermediate values stay small."""
+        size = len(self.lenses) * self.pixels
+        if self.device.type == "cpu":
+            memory.require(f"scene {scene}: the table of {size:,} rays", 3 * self.dtype.itemsize * size)
+        table = torch.empty(size, 3, device=self.device, dtype=self.dtype)
+        for lens, rows in zip(self.lenses, table.split(self.pixels), strict=True):
+            for first in range(0, self.pixels, PART):
+                part = rows[first : first + PART]
+                numbers = torch.arange(first, first + len(part), device=self.device)
+                part.copy_(_directions(lens, self._centres(numbers)))
+        return table
 
     def _centres(self, pixels: Tensor) -> Tensor:
         """Row-major pixel numbers (R,) -> centres (R, 2), float64."""
@@ -159,9 +173,9 @@ class RayTable:
         """Rays and colours of at most `rays` of the held-out training pixels, evenly spread."""
         stride = self.validation_stride
         assert stride, "no pixels are held out"
-        held_out = torch.arange(stride - 1, len(self.train) * self.pixels, stride)
-        index = torch.linspace(0, len(held_out) - 1, min(rays, len(held_out)), dtype=torch.float64).long()
-        return self._training_rays(held_out[index], refinement)
+        held_out = len(self.train) * self.pixels // stride  # their number
+        index = torch.linspace(0, held_out - 1, min(rays, held_out), dtype=torch.float64).long()
+        return self._training_rays(stride - 1 + index * stride, refinement)
 
     def _training_rays(self, numbers: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
         """Rays and colours of training pixels (R,), numbered view by view and row by row."""

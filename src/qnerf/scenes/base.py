@@ -57,11 +57,17 @@ class Scene:
     train: list[int]  # indices of views
     eval: list[int]
     names: list[str]  # of the views: image files relative to the scene's folder
-    fingerprint: str  # hash of images, poses, intrinsics and split; independent of the folder's location
+    fingerprint: str  # hash of what the scene is made from; the same in every folder and on every machine
     transform: Tensor  # (4, 4) float64 similarity: the source's world -> normalised world
     depth: Tensor | None = None  # (V, H, W) float32, distance along the ray of the pixel's centre; inf: nothing hit
     near: float | None = None  # world units; None: the scene defines no bounds
     far: float | None = None
+    older_fingerprint: str | None = None  # of the same contents, in the ids of older runs; None: the same
+
+    @property
+    def fingerprints(self) -> list[str]:
+        """Those that the id of a run of this scene may hold, today's first."""
+        return [self.fingerprint, *([self.older_fingerprint] if self.older_fingerprint else [])]
 
     @property
     def has_alpha(self) -> bool:

@@ -1,10 +1,11 @@
 """Image files of a scene: found only inside its folder, checked before decoding, reduced with an area filter."""
 
+import contextlib
 import io
 import os
 import posixpath
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from qnerf.config import memory
 from qnerf.config.checks import at_least
 from qnerf.scenes.base import digest
 
@@ -22,6 +24,9 @@ MAX_PIXELS = 64 * 2**20  # of one image
 MAX_FILE_BYTES = 2**30
 MAX_SCENE_BYTES = 16 * 2**30
 DECODERS = 4  # images decoded at a time; fewer if together they have more than `MAX_PIXELS`
+DECODING_BYTES, REDUCING_BYTES = 16, 48  # memory for a pixel of a file while it is decoded, and reduced
+
+FileId = tuple[int | str, ...]
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,8 @@ class ImageFile:
     path: Path
     width: int  # pixels, as the file's header says
     height: int
+    size: int  # bytes
+    alpha: bool  # whether pixels may be transparent, as the file's header says
 
 
 def find_image(folder: Path, name: str) -> Path | None:
@@ -59,6 +66,15 @@ def find_image(folder: Path, name: str) -> Path | None:
     return None
 
 
+def file_id(path: Path) -> FileId:
+    """Equal for all names of one file: through links, hard links, and other case where the file system ignores it."""
+    status = path.stat()
+    if not status.st_ino:  # the file system does not number its files
+        return (str(path.resolve()),)
+    # Some network file systems give one number to several files: size and time tell them apart.
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
 def open_header(folder: Path, name: str, path: Path) -> ImageFile:
     """Reads the image's size without decoding it. ValueError if it is no image, or too large to decode."""
     try:
@@ -66,8 +82,9 @@ def open_header(folder: Path, name: str, path: Path) -> ImageFile:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below, at a lower limit
             with Image.open(path, formats=FORMATS) as image:
                 width, height = image.size
+                alpha = _may_be_transparent(image)
     except Image.DecompressionBombError:
-        width = height = 2**31
+        width, height, alpha = 2**31, 2**31, False
     except Exception as error:
         raise ValueError(f"{folder}: image {name!r} cannot be read: {_reason(error)}") from error
     if width * height > MAX_PIXELS:
@@ -75,10 +92,11 @@ def open_header(folder: Path, name: str, path: Path) -> ImageFile:
             f"{folder}: image {name!r} is larger than {MAX_PIXELS // 2**20} megapixels and was not decoded; "
             "scale it down first"
         )
-    if path.stat().st_size > MAX_FILE_BYTES:
+    size = path.stat().st_size
+    if size > MAX_FILE_BYTES:
         raise ValueError(f"{folder}: image {name!r} is a file of more than 1 GiB and was not read")
     relative = path.relative_to(folder).as_posix()
-    return ImageFile(relative, path, width, height)
+    return ImageFile(relative, path, width, height, size, alpha)
 
 
 def common_size(folder: Path, files: Sequence[ImageFile]) -> tuple[int, int]:
@@ -100,43 +118,71 @@ def check_downscale(label: str, downscale: int, width: int, height: int) -> None
         raise ValueError(f"{label}: downscale={downscale} is larger than the images, {width} x {height} pixels")
 
 
-def check_memory(label: str, views: int, width: int, height: int, bytes_per_pixel: int) -> None:
-    """ValueError if the scene would need more than `MAX_SCENE_BYTES`."""
+def check_memory(label: str, views: int, width: int, height: int, bytes_per_pixel: int, extra: int = 0) -> None:
+    """ValueError if the scene would need more than `MAX_SCENE_BYTES`, or more memory than there is.
+
+    extra: bytes that are needed while the scene is made.
+    """
     size = views * width * height * bytes_per_pixel
+    what, hint = f"{label}: {views} images of {width} x {height} pixels", "use a larger downscale"
     if size > MAX_SCENE_BYTES:
-        raise ValueError(
-            f"{label}: {views} images of {width} x {height} pixels would need {size / 2**30:.0f} GiB; "
-            "use a larger downscale"
-        )
+        limit = f"the limit is {MAX_SCENE_BYTES / 2**30:g} GiB"
+        raise ValueError(f"{what} would need {size / 2**30:.0f} GiB; {limit}; {hint}")
+    memory.require(what, size + extra, hint=hint)
 
 
-def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tuple[NDArray[np.uint8], str]:
-    """Decodes and reduces the images: (V, H // downscale, W // downscale, 3 or 4) uint8, and a hash of the files.
+@contextlib.contextmanager
+def out_of_memory(label: str) -> Iterator[None]:
+    """Turns a MemoryError, or a thread that cannot start, into a one-line ValueError."""
+    try:
+        yield
+    except MemoryError:
+        raise ValueError(f"{label} does not fit into memory; use a larger downscale") from None
+    except RuntimeError as error:
+        if "can't start new thread" not in str(error):
+            raise
+        raise ValueError(f"{label}: {error}: too little memory, or too many threads") from None
 
-    There are 4 channels if any pixel of any image is not opaque.
+
+def read_images(folder: Path, files: Sequence[ImageFile], downscale: int) -> tuple[NDArray[np.uint8], list[str]]:
+    """Decodes and reduces the images: (V, H // downscale, W // downscale, 3 or 4) uint8, and a hash of each file.
+
+    There are 4 channels if any pixel of any image is not opaque. The images are in memory once.
 
     Raises:
         ValueError: an image does not decode (the message names it), or together they need too much memory.
     """
-    check_memory(f"{folder}", len(files), files[0].width // downscale, files[0].height // downscale, 4)
+    full = files[0].width * files[0].height
+    width, height = files[0].width // downscale, files[0].height // downscale
+    channels = 4 if any(file.alpha for file in files) else 3
+    workers = min(os.cpu_count() or 1, DECODERS, MAX_PIXELS // full, len(files))
+    each = max(file.size for file in files) + full * (DECODING_BYTES if downscale == 1 else REDUCING_BYTES)
+    check_memory(f"{folder}", len(files), width, height, channels, workers * each)
 
-    def read(file: ImageFile) -> tuple[NDArray[np.uint8], str]:
+    def read(view: int) -> tuple[str, bool]:
+        """Fills images[view]; returns the file's hash, and whether all pixels are opaque."""
+        file = files[view]
         try:
             data = file.path.read_bytes()
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
-                if image.size != (file.width, file.height):
+                if image.size != (file.width, file.height) or _may_be_transparent(image) != file.alpha:
                     raise ValueError("it changed while it was read")
-                pixels = _pixels(image)
+                pixels = area_downscale(_pixels(image), downscale)
+        except MemoryError:
+            raise
         except Exception as error:
             raise ValueError(f"{folder}: image {file.name!r} does not decode: {_reason(error)}") from error
-        return area_downscale(pixels, downscale), digest(data)
+        images[view, ..., : pixels.shape[-1]] = pixels
+        images[view, ..., pixels.shape[-1] :] = 255
+        return digest(data), pixels.shape[-1] == 3 or bool((pixels[..., 3] == 255).all())
 
-    workers = min(os.cpu_count() or 1, DECODERS, MAX_PIXELS // (files[0].width * files[0].height))
-    with ThreadPoolExecutor(workers) as pool:
-        images, hashes = zip(*pool.map(read, files), strict=True)
-    if all(image.shape[-1] == 3 or bool((image[..., 3] == 255).all()) for image in images):
-        return np.stack([image[..., :3] for image in images]), digest(*hashes)
-    return np.stack([_with_alpha(image) for image in images]), digest(*hashes)
+    with out_of_memory(f"{folder}"):
+        images = np.empty((len(files), height, width, channels), np.uint8)
+        with ThreadPoolExecutor(workers) as pool:
+            hashes, opaque = zip(*pool.map(read, range(len(files))), strict=True)
+        if channels == 4 and all(opaque):
+            _drop_alpha(images)
+    return images, list(hashes)
 
 
 def area_downscale(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
@@ -170,14 +216,21 @@ def _pixels(image: Image.Image) -> NDArray[np.uint8]:
         return np.repeat(((grey + 128) // 257).astype(np.uint8)[..., None], 3, axis=2)
     if image.mode == "F":
         raise ValueError("floating-point pixels; expected 8 or 16 bits a channel")
-    alpha = "A" in image.getbands() or "transparency" in image.info
-    return np.asarray(image.convert("RGBA" if alpha else "RGB"))
+    return np.asarray(image.convert("RGBA" if _may_be_transparent(image) else "RGB"))
 
 
-def _with_alpha(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if image.shape[-1] == 4:
-        return image
-    return np.concatenate([image, np.full((*image.shape[:2], 1), 255, np.uint8)], axis=-1)
+def _may_be_transparent(image: Image.Image) -> bool:
+    return not image.mode.startswith("I") and ("A" in image.getbands() or "transparency" in image.info)
+
+
+def _drop_alpha(images: NDArray[np.uint8]) -> None:
+    """(V, H, W, 4) -> (V, H, W, 3) in place, so that the images are never in memory twice."""
+    views, height, width, _ = images.shape
+    flat, size = images.reshape(-1), height * width * 3
+    for view in range(views):
+        flat[view * size : (view + 1) * size] = images[view, ..., :3].reshape(-1)
+    del flat
+    images.resize((views, height, width, 3), refcheck=False)
 
 
 def _reason(error: Exception) -> str:

@@ -3,6 +3,7 @@
 import json
 import math
 import posixpath
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +13,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from qnerf.config import memory
 from qnerf.scenes.base import MIN_VIEWS, Cameras, Scene, digest
-from qnerf.scenes.images import check_downscale, common_size, find_image, open_header, read_images
+from qnerf.scenes.images import FileId, check_downscale, common_size, file_id, find_image, open_header, read_images
 from qnerf.scenes.lens import invertible
-from qnerf.scenes.normalise import normalise, rigid
+from qnerf.scenes.normalise import MAX_ENTRY, normalise, rigid
 
+FINGERPRINT = "2"  # raise it whenever `fingerprint` hashes something else
 MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 UNSUPPORTED = ("k3", "k4", "k5", "k6")
+SIZE = ("w", "h")
+FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
+CENTRE = ("cx", "cy")
+DISTORTION = ("k1", "k2", "p1", "p2")
+FOCAL_RANGE = (1e-3, 1e6)  # focal lengths, in longer sides of the image
+MAX_OFFSET = 1e3  # of the principal point from the image's corner, in longer sides of the image
 MAX_JSON_BYTES = 2**28
+JSON_FACTOR = 8  # memory for a byte of a JSON file
+READING_BYTES = 2**27  # for linear algebra: OpenBLAS ends the process if it gets no memory
 
 
 @dataclass(frozen=True)
@@ -28,13 +39,15 @@ class Frame:
 
     name: str  # file_path as written
     file: Path | None  # the image; None: missing
-    pose: NDArray  # (3, 4) float64, camera-to-world in the source's world
+    file_id: FileId | None  # equal for all names of one image file; None: missing
+    matrix: NDArray  # (3, 4) float64, camera-to-world in the source's world, as written
+    pose: NDArray  # (3, 4) float64, `matrix` with its rotation made orthonormal
     own: Mapping[str, Any]  # keys of this frame
     shared: Mapping[str, Any]  # keys of the whole file, overridden by the frame's
 
     @property
     def key(self) -> str:
-        """The same for all spellings of one image's path."""
+        """Equal for all spellings of one path, whether or not the image exists."""
         return posixpath.normpath(self.name)
 
 
@@ -60,11 +73,19 @@ def find_transforms(path: str | Path, name: str, other: tuple[str, str]) -> Path
 def read_json(file: Path) -> dict[str, Any]:
     """The file's JSON object. ValueError unless it has a non-empty list `frames`."""
     try:
-        if file.stat().st_size > MAX_JSON_BYTES:
+        size = file.stat().st_size
+        if size <= MAX_JSON_BYTES:
+            memory.require(f"{file}: reading it", READING_BYTES + JSON_FACTOR * size)
+    except OSError as error:
+        raise ValueError(f"{file} cannot be read: {error.strerror}") from error
+    try:
+        if size > MAX_JSON_BYTES:
             raise ValueError("more than 256 MiB")
         content = json.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
+    except MemoryError:
+        raise ValueError(f"{file} does not fit into memory") from None
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{file} is not JSON: {str(error).splitlines()[0]}") from error
     if not isinstance(content, dict):
@@ -79,11 +100,13 @@ def read_frames(folder: Path, file: Path) -> list[Frame]:
     """All frames of a transforms file in the file's order, also those whose image is missing.
 
     Raises:
-        ValueError: names the first frame with a missing or repeated file_path, or with a pose that is not rigid.
+        ValueError: names the first frame with a missing or repeated file_path, with the image file of an earlier frame,
+            or with a pose that is not rigid.
     """
     content = read_json(file)
     frames = []
-    seen: set[str] = set()
+    names: set[str] = set()
+    images: dict[FileId, str] = {}
     for index, source in enumerate(content["frames"]):
         if not isinstance(source, dict):
             raise ValueError(f"{file}: frame {index} must be an object, got {type(source).__name__}")
@@ -91,18 +114,32 @@ def read_frames(folder: Path, file: Path) -> list[Frame]:
         if not isinstance(name, str) or not name:
             raise ValueError(f"{file}: file_path of frame {index} must be a file name, got {name!r}")
         label = f"{file}: frame {name!r}"
-        if "transform_matrix" not in source:
-            raise ValueError(f"{label} has no transform_matrix")
-        try:
-            pose = np.array(source["transform_matrix"], dtype=np.float64)
-        except (ValueError, TypeError, OverflowError) as error:
-            raise ValueError(f"{label}: transform_matrix must be 4 x 4 numbers") from error
-        frame = Frame(name, find_image(folder, name), rigid(pose, label), source, content)
-        if frame.key in seen:
+        image = find_image(folder, name)
+        matrix = read_matrix(source, label)
+        frame = Frame(name, image, file_id(image) if image else None, matrix[:3], rigid(matrix, label), source, content)
+        if frame.key in names:
             raise ValueError(f"{file} names image {name!r} twice")
-        seen.add(frame.key)
+        names.add(frame.key)
+        if frame.file_id is not None and images.setdefault(frame.file_id, name) != name:
+            raise ValueError(f"{file} names one image file twice: as {images[frame.file_id]!r} and as {name!r}")
         frames.append(frame)
     return frames
+
+
+def read_matrix(source: Mapping[str, Any], label: str) -> NDArray:
+    """A frame's transform_matrix as written, (3 or 4, 4) float64; ValueError unless it holds finite numbers."""
+    if "transform_matrix" not in source:
+        raise ValueError(f"{label} has no transform_matrix")
+    rows = source["transform_matrix"]
+    if not isinstance(rows, list) or not all(isinstance(row, list) for row in rows):
+        raise ValueError(f"{label}: transform_matrix must be 4 x 4 numbers")
+    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
+        raise ValueError(f"{label}: transform_matrix must be 4 x 4 numbers, got rows of {[len(row) for row in rows]}")
+    for value in (value for row in rows for value in row):
+        if not is_number(value):
+            wrong = f"NaN, infinity or beyond {MAX_ENTRY:g}"
+            raise ValueError(f"{label}: transform_matrix must hold numbers, none {wrong}, got {_short(value)}")
+    return np.array(rows, dtype=np.float64)
 
 
 def with_images(folder: Path, frames: Sequence[Frame], skip_missing: bool) -> list[Frame]:
@@ -124,57 +161,90 @@ def with_images(folder: Path, frames: Sequence[Frame], skip_missing: bool) -> li
     return existing
 
 
-def finite_number(keys: Mapping[str, Any], key: str, label: str) -> float | None:
-    """keys[key] as a float; None if absent or null. ValueError unless it is a finite number."""
-    value = keys.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1e12:
-        raise ValueError(f"{label}: {key} must be a finite number, got {value!r}")
-    return float(value)
+def is_number(value: Any) -> bool:
+    """Whether a value of a JSON file is a finite number of at most `MAX_ENTRY`; text, true and false are none."""
+    return type(value) in (int, float) and abs(value) <= MAX_ENTRY
 
 
-def focal_lengths(keys: Mapping[str, Any], width: int, height: int, label: str) -> tuple[float | None, float | None]:
-    """fx, fy in pixels, from fl_x, fl_y (pixels) or camera_angle_x, camera_angle_y (radians); None where both miss."""
-    lengths: list[float | None] = []
-    for axis, size in (("x", width), ("y", height)):
-        length, angle = (finite_number(keys, f"{key}_{axis}", label) for key in ("fl", "camera_angle"))
-        if length is not None and length <= 0:
-            raise ValueError(f"{label}: fl_{axis} must be above 0, got {length:g}")
-        if length is None and angle is not None:
-            if not 0 < angle < math.pi:
-                raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}")
-            length = 0.5 * size / math.tan(0.5 * angle)
-        lengths.append(length)
-    return lengths[0], lengths[1]
+def stated_numbers(keys: Mapping[str, Any], names: Sequence[str], label: str) -> dict[str, float]:
+    """Those of `names` that `keys` has and that are not null. ValueError unless they are finite numbers."""
+    stated = {name: keys[name] for name in names if keys.get(name) is not None}
+    for name, value in stated.items():
+        if not is_number(value):
+            raise ValueError(f"{label}: {name} must be a finite number, got {_short(value)}")
+    return {name: float(value) for name, value in stated.items()}
 
 
-def intrinsics(frame: Frame, width: int, height: int, label: str) -> list[float]:
-    """fx fy cx cy k1 k2 p1 p2 of a frame whose image has width x height pixels. Its own keys win over shared ones."""
+def stated_intrinsics(frame: Frame, label: str) -> dict[str, float]:
+    """The numbers in the file that decide a frame's intrinsics, as written. Its own keys win over shared ones.
+
+    Raises:
+        ValueError: a number is not usable, the camera model is not supported, or there is no focal length.
+    """
     merged = {**frame.shared, **frame.own}
     model = merged.get("camera_model") or "OPENCV"
     if model not in MODELS or merged.get("is_fisheye"):
         name = "fisheye" if merged.get("is_fisheye") else repr(model)
         raise ValueError(f"{label}: camera model {name} is not supported; known: {', '.join(MODELS)}")
-    for key in UNSUPPORTED:
-        if finite_number(merged, key, label):
-            raise ValueError(f"{label}: distortion {key}={merged[key]:g} is not supported; known: k1, k2, p1, p2")
-    for key, size in (("w", width), ("h", height)):
-        stated = finite_number(merged, key, label)
-        if stated is not None and stated != size:
+    for key, value in stated_numbers(merged, UNSUPPORTED, label).items():
+        if value:
+            raise ValueError(f"{label}: distortion {key}={value:g} is not supported; known: k1, k2, p1, p2")
+    focal = stated_numbers(frame.own, FOCAL, label) or stated_numbers(frame.shared, FOCAL, label)
+    if not focal:
+        raise ValueError(f"{label} has no intrinsics: expected fl_x (pixels) or camera_angle_x (radians)")
+    for axis in "xy":
+        if f"fl_{axis}" in focal:
+            focal.pop(f"camera_angle_{axis}", None)
+    distortion = {key: value for key, value in stated_numbers(merged, DISTORTION, label).items() if value}
+    return focal | stated_numbers(merged, (*SIZE, *CENTRE), label) | distortion
+
+
+def focal_lengths(stated: Mapping[str, float], width: int, height: int, label: str) -> tuple[float, float]:
+    """fx, fy in pixels, from fl_x, fl_y (pixels) or camera_angle_x, camera_angle_y (radians)."""
+    low, high = (factor * max(width, height) for factor in FOCAL_RANGE)
+    lengths: dict[str, float] = {}
+    for axis, size in (("x", width), ("y", height)):
+        length, angle = stated.get(f"fl_{axis}"), stated.get(f"camera_angle_{axis}")
+        if length is None and angle is not None:
+            if not 0 < angle < math.pi:
+                raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}")
+            half = math.tan(0.5 * angle)
+            length = 0.5 * size / half if half else math.inf
+        if length is None:
+            continue
+        if length <= 0:
+            raise ValueError(f"{label}: fl_{axis} must be above 0, got {length:g}")
+        if not low <= length <= high:
+            key = f"fl_{axis}" if f"fl_{axis}" in stated else f"camera_angle_{axis}"
             raise ValueError(
-                f"{label}: {key}={stated:g} but the image has {width} x {height} pixels; "
+                f"{label}: {key}={stated[key]:g} is a focal length of {length:g} pixels; "
+                f"expected {low:g} to {high:g} for an image of {width} x {height} pixels"
+            )
+        lengths[axis] = length
+    one = next(iter(lengths.values()))
+    return lengths.get("x", one), lengths.get("y", one)
+
+
+def intrinsics(stated: Mapping[str, float], width: int, height: int, label: str) -> list[float]:
+    """fx fy cx cy k1 k2 p1 p2 of a frame whose image has width x height pixels.
+
+    stated: as from `stated_intrinsics`.
+    """
+    for key, size in (("w", width), ("h", height)):
+        if stated.get(key, size) != size:
+            raise ValueError(
+                f"{label}: {key}={stated[key]:g} but the image has {width} x {height} pixels; "
                 "fl_x, fl_y, cx, cy, w, h must be those of the image files"
             )
-    fx, fy = focal_lengths(frame.own, width, height, label)
-    if fx is None and fy is None:
-        fx, fy = focal_lengths(frame.shared, width, height, label)
-    fx, fy = fx or fy, fy or fx
-    if fx is None or fy is None:
-        raise ValueError(f"{label} has no intrinsics: expected fl_x (pixels) or camera_angle_x (radians)")
-    cx, cy = finite_number(merged, "cx", label), finite_number(merged, "cy", label)
-    distortion = [finite_number(merged, key, label) or 0.0 for key in ("k1", "k2", "p1", "p2")]
-    return [fx, fy, width / 2 if cx is None else cx, height / 2 if cy is None else cy, *distortion]
+    limit = MAX_OFFSET * max(width, height)
+    for key in CENTRE:
+        if abs(stated.get(key, 0.0)) > limit:
+            raise ValueError(
+                f"{label}: {key} must be between {-limit:g} and {limit:g} for an image of {width} x {height} pixels, "
+                f"got {stated[key]:g}"
+            )
+    centre = [stated.get("cx", width / 2), stated.get("cy", height / 2)]
+    return [*focal_lengths(stated, width, height, label), *centre, *(stated.get(key, 0.0) for key in DISTORTION)]
 
 
 def load_scene(
@@ -201,7 +271,8 @@ def load_scene(
     Raises:
         ValueError: an image is in both splits, a split is empty, or poses, images or intrinsics are not usable.
     """
-    both = {frames[index].key for index in train} & {frames[index].key for index in held_out}
+    trained = {frames[index].file_id for index in train}
+    both = [frames[index].key for index in held_out if frames[index].file_id in trained]
     if both:
         raise ValueError(f"{folder}: image {min(both)!r} is in the training and in the evaluation split")
     if not train or not held_out:
@@ -210,17 +281,23 @@ def load_scene(
         poses, transform = normalise(np.stack([frame.pose for frame in frames]), orient=recentre, centre=recentre)
     except ValueError as error:
         raise ValueError(f"{folder}: {error}") from error
+    matrices = [frame.matrix for frame in frames]
     used = sorted({*train, *held_out})
     train, held_out = [used.index(index) for index in train], [used.index(index) for index in held_out]
     frames = [frames[index] for index in used]
     files = [open_header(folder, frame.name, frame.file) for frame in frames if frame.file is not None]
     width, height = common_size(folder, files)
     check_downscale(f"scene={name}", downscale, width, height)
-    table = np.array([intrinsics(frame, width, height, f"{folder}: frame {frame.name!r}") for frame in frames])
+    labels = [f"{folder}: frame {frame.name!r}" for frame in frames]
+    stated = [stated_intrinsics(frame, label) for frame, label in zip(frames, labels, strict=True)]
+    table = np.array([intrinsics(numbers, width, height, label) for numbers, label in zip(stated, labels, strict=True)])
     check_lenses(folder, frames, table, width, height)
-    images, contents = read_images(folder, files, downscale)
-    sources = np.stack([frame.pose for frame in frames])
-    fingerprint = digest(contents, sources, table, np.array(train), np.array(held_out), np.array([downscale]))
+    images, hashes = read_images(folder, files, downscale)
+    views = [
+        {"frame": index, "image": file.name, "content": content, "lens": numbers}
+        for index, file, content, numbers in zip(used, files, hashes, stated, strict=True)
+    ]
+    older = older_fingerprint(hashes, [frame.pose for frame in frames], table, train, held_out, downscale)
     table[:, :4] /= downscale
     scale = float(np.linalg.norm(transform[:3, 0]))
     near, far = (None, None) if bounds is None else (bounds[0] * scale, bounds[1] * scale)
@@ -231,11 +308,61 @@ def load_scene(
         train=train,
         eval=held_out,
         names=[file.name for file in files],
-        fingerprint=fingerprint,
+        fingerprint=fingerprint(name, matrices, views, train, held_out, downscale),
+        older_fingerprint=older,
         transform=torch.from_numpy(transform),
         near=near,
         far=far,
     )
+
+
+def fingerprint(
+    name: str,
+    matrices: Sequence[NDArray],
+    views: Sequence[Mapping[str, Any]],
+    train: Sequence[int],
+    held_out: Sequence[int],
+    downscale: int,
+) -> str:
+    """A hash of what the scene is read from. Nothing in it was computed, so every machine finds the same.
+
+    Args:
+        name: of the scene reader.
+        matrices: (3, 4) as written, of all frames over which the world is normalised.
+        views: of each view, its index into `matrices`, its image, the hash of the image file, and the numbers that
+            decide its intrinsics, as written.
+        train, held_out: indices into `views`.
+    """
+    content = {
+        "reader": name,
+        "matrices": [matrix.tolist() for matrix in matrices],
+        "views": views,
+        "train": train,
+        "held_out": held_out,
+        "downscale": downscale,
+    }
+    return digest("scene", FINGERPRINT, json.dumps(content, sort_keys=True, allow_nan=False))
+
+
+def older_fingerprint(
+    hashes: Sequence[str],
+    poses: Sequence[NDArray],
+    table: NDArray,
+    train: Sequence[int],
+    held_out: Sequence[int],
+    downscale: int,
+) -> str:
+    """The fingerprint in the ids of older runs. Its last bits depend on the processor and on NumPy's version.
+
+    Args:
+        poses: (3, 4), their rotations made orthonormal.
+        table: (V, 8) fx fy cx cy k1 k2 p1 p2 before `downscale`.
+    """
+    split = np.array(train), np.array(held_out), np.array([downscale])
+    return digest(digest(*hashes), np.stack(poses), table, *split)
+
+
+_short = reprlib.repr  # of what a file holds: never long, never deep
 
 
 def check_lenses(folder: Path, frames: Sequence[Frame], table: NDArray, width: int, height: int) -> None:

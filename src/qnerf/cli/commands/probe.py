@@ -39,7 +39,7 @@ def main(options: argparse.Namespace) -> None:
     from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
 
     trained = load(run, stored(run, repeated)[0] if state(run) == "finished" else None)
-    check_identity(run, trained.scene.fingerprint)
+    check_identity(run, trained.scene)
     for name in names:
         print(probe(trained, name))
     if conditions is not None:

@@ -13,18 +13,22 @@ import torch
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from qnerf.config.bounds import Count, Seed
+from qnerf.config import memory
+from qnerf.config.bounds import Count
 from qnerf.config.cache import cache_folder
 from qnerf.scenes.base import MIN_VIEWS, SCENES, Cameras, Scene, digest, split_views
 from qnerf.scenes.builtin.textures import encoded
 from qnerf.scenes.builtin.tracer import MAX_RADIANCE
-from qnerf.scenes.images import check_downscale, check_memory
+from qnerf.scenes.images import check_downscale, check_memory, out_of_memory
 from qnerf.scenes.normalise import normalise
 
 VERSION = "1"  # raise it whenever the images change
 FOCAL = 0.72  # focal length / longer side of the image
 BYTES_PER_PIXEL = 7  # 3 of colour, 4 of depth
+BYTES_PER_VIEW = 1024  # pose, lens and name
+BYTES_PER_RAY = 512  # while it is traced
 CHUNK = 2**16  # rays traced at a time
+MAX_RAYS = 10**10  # of all images; they take hours
 
 
 @SCENES.register("poster")
@@ -36,7 +40,7 @@ def poster(
     width: Count = 36,
     height: Count = 64,
     supersample: Annotated[int, Interval(ge=1, le=256)] = 4,
-    seed: Seed = 0,
+    seed: Annotated[int, Interval(ge=0, le=2**53)] = 0,
 ) -> Scene:
     """A corner of a room with a framed poster, seen by a hand-held camera, with exact depth. Needs no download.
 
@@ -59,14 +63,21 @@ def poster(
     options = {"views": views, "width": width, "height": height, "supersample": supersample, "seed": seed}
     check_downscale("scene=poster", downscale, width, height)
     width, height = width // downscale, height // downscale
-    check_memory("scene=poster", views, width, height, BYTES_PER_PIXEL)
+    check_memory("scene=poster", views, width, height, BYTES_PER_PIXEL, views * BYTES_PER_VIEW)
+    rays = views * width * height * supersample**2
+    if rays > MAX_RAYS:
+        raise ValueError(
+            f"scene=poster: {views} images of {width} x {height} pixels with supersample={supersample} need {rays:,} "
+            f"rays; the limit is {MAX_RAYS:,}"
+        )
 
-    arrays = _cached(options | {"width": width, "height": height})
+    with out_of_memory("scene=poster"):
+        arrays = _cached(options | {"width": width, "height": height})
     poses, transform = normalise(arrays["poses"].astype(np.float64))
     focal = FOCAL * max(width, height)
     lens = np.tile([focal, focal, width / 2, height / 2, 0, 0, 0, 0], (views, 1))
     train, held_out = split_views(views)
-    scale = np.cbrt(np.linalg.det(transform[:3, :3]))  # normalised world units a metre
+    arrays["depth"] *= np.float32(np.cbrt(np.linalg.det(transform[:3, :3])))  # metres -> normalised world units
     return Scene(
         name="poster",
         images=torch.from_numpy(arrays["images"]),
@@ -76,7 +87,7 @@ def poster(
         names=[f"{view:0{len(str(views - 1))}d}" for view in range(views)],
         fingerprint=digest("poster", VERSION, np.array([views, width, height, supersample, seed])),
         transform=torch.from_numpy(transform),
-        depth=torch.from_numpy(arrays["depth"] * np.float32(scale)),
+        depth=torch.from_numpy(arrays["depth"]),
     )
 
 
@@ -85,15 +96,22 @@ def render_views(*, views: int, width: int, height: int, supersample: int, seed:
 
     Returns:
         images (V, H, W, 3) uint8, depth (V, H, W) float32 in metres, camera-to-world poses (V, 3, 4) float64 in metres.
+
+    Raises:
+        ValueError: there is too little memory for the rays that are traced together.
     """
     from qnerf.scenes.builtin.room import room, walk
 
+    rows = max(CHUNK // (width * supersample**2), 1)  # rows of pixels traced at a time
+    workers = min(os.cpu_count() or 1, 16)
+    traced = workers * min(rows, height) * width * supersample**2
+    memory.require("scene=poster: tracing", traced * BYTES_PER_RAY, hint="use a smaller supersample or width")
+    images, depths = np.empty((views, height, width, 3), np.uint8), np.empty((views, height, width), np.float32)
     world, poses = room(), walk(views, seed)
     focal = FOCAL * max(width, height)
     fine_x = (np.arange(width * supersample) + 0.5) / supersample
     fine_y = (np.arange(height * supersample) + 0.5) / supersample
     ray_angle = 1 / (focal * supersample)  # radians between neighbouring rays
-    rows = max(CHUNK // (width * supersample**2), 1)  # rows of pixels traced at a time
 
     def directions(pose: NDArray, x: NDArray, y: NDArray) -> NDArray:
         """Unit vectors (3, rows * columns) in the world through image points, row by row."""
@@ -102,9 +120,8 @@ def render_views(*, views: int, width: int, height: int, supersample: int, seed:
         ray = pose[:, 0:1] * u - pose[:, 1:2] * v - pose[:, 2:3]
         return ray / np.sqrt((ray**2).sum(0))
 
-    def trace_view(view: int) -> tuple[NDArray, NDArray]:
-        pose = poses[view]
-        image, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
+    def trace_view(view: int) -> None:
+        pose, image, depth = poses[view], images[view], depths[view]
         for first in range(0, height, rows):
             last = min(first + rows, height)
             fine = directions(pose, fine_x, fine_y[first * supersample : last * supersample]).astype(np.float32)
@@ -115,11 +132,11 @@ def render_views(*, views: int, width: int, height: int, supersample: int, seed:
             image[first:last] = np.round(encoded(light.mean(axis=(1, 3))) * 255)
             centres = directions(pose, np.arange(width) + 0.5, np.arange(first, last) + 0.5)
             depth[first:last] = world.trace(pose[:, 3:], centres).distance.reshape(last - first, width)
-        return image, depth
 
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
-        images, depths = zip(*pool.map(trace_view, range(views)), strict=True)
-    return {"images": np.stack(images), "depth": np.stack(depths), "poses": poses}
+    with ThreadPoolExecutor(workers) as pool:
+        for _ in pool.map(trace_view, range(views)):
+            pass
+    return {"images": images, "depth": depths, "poses": poses}
 
 
 def _cached(options: Mapping[str, int]) -> dict[str, NDArray]:

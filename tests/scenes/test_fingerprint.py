@@ -1,0 +1,197 @@
+"""A scene's fingerprint: of what its files say, the same on every machine; runs under the older one go on."""
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from analysis import load
+from qnerf import experiment, records
+from qnerf.cli import main
+from qnerf.cli.upgrade_config import check_identity
+from qnerf.scenes import SCENES, Scene
+
+# Rotations by quarter turns: no machine rounds them.
+POSES = (
+    [[1, 0, 0, 2.5], [0, 0, -1, -3], [0, 1, 0, 0.1], [0, 0, 0, 1]],
+    [[0, 0, 1, 4], [1, 0, 0, 0.3], [0, 1, 0, 0.25], [0, 0, 0, 1]],
+    [[-1, 0, 0, 0], [0, 0, 1, 3], [0, 1, 0, 0.75], [0, 0, 0, 1]],
+    [[0, 0, -1, -4.125], [-1, 0, 0, 0], [0, 1, 0, 1e-3], [0, 0, 0, 1]],
+)
+PRINT = "import sys; from qnerf.scenes import SCENES; print(SCENES.build('nerfstudio', path=sys.argv[1]).fingerprint)"
+
+
+def write(folder: Path, poses: Any = POSES) -> Path:
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    for view, pose in enumerate(poses):
+        (folder / "images" / f"{view}.ppm").write_bytes(b"P6 3 2 255 " + bytes(range(view, view + 18)))
+        frames.append({"file_path": f"images/{view}.ppm", "transform_matrix": pose})
+    content = {"fl_x": 4.5, "fl_y": 4.25, "k1": 0.01, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write(tmp_path / "scene")
+
+
+def build(folder: Path, **options: Any) -> Scene:
+    return SCENES.build("nerfstudio", path=str(folder), **options)
+
+
+def edited(folder: Path, change: Callable[[dict[str, Any]], object]) -> str:
+    """The fingerprint after `change` of transforms.json, which is put back."""
+    file = folder / "transforms.json"
+    before = file.read_text()
+    content = json.loads(before)
+    change(content)
+    file.write_text(json.dumps(content))
+    try:
+        return build(folder).fingerprint
+    finally:
+        file.write_text(before)
+
+
+def test_golden_fingerprints(folder: Path) -> None:
+    scene = build(folder)
+    assert scene.fingerprint == "516f68d8eeb31f69483e"
+    assert scene.older_fingerprint == "933d0865e233a980f0b9"  # as versions before this fingerprint computed it
+    assert SCENES.build("poster", views=3, width=1, height=1, supersample=1).fingerprints == ["2a37809f3de14db647bc"]
+
+
+def test_what_decides_the_numbers_decides_the_fingerprint(folder: Path) -> None:
+    one = build(folder).fingerprint
+    seen = {
+        one,
+        edited(folder, lambda t: t.update(fl_x=np.nextafter(4.5, 5))),
+        edited(folder, lambda t: t.pop("fl_y")),
+        edited(folder, lambda t: t["frames"][1].update(k1=0.0)),
+        edited(folder, lambda t: t["frames"][2]["transform_matrix"][0].__setitem__(0, -1 + 1e-15)),
+        edited(folder, lambda t: t["frames"][3]["transform_matrix"][2].__setitem__(3, np.nextafter(1e-3, 1))),
+        edited(folder, lambda t: t.update(test_filenames=["images/0.ppm"])),
+        # A frame that is not used still orients the world.
+        edited(folder, lambda t: t.update(train_filenames=["images/1.ppm"], test_filenames=["images/2.ppm"])),
+        build(folder, downscale=2).fingerprint,
+    }
+    unused = {"train_filenames": ["images/1.ppm"], "test_filenames": ["images/2.ppm"]}
+    seen.add(edited(folder, lambda t: (t.update(unused), t["frames"][0]["transform_matrix"][0].__setitem__(3, 2.75))))
+    (folder / "images" / "1.ppm").rename(folder / "images" / "1b.ppm")
+    seen.add(edited(folder, lambda t: t["frames"][1].update(file_path="images/1b.ppm")))
+    assert len(seen) == 11
+
+
+def test_how_it_is_written_does_not(folder: Path) -> None:
+    def spell(content: dict[str, Any]) -> None:
+        for frame in content["frames"]:
+            frame.update(k1=content["k1"], k2=0, fl_x=4.5, fl_y=4.25, file_path="./" + frame["file_path"])
+            frame["transform_matrix"] = [[float(x) for x in row] for row in frame["transform_matrix"][:3]]
+        content.update(k1=0.5, note="x")
+        content["frames"].reverse()
+
+    assert edited(folder, spell) == build(folder).fingerprint
+
+
+def elsewhere(folder: Path, **environment: str) -> str:
+    """The fingerprint that a new process with this environment finds."""
+    command = [sys.executable, "-c", PRINT, str(folder)]
+    clean = {key: value for key, value in os.environ.items() if key != "OPENBLAS_CORETYPE"}
+    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, check=True).stdout.strip()
+
+
+@pytest.fixture
+def rounded(tmp_path: Path) -> Path:
+    """A scene whose rotations no machine stores exactly."""
+    turns = Rotation.random(12, random_state=0).as_matrix().round(6)
+    centres = np.random.default_rng(0).normal(size=(12, 3)).round(6)
+    poses = np.concatenate([turns, centres[..., None]], axis=2)
+    return write(tmp_path / "rounded", poses.tolist())
+
+
+def test_equal_on_every_processor_and_number_of_threads(rounded: Path) -> None:
+    scene = build(rounded)
+    for kernel in ("Haswell", "Prescott"):
+        for threads in ("1", "2"):
+            found = elsewhere(rounded, OPENBLAS_CORETYPE=kernel, OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
+            assert found == scene.fingerprint, (kernel, threads)
+
+
+@pytest.mark.parametrize("version", ["2.1.3", "2.3.5"])
+def test_equal_with_other_versions_of_numpy(rounded: Path, tmp_path: Path, version: str) -> None:
+    """Slow: installs another NumPy next to the test."""
+    other = tmp_path / "numpy"
+    command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--only-binary=:all:", "--target", str(other)]
+    installed = subprocess.run([*command, f"numpy=={version}"], capture_output=True, text=True)
+    if installed.returncode:
+        pytest.skip(f"numpy {version} cannot be installed here: {installed.stderr.strip()[-200:]}")
+    path = os.pathsep.join([str(other), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
+    assert elsewhere(rounded, PYTHONPATH=path) == build(rounded).fingerprint
+
+
+@pytest.fixture
+def as_older(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], Any]:
+    """Calls a function as a version that knew only the older fingerprint."""
+    build_scene = experiment.build_scene
+
+    def older(settings: Any) -> Scene:
+        scene = build_scene(settings)
+        assert scene.older_fingerprint is not None
+        return dataclasses.replace(scene, fingerprint=scene.older_fingerprint, older_fingerprint=None)
+
+    def call(function: Callable[[], Any]) -> Any:
+        with monkeypatch.context() as patch:
+            patch.setattr(experiment, "build_scene", older)
+            return function()
+
+    return call
+
+
+def test_a_finished_older_run_is_not_done_again(tiny: Any, as_older: Any) -> None:
+    config = tiny("threads=1")
+    first = as_older(lambda: experiment.run(config))
+    again = experiment.run(config)
+    assert (again.state, again.run_id) == ("finished", first.run_id)
+    assert [run.name for run in records.runs(config["store"])] == [first.run_id]
+    check_identity(first.path, experiment.prepare(config)[2])  # as resume, reproduce and probe do
+
+
+def test_an_interrupted_older_run_goes_on(tiny: Any, as_older: Any, run_until: Any) -> None:
+    config = tiny("threads=1")
+    as_older(lambda: run_until(1, config))
+    (run,) = records.runs(config["store"])
+    outcome = experiment.run(config)
+    assert (outcome.state, outcome.run_id) == ("finished", run.name)
+
+
+def test_an_older_run_is_resumed_and_a_changed_scene_is_refused(
+    tiny: Any, as_older: Any, run_until: Any, tiny_scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tiny("threads=1")
+    as_older(lambda: run_until(1, config))
+    (run,) = records.runs(config["store"])
+    shutil.copytree(tiny_scene, tiny_scene.with_name("changed"))
+    file = tiny_scene.with_name("changed") / "transforms.json"
+    file.write_text(file.read_text().replace('"fl_x": 8.0', '"fl_x": 8.5'))
+    assert main.dispatch("resume", [run.name, f"scene.path={file.parent}", "--store", config["store"]]) == 2
+    assert "the scene's contents are not those" in capsys.readouterr().err
+    assert main.dispatch("resume", [run.name, "--store", config["store"]]) == 0
+    assert records.state(run) == "finished"
+
+
+def test_older_and_newer_runs_of_a_scene_are_one_scene(tiny: Any, as_older: Any) -> None:
+    as_older(lambda: experiment.run(tiny("seed=0")))
+    experiment.run(config := tiny("seed=1"))
+    runs = load.runs(config["store"])
+    assert len(runs) == 2
+    assert runs["scene.fingerprint"].nunique() == 1
+    assert "scene.older_fingerprint" not in runs
