@@ -28,13 +28,14 @@ from qnerf.heads.activations import ACTIVATIONS
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
 from qnerf.model.labels import labels, slug
+from qnerf.model.memory import planned, require_memory
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import capture, dirty_diff
 from qnerf.records.filters import is_number
-from qnerf.rendering.samplers import SAMPLERS
+from qnerf.rendering.samplers import SAMPLERS, Sampler
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
 from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
@@ -198,14 +199,20 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
     return Field(contraction, encoder, directions, density, color, activation, initial, views, trained, appearance)
 
 
+def build_field_and_sampler(settings: Settings, scene: Scene) -> tuple[Field, Sampler]:
+    field = build_field(settings, len(scene.cameras), scene.train)
+    return field, component(SAMPLERS, settings.sampler, field.contraction)
+
+
 def build_model(settings: Settings, scene: Scene) -> Model:
     """Field, sampler and pose refinement for the scene, in the run's dtype, on its device."""
-    torch.manual_seed(settings.seed)
     previous = torch.get_default_dtype()
     torch.set_default_dtype(settings.dtype)
     try:
-        field = build_field(settings, scene.cameras.poses.shape[0], scene.train)
-        sampler = component(SAMPLERS, settings.sampler, field.contraction)
+        if parts := planned(lambda: build_field_and_sampler(settings, scene)):
+            require_memory(settings, *parts, scene.cameras.width * scene.cameras.height)
+        torch.manual_seed(settings.seed)
+        field, sampler = build_field_and_sampler(settings, scene)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
         field.mask = sampler.mask = build_mask(settings, scene, field.contraction)
         return Model(field, sampler, cameras, component(SHADINGS, settings.shading)).to(settings.torch_device)

@@ -198,18 +198,22 @@ def test_hash_encoder_learns_a_function():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("hash", {"levels": 0}, "levels must be at least 1, got 0"),
-        ("hash", {"features": 0}, "features must be at least 1"),
-        ("hash", {"min_resolution": 0}, "min_resolution must be at least 1"),
-        ("hash", {"min_resolution": 32, "max_resolution": 16}, "max_resolution must be between min_resolution=32 and"),
+        ("hash", {"levels": 0}, "levels must be between 1 and 64, got 0"),
+        ("hash", {"features": 0}, "features must be between 1 and 256"),
+        ("hash", {"min_resolution": 0}, "min_resolution must be between 1 and 1048576"),
+        (
+            "hash",
+            {"min_resolution": 32, "max_resolution": 16},
+            "max_resolution must be at least min_resolution=32, got 16",
+        ),
         ("hash", {"max_resolution": 2**21}, "max_resolution must be between"),
         ("hash", {"log2_table_size": 0}, "log2_table_size must be between 1 and 30, got 0"),
         ("hash", {"log2_table_size": 60}, "log2_table_size must be between 1 and 30, got 60"),
         ("hash", {"level": 3}, "unknown option level=3; known: levels, min_resolution, max_resolution"),
-        ("pe", {"bands": 0}, "bands must be at least 1"),
-        ("pe", {"max_exponent": float("nan")}, "max_exponent must be at least 0"),
-        ("rff", {"features": 0}, "features must be at least 1"),
-        ("rff", {"scale": float("inf")}, "scale must be at least 0"),
+        ("pe", {"bands": 0}, "bands must be between 1 and"),
+        ("pe", {"max_exponent": float("nan")}, "max_exponent must be between 0 and 52, got nan"),
+        ("rff", {"features": 0}, "features must be between 1 and"),
+        ("rff", {"scale": float("inf")}, "scale must be between 0 and 1000000, got inf"),
         ("none", {"bands": 3}, "unknown option bands=3; known: none"),
         ("grid", {}, "unknown name 'grid'; known: hash, none, pe, rff"),
     ],
@@ -309,7 +313,7 @@ def test_degrees_outside_the_table(degree):
         lambda: DIRECTIONS.build("sh", degree=degree),
         lambda: spherical_harmonics(torch.zeros(1, 3), degree),
     ):
-        with pytest.raises(ValueError, match=f"degree must be one of 1, 2, 3, 4, got {degree}"):
+        with pytest.raises(ValueError, match=f"(expects|must be) one of 1, 2, 3, 4, got {degree}"):
             build()
 
 

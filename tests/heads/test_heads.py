@@ -50,16 +50,16 @@ def test_qfgn_feeds_gaussian_weighted_fourier_features_to_the_circuit():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("mlp", {"layers": 0}, "layers must be at least 1, got 0"),
-        ("mlp", {"width": 0}, "width must be at least 1, got 0"),
-        ("qiren", {"layers": 0}, "layers must be at least 1, got 0"),
+        ("mlp", {"layers": 0}, "layers must be between 1 and 256, got 0"),
+        ("mlp", {"width": 0}, "width must be between 1 and 65536, got 0"),
+        ("qiren", {"layers": 0}, "layers must be between 1 and 64, got 0"),
         ("qiren", {"spectral": 0}, "spectral"),
         ("qiren", {"qubits": 0}, "got 0"),
-        ("qiren", {"qubits": 40}, "GiB|memory"),
+        ("qiren", {"qubits": 40}, "qubits must be between 1 and 14"),
         ("qiren", {"ansatz": "nope"}, "nope"),
         ("qiren", {"init": "nope"}, "nope"),
         ("qfgn", {"features": 3}, "even"),
-        ("qfgn", {"scale": 0.0}, "scale > 0"),
+        ("qfgn", {"scale": 0.0}, "scale must be above 0"),
     ],
 )
 def test_a_bad_option_is_one_line(name, options, message):

@@ -92,8 +92,8 @@ def test_a_wire_is_measured_in_one_letter() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scaling": "cubic"}, "unknown scaling 'cubic'; known: ternary, unit"),
-        ({"observable": "I"}, "unknown observable 'I'"),
+        ({"scaling": "cubic"}, "scaling expects one of unit, ternary, got 'cubic'"),
+        ({"observable": "I"}, "observable expects one of X, Y, Z, got 'I'"),
         ({"ranges": (3, 1)}, "none a multiple of 3"),
         ({"ranges": (1,)}, "needs 2 distances"),
         ({"depth": 2}, "unknown option depth=2; known: sublayers"),

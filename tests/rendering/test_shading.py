@@ -114,7 +114,7 @@ def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, s
     ("name", "options", "message"),
     [
         ("threshold", {"min_share": 1.0}, "min_share must be at least 0 and below 1, got 1.0"),
-        ("top", {"samples": 0}, "samples must be at least 1, got 0"),
+        ("top", {"samples": 0}, "samples must be between 1 and 65536, got 0"),
     ],
 )
 def test_bad_options_are_one_line(name, options, message):

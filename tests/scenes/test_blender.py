@@ -68,8 +68,8 @@ def test_an_even_subset_evaluates_in_the_same_world(folder):
 
 
 def test_bad_options_and_files(folder, tmp_path):
-    refused(folder, "eval_split must be one of test, val", eval_split="train")
-    refused(folder, "eval_views must be at least 1", eval_views=0)
+    refused(folder, "eval_split expects one of test, val", eval_split="train")
+    refused(folder, "eval_views must be between 1 and", eval_views=0)
     refused(folder, "downscale=9 is larger", downscale=9)
     refused(tmp_path / "none", "does not exist")
     (folder / "images" / "006.png").unlink()

@@ -4,11 +4,12 @@
 are finite and integers have at most 64 bits without a declaration. Hypothesis builds values from the same annotations.
 """
 
+import functools
 import inspect
 import math
 import types
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, GroupedMetadata, Gt, Interval, Le, Lt, MaxLen, MinLen
 
@@ -17,6 +18,15 @@ NonNegativeFloat = Annotated[float, Interval(ge=0)]
 Share = Annotated[float, Interval(ge=0, le=1)]
 PositiveInt = Annotated[int, Interval(ge=1, le=10**9)]
 NonNegativeInt = Annotated[int, Interval(ge=0, le=10**9)]
+Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
+Count = Annotated[int, Interval(ge=1, le=2**16)]  # units, features, samples: each takes memory
+Depth = Annotated[int, Interval(ge=1, le=256)]  # layers
+Factor = Annotated[float, Interval(ge=-(10**6), le=10**6)]
+PositiveFactor = Annotated[float, Interval(gt=0, le=10**6)]
+NonNegativeFactor = Annotated[float, Interval(ge=0, le=10**6)]
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def check(name: str, value: Any, hint: Any) -> None:
@@ -54,6 +64,28 @@ def check(name: str, value: Any, hint: Any) -> None:
             _check_length(name, len(value), limit)
     if type(value) in (int, float) and not _is_inside(value, limits):
         raise ValueError(f"{name} must be {_limits_text(value, limits)}, got {_short(value)}")
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, which checks its arguments against their annotations first: for what users call directly.
+
+    >>> @checked
+    ... def circle(*, radius: PositiveFactor = 1.0): ...
+    >>> circle(radius=0)
+    Traceback (most recent call last):
+        ...
+    ValueError: radius must be above 0 and at most 1000000, got 0
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        hints = get_type_hints(function, include_extras=True)
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            check(name, value, hints.get(name, Any))
+        return function(*args, **kwargs)
+
+    return call
 
 
 def _unpacked(hint: Any) -> tuple[Any, list[Any]]:

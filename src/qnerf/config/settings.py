@@ -9,7 +9,7 @@ import torch
 from annotated_types import Interval, MinLen
 
 from qnerf.config import bounds
-from qnerf.config.bounds import NonNegativeInt, PositiveInt
+from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, PositiveFactor, PositiveInt, Seed
 from qnerf.config.registry import check_options
 
 MODEL_PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")
@@ -17,7 +17,6 @@ MAX_DEPTH = 20  # levels of groups and lists in a configuration
 
 # Float32, in which most runs compute, has no larger or smaller numbers than about 1e38 and 1e-38.
 Rate = Annotated[float, Interval(ge=1e-30, le=1e6)]
-Weight = Annotated[float, Interval(ge=0, le=1e6)]
 Length = Annotated[float, Interval(ge=0, le=1e9)]  # world units
 Name = Annotated[str, MinLen(1)]
 Background = Literal["last_sample", "white", "black", "random"]
@@ -33,10 +32,10 @@ class Train:
     rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
     lr: Rate
     lr_final: Rate  # reached at the last step by exponential decay
-    rates: dict[str, Weight]  # part of the model -> factor on the learning rate
+    rates: dict[str, NonNegativeFactor]  # part of the model -> factor on the learning rate
     eps: Rate  # of Adam
-    interlevel: Weight  # weight of the interlevel loss
-    distortion: Weight  # weight of the distortion loss
+    interlevel: NonNegativeFactor  # weight of the interlevel loss
+    distortion: NonNegativeFactor  # weight of the distortion loss
     eval_every: NonNegativeInt  # steps; 0: only at the end
     eval_views: NonNegativeInt  # views evaluated during training; 0: all
     log_every: PositiveInt  # steps
@@ -67,7 +66,7 @@ class PoseNoise:
 
     rotation: Annotated[float, Interval(ge=0, le=math.tau)]  # std. dev. of each component of a rotation vector, radians
     translation: Length  # standard deviation of each coordinate
-    seed: Annotated[int, Interval(ge=0, le=2**63 - 1)]
+    seed: Seed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,9 +125,9 @@ class Density(Component):
     """What the group density holds, besides one group of options per kind of head."""
 
     activation: Name
-    initial: Annotated[float, Interval(ge=1e-30, le=1e30)]  # density where the head returns 0, per world unit
-    initials: dict[str, Annotated[float, Interval(ge=1e-30, le=1e30)]]  # head -> its default of `initial`
-    rates: dict[str, Weight]  # head -> its default of train.rates.density
+    initial: PositiveFactor  # density where the head returns 0, per world unit
+    initials: dict[str, PositiveFactor]  # head -> its default of `initial`
+    rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.density
 
 
 class Color(Component):
@@ -136,8 +135,8 @@ class Color(Component):
 
     directions: Name
     degree: Annotated[int, Interval(ge=1, le=4)]  # of the spherical harmonics
-    direction_scale: Annotated[float, Interval(ge=-1e6, le=1e6)]  # factor on raw directions
-    rates: dict[str, Weight]  # head -> its default of train.rates.color
+    direction_scale: Factor  # factor on raw directions
+    rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.color
 
 
 COMPONENTS: dict[str, type] = dict.fromkeys(

@@ -1,13 +1,16 @@
 """View directions -> features."""
 
+from typing import Literal, get_args
+
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least, one_of
+from qnerf.config.bounds import NonNegativeFactor
+from qnerf.config.checks import one_of
 from qnerf.config.registry import Registry
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
-DEGREES = (1, 2, 3, 4)
+Degree = Literal[1, 2, 3, 4]
 
 
 def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
@@ -20,7 +23,7 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     >>> spherical_harmonics(torch.tensor([[0.0, 0.0, 1.0]]), degree=4).shape
     torch.Size([1, 16])
     """
-    one_of("directions=sh: degree", degree, DEGREES)
+    one_of("directions=sh: degree", degree, get_args(Degree))
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, 0.28209479177387814)]
     if degree > 1:
@@ -61,11 +64,10 @@ class SphericalHarmonics(Directions):
         degree: number of bands, 1 to 4.
     """
 
-    def __init__(self, in_dim: int = 3, *, degree: int = 4) -> None:
+    def __init__(self, in_dim: int = 3, *, degree: Degree = 4) -> None:
         super().__init__()
         if in_dim != 3:
             raise ValueError(f"directions=sh: directions must have 3 coordinates, got {in_dim}")
-        one_of("directions=sh: degree", degree, DEGREES)
         self.degree = degree
         self.out_dim = degree**2
 
@@ -78,12 +80,11 @@ class RawDirections(Directions):
     """The directions themselves (..., in_dim), times `scale`.
 
     Args:
-        scale: factor, at least 0.
+        scale: factor.
     """
 
-    def __init__(self, in_dim: int = 3, *, scale: float = 1.0) -> None:
+    def __init__(self, in_dim: int = 3, *, scale: NonNegativeFactor = 1.0) -> None:
         super().__init__()
-        at_least("scale", scale, 0)
         self.scale = scale
         self.out_dim = in_dim
 

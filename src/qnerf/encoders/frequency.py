@@ -5,11 +5,13 @@ is then within 5e-7 of the exact one, while a float32 phase of 2 pi 2^8 x would 
 """
 
 import math
+from typing import Annotated
 
 import torch
+from annotated_types import Interval
 from torch import Tensor
 
-from qnerf.config.checks import at_least, between
+from qnerf.config.bounds import Count, NonNegativeFactor, Seed, Share
 from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
 
@@ -41,16 +43,13 @@ class PositionalEncoding(Encoder):
         self,
         in_dim: int,
         *,
-        bands: int = 10,
-        max_exponent: float = 8.0,
+        bands: Count = 10,
+        max_exponent: Annotated[float, Interval(ge=0, le=52)] = 8.0,
         include_input: bool = False,
-        frequency_window: float = 0.0,
+        frequency_window: Share = 0.0,
     ) -> None:
         super().__init__(in_dim)
-        at_least("bands", bands, 1)
-        between("frequency_window", frequency_window, 0, 1)
         self.frequency_window = frequency_window
-        at_least("max_exponent", max_exponent, 0)
         self.include_input = include_input
         self.out_dim = 2 * in_dim * bands + in_dim * include_input
         # No buffer: the frequencies stay float64 when the module is cast.
@@ -77,10 +76,8 @@ class FourierFeatures(Encoder):
 
     directions: Tensor
 
-    def __init__(self, in_dim: int, *, features: int = 30, scale: float = 10.0, seed: int = 0) -> None:
+    def __init__(self, in_dim: int, *, features: Count = 30, scale: NonNegativeFactor = 10.0, seed: Seed = 0) -> None:
         super().__init__(in_dim)
-        at_least("features", features, 1)
-        at_least("scale", scale, 0)
         self.out_dim = 2 * features
         generator = torch.Generator().manual_seed(seed)
         # Drawn in float32, so that float32 and float64 modules have the same B.

@@ -1,16 +1,21 @@
 """Multiresolution hash encoding as a module: the table and its level resolutions."""
 
 import math
+from typing import Annotated
 
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least, between
+from qnerf.config.bounds import Share
 from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
-MAX_LOG2_TABLE_SIZE = 30
+Levels = Annotated[int, Interval(ge=1, le=64)]
+Resolution = Annotated[int, Interval(ge=1, le=FINEST)]
+Log2Size = Annotated[int, Interval(ge=1, le=30)]
+EntryFeatures = Annotated[int, Interval(ge=1, le=256)]
 
 
 def level_resolutions(levels: int, min_resolution: int, max_resolution: int) -> list[int]:
@@ -56,27 +61,19 @@ class HashEncoder(Encoder):
         in_dim: int,
         generator: torch.Generator | None = None,
         *,
-        levels: int = 12,
-        min_resolution: int = 16,
-        max_resolution: int = 1024,
-        log2_table_size: int = 15,
-        features: int = 1,
+        levels: Levels = 12,
+        min_resolution: Resolution = 16,
+        max_resolution: Resolution = 1024,
+        log2_table_size: Log2Size = 15,
+        features: EntryFeatures = 1,
         dense: bool = True,
-        frequency_window: float = 0.0,
+        frequency_window: Share = 0.0,
     ) -> None:
         super().__init__(in_dim)
         if in_dim != 3:
             raise ValueError(f"encoder=hash: points must have 3 coordinates, got {in_dim}")
-        at_least("levels", levels, 1)
-        at_least("features", features, 1)
-        between("frequency_window", frequency_window, 0, 1)
-        at_least("min_resolution", min_resolution, 1)
-        if not min_resolution <= max_resolution <= FINEST:
-            raise ValueError(
-                f"encoder=hash: max_resolution must be between min_resolution={min_resolution} and {FINEST}, "
-                f"got {max_resolution}"
-            )
-        between("log2_table_size", log2_table_size, 1, MAX_LOG2_TABLE_SIZE)
+        if min_resolution > max_resolution:
+            raise ValueError(f"max_resolution must be at least min_resolution={min_resolution}, got {max_resolution}")
         self.out_dim = levels * features
         self.dense = dense
         self.frequency_window = frequency_window

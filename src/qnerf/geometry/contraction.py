@@ -1,9 +1,12 @@
 """World space <-> the unit cube: unbounded scenes are contracted into a cube or ball, bounded ones are scaled."""
 
+from typing import Annotated
+
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.checks import one_of, positive
+from qnerf.config.checks import one_of
 from qnerf.config.registry import Registry
 
 CONTRACTIONS: Registry["Contraction"] = Registry("contraction")
@@ -102,9 +105,8 @@ class Box(Contraction):
 
     bounded = True
 
-    def __init__(self, *, half_extent: float = 1.0) -> None:
+    def __init__(self, *, half_extent: Annotated[float, Interval(ge=1e-6, le=10**6)] = 1.0) -> None:
         super().__init__()
-        positive("half_extent", half_extent)
         self.half_extent = half_extent
 
     def forward(self, points: Tensor) -> Tensor:

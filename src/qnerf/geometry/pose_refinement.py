@@ -7,7 +7,7 @@ the exponential of six parameters per view, which start at 0. Computing it anew 
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
+from qnerf.config.bounds import NonNegativeFactor
 from qnerf.config.registry import Registry
 from qnerf.geometry.rotations import exp_se3, exp_so3xr3
 
@@ -59,12 +59,10 @@ class RefinedPoses(PoseRefinement):
         views: int,
         trained: list[int] | None = None,
         *,
-        translation_penalty: float = 1e-2,
-        rotation_penalty: float = 1e-3,
+        translation_penalty: NonNegativeFactor = 1e-2,
+        rotation_penalty: NonNegativeFactor = 1e-3,
     ) -> None:
         super().__init__(views, trained)
-        for name, value in (("translation_penalty", translation_penalty), ("rotation_penalty", rotation_penalty)):
-            at_least(name, value, 0)
         self.translation_penalty, self.rotation_penalty = translation_penalty, rotation_penalty
         chosen = list(range(views)) if trained is None else trained
         rows = torch.full((views + 1,), -1)  # the last entry is for view -1

@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least, one_of
+from qnerf.config.bounds import Count, Depth
 from qnerf.heads.base import HEADS, Head
-
-INITS = ("torch", "he")
 
 
 @HEADS.register("mlp")
@@ -18,8 +16,8 @@ class MLPHead(Head):
 
     Args:
         in_dim, out_dim: features in and values out.
-        layers: linear layers, at least 1.
-        width: hidden units, at least 1.
+        layers: linear layers.
+        width: hidden units.
         init: how the weights start. `torch`: PyTorch's default, which shrinks the spread of values by sqrt(6) a layer.
             `he`: normal with variance 2 / inputs, biases 0 (arXiv:1502.01852), which preserves the spread.
 
@@ -28,11 +26,16 @@ class MLPHead(Head):
     torch.Size([5, 4])
     """
 
-    def __init__(self, in_dim: int, out_dim: int, *, layers: int = 2, width: int = 64, init: str = "torch") -> None:
+    def __init__(
+        self,
+        in_dim: int,
+        out_dim: int,
+        *,
+        layers: Depth = 2,
+        width: Count = 64,
+        init: Literal["torch", "he"] = "torch",
+    ) -> None:
         super().__init__()
-        one_of("init", init, INITS)
-        at_least("layers", layers, 1)
-        at_least("width", width, 1)
         dims = [in_dim, *[width] * (layers - 1), out_dim]
         steps: list[nn.Module] = []
         for before, after in pairwise(dims):

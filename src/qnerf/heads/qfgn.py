@@ -1,15 +1,14 @@
 """QFGN: Fourier-Gaussian preprocessing before the first circuit of a quantum head (arXiv:2504.19053)."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
+from qnerf.config.bounds import Count, NonNegativeFactor, PositiveFactor
 from qnerf.heads.base import HEADS
-from qnerf.heads.qiren import QirenHead
+from qnerf.heads.qiren import QirenHead, Statistics
 from qnerf.quantum import QuantumLayer
 
 
@@ -41,9 +40,9 @@ class QFGNHead(QirenHead):
     """A QIREN head whose first hybrid layer is Fourier-Gaussian.
 
     Args (besides those of `QirenHead`):
-        features: Fourier features, cosines and sines together; even, at least 2.
-        scale: standard deviation of the fixed frequencies, radians per input unit, above 0.
-        gamma: shape of the Gaussian weighting, at least 0.
+        features: Fourier features, cosines and sines together; even.
+        scale: standard deviation of the fixed frequencies, radians per input unit.
+        gamma: shape of the Gaussian weighting.
 
     The first layer does not normalise: `input_scale` and `statistics` act on the later layers only.
     """
@@ -58,21 +57,18 @@ class QFGNHead(QirenHead):
         in_dim: int,
         out_dim: int,
         *,
-        features: int = 16,
-        scale: float = 1.0,
-        gamma: float = 0.5,
+        features: Count = 16,
+        scale: PositiveFactor = 1.0,
+        gamma: NonNegativeFactor = 0.5,
         **options: Any,
     ) -> None:
-        at_least("features", features, 2)
         if features % 2:
             raise ValueError(f"qfgn features must be even (a cosine and a sine each), got {features}")
-        if not scale > 0 or not gamma >= 0 or math.isinf(gamma):
-            raise ValueError(f"qfgn needs scale > 0 and a finite gamma >= 0, got scale={scale}, gamma={gamma}")
         self._fourier = (features, scale, gamma)
         super().__init__(in_dim, out_dim, **options)
 
     def hybrid_layer(
-        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: str
+        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: Statistics
     ) -> nn.Module:
         if index == 0:
             return FourierGaussianLayer(in_dim, wires, circuit, *self._fourier)

@@ -1,16 +1,19 @@
 """The quantum head: hybrid layers of a linear map, a normalisation and a re-uploading circuit (QIREN)."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least, one_of
+from qnerf.config.bounds import Factor
 from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer
+from qnerf.quantum.circuit import ANSATZE, Spectral, Wires
+from qnerf.quantum.layer import Method
 
-STATISTICS = ("batch", "first")
+Statistics = Literal["batch", "first"]
 
 
 class Normalisation(nn.BatchNorm1d):
@@ -30,9 +33,8 @@ class Normalisation(nn.BatchNorm1d):
     running_var: Tensor
     num_batches_tracked: Tensor
 
-    def __init__(self, wires: int, *, statistics: str = "batch") -> None:
+    def __init__(self, wires: int, *, statistics: Statistics = "batch") -> None:
         super().__init__(wires)
-        one_of("statistics", statistics, STATISTICS)
         self.statistics = statistics
 
     def forward(self, x: Tensor) -> Tensor:
@@ -71,7 +73,13 @@ class HybridLayer(nn.Module):
     """
 
     def __init__(
-        self, in_dim: int, wires: int, circuit: QuantumLayer, *, input_scale: float = 1.0, statistics: str = "batch"
+        self,
+        in_dim: int,
+        wires: int,
+        circuit: QuantumLayer,
+        *,
+        input_scale: float = 1.0,
+        statistics: Statistics = "batch",
     ) -> None:
         super().__init__()
         self.linear = nn.Linear(in_dim, wires)
@@ -104,8 +112,8 @@ class QirenHead(Head):
 
     Args:
         in_dim, out_dim: features in and values out.
-        layers: hidden hybrid layers x, at least 1 (x + 1 circuits).
-        spectral: data re-uploadings y of each circuit, at least 1.
+        layers: hidden hybrid layers x (x + 1 circuits).
+        spectral: data re-uploadings y of each circuit.
         qubits: wires of each circuit, 1 to 14.
         ansatz, method, init: see `QuantumLayer`.
         ansatz_options: name of an ansatz -> its options; only those of the chosen `ansatz` are used.
@@ -130,21 +138,22 @@ class QirenHead(Head):
         in_dim: int,
         out_dim: int,
         *,
-        layers: int = 1,
-        spectral: int = 2,
-        qubits: int = 8,
+        layers: Annotated[int, Interval(ge=1, le=64)] = 1,
+        spectral: Spectral = 2,
+        qubits: Wires = 8,
         ansatz: str = "qiren",
-        ansatz_options: dict | None = None,
-        method: str = "auto",
+        ansatz_options: dict[str, dict] | None = None,
+        method: Method = "auto",
         init: str = "uniform",
-        gain: float = 1.0,
+        gain: Factor = 1.0,
         sum_layers: bool = False,
-        input_scale: float = 1.0,
-        statistics: str = "batch",
+        input_scale: Factor = 1.0,
+        statistics: Statistics = "batch",
         center: bool = False,
     ) -> None:
         super().__init__()
-        at_least("layers", layers, 1)
+        for name, options in (ansatz_options or {}).items():
+            ANSATZE.check(name, options)
         self.gain = gain
         self.sum_layers = sum_layers
         self.hybrid = nn.ModuleList()
@@ -154,7 +163,7 @@ class QirenHead(Head):
             layer_in = in_dim if index == 0 else qubits
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(qubits, out_dim)
-        if center:
+        if center and not self.readout.weight.is_meta:
             self.center()
 
     @torch.no_grad()
@@ -166,7 +175,7 @@ class QirenHead(Head):
         self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
 
     def hybrid_layer(
-        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: str
+        self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: Statistics
     ) -> nn.Module:
         """The `index`-th layer; a head with other preprocessing overrides this."""
         return HybridLayer(in_dim, wires, circuit, input_scale=input_scale, statistics=statistics)

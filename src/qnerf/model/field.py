@@ -114,15 +114,15 @@ class Field(nn.Module):
             own = self.appearance(cameras.clamp(min=0))
             mean = self.appearance.weight[self.trained].mean(0)
             per_ray.append(torch.where((cameras >= 0)[:, None], own, mean))
-        rays, samples, size = geometry.shape
+        rays, samples = geometry.shape[:2]
         ray_features = torch.cat(per_ray, dim=-1)
         if mask is None:
             expanded = ray_features[:, None, :].expand(-1, samples, -1)
             features = torch.cat([expanded, geometry], dim=-1)
-            return torch.sigmoid(self.color_head(features.reshape(rays * samples, -1))).view(rays, samples, 3)
+            return torch.sigmoid(self.color_head(features.flatten(0, 1))).view(rays, samples, 3)
         index = mask.flatten().nonzero()[:, 0]
         ray = torch.div(index, samples, rounding_mode="floor")
-        features = torch.cat([ray_features[ray], geometry.reshape(-1, size)[index]], dim=-1)
+        features = torch.cat([ray_features[ray], geometry.flatten(0, 1)[index]], dim=-1)
         return scatter(torch.sigmoid(self.color_head(features)), index, mask.shape)
 
     def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:

@@ -24,13 +24,22 @@ A circuit that is not of the re-uploading family lists its operations itself:
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
+from annotated_types import Interval
+
+from qnerf.config.bounds import Factor
 from qnerf.config.registry import Registry
 
 MAX_WIRES = 14
-ENTANGLING_GATES = ("CZ", "CNOT")
-PAULIS = ("X", "Y", "Z")
+MAX_SPECTRAL = 64  # the largest scale of ternary encodings, 3^63, is still a float32
+
+Wires = Annotated[int, Interval(ge=1, le=MAX_WIRES)]
+Spectral = Annotated[int, Interval(ge=1, le=MAX_SPECTRAL)]
+EntanglingGate = Literal["CZ", "CNOT"]
+Pauli = Literal["X", "Y", "Z"]
+ENTANGLING_GATES = get_args(EntanglingGate)
+PAULIS = get_args(Pauli)
 
 PauliWord = tuple[tuple[int, str], ...]
 """A product of Pauli operators as (wire, letter) pairs. Wires that are left out carry the identity."""
@@ -172,13 +181,13 @@ def qiren(
     wires: int,
     spectral: int,
     *,
-    sublayers: int = 2,
-    entangler: str = "CZ",
-    ranges: tuple[int, ...] | None = None,
-    axis: str = "Z",
-    scaling: str = "unit",
-    scale: float = 1.0,
-    observable: str = "Z",
+    sublayers: Annotated[int, Interval(ge=1, le=32)] = 2,
+    entangler: EntanglingGate = "CZ",
+    ranges: tuple[Annotated[int, Interval(ge=-MAX_SPECTRAL, le=MAX_SPECTRAL)], ...] | None = None,
+    axis: Pauli = "Z",
+    scaling: Literal["unit", "ternary"] = "unit",
+    scale: Factor = 1.0,
+    observable: Pauli = "Z",
 ) -> Circuit:
     """QIREN (Zhao et al., arXiv:2406.03873): RZ encodings between StronglyEntanglingLayers with CZ, <Z> on every wire.
 
@@ -205,10 +214,6 @@ def qiren(
         ValueError: an option is unknown, or a ring's distance is a multiple of the number of wires.
     """
     check_wires(wires)
-    if scaling not in ("unit", "ternary"):
-        raise ValueError(f"unknown scaling {scaling!r}; known: ternary, unit")
-    if observable not in PAULIS:
-        raise ValueError(f"unknown observable {observable!r}; known: {', '.join(PAULIS)}")
     distances = ranges or tuple(1 + (layer % (wires - 1)) if wires > 1 else 0 for layer in range(sublayers))
     if len(distances) != sublayers or (wires > 1 and any(distance % wires == 0 for distance in distances)):
         raise ValueError(f"ranges needs {sublayers} distances, none a multiple of {wires}, got {distances}")

@@ -2,20 +2,20 @@
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
 
+from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum import lightcone, measurement, pennylane, statevector
-from qnerf.quantum.circuit import ANSATZE, Circuit, check_wires
+from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cost_model import Cost, choose_engine
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.normal_form import normal_form
 
-METHODS = ("auto", "lightcone", "statevector", "pennylane")
-BACKENDS = ("auto", "compiled", "torch")
+Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 
 
 class QuantumLayer(nn.Module):
@@ -36,7 +36,7 @@ class QuantumLayer(nn.Module):
 
     Args:
         wires: n, 1 to 14.
-        spectral: S, encodings of the input (data re-uploadings), at least 1.
+        spectral: S, encodings of the input (data re-uploadings), 1 to 64.
         method: auto takes the cheaper exact engine for the batch at hand (`cost` says which); lightcone evaluates
             trigonometric polynomials, statevector simulates, pennylane runs a PennyLane device.
         ansatz: a name in `qnerf.quantum.circuit.ANSATZE`.
@@ -58,29 +58,25 @@ class QuantumLayer(nn.Module):
             for a circuit without small light cones.
     """
 
+    @checked
     def __init__(
         self,
         wires: int,
-        spectral: int,
+        spectral: Spectral,
         *,
-        method: str = "auto",
+        method: Method = "auto",
         ansatz: str = "qiren",
         init: str = "uniform",
         ansatz_options: dict[str, Any] | None = None,
-        backend: str = "auto",
+        backend: Literal["auto", "compiled", "torch"] = "auto",
         device: str = "default.qubit",
-        diff_method: str = "backprop",
-        shots: int | None = None,
+        diff_method: pennylane.DiffMethod = "backprop",
+        shots: PositiveInt | None = None,
         noise: pennylane.Noise | None = None,
-        seed: int | None = None,
+        seed: Seed | None = None,
     ) -> None:
         super().__init__()
         check_wires(wires)
-        if isinstance(spectral, bool) or not isinstance(spectral, int) or spectral < 1:
-            raise ValueError(f"spectral must be an integer of at least 1, got {spectral!r}")
-        for name, choice, known in (("method", method, METHODS), ("backend", backend, BACKENDS)):
-            if choice not in known:
-                raise ValueError(f"{name}: unknown name {choice!r}; known: {', '.join(known)}")
         self.circuit: Circuit = ANSATZE.build(ansatz, wires, spectral, **(ansatz_options or {}))
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None

@@ -6,14 +6,15 @@ is imported on first use: `import qnerf` stays quick.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
 
-DIFF_METHODS = ("backprop", "parameter-shift", "adjoint")
+DiffMethod = Literal["backprop", "parameter-shift", "adjoint"]
 
 CHANNELS = {
     "depolarizing": "DepolarizingChannel",
@@ -130,14 +131,15 @@ def make_device(name: str, wires: int, seed: int | None = None) -> Any:
         raise ValueError(f"device: PennyLane cannot make {name!r} ({first}); installed: {known}") from None
 
 
+@checked
 def make_node(
     circuit: Circuit,
     *,
     device: str = "default.qubit",
-    diff_method: str = "backprop",
-    shots: int | None = None,
+    diff_method: DiffMethod = "backprop",
+    shots: PositiveInt | None = None,
     noise: Noise | None = None,
-    seed: int | None = None,
+    seed: Seed | None = None,
 ) -> Callable[[Tensor, Tensor], Tensor]:
     """A function of x (B, n) in radians and weights (rows, n, 3) that returns expectation values (B, outputs).
 
@@ -154,9 +156,6 @@ def make_node(
     """
     import pennylane as qml
 
-    if diff_method not in DIFF_METHODS:
-        raise ValueError(f"diff_method: unknown name {diff_method!r}; known: {', '.join(DIFF_METHODS)}")
-    check_shots(shots)
     if shots is not None and diff_method != "parameter-shift":
         raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
     target = make_device(device, circuit.wires, seed)

@@ -1,12 +1,13 @@
 """Proposal sampling: small networks that learn where the field has density (Sec. 3, arXiv:2111.12077)."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from annotated_types import Interval, Len
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
-from qnerf.encoders.hash import HashEncoder
+from qnerf.config.bounds import Count, NonNegativeFactor, NonNegativeInt, PositiveInt
+from qnerf.encoders.hash import EntryFeatures, HashEncoder, Levels, Log2Size, Resolution
 from qnerf.heads.activations import trunc_exp
 from qnerf.kernels import compiled, proposal
 from qnerf.rendering.pdf import sample_edges
@@ -64,36 +65,27 @@ class ProposalSampler(Sampler):
         self,
         contraction: nn.Module,
         *,
-        samples: list[int] = [256, 96],  # noqa: B006 (read only)
-        final: int = 48,
+        samples: Annotated[list[Count], Len(1, 16)] = [256, 96],  # noqa: B006 (read only)
+        final: Count = 48,
         spacing: str = "piecewise",
-        update_every: int = 5,
-        update_warmup: int = 0,
-        anneal_steps: int = 1000,
-        anneal_slope: float = 10.0,
-        padding: float = 0.01,
-        levels: int = 5,
-        base_resolution: int = 16,
-        max_resolutions: list[int] = [128, 256],  # noqa: B006
-        log2_table_size: int = 17,
-        features: int = 2,
-        hidden: int = 16,
+        update_every: PositiveInt = 5,
+        update_warmup: Annotated[int, Interval(ge=0, le=10**6)] = 0,
+        anneal_steps: NonNegativeInt = 1000,
+        anneal_slope: Annotated[float, Interval(ge=1, le=10**6)] = 10.0,
+        padding: NonNegativeFactor = 0.01,
+        levels: Levels = 5,
+        base_resolution: Resolution = 16,
+        max_resolutions: list[Resolution] = [128, 256],  # noqa: B006
+        log2_table_size: Log2Size = 17,
+        features: EntryFeatures = 2,
+        hidden: Count = 16,
     ) -> None:
         super().__init__(contraction)
-        if not samples or len(samples) != len(max_resolutions):
+        if len(samples) != len(max_resolutions):
             raise ValueError(
                 f"sampler=proposal: samples and max_resolutions need one number per network, got {list(samples)} and "
                 f"{list(max_resolutions)}"
             )
-        for count in samples:
-            at_least("samples", count, 1)
-        counts = {"final": final, "update_every": update_every, "hidden": hidden}
-        amounts = {"update_warmup": update_warmup, "anneal_steps": anneal_steps, "padding": padding}
-        for name, value in counts.items():
-            at_least(name, value, 1)
-        for name, amount in amounts.items():
-            at_least(name, amount, 0)
-        at_least("anneal_slope", anneal_slope, 1)
         SPACINGS.get(spacing)
         self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
         self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope
@@ -161,7 +153,7 @@ def _warmup_updates(every: int, warmup: int) -> list[int]:
     steps = list(range(_FIRST_STEPS))
     while steps[-1] < warmup:
         step = steps[-1] + 1
-        while step - steps[-1] < min(max(every * min(step / warmup, 1.0), 1.0), every):
+        while step < warmup and step - steps[-1] < min(max(every * step / warmup, 1.0), every):
             step += 1
-        steps.append(step)
+        steps.append(step if step < warmup else max(step, steps[-1] + every))
     return steps

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
+from qnerf.config.bounds import Count, NonNegativeFactor
 from qnerf.config.registry import Registry
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.rendering.pdf import sample_edges
@@ -79,9 +79,8 @@ class SpacedSampler(Sampler):
 
     spacing: str
 
-    def __init__(self, contraction: nn.Module, *, samples: int = 128) -> None:
+    def __init__(self, contraction: nn.Module, *, samples: Count = 128) -> None:
         super().__init__(contraction)
-        at_least("samples", samples, 1)
         self.samples = samples
 
     @torch.no_grad()
@@ -112,15 +111,12 @@ class VanillaSampler(Sampler):
         self,
         contraction: nn.Module,
         *,
-        coarse: int = 64,
-        fine: int = 128,
+        coarse: Count = 64,
+        fine: Count = 128,
         spacing: str = "uniform",
-        padding: float = 0.01,
+        padding: NonNegativeFactor = 0.01,
     ) -> None:
         super().__init__(contraction)
-        at_least("coarse", coarse, 1)
-        at_least("fine", fine, 1)
-        at_least("padding", padding, 0)
         SPACINGS.get(spacing)
         self.coarse, self.fine, self.spacing, self.padding = coarse, fine, spacing, padding
 

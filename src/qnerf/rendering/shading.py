@@ -4,12 +4,13 @@ The colour head is the costliest part of a field, above all when it is a circuit
 colour lie close together. Samples whose density was not evaluated have weight 0 and never get a colour.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
+from qnerf.config.bounds import Count
 from qnerf.config.registry import Registry
 from qnerf.heads.base import MIN_BATCH
 
@@ -73,10 +74,8 @@ class ThresholdShading(Selection):
         min_share: share of a ray's colour, 0 to 1.
     """
 
-    def __init__(self, *, min_share: float = 1e-3) -> None:
+    def __init__(self, *, min_share: Annotated[float, Interval(ge=0, lt=1)] = 1e-3) -> None:
         super().__init__()
-        if not 0 <= min_share < 1:
-            raise ValueError(f"shading=threshold: min_share must be at least 0 and below 1, got {min_share}")
         self.min_share = min_share
 
     def select(self, shares: Tensor) -> Tensor:
@@ -88,12 +87,11 @@ class TopShading(Selection):
     """The samples with the largest shares of each ray.
 
     Args:
-        samples: number per ray, at least 1.
+        samples: number per ray.
     """
 
-    def __init__(self, *, samples: int = 8) -> None:
+    def __init__(self, *, samples: Count = 8) -> None:
         super().__init__()
-        at_least("samples", samples, 1)
         self.samples = samples
 
     def select(self, shares: Tensor) -> Tensor:
@@ -114,12 +112,11 @@ class MergeShading(Shading):
     least `SMALL` of an equal part.
 
     Args:
-        parts: per ray, at least 1. With 1, features are rendered first and each ray gets one colour.
+        parts: per ray. With 1, features are rendered first and each ray gets one colour.
     """
 
-    def __init__(self, *, parts: int = 8) -> None:
+    def __init__(self, *, parts: Count = 8) -> None:
         super().__init__()
-        at_least("parts", parts, 1)
         self.parts = parts
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:

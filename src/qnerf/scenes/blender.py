@@ -1,8 +1,9 @@
 """The synthetic-NeRF layout: transforms_train.json, transforms_val.json, transforms_test.json and RGBA images."""
 
 from pathlib import Path
+from typing import Literal
 
-from qnerf.config.checks import at_least, one_of
+from qnerf.config.bounds import Count, PositiveInt
 from qnerf.scenes.base import SCENES, Scene
 from qnerf.scenes.transforms import find_transforms, load_scene, read_frames, with_images
 
@@ -13,9 +14,9 @@ BOUNDS = (2.0, 6.0)  # near and far by convention, in the source's units
 def blender(
     *,
     path: str | Path,
-    downscale: int = 1,
-    eval_split: str = "test",
-    eval_views: int | None = None,
+    downscale: Count = 1,
+    eval_split: Literal["test", "val"] = "test",
+    eval_views: PositiveInt | None = None,
     skip_missing: bool = False,
 ) -> Scene:
     """Reads the training split and one evaluation split.
@@ -33,9 +34,6 @@ def blender(
     Raises:
         ValueError: one line that names the mistake and the file or frame.
     """
-    one_of("scene=blender: eval_split", eval_split, ("test", "val"))
-    if eval_views is not None:
-        at_least("scene=blender: eval_views", eval_views, 1)
     files = [
         find_transforms(path, f"transforms_{split}.json", ("transforms.json", "nerfstudio"))
         for split in ("train", eval_split)

@@ -4,12 +4,13 @@ import posixpath
 from collections.abc import Sequence
 from pathlib import Path
 
+from qnerf.config.bounds import Count
 from qnerf.scenes.base import SCENES, Scene, split_views
 from qnerf.scenes.transforms import Frame, find_transforms, load_scene, read_frames, with_images
 
 
 @SCENES.register("nerfstudio")
-def nerfstudio(*, path: str | Path, downscale: int = 1, skip_missing: bool = False) -> Scene:
+def nerfstudio(*, path: str | Path, downscale: Count = 1, skip_missing: bool = False) -> Scene:
     """Reads `path`/transforms.json. Views are in the order of their file names.
 
     Intrinsics are fl_x fl_y cx cy k1 k2 p1 p2, or camera_angle_x, shared or per frame. The split is the file's

@@ -6,14 +6,15 @@ import tempfile
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from numpy.typing import NDArray
 
+from qnerf.config.bounds import Count, Seed
 from qnerf.config.cache import cache_folder
-from qnerf.config.checks import at_least
 from qnerf.scenes.base import MIN_VIEWS, SCENES, Cameras, Scene, digest, split_views
 from qnerf.scenes.builtin.textures import encoded
 from qnerf.scenes.builtin.tracer import MAX_RADIANCE
@@ -30,12 +31,12 @@ CHUNK = 2**16  # rays traced at a time
 def poster(
     *,
     path: str | None = None,
-    downscale: int = 1,
-    views: int = 226,
-    width: int = 36,
-    height: int = 64,
-    supersample: int = 4,
-    seed: int = 0,
+    downscale: Count = 1,
+    views: Annotated[int, Interval(ge=MIN_VIEWS, le=10**6)] = 226,
+    width: Count = 36,
+    height: Count = 64,
+    supersample: Annotated[int, Interval(ge=1, le=256)] = 4,
+    seed: Seed = 0,
 ) -> Scene:
     """A corner of a room with a framed poster, seen by a hand-held camera, with exact depth. Needs no download.
 
@@ -55,10 +56,7 @@ def poster(
     """
     if path is not None:
         raise ValueError(f"scene=poster is built in and has no path, got {path!r}; for images use scene=nerfstudio")
-    minimum = {"views": MIN_VIEWS, "width": 1, "height": 1, "supersample": 1, "seed": 0}
     options = {"views": views, "width": width, "height": height, "supersample": supersample, "seed": seed}
-    for name, value in options.items():
-        at_least(f"scene=poster: {name}", value, minimum[name])
     check_downscale("scene=poster", downscale, width, height)
     width, height = width // downscale, height // downscale
     check_memory("scene=poster", views, width, height, BYTES_PER_PIXEL)
