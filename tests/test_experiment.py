@@ -145,11 +145,15 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["qiren.layers=0"], "layers must be at least 1, got 0"),
+        (["qiren.layers=0"], "layers must be between 1 and 64, got 0"),
         (["qiren.qubits=0"], "got 0"),
-        (["qiren.qubits=40"], "got 40 .*memory"),
+        (["qiren.qubits=40"], "qubits must be between 1 and 14, got 40"),
         (["qiren.spectral=0"], "spectral"),
         (["density.initial=0"], "density.initial must be above 0"),
+        (["density.initial=abc"], "density.initial expects float, got 'abc'"),
+        (["density.initial=inf"], "density.initial must be above 0 and at most 1000000, got inf"),
+        (["qiren.gain=nan"], "gain must be between"),
+        (["shading=merge", "shading.parts=1000000000"], "parts must be between"),
         (["density.activation=relu"], "known: softplus, trunc_exp|known: trunc_exp, softplus"),
         (["contraction.name=cube"], "known: box, l2, linf"),
         (["color.directions=quaternions"], "known: raw, sh"),
@@ -157,7 +161,7 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
         (["density.name=transformer"], "known: mlp, qfgn, qiren"),
         (["scene.path=/nowhere"], "/nowhere"),
         (["scene.downscale=0"], "downscale"),
-        (["sampler.final=0"], "final must be at least 1, got 0"),
+        (["sampler.final=0"], "final must be between 1 and 65536, got 0"),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(tiny, tmp_path, overrides, message):

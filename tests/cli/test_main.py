@@ -46,7 +46,7 @@ def test_a_sweep_runs_every_job_and_one_failure_does_not_stop_the_others(small):
     done = call("-m", *small, "train.steps=2", "field=qcolor", "qiren.layers=1,0,2", "qiren.qubits=3")
     assert done.returncode == 1
     assert "1 failed" in done.stderr
-    assert "layers must be at least 1, got 0" in " ".join(done.stderr.split())
+    assert "layers must be between 1 and 64, got 0" in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
     summaries = pd.concat([pd.read_parquet(path / "summary.parquet") for path in runs(small)])
     assert sorted(summaries["qiren"]) == ["1L2S", "2L2S"]

@@ -219,5 +219,12 @@ def test_a_blender_scene_trains(tiny, tmp_path):
     assert summary["scene"] == "blender"
 
 
+@pytest.mark.parametrize("shading", choices("shading"))
+@pytest.mark.parametrize("cameras", [0, 1])
+def test_a_field_without_geometry_features_trains(tiny, shading, cameras):
+    options = ("geo_features=0", f"shading={shading}", f"visibility.cameras={cameras}", "visibility.resolution=16")
+    finished(tiny("field=qcolor", "qiren.qubits=2", *options))
+
+
 def test_float64_and_appearance_train(tiny):
     finished(tiny("numerics.dtype=float64", "appearance=3", "field=qboth"))

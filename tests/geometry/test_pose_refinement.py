@@ -169,7 +169,7 @@ def test_refinement_finds_a_known_motion(name: str, one_thread: None) -> None:
 
 
 def test_bad_options_are_refused() -> None:
-    with pytest.raises(ValueError, match="rotation_penalty must be between 0 and 1000000, got -1.0"):
+    with pytest.raises(ValueError, match="rotation_penalty must be between 0 and 1000000, got -1"):
         CAMERAS.build("so3xr3", 2, rotation_penalty=-1.0)
     with pytest.raises(ValueError, match="unknown option"):
         CAMERAS.build("fixed", 2, penalty=1.0)

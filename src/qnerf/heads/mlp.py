@@ -43,7 +43,7 @@ class MLPHead(Head):
         self.net = nn.Sequential(*steps[:-1])
         if init == "he":
             for layer in self.net:
-                if isinstance(layer, nn.Linear):
+                if isinstance(layer, nn.Linear) and not layer.weight.is_meta:
                     nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
                     nn.init.zeros_(layer.bias)
 

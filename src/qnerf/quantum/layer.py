@@ -93,7 +93,9 @@ class QuantumLayer(nn.Module):
         self._cone = lightcone.LightConeEngine(self.circuit) if method == "lightcone" else None
         self._costs: dict[tuple[Any, ...], Cost] = {}
         first, second = self.circuit.weight_shapes
-        angles = INITS.get(init)(self.circuit)
+        angles = torch.empty(self.circuit.rows, self.circuit.wires, 3)
+        if not angles.is_meta:  # else only the shapes count
+            angles = INITS.get(init)(self.circuit)
         self.weights1 = nn.Parameter(angles[: -second[0]].reshape(first))
         self.weights2 = nn.Parameter(angles[-second[0] :].reshape(second))
 
