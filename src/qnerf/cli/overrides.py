@@ -60,8 +60,8 @@ def check(arguments: Iterable[str]) -> None:
             continue
         try:
             override = OverridesParser.create().parse_override(argument)
-        except HydraException:
-            continue  # Hydra's message is good
+        except (HydraException, RecursionError):
+            continue  # Hydra will say so
         value = override.value()
         names = value if isinstance(value, list) else [value]
         if not override.is_sweep_override() and not all(isinstance(name, str) for name in names):
@@ -79,7 +79,7 @@ def plugins(arguments: Sequence[str]) -> list[str]:
         if argument.lstrip("+").startswith("plugins="):
             try:
                 value = OverridesParser.create().parse_override(argument).value()
-            except HydraException:
+            except (HydraException, RecursionError):
                 value = None
             if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
                 raise ValueError(f"{argument}: expected a list of modules, such as plugins=[my_module]")
