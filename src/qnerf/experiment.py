@@ -15,7 +15,7 @@ from qnerf import auto
 from qnerf.config.identity import picture_names, run_id
 from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry, check_options, options_of
-from qnerf.config.settings import Settings, check_settings, declared, settings_from
+from qnerf.config.settings import Settings, check_settings, declared, require, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
 from qnerf.geometry.hull import visual_hull
@@ -27,7 +27,7 @@ from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import ACTIVATIONS
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
-from qnerf.model.labels import labels, slug
+from qnerf.model.labels import LABELLED, labels, slug
 from qnerf.model.memory import planned, require_memory
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
@@ -130,8 +130,7 @@ def check_components(config: Mapping[str, Any], undecided: Collection[str] = ())
 
     def check(group: str, node: Any, *components: Callable[..., Any]) -> None:
         """Each option of the node, which is one of any of the components."""
-        if not isinstance(node, Mapping):
-            raise ValueError(f"{group} must be a group of options, got {node!r}")
+        require(group, node, ())
         for key, value in node.items():
             if key != "name" and f"{group}.{key}" not in undecided:
                 owner = next((one for one in components if key in options_of(one)), components[0])
@@ -141,6 +140,7 @@ def check_components(config: Mapping[str, Any], undecided: Collection[str] = ())
         names = registry.names() if f"{group}.name" in undecided else [config[group]["name"]]
         check(group, config[group], *map(registry.get, names))
     for group, (registry, name) in SHARED.items():
+        require(group, config[group], LABELLED.get(group, ()))
         check(group, config[group], registry.get(name))
     for group in ("density", "color"):
         node = config[group]

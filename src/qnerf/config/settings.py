@@ -210,7 +210,7 @@ def check_settings(config: Mapping[str, Any], undecided: Collection[str] = ()) -
     for group, component in _GROUPS.items():
         _check_group(f"{group}.", component, config[group], undecided)
     for group in COMPONENTS:
-        _require(group, config[group], declared(group))
+        require(group, config[group], declared(group))
         for key, hint in declared(group).items():
             if f"{group}.{key}" not in undecided:
                 bounds.check(f"{group}.{key}", config[group][key], hint)
@@ -228,12 +228,13 @@ def declared(group: str) -> dict[str, Any]:
 
 
 def _check_group(prefix: str, component: type, node: Mapping[str, Any], undecided: Collection[str]) -> None:
-    _require(prefix.rstrip(".") or "config", node, [field.name for field in fields(component)])
+    require(prefix.rstrip(".") or "config", node, [field.name for field in fields(component)])
     decided = {key: value for key, value in node.items() if f"{prefix}{key}" not in undecided and key not in _GROUPS}
     check_options(prefix, component, decided)
 
 
-def _require(group: str, node: Any, keys: Collection[str]) -> None:
+def require(group: str, node: Any, keys: Collection[str]) -> None:
+    """ValueError unless the node is a group that has the keys."""
     if not isinstance(node, Mapping):
         raise ValueError(f"{group} must be a group of options, got {node!r}")
     missing = sorted(set(keys) - set(node))
