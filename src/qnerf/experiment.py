@@ -5,7 +5,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ from typing import Any
 import torch
 
 from qnerf import auto
-from qnerf.config import bounds
 from qnerf.config.identity import picture_names, run_id
 from qnerf.config.plugins import import_plugins
-from qnerf.config.settings import Settings, settings_from
+from qnerf.config.registry import Registry, check_options, options_of
+from qnerf.config.settings import Settings, check_settings, declared, require, settings_from
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
 from qnerf.geometry.hull import visual_hull
@@ -28,7 +28,7 @@ from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
-from qnerf.model.labels import labels, slug
+from qnerf.model.labels import LABELLED, labels, slug
 from qnerf.model.memory import planned, require_memory
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
@@ -40,6 +40,7 @@ from qnerf.rendering.samplers import SAMPLERS, Sampler
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
 from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
+from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator
@@ -83,9 +84,15 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
     """The configuration with every `auto` resolved for its scene, its settings, and the scene.
 
     begun: if the run exists in its store, reuse its stored `auto` decisions.
+
+    Raises:
+        ValueError: an option with a value that it cannot have, or a scene that cannot be read.
     """
+    undecided = auto.asked(config)
+    check_settings(config, undecided)
     import_plugins(config["plugins"])
-    if not auto.asked(config):
+    check_components(config, undecided)
+    if not undecided:
         settings = settings_from(config)
         return dict(config), settings, build_scene(settings)
     scene = add_pose_noise(component(SCENES, config["scene"]), **config["pose_noise"])
@@ -93,8 +100,57 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
         config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
     resolved = auto.resolve(config, scene)
     settings = settings_from(resolved)
+    check_components(resolved)
     check_background(scene, settings)
     return resolved, settings, scene
+
+
+COMPONENTS: dict[str, Registry[Any]] = {
+    "contraction": CONTRACTIONS,
+    "encoder": ENCODERS,
+    "scene": SCENES,
+    "sampler": SAMPLERS,
+    "shading": SHADINGS,
+    "cameras": CAMERAS,
+}
+"""Group -> the registry of the component that its key `name` chooses."""
+SHARED: dict[str, tuple[Registry[Any], str]] = {
+    "hash": (ENCODERS, "hash"),
+    "proposal": (SAMPLERS, "proposal"),
+    "qiren": (HEADS, "qiren"),
+    "qfgn": (HEADS, "qfgn"),
+}
+"""Group of defaults -> the component whose options they are."""
+
+
+def check_components(config: Mapping[str, Any], undecided: Collection[str] = ()) -> None:
+    """ValueError unless the options of all components fit their declarations, those of unused heads and tables too.
+
+    undecided: as in `check_settings`, which has checked the config before.
+    """
+
+    def check(group: str, node: Any, *components: Callable[..., Any]) -> None:
+        """Each option of the node, which is one of any of the components."""
+        require(group, node, ())
+        for key, value in node.items():
+            if key != "name" and f"{group}.{key}" not in undecided:
+                owner = next((one for one in components if key in options_of(one)), components[0])
+                check_options(f"{group}.", owner, {key: value})
+
+    for group, registry in COMPONENTS.items():
+        names = registry.names() if f"{group}.name" in undecided else [config[group]["name"]]
+        check(group, config[group], *map(registry.get, names))
+    for group, (registry, name) in SHARED.items():
+        require(group, config[group], LABELLED.get(group, ()))
+        check(group, config[group], registry.get(name))
+    for group in ("density", "color"):
+        node = config[group]
+        HEADS.get(node["name"])
+        for key in [key for key in node if key not in declared(group)]:
+            if key not in HEADS.names():
+                known = ", ".join([*declared(group), *HEADS.names()])
+                raise ValueError(f"{group}: unknown option {key}={node[key]!r}; known: {known}")
+            check(f"{group}.{key}", node[key], HEADS.get(key))
 
 
 def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
@@ -150,7 +206,6 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
         COLOR_ACTIVATIONS.get(settings.color["activation"]),
     )
     initial = settings.density["initial"]
-    bounds.check("density.initial", initial, bounds.PositiveFactor)
     appearance = settings.appearance
     return Field(contraction, encoder, directions, density, color, *activations, initial, views, trained, appearance)
 
@@ -263,6 +318,8 @@ def run(
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     model = build_model(settings, scene)
+    table = ray_table(settings, scene)
+    lpips.weights()  # files that cannot be used are reported now, not at the first evaluation
 
     name = name or id_of(config, scene)
     config = dict(config) | {"needs": resolved["needs"]}
@@ -279,14 +336,19 @@ def run(
         display.note(f"the scene needs {', '.join(decided)}")
     with claim.run as store, stop_requests() as stops:
         store.write_environment(capture(settings.seed), dirty_diff())
-        return _execute(settings, scene, model, store, display, lambda: bool(stops) or stopping())
+        return _execute(settings, scene, model, table, store, display, lambda: bool(stops) or stopping())
 
 
 def _execute(
-    settings: Settings, scene: Scene, model: Model, store: Run, display: Display, stopping: Callable[[], bool]
+    settings: Settings,
+    scene: Scene,
+    model: Model,
+    table: RayTable,
+    store: Run,
+    display: Display,
+    stopping: Callable[[], bool],
 ) -> Outcome:
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    table = ray_table(settings, scene)
     if settings.numerics.finite_checks:
         context = RunContext(scene.names, store.config, store.dir / NONFINITE)
         trainer: Trainer = CheckedTrainer(model, table, settings, watch, context)

@@ -45,4 +45,6 @@ def one_line(error: Exception) -> str:
 
     if type(error).__name__ == "MissingMandatoryValue":  # OmegaConf's; only commands with Hydra import it
         return f"{getattr(error, 'full_key', '?')} must be given"
-    return printable.printable(files.one_line(error).partition(" full_key: ")[0])
+    message, _, rest = files.one_line(error).partition(" full_key: ")  # OmegaConf's, too
+    key = rest.partition(" ")[0]
+    return printable.printable(f"{key}: {message}" if key else message)

@@ -15,12 +15,16 @@ import time
 import traceback
 import warnings
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Annotated, Any, TextIO
 
 import hydra
+from annotated_types import MinLen
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import CompactHydraException, HydraException, MissingConfigException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, MissingConfigException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -33,6 +37,7 @@ from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
 from qnerf.cli.errors import one_line, report
 from qnerf.cli.sweep import Sweep
+from qnerf.config import bounds
 from qnerf.config.folders import CONF
 
 LAUNCHERS = {
@@ -45,12 +50,14 @@ LAUNCHERS = {
 
 STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
 RETRY = 10.0  # seconds between attempts to take over the run of a dead job
+MAX_JOBS = 100_000  # in a sweep; Hydra lists them all in memory
 PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
 
 # The plugins' schemas have the names of the files in conf/hydra/launcher. Hydra warns that matching them is deprecated.
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
 _started: list[Sweep] = []  # sweeps that this process started
+_jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
 
 
 class SweepStart(Callback):
@@ -60,6 +67,11 @@ class SweepStart(Callback):
         launcher = config.hydra.runtime.choices["hydra/launcher"]
         _require(launcher)
         _rename_swept(config)
+        try:
+            bounds.check("store", config.store, Annotated[str, MinLen(1)])  # the sweep's folder is inside
+            _count_jobs(config)
+        except (ValueError, HydraException, OmegaConfBaseException) as error:
+            sys.exit(report(error))  # Hydra would only warn
         sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
         _started.append(sweep)
         # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
@@ -80,6 +92,21 @@ def _rename_swept(config: DictConfig) -> None:
     if params:
         with open_dict(config):
             config.hydra.sweeper.params = {typed.option(key, f"={value}"): value for key, value in params.items()}
+
+
+def _count_jobs(config: DictConfig) -> None:
+    """ValueError if the sweep has no job, or more than `MAX_JOBS`."""
+    params = config.hydra.sweeper.get("params") or {}
+    arguments = [*config.hydra.overrides.task, *(f"{key}={value}" for key, value in params.items())]
+    jobs = 1
+    for override in OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(arguments):
+        if override.is_sweep_override() and override.is_discrete_sweep():
+            values = sum(1 for _ in islice(override.sweep_string_iterator(), MAX_JOBS + 1))
+            if not values:
+                raise ValueError(f"{override.input_line}: an empty list of values, so there is no job")
+            jobs *= values
+    if jobs > MAX_JOBS:
+        raise ValueError(f"the sweep has more than {MAX_JOBS} jobs")
 
 
 def _require(launcher: str) -> None:
@@ -134,6 +161,7 @@ def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
     hydra_config = HydraConfig.get()
     sweep = Sweep(hydra_config.sweep.dir) if hydra_config.mode == RunMode.MULTIRUN else None
+    _jobs.append(sweep)
     side_by_side = sweep is not None and hydra_config.runtime.choices["hydra/launcher"] == "joblib"
     prefix = f"{hydra_config.job.num} | " if side_by_side else ""
     try:
@@ -144,7 +172,7 @@ def job(composed: DictConfig) -> None:
         sys.exit(130)
     except Exception as error:
         known = _is_known(error)
-        if composed.run.debug or (sweep is None and not known):
+        if _wants_traceback(composed) or (sweep is None and not known):
             raise
         reason = one_line(error)
         if not known:
@@ -159,23 +187,34 @@ def job(composed: DictConfig) -> None:
             os._exit(1)  # otherwise joblib's process waits for its next job
 
 
+def _wants_traceback(composed: DictConfig) -> bool:
+    with contextlib.suppress(OmegaConfBaseException):
+        return bool(OmegaConf.select(composed, "run.debug") is True)
+    return False
+
+
 def _stopping(sweep: Sweep | None) -> bool:
     return sweep is not None and (sweep.stopping() or _is_abandoned())
 
 
 def _is_abandoned() -> bool:
     """Whether this is one of joblib's processes and the process that started the sweep is dead."""
-    return STARTER in os.environ and os.getpid() != int(os.environ[STARTER]) != os.getppid()
+    starter = os.environ.get(STARTER, "")
+    return starter.isdecimal() and os.getpid() != int(starter) != os.getppid()
 
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
+    from qnerf.auto import asked
     from qnerf.cli.display import LiveDisplay, print_outcome
-    from qnerf.cli.text import tree
+    from qnerf.cli.text import escape_unencodable, tree
+    from qnerf.config.settings import check_settings
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
+    check_settings(config, asked(config))  # also those that are read here
     plugins.load(config["plugins"])  # a launcher's process has not imported them
     overrides = list(HydraConfig.get().overrides.task)
+    escape_unencodable()
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
     if sweep is None:
         console.print(tree("configuration", config))
@@ -183,8 +222,11 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     else:
         console.rule(" ".join(overrides), align="left")
-    if config["threads"] is None and "SLURM_CPUS_PER_TASK" in os.environ:
-        config["threads"] = int(os.environ["SLURM_CPUS_PER_TASK"])
+    cpus = os.environ.get("SLURM_CPUS_PER_TASK")
+    if cpus is not None and config["threads"] is None:
+        if not re.fullmatch("[0-9]{1,9}", cpus):
+            raise ValueError(f"SLURM_CPUS_PER_TASK must be a whole number, got {cpus!r}")
+        config["threads"] = int(cpus)
     display = LiveDisplay(console, live=config["run"]["progress"])
     stopping = partial(_stopping, sweep)
     outcome = run(config, overrides, display, stopping)
@@ -220,11 +262,11 @@ def _report(sweep: Sweep) -> int:
     return 1 if failures else 0
 
 
-def _unknown_option(message: str) -> list[str]:
-    """One line with the known options, if Hydra's message is about an unknown one; else nothing."""
+def _unknown_option(message: str) -> str:
+    """The known options, if Hydra's message is about an unknown one; else nothing."""
     unknown = re.match(r"Could not override '([\w.@]+)'", message)
     if unknown is None:
-        return []
+        return ""
     group, _, _ = unknown[1].rpartition(".")
     options = [word for word in sys.argv[1:] if "=" in word and not word.startswith((unknown[1], "-", "hydra"))]
     with contextlib.suppress(HydraException, OmegaConfBaseException):
@@ -232,16 +274,31 @@ def _unknown_option(message: str) -> list[str]:
             config = hydra.compose("config", [word for word in options if "," not in word])
         node = OmegaConf.select(config, group) if group else config
         if isinstance(node, DictConfig):
-            return [f"error: unknown option {unknown[1]}; known: {', '.join(sorted(map(str, node)))}"]
-    return []
+            return f"unknown option {unknown[1]}; known: {', '.join(sorted(map(str, node)))}"
+    return ""
+
+
+def _composition_message(error: Exception) -> str:
+    """Hydra's error about what the user typed, on one line."""
+    if isinstance(error, MissingConfigException):
+        group, _, name = str(error.missing_cfg_file).rpartition("/")
+        known = f"known: {', '.join(error.options)}" if error.options else "--sweep NAME lists the sweeps"
+        return f"{group or 'config'}={name}: unknown; {known}"
+    unknown = _unknown_option(str(error))
+    if unknown:
+        return unknown
+    cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
+    return one_line(error).partition(" See https://hydra.cc")[0] + cause
 
 
 def run_command() -> None:
     """Composes the configuration from conf/ and the command line, and runs it."""
+    full_error = os.environ.get("HYDRA_FULL_ERROR", "0") not in ("", "0")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of printing them itself
     code: Any = 0
     try:
         sys.argv[1:] = typed.translated(sys.argv[1:])
+        typed.check(sys.argv[1:])
         plugins.load(typed.plugins(sys.argv[1:]))
     except ValueError as error:
         sys.exit(report(error))
@@ -252,20 +309,14 @@ def run_command() -> None:
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         code = 130
-    except MissingConfigException as error:
-        group, _, name = str(error.missing_cfg_file).rpartition("/")
-        known = f"known: {', '.join(error.options)}" if error.options else "--sweep NAME lists the sweeps"
-        print(f"error: {group or 'config'}={name}: unknown; {known}", file=sys.stderr)
-        code = 1
-    except CompactHydraException as error:
-        causes = [error.__cause__] if error.__cause__ else []
-        print(*(_unknown_option(str(error)) or (error, *causes)), sep="\n", file=sys.stderr)
-        code = 1
     except Exception as error:
-        if not _started:
+        if full_error or (_jobs and not _started):  # a job prints a user's mistake itself: this is a bug
             raise
-        # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
-        print(f"error: the sweep ended early; the same command continues it: {one_line(error)}", file=sys.stderr)
+        ended = ""
+        if _started and not isinstance(error, HydraException):
+            # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
+            ended = "the sweep ended early; the same command continues it: "
+        print(f"error: {ended}{_composition_message(error)}", file=sys.stderr)
         code = 1
     reported = [_report(sweep) for sweep in _started]
     if code or any(reported):

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from qnerf.config.compatibility import today_noted
+from qnerf.config.folders import CONF
 
 _OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./-]*)(?P<package>@[^=]*)?(?P<value>=.*)?", re.DOTALL)
 _SWEPT = "hydra.sweeper.params."
@@ -40,6 +41,34 @@ def option(key: str, value: str = "") -> str:
     return today_noted(key)
 
 
+def check(arguments: Iterable[str]) -> None:
+    """ValueError for an override without an option, and for a group that is set to what is no name of a choice.
+
+    >>> check(["=1"])
+    Traceback (most recent call last):
+        ...
+    ValueError: '=1': expected OPTION=VALUE
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    for argument in arguments:
+        if re.match(r"[~+]*(=|$)", argument):
+            raise ValueError(f"{argument!r}: expected OPTION=VALUE")
+        match = _OVERRIDE.fullmatch(argument)
+        if match is None or not match["value"] or match["sign"] == "~" or not (CONF / match["key"]).is_dir():
+            continue
+        try:
+            override = OverridesParser.create().parse_override(argument)
+        except (HydraException, RecursionError):
+            continue  # Hydra will say so
+        value = override.value()
+        names = value if isinstance(value, list) else [value]
+        if not override.is_sweep_override() and not all(isinstance(name, str) for name in names):
+            known = sorted(file.stem for file in (CONF / match["key"]).glob("*.yaml") if file.stem != "base")
+            raise ValueError(f"{argument}: expected the name of a choice; known: {', '.join(known)}")
+
+
 def plugins(arguments: Sequence[str]) -> list[str]:
     """The modules of `plugins=[a,b]`, if any. ValueError if it is not a list of names."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -50,7 +79,7 @@ def plugins(arguments: Sequence[str]) -> list[str]:
         if argument.lstrip("+").startswith("plugins="):
             try:
                 value = OverridesParser.create().parse_override(argument).value()
-            except HydraException:
+            except (HydraException, RecursionError):
                 value = None
             if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
                 raise ValueError(f"{argument}: expected a list of modules, such as plugins=[my_module]")

@@ -18,10 +18,15 @@ from qnerf.records.printable import printable
 STATE_STYLES = {"running": "cyan", "finished": "green", "interrupted": "yellow", "failed": "red", "damaged": "magenta"}
 
 
-def console() -> Console:
-    """Standard output; characters that its encoding lacks are escaped."""
+def escape_unencodable() -> None:
+    """From now on, characters that the encoding of standard output lacks are escaped."""
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def console() -> Console:
+    """Standard output, with `escape_unencodable`."""
+    escape_unencodable()
     return Console(highlight=False, markup=False, emoji=False)
 
 

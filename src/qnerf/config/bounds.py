@@ -159,6 +159,8 @@ def _limits_text(value: float, limits: list[Any]) -> str:
 
 
 def _check_length(name: str, length: int, limit: MinLen | MaxLen) -> None:
+    if isinstance(limit, MinLen) and length < limit.min_length == 1:
+        raise ValueError(f"{name} must not be empty")
     if isinstance(limit, MinLen) and length < limit.min_length:
         raise ValueError(f"{name} must have at least {limit.min_length} values, got {length}")
     if isinstance(limit, MaxLen) and length > limit.max_length:

@@ -47,7 +47,7 @@ class Registry(Generic[T]):
 
     def get(self, name: str) -> Callable[..., T]:
         """The component registered under `name`; ValueError lists the known names."""
-        if name not in self._components:
+        if not isinstance(name, str) or name not in self._components:
             raise ValueError(f"{self.group}: unknown name {name!r}; known: {', '.join(self.names())}")
         return self._components[name]
 
@@ -62,6 +62,13 @@ class Registry(Generic[T]):
     def build(self, name: str, *wiring: Any, **options: Any) -> T:
         """Builds the component; ValueError names the group, the option, its value and what was expected."""
         self.check(name, options)
+        missing = [
+            option
+            for option, (parameter, _) in options_of(self.get(name)).items()
+            if parameter.default is parameter.empty and option not in options
+        ]
+        if missing:
+            raise ValueError(f"{self.group}={name}: missing {', '.join(missing)}")
         try:
             return self.get(name)(*wiring, **options)
         except ValueError as error:

@@ -1,64 +1,61 @@
 """Options that belong to no component: budgets, bounds, device. Components declare their own (see registry.py)."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 import torch
+from annotated_types import Interval, MinLen
 
-from qnerf.config.checks import at_least, between, one_of, positive
+from qnerf.config import bounds
+from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, PositiveFactor, PositiveInt, Seed
 from qnerf.config.registry import check_options
 
-BACKGROUNDS = ("last_sample", "white", "black", "random")
 MODEL_PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")
+MAX_DEPTH = 20  # levels of groups and lists in a configuration
+
+# Float32, in which most runs compute, has no larger or smaller numbers than about 1e38 and 1e-38.
+Rate = Annotated[float, Interval(ge=1e-30, le=1e6)]
+Length = Annotated[float, Interval(ge=0, le=1e9)]  # world units
+Name = Annotated[str, MinLen(1)]
+Background = Literal["last_sample", "white", "black", "random"]
+BACKGROUNDS: tuple[str, ...] = get_args(Background)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Train:
     """Budget and schedule of the training."""
 
-    name: str
-    steps: int
-    rays: int  # per step
-    lr: float
-    lr_final: float  # reached at the last step by exponential decay
-    rates: dict  # part of the model -> factor on the learning rate
-    eps: float  # of Adam
-    interlevel: float  # weight of the interlevel loss
-    distortion: float  # weight of the distortion loss
-    eval_every: int  # steps; 0: only at the end
-    eval_views: int  # views evaluated during training; 0: all
-    log_every: int  # steps
-    checkpoint_every: float  # seconds
-    chunk: int  # rays rendered at once in evaluation
+    name: Name
+    steps: PositiveInt
+    rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
+    lr: Rate
+    lr_final: Rate  # reached at the last step by exponential decay
+    rates: dict[str, NonNegativeFactor]  # part of the model -> factor on the learning rate
+    eps: Rate  # of Adam
+    interlevel: NonNegativeFactor  # weight of the interlevel loss
+    distortion: NonNegativeFactor  # weight of the distortion loss
+    eval_every: NonNegativeInt  # steps; 0: only at the end
+    eval_views: NonNegativeInt  # views evaluated during training; 0: all
+    log_every: PositiveInt  # steps
+    checkpoint_every: Annotated[float, Interval(ge=0, le=1e9)]  # seconds
+    chunk: Annotated[int, Interval(ge=1, le=2**24)]  # rays rendered at once in evaluation
 
     def __post_init__(self) -> None:
-        for name in ("steps", "rays", "log_every", "chunk"):
-            at_least(f"train.{name}", getattr(self, name), 1)
-        for name in ("interlevel", "distortion", "eval_every", "eval_views", "checkpoint_every"):
-            at_least(f"train.{name}", getattr(self, name), 0)
-        for name in ("lr", "lr_final", "eps"):
-            positive(f"train.{name}", getattr(self, name))
-        if sorted(self.rates) != sorted(MODEL_PARTS) or not all(
-            type(rate) in (int, float) for rate in self.rates.values()
-        ):
+        if sorted(self.rates) != sorted(MODEL_PARTS):
             raise ValueError(f"train.rates must give a number for each of {', '.join(MODEL_PARTS)}, got {self.rates}")
-        for part, rate in self.rates.items():
-            at_least(f"train.rates.{part}", rate, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Render:
     """Bounds of the rays, and the background behind them."""
 
-    near: float  # world units
-    far: float
-    background: str
+    near: Length
+    far: Annotated[float, Interval(gt=0, le=1e9)]  # world units
+    background: Background
 
     def __post_init__(self) -> None:
-        one_of("render.background", self.background, BACKGROUNDS)
-        at_least("render.near", self.near, 0)
-        positive("render.far", self.far)
         if not self.near < self.far:
             raise ValueError(f"render.near must be below render.far, got {self.near} and {self.far}")
 
@@ -67,72 +64,46 @@ class Render:
 class PoseNoise:
     """Noise added to the training poses."""
 
-    rotation: float  # standard deviation of each component of a rotation vector, radians
-    translation: float  # of each coordinate, world units
-    seed: int
-
-    def __post_init__(self) -> None:
-        at_least("pose_noise.rotation", self.rotation, 0)
-        at_least("pose_noise.translation", self.translation, 0)
-        between("pose_noise.seed", self.seed, 0, 2**63 - 1)
+    rotation: Annotated[float, Interval(ge=0, le=math.tau)]  # std. dev. of each component of a rotation vector, radians
+    translation: Length  # standard deviation of each coordinate
+    seed: Seed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
     """Where density may be: cells of contracted space seen by at least `cameras` training cameras."""
 
-    cameras: int  # 0: everywhere
+    cameras: NonNegativeInt  # 0: everywhere
     alpha: bool  # also close cells where a training view is transparent
-    resolution: int  # cells per axis
-
-    def __post_init__(self) -> None:
-        at_least("visibility.cameras", self.cameras, 0)
-        between("visibility.resolution", self.resolution, 2, 512)
+    resolution: Annotated[int, Interval(ge=2, le=512)]  # cells per axis
 
 
 @dataclass(frozen=True, kw_only=True)
 class Occupancy:
     """Closes cells that turn out to be empty during training."""
 
-    every: int  # steps between updates; 0: never
-    after: int  # steps before the first update
-    min_opacity: float  # below which a cell counts as empty
-
-    def __post_init__(self) -> None:
-        at_least("occupancy.every", self.every, 0)
-        at_least("occupancy.after", self.after, 0)
-        if not 0 < self.min_opacity < 1:
-            raise ValueError(f"occupancy.min_opacity must be above 0 and below 1, got {self.min_opacity}")
+    every: NonNegativeInt  # steps between updates; 0: never
+    after: NonNegativeInt  # steps before the first update
+    min_opacity: Annotated[float, Interval(gt=0, lt=1)]  # below which a cell counts as empty
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stop:
     """Early stopping, judged by training rays that are held out for validation."""
 
-    every: int  # steps between checks; 0: never
-    patience: int  # checks without a gain
-    min_gain_db: float  # dB that count as a gain
-    share: float  # of the training rays, held out for validation
-    rays: int  # held-out rays rendered per check
-
-    def __post_init__(self) -> None:
-        at_least("stop.every", self.every, 0)
-        at_least("stop.patience", self.patience, 1)
-        at_least("stop.min_gain_db", self.min_gain_db, 0)
-        at_least("stop.rays", self.rays, 1)
-        if not 0 < self.share <= 0.5:
-            raise ValueError(f"stop.share must be above 0 and at most 0.5, got {self.share}")
+    every: NonNegativeInt  # steps between checks; 0: never
+    patience: PositiveInt  # checks without a gain
+    min_gain_db: Annotated[float, Interval(ge=0, le=1e3)]  # dB that count as a gain
+    share: Annotated[float, Interval(ge=1e-9, le=0.5)]  # of the training rays, held out for validation
+    rays: PositiveInt  # held-out rays rendered per check
 
 
 @dataclass(frozen=True, kw_only=True)
 class Numerics:
     """How numbers are computed."""
 
-    dtype: str  # of model and training
+    dtype: Literal["float32", "float64"]  # of model and training
     finite_checks: bool  # stop at the first value that is not finite
-
-    def __post_init__(self) -> None:
-        one_of("numerics.dtype", self.dtype, ("float32", "float64"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,18 +115,48 @@ class Run:
     debug: bool
 
 
+class Component(TypedDict):
+    """What every group of a component holds, besides the component's own options."""
+
+    name: Name
+
+
+class Density(Component):
+    """What the group density holds, besides one group of options per kind of head."""
+
+    activation: Name
+    initial: PositiveFactor  # density where the head returns 0, per world unit
+    initials: dict[str, PositiveFactor]  # head -> its default of `initial`
+    rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.density
+
+
+class Color(Component):
+    """What the group color holds, besides one group of options per kind of head."""
+
+    directions: Name
+    degree: Annotated[int, Interval(ge=1, le=4)]  # of the spherical harmonics
+    direction_scale: Factor  # factor on raw directions
+    rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.color
+
+
+COMPONENTS: dict[str, type] = dict.fromkeys(
+    ("contraction", "encoder", "scene", "sampler", "shading", "cameras"), Component
+) | {"density": Density, "color": Color}
+"""Group that chooses a component -> what it holds besides the component's options."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """The whole configuration: checked scalars, and one mapping per component."""
 
     plugins: list[str]
-    experiment: str | None
-    seed: int
-    device: str
-    threads: int | None
-    store: str
-    geo_features: int
-    appearance: int
+    experiment: Name | None
+    seed: Annotated[int, Interval(ge=0, le=2**63 - 2)]
+    device: Literal["auto", "cpu", "cuda"]
+    threads: Annotated[int, Interval(ge=1, le=1024)] | None
+    store: Name
+    geo_features: Annotated[int, Interval(ge=0, le=2**16)]
+    appearance: Annotated[int, Interval(ge=0, le=2**16)]
     run: Run
     numerics: Numerics
     train: Train
@@ -164,27 +165,21 @@ class Settings:
     visibility: Visibility
     occupancy: Occupancy
     stop: Stop
-    needs: dict
-    contraction: dict
-    density: dict
-    color: dict
-    qiren: dict
-    qfgn: dict
-    hash: dict
-    proposal: dict
-    encoder: dict
-    scene: dict
-    sampler: dict
-    shading: dict
-    cameras: dict
+    needs: dict[str, Any]
+    contraction: dict[str, Any]
+    density: dict[str, Any]
+    color: dict[str, Any]
+    qiren: dict[str, Any]
+    qfgn: dict[str, Any]
+    hash: dict[str, Any]
+    proposal: dict[str, Any]
+    encoder: dict[str, Any]
+    scene: dict[str, Any]
+    sampler: dict[str, Any]
+    shading: dict[str, Any]
+    cameras: dict[str, Any]
 
     def __post_init__(self) -> None:
-        between("seed", self.seed, 0, 2**63 - 2)
-        one_of("device", self.device, ("auto", "cpu", "cuda"))
-        at_least("geo_features", self.geo_features, 0)
-        at_least("appearance", self.appearance, 0)
-        if self.threads is not None:
-            at_least("threads", self.threads, 1)
         if self.device == "cuda" and not torch.cuda.is_available():
             raise ValueError("device=cuda: PyTorch sees no CUDA device here; use device=cpu or device=auto")
 
@@ -199,24 +194,69 @@ class Settings:
         return torch.float64 if self.numerics.dtype == "float64" else torch.float32
 
 
-T = TypeVar("T")
-
-
-def _build(group: str, component: type[T], node: Any) -> T:
-    if not isinstance(node, Mapping):
-        raise ValueError(f"{group} must be a group of keys, got {node!r}")
-    names = {field.name for field in fields(component)}  # type: ignore[arg-type]
-    missing = sorted(names - set(node))
-    if missing:
-        raise ValueError(f"{group}: missing {', '.join(missing)}")
-    check_options("" if component is Settings else f"{group}.", component, node)
-    return component(**node)
-
-
 def settings_from(config: Mapping[str, Any]) -> Settings:
     """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
-    nodes = dict(config)
-    for field in fields(Settings):
-        if isinstance(field.type, type) and is_dataclass(field.type):
-            nodes[field.name] = _build(field.name, field.type, nodes.get(field.name))
-    return _build("config", Settings, nodes)
+    check_settings(config)
+    return Settings(**{name: _GROUPS[name](**node) if name in _GROUPS else node for name, node in config.items()})
+
+
+def check_settings(config: Mapping[str, Any], undecided: Collection[str] = ()) -> None:
+    """ValueError unless every option that belongs to no component fits its declaration.
+
+    undecided: dotted names of options whose value is not known yet, such as those that are `auto`.
+    """
+    _check_plain("config", config)
+    _check_group("", Settings, config, undecided)
+    for group, component in _GROUPS.items():
+        _check_group(f"{group}.", component, config[group], undecided)
+    for group in COMPONENTS:
+        require(group, config[group], declared(group))
+        for key, hint in declared(group).items():
+            if f"{group}.{key}" not in undecided:
+                bounds.check(f"{group}.{key}", config[group][key], hint)
+
+
+_GROUPS: dict[str, type] = {
+    field.name: field.type for field in fields(Settings) if isinstance(field.type, type) and is_dataclass(field.type)
+}
+"""Group -> the dataclass that declares its options."""
+
+
+def declared(group: str) -> dict[str, Any]:
+    """Option -> annotation of what a group in `COMPONENTS` holds besides the component's options."""
+    return get_type_hints(COMPONENTS[group], include_extras=True)
+
+
+def _check_group(prefix: str, component: type, node: Mapping[str, Any], undecided: Collection[str]) -> None:
+    require(prefix.rstrip(".") or "config", node, [field.name for field in fields(component)])
+    decided = {key: value for key, value in node.items() if f"{prefix}{key}" not in undecided and key not in _GROUPS}
+    check_options(prefix, component, decided)
+
+
+def require(group: str, node: Any, keys: Collection[str]) -> None:
+    """ValueError unless the node is a group that has the keys."""
+    if not isinstance(node, Mapping):
+        raise ValueError(f"{group} must be a group of options, got {node!r}")
+    missing = sorted(set(keys) - set(node))
+    if missing:
+        raise ValueError(f"{group}: missing {', '.join(missing)}")
+
+
+def _check_plain(name: str, value: Any, depth: int = 0) -> None:
+    """ValueError for what no option may hold, and no file of a run: numbers that are not finite or have more than 64
+    bits, text that is not Unicode, keys that are not text, groups inside groups without end."""
+    if depth > MAX_DEPTH:
+        raise ValueError(f"{name} is nested too deeply, in more than {MAX_DEPTH} levels")
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise ValueError(f"{name}: a key must be text, got {key!r}")
+            _check_plain(key if depth == 0 else f"{name}.{key}", item, depth + 1)
+    elif isinstance(value, (list, tuple)):
+        for number, item in enumerate(value):
+            _check_plain(f"{name}[{number}]", item, depth + 1)
+    elif isinstance(value, str):
+        if "\0" in value or value.encode(errors="replace").decode() != value:
+            raise ValueError(f"{name} must be Unicode text without null characters, got {value!r}")
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        bounds.check(name, value, type(value))

@@ -6,6 +6,12 @@ from typing import Any
 
 from qnerf.heads import chosen, head_options
 
+LABELLED = {
+    "hash": ("levels", "min_resolution", "max_resolution", "log2_table_size", "features"),
+    "qiren": ("layers", "spectral"),
+}
+"""Group -> its options that every run's labels name, whether its component is used or not."""
+
 HASH_TABLES = {
     "C1": (16, 16, 2048, 19, 2),
     "C2": (16, 16, 2048, 17, 2),
@@ -27,8 +33,7 @@ def head_label(node: Mapping[str, Any]) -> str:
 
 def hash_label(table: Mapping[str, Any]) -> str:
     """The paper's name of the table, `auto`, or its numbers joined by dashes."""
-    keys = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
-    values = tuple(table[key] for key in keys)
+    values = tuple(table[key] for key in LABELLED["hash"])
     if "auto" in values:
         return "auto"
     for name, known in HASH_TABLES.items():

@@ -113,6 +113,11 @@ def load(folder: str | None) -> tuple[LPIPS | None, str | None]:
     return LPIPS().load(backbone, heads).eval().requires_grad_(False), None
 
 
+def weights(folder: str | None = None) -> tuple[LPIPS | None, str | None]:
+    """`load` of the folder, by default of the environment variable QNERF_LPIPS_WEIGHTS."""
+    return load(folder or os.environ.get(VARIABLE))
+
+
 @torch.no_grad()
 def lpips(image: Tensor, truth: Tensor, folder: str | None = None) -> tuple[float | None, str | None]:
     """LPIPS distance of two images (H, W, 3) in [0, 1], or None and the reason.
@@ -121,7 +126,7 @@ def lpips(image: Tensor, truth: Tensor, folder: str | None = None) -> tuple[floa
         image, truth: of one size.
         folder: with the weights; None: the environment variable QNERF_LPIPS_WEIGHTS, then the caches.
     """
-    network, reason = load(folder or os.environ.get(VARIABLE))
+    network, reason = weights(folder)
     if network is None:
         return None, reason
     if min(image.shape[:2]) < _MIN_SIDE:
