@@ -275,7 +275,7 @@ def _execute(
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
     )
-    checkpoint = store.load_checkpoint() if store.resumed else None
+    checkpoint = store.load_checkpoint(trainer.check) if store.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
     if store.resumed:
