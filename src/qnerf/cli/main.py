@@ -11,7 +11,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.errors import closed_pipe, exit_code, report
+from qnerf.cli.ends import open_standard_streams, stoppable
+from qnerf.cli.errors import exit_code, report
 from qnerf.cli.sweep import expand_sweep
 
 FIRST_STEPS = """\
@@ -36,6 +37,7 @@ def usage() -> str:
 
 def main() -> None:
     """The console command `qnerf`."""
+    open_standard_streams()
     command, *arguments = sys.argv[1:] or ["--help"]
     if command in RENAMED:
         print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
@@ -61,10 +63,8 @@ def run() -> None:
         sys.exit(report(error))
     from qnerf.cli.launch import run_command
 
-    try:
+    with stoppable():
         run_command()
-    except BrokenPipeError:
-        sys.exit(closed_pipe())
 
 
 def dispatch(command: str, arguments: list[str]) -> int:
