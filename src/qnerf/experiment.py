@@ -259,7 +259,12 @@ def run(
     columns = labels(resolved) | parameter_counts(model) | {"scene.fingerprint": scene.fingerprint, "steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
-        return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
+        summary = read_summary(claim.dir)
+        if claim.outcome == "finished" and (state := summary.get("state")) != "finished":
+            raise StoreError(
+                f"{claim.dir}: status.json says finished, summary.parquet says {state}; run.force=true does it over"
+            )
+        return Outcome(name, claim.dir, claim.outcome, summary, claim.message)
     with claim.run as store, stop_requests() as stops:
         if claim.outcome == "resumed":
             display.note(claim.message)

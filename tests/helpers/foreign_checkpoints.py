@@ -116,8 +116,10 @@ def files(state: dict[str, Any], full: bool) -> Iterator[tuple[str, bytes]]:
         if isinstance(value, dict):
             others["one more"] = value | {"more": 1}
         for label, other in others.items():
-            if isinstance(other, torch.Tensor) and isinstance(value, torch.Tensor) and _alike(other, value):
-                continue
+            tensors = isinstance(other, torch.Tensor) and isinstance(value, torch.Tensor)
+            fits = label in OBJECTS or label == "three zeros"
+            if tensors and _alike(other, value) and (fits or torch.equal(other, value)):
+                continue  # a valid checkpoint
             if type(other) is type(value) and not isinstance(other, torch.Tensor) and other == value:
                 continue
             yield f"{name}: {label}", saved(changed(state, path, other))
@@ -130,9 +132,10 @@ def files(state: dict[str, Any], full: bool) -> Iterator[tuple[str, bytes]]:
 
 
 def _alike(one: torch.Tensor, other: torch.Tensor) -> bool:
+    """Whether both are of the same kind, shape and dtype."""
     same = type(one) is type(other) and one.layout == other.layout and one.device == other.device
     same = same and not one.is_quantized and not one.is_nested and one.is_contiguous() == other.is_contiguous()
-    return same and one.dtype == other.dtype and one.shape == other.shape and torch.equal(one, other)
+    return same and one.dtype == other.dtype and one.shape == other.shape
 
 
 def outcome(fresh: Trainer, folder: Path) -> tuple[str, list[str]]:

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import image_metrics, metric_of
+from qnerf.records.filters import is_number
 from qnerf.records.printable import printable
 
 
@@ -66,6 +67,11 @@ def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
     if outcome.state != "finished":  # evaluations during training are not the result
         return
     table = Table(show_header=False, box=None, padding=(0, 2))
+    if missing := [
+        key for key in ("eval_views", "params.total", "train_s", "step_ms") if not is_number(summary.get(key))
+    ]:
+        console.print(f"no number for {', '.join(missing)} in its summary", highlight=False, markup=False)
+        return
     views = f"{summary['eval_views']:.0f} held-out views"
     for item in image_metrics():
         if (value := summary.get(item.key)) is not None:

@@ -65,11 +65,13 @@ def check_model(state: Any, own: Mapping[str, Tensor]) -> None:
         check_tensor(f"model.{name}", state[name], like)
 
 
-def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None:
-    """ValueError unless `state` is one of this Adam after `step` steps.
+def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> set[Tensor]:
+    """The parameters without moments: those that never had a gradient.
 
-    A group of parameters that took no part in the loss has no moments; otherwise all of its parameters have them.
+    Raises:
+        ValueError: `state` is not one of this Adam after `step` steps.
     """
+    without: set[Tensor] = set()
     if not isinstance(state, dict) or not isinstance(state.get("state"), dict):
         raise ValueError("optimiser: expected a dict with the state of each parameter")
     own = optimiser.state_dict()["param_groups"]
@@ -80,12 +82,11 @@ def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None:
     known = set()
     for group, mine in zip(optimiser.param_groups, own, strict=True):
         known |= set(mine["params"])
-        if not any(number in moments for number in mine["params"]):
-            continue
         for number, parameter in zip(mine["params"], group["params"], strict=True):
             name = f"optimiser.{group['name']}.{number}"
             if number not in moments:
-                raise ValueError(f"{name}: has no moments")
+                without.add(parameter)
+                continue
             check_keys(name, moments[number], ["step", *MOMENTS])
             for moment in MOMENTS:
                 check_tensor(f"{name}.{moment}", moments[number][moment], parameter)
@@ -97,6 +98,7 @@ def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> None:
                 raise ValueError(f"{name}.exp_avg_sq: below 0")
     if not moments.keys() <= known:
         raise ValueError("optimiser: moments of parameters that this run does not have")
+    return without
 
 
 def _numbers(group: Any) -> list[int] | None:

@@ -178,19 +178,41 @@ class Trainer:
         }
 
     def check(self, state: Mapping[str, Any]) -> None:
-        """ValueError unless `state` is one that this run's `state()` can have returned; nothing is changed."""
+        """ValueError unless `state` is one that this run's `state()` can have returned. Nothing of it is loaded."""
         own = self.state()
         if lacking := own.keys() - state.keys():
             raise ValueError(f"lacks {', '.join(sorted(lacking))}")
         check_integer("step", state["step"], 0, self.train.steps)
         check_model(state["model"], own["model"])
-        check_adam(state["optimiser"], self.optimiser, state["step"])
+        without = check_adam(state["optimiser"], self.optimiser, state["step"])
+        if state["step"] and without and without & self._with_gradient():
+            raise ValueError("optimiser: a parameter has no moments")
         check_keys("streams", state["streams"], list(self.streams))
         for name, stream in self.streams.items():
             check_stream(f"streams.{name}", state["streams"][name], stream.device)
         check_stream("torch_random", state["torch_random"], torch.device("cpu"))
         check_plateau(state["plateau"])
         check_seconds(state["step_seconds"], state["step"])
+
+    def _with_gradient(self) -> set[Tensor]:
+        """The parameters that the loss depends on, found in a step that is not taken."""
+        self.watch.begin(measure=False)
+        buffers = {name: buffer.clone() for name, buffer in self.model.named_buffers()}
+        device = self.streams["samples"].device
+        rays, pixels = self.table.batch(self.train.rays, torch.Generator().manual_seed(0), self.model.cameras)
+        rendering, sampled, behind = self.model(
+            rays,
+            background=self.background,
+            step=0,
+            watch=self.watch,
+            generator=torch.Generator(device).manual_seed(0),
+        )
+        torch.stack(list(self.loss_terms(rendering, sampled, composite(pixels, behind)).values())).sum().backward()
+        found: set[Tensor] = {parameter for parameter in self.model.parameters() if parameter.grad is not None}
+        self.optimiser.zero_grad(set_to_none=True)
+        for name, buffer in self.model.named_buffers():
+            buffer.copy_(buffers[name])
+        return found
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Restores what `state()` returned.
