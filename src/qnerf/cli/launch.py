@@ -31,7 +31,7 @@ from rich.text import Text
 
 from qnerf.cli import ends, plugins
 from qnerf.cli import overrides as typed
-from qnerf.cli.errors import one_line, report
+from qnerf.cli.errors import is_shortage, one_line, report
 from qnerf.cli.sweep import Sweep
 from qnerf.config.folders import CONF
 
@@ -214,6 +214,8 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
 
 def _is_known(error: Exception) -> bool:
     """Whether one line is enough for the user to act on; any other error is a bug."""
+    if is_shortage(error):
+        return True
     from qnerf.training.trainer import Diverged
 
     return isinstance(error, (ValueError, OSError, Diverged, OmegaConfBaseException))

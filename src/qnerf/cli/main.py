@@ -12,7 +12,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
 from qnerf.cli.ends import open_standard_streams, stoppable
-from qnerf.cli.errors import exit_code, report
+from qnerf.cli.errors import exit_code, is_shortage, report
 from qnerf.cli.sweep import expand_sweep
 
 FIRST_STEPS = """\
@@ -61,10 +61,15 @@ def run() -> None:
         sys.argv[1:] = expand_sweep(sys.argv[1:])
     except ValueError as error:
         sys.exit(report(error))
-    from qnerf.cli.launch import run_command
-
     with stoppable():
-        run_command()
+        try:
+            from qnerf.cli.launch import run_command
+
+            run_command()
+        except Exception as error:
+            if not is_shortage(error):
+                raise
+            sys.exit(report(error))
 
 
 def dispatch(command: str, arguments: list[str]) -> int:

@@ -97,7 +97,7 @@ def fill_added(config: dict[str, Any]) -> None:
         for depth, group in enumerate(groups, start=1):
             node = node.setdefault(group, {})
             if not isinstance(node, dict):
-                raise ValueError(f"{'.'.join(groups[:depth])}: expected options, got {node!r}")
+                raise ValueError(f"expected options of {'.'.join(groups[:depth])}, got {node!r}")
         node.setdefault(last, copy.deepcopy(value))
 
 
