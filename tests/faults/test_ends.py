@@ -154,6 +154,17 @@ def test_a_sweep_ends_with_checkpoints(start: Any, options: list[str], store: Pa
     assert_stopped(store, 2 if parallel else 1)
 
 
+def test_too_little_memory_is_one_line(start: Any, options: list[str], store: Path) -> None:
+    resource = pytest.importorskip("resource")
+    limit = 2**30  # bytes of address space: less than the libraries take
+
+    process = start(*options, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)))
+    _, errors = process.communicate(timeout=200)
+    assert process.returncode == 2
+    assert errors.startswith("error: a limit of this system is reached")
+    assert errors.count("\n") == 1
+
+
 # The pieces
 
 
