@@ -270,21 +270,28 @@ def parameter_counts(model: Model) -> dict[str, int]:
 
 @contextlib.contextmanager
 def stop_requests() -> Iterator[list[int]]:
-    """Collects SIGINT and SIGTERM, so that the run can stop with a checkpoint; a second one acts as usual.
+    """Collects SIGINT, SIGTERM and SIGHUP, so that the run can stop with a checkpoint.
+
+    A second SIGINT or SIGTERM acts as usual. SIGHUP may come many times, because a terminal that closes sends it more
+    than once; it stays ignored if it is (`nohup`).
 
     SIGUSR1 and SIGUSR2 are collected, too, if they have a handler: a scheduler's launcher puts the job back into the
     queue with it. That handler is called at the end, when the run has stopped.
     """
     received: list[int] = []
     previous: dict[signal.Signals, Any] = {}
+    urgent = (signal.SIGINT, signal.SIGTERM)
 
     def note(number: int, _frame: object) -> None:
         received.append(number)
-        signal.signal(number, previous[signal.Signals(number)])
+        for kind in urgent if number in urgent else [signal.Signals(number)] if number in warnings else []:
+            signal.signal(kind, previous[kind])
 
+    hangups = [kind for kind in signal.Signals if kind.name == "SIGHUP"]  # there is none on Windows
+    hangups = [kind for kind in hangups if signal.getsignal(kind) is not signal.SIG_IGN]
     warnings = [kind for kind in signal.Signals if kind.name in ("SIGUSR1", "SIGUSR2")]
     warnings = [kind for kind in warnings if callable(signal.getsignal(kind))]
-    for kind in (signal.SIGINT, signal.SIGTERM, *warnings):
+    for kind in (*urgent, *hangups, *warnings):
         with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             previous[kind] = signal.signal(kind, note)
     try:
@@ -306,7 +313,8 @@ def run(
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
-    stopping: called before every step. Once it is true, or on SIGINT or SIGTERM, the run stops with a checkpoint.
+    stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
+        checkpoint.
     name: id of an existing run; older runs keep their original id.
 
     Raises:
@@ -328,13 +336,18 @@ def run(
     columns = labels(resolved) | parameter_counts(model) | fingerprints | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
-        return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
-    if claim.outcome == "resumed":
-        display.note(claim.message)
-    decided = [f"{option}={node['value']}" for option, node in resolved["needs"].items() if isinstance(node, Mapping)]
-    if decided:
-        display.note(f"the scene needs {', '.join(decided)}")
+        summary = read_summary(claim.dir)
+        if claim.outcome == "finished" and (state := summary.get("state")) != "finished":
+            raise StoreError(
+                f"{claim.dir}: status.json says finished, summary.parquet says {state}; run.force=true does it over"
+            )
+        return Outcome(name, claim.dir, claim.outcome, summary, claim.message)
     with claim.run as store, stop_requests() as stops:
+        if claim.outcome == "resumed":
+            display.note(claim.message)
+        decided = [f"{key}={node['value']}" for key, node in resolved["needs"].items() if isinstance(node, Mapping)]
+        if decided:
+            display.note(f"the scene needs {', '.join(decided)}")
         store.write_environment(capture(settings.seed), dirty_diff())
         return _execute(settings, scene, model, table, store, display, lambda: bool(stops) or stopping())
 
@@ -357,7 +370,7 @@ def _execute(
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
     )
-    checkpoint = store.load_checkpoint() if store.resumed else None
+    checkpoint = store.load_checkpoint(trainer.check) if store.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
     if store.resumed:

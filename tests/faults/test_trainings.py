@@ -280,6 +280,54 @@ def test_a_damaged_checkpoint_falls_back_and_the_numbers_stay(
     assert_equal_runs(resumed.path, whole)
 
 
+def zero_moment(content: dict[str, Any]) -> None:
+    content["optimiser"]["state"][0]["exp_avg"] = torch.zeros(3)
+
+
+def negative_step(content: dict[str, Any]) -> None:
+    content["step"] = -5
+
+
+@pytest.mark.parametrize("change", [zero_moment, negative_step])
+def test_a_foreign_checkpoint_falls_back_and_the_numbers_stay(
+    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture, change: Callable[[dict[str, Any]], None]
+) -> None:
+    run = interrupted(config, 5)
+    content = torch.load(run / "checkpoint.pt", weights_only=True)
+    change(content)
+    torch.save(content, run / "checkpoint.pt")
+    with caplog.at_level(logging.WARNING):
+        resumed = experiment.run(config)
+    (message,) = caplog.messages
+    assert "does not fit this run" in message
+    assert "going on from the checkpoint before" in message
+    assert_equal_runs(resumed.path, whole)
+
+
+def test_two_foreign_checkpoints_are_one_line_and_stay(config: dict[str, Any], whole: Path) -> None:
+    run = interrupted(config, 5)
+    paths = [run / "checkpoint.pt", run / "checkpoint.prev.pt"]
+    for path in paths:
+        content = torch.load(path, weights_only=True)
+        negative_step(content)
+        torch.save(content, path)
+    before = [path.read_bytes() for path in paths]
+    with pytest.raises(StoreError, match=r"expected an integer from 0 to 8, got -5.*run\.force=true") as error:
+        experiment.run(config)
+    assert "\n" not in str(error.value)
+    assert [path.read_bytes() for path in paths] == before
+    assert_equal_runs(experiment.run(config | {"run": config["run"] | {"force": True}}).path, whole)
+
+
+def test_a_forged_end_is_one_line(config: dict[str, Any]) -> None:
+    run = interrupted(config, 5)
+    status = json.loads((run / "status.json").read_text())
+    (run / "status.json").write_text(json.dumps(status | {"state": "finished"}))
+    with pytest.raises(StoreError, match=r"says finished, summary\.parquet says interrupted; run\.force=true") as error:
+        experiment.run(config)
+    assert "\n" not in str(error.value)
+
+
 def test_a_truncated_part_costs_its_own_rows_only(
     config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,3 +1,6 @@
+import copy
+import math
+
 import pytest
 import torch
 
@@ -177,3 +180,44 @@ def test_fine_levels_are_released_while_training_goes_on(tiny):
     grad = one.model.field.encoder.table.grad
     assert bool((grad[-1] == 0).all())
     assert bool((grad[0] != 0).any())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda state: state.update(step=-5), "step: expected an integer from 0 to 2, got -5"),
+        (lambda state: state.update(step=float("nan")), "step: expected an integer from 0 to 2, got nan"),
+        (lambda state: state["optimiser"]["state"][0].update(exp_avg=torch.zeros(3)), "got float32 of shape \\[3\\]"),
+        (lambda state: state["optimiser"]["state"][0].pop("exp_avg_sq"), "lacks exp_avg_sq"),
+        (lambda state: state["optimiser"]["state"].pop(0), "a parameter has no moments"),
+        (lambda state: state["model"].popitem(), "model: lacks"),
+        (lambda state: next(iter(state["model"].values())).fill_(math.nan), "not finite"),
+        (
+            lambda state: state["streams"].update(pixels=torch.zeros(5056, dtype=torch.uint8)),
+            "not the state of a random",
+        ),
+        (lambda state: state["plateau"].update(best=math.nan), "plateau.best"),
+        (lambda state: state.pop("streams"), "lacks streams"),
+    ],
+)
+def test_a_state_that_does_not_fit_is_one_line_and_changes_nothing(tiny, change, message):
+    taken, other = trainer(tiny("field=classical")), trainer(tiny("field=classical"))
+    taken.take_step(measure=False)
+    state = copy.deepcopy(taken.state())
+    change(state)
+    before = copy.deepcopy(other.state()["model"])
+    with pytest.raises(ValueError, match=message) as caught:
+        other.load(state)
+    assert "\n" not in str(caught.value)
+    assert other.step == 0
+    assert all(torch.equal(before[name], value) for name, value in other.state()["model"].items())
+    assert not other.optimiser.state
+
+
+def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):
+    taken, other = (trainer(tiny("field=classical", "train.interlevel=0")) for _ in range(2))
+    taken.take_step(measure=False)
+    other.load(taken.state())
+    taken.take_step(measure=False)
+    other.take_step(measure=False)
+    assert all(torch.equal(value, other.state()["model"][name]) for name, value in taken.state()["model"].items())

@@ -1,5 +1,6 @@
 """Terminal output of a training: a progress bar and a closing table."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,6 +10,8 @@ from rich.table import Table
 
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import image_metrics, metric_of
+from qnerf.records.filters import is_number
+from qnerf.records.printable import printable
 
 
 class LiveDisplay(Display):
@@ -51,14 +54,24 @@ class LiveDisplay(Display):
         self.progress.stop()
 
 
-def print_outcome(console: Console, outcome: Outcome) -> None:
-    """Prints a short table: quality on the held-out views, parameters of each part, training time, the run's folder."""
-    if outcome.message:
+def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
+    """Prints a short table: quality on the held-out views, parameters of each part, training time, the run's folder.
+
+    That a run was interrupted goes to standard error, behind `prefix`.
+    """
+    if outcome.state == "interrupted":
+        print(prefix + printable(outcome.message), file=sys.stderr)
+    elif outcome.message:
         console.print(outcome.message, highlight=False, markup=False, soft_wrap=True)
     summary = outcome.summary
     if outcome.state != "finished":  # evaluations during training are not the result
         return
     table = Table(show_header=False, box=None, padding=(0, 2))
+    if missing := [
+        key for key in ("eval_views", "params.total", "train_s", "step_ms") if not is_number(summary.get(key))
+    ]:
+        console.print(f"no number for {', '.join(missing)} in its summary", highlight=False, markup=False)
+        return
     views = f"{summary['eval_views']:.0f} held-out views"
     for item in image_metrics():
         if (value := summary.get(item.key)) is not None:

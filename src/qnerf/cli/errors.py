@@ -39,8 +39,32 @@ def report(error: Exception) -> int:
     return 2
 
 
+SHORTAGES = (
+    "allocate memory",
+    "Too many open files",
+    "can't start new thread",
+    "failed to map segment",
+)
+"""What errors say when a limit of the system (`ulimit`, a container's memory) is reached."""
+
+
+def is_shortage(error: BaseException) -> bool:
+    """Whether the error, or one that led to it, is about too little memory, or too few files or threads."""
+    seen: list[BaseException] = []
+    current: BaseException | None = error
+    while current is not None and current not in seen:
+        if isinstance(current, MemoryError) or any(text in str(current) for text in SHORTAGES):
+            return True
+        seen.append(current)
+        current = current.__cause__ or current.__context__
+    return False
+
+
 def one_line(error: Exception) -> str:
     """The error's message on one line of printable characters."""
+    if is_shortage(error):  # nothing more can be imported then
+        text = " ".join(str(error).split()) or "not enough memory"
+        return f"a limit of this system is reached (see `ulimit -a`): {ascii(text[:300])[1:-1]}"
     from qnerf.records import files, printable  # imports pandas, which `qnerf --help` must not wait for
 
     if type(error).__name__ == "MissingMandatoryValue":  # OmegaConf's; only commands with Hydra import it

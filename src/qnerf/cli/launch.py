@@ -33,9 +33,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from qnerf.cli import ends, plugins
 from qnerf.cli import overrides as typed
-from qnerf.cli import plugins
-from qnerf.cli.errors import one_line, report
+from qnerf.cli.errors import is_shortage, one_line, report
 from qnerf.cli.sweep import Sweep
 from qnerf.config import bounds
 from qnerf.config.folders import CONF
@@ -119,7 +119,9 @@ def _require(launcher: str) -> None:
 
 
 def _stop_together(sweep: Sweep) -> None:
-    """Turns Ctrl-C and SIGTERM into the stop file that joblib's processes watch; a second one ends this process.
+    """Turns Ctrl-C, SIGTERM and SIGHUP into the stop file that joblib's processes watch.
+
+    A second Ctrl-C or SIGTERM ends this process. A terminal that closes may send SIGHUP more than once.
 
     Otherwise joblib would kill its processes, and Ctrl-C in a terminal would interrupt them anywhere. They inherit the
     blocked signals of this thread, so another thread has to receive them.
@@ -127,10 +129,15 @@ def _stop_together(sweep: Sweep) -> None:
     if not hasattr(signal, "pthread_sigmask"):
         return
     requests = {signal.SIGINT, signal.SIGTERM}
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        requests.add(signal.SIGHUP)
+    received: list[int] = []
 
-    def stop(*_: Any) -> None:
-        if sweep.stopping():
-            os._exit(130)
+    def stop(number: int, _frame: Any) -> None:
+        if number != signal.SIGHUP:
+            if received:
+                os._exit(ends.INTERRUPTED)
+            received.append(number)
         sweep.stop()
 
     def receive() -> None:
@@ -157,6 +164,7 @@ class _Prefixed:
         self.file.flush()
 
 
+@ends.stoppable()  # the processes of a launcher start here
 def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
     hydra_config = HydraConfig.get()
@@ -169,7 +177,7 @@ def job(composed: DictConfig) -> None:
             _train(composed, prefix, sweep)
     except KeyboardInterrupt:
         print("stopped; the same command continues from the last checkpoint", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(ends.stopped_code())
     except Exception as error:
         known = _is_known(error)
         if _wants_traceback(composed) or (sweep is None and not known):
@@ -194,6 +202,11 @@ def _wants_traceback(composed: DictConfig) -> bool:
 
 
 def _stopping(sweep: Sweep | None) -> bool:
+    if ends.output_lost():
+        if sweep is not None:
+            with contextlib.suppress(OSError):
+                sweep.stop()  # the other jobs, too
+        return True
     return sweep is not None and (sweep.stopping() or _is_abandoned())
 
 
@@ -236,20 +249,25 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         display.note(f"{outcome.message}; waiting for its heartbeat to stop")
         time.sleep(RETRY)
         outcome = run(config, overrides, display, stopping)
-    print_outcome(console, outcome)
+    print_outcome(console, outcome, prefix)
     if outcome.state == "interrupted" and not prefix:
-        sys.exit(130)
+        sys.exit(ends.stopped_code())
 
 
 def _is_known(error: Exception) -> bool:
     """Whether one line is enough for the user to act on; any other error is a bug."""
+    if is_shortage(error):
+        return True
     from qnerf.training.trainer import Diverged
 
     return isinstance(error, (ValueError, OSError, Diverged, OmegaConfBaseException))
 
 
 def _report(sweep: Sweep) -> int:
-    """Prints which jobs of a sweep failed and why. Returns 130 if it was stopped, else 1 if a job failed, else 0."""
+    """Prints which jobs of a sweep failed and why.
+
+    Returns 130 or 141 if it was stopped, else 1 if a job failed, else 0.
+    """
     failures = sweep.failures()
     if failures:
         table = Table("job", "reason", title=f"{len(failures)} failed")
@@ -258,7 +276,7 @@ def _report(sweep: Sweep) -> int:
         Console(stderr=True).print(table)
     if sweep.stopping():
         print("stopped; the same command continues from the last checkpoints", file=sys.stderr)
-        return 130
+        return ends.stopped_code()
     return 1 if failures else 0
 
 

@@ -11,7 +11,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.errors import closed_pipe, exit_code, report
+from qnerf.cli.ends import open_standard_streams, stoppable
+from qnerf.cli.errors import exit_code, is_shortage, report
 from qnerf.cli.sweep import expand_sweep
 
 FIRST_STEPS = """\
@@ -36,6 +37,7 @@ def usage() -> str:
 
 def main() -> None:
     """The console command `qnerf`."""
+    open_standard_streams()
     command, *arguments = sys.argv[1:] or ["--help"]
     if command in RENAMED:
         print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
@@ -59,12 +61,15 @@ def run() -> None:
         sys.argv[1:] = expand_sweep(sys.argv[1:])
     except ValueError as error:
         sys.exit(report(error))
-    from qnerf.cli.launch import run_command
+    with stoppable():
+        try:
+            from qnerf.cli.launch import run_command
 
-    try:
-        run_command()
-    except BrokenPipeError:
-        sys.exit(closed_pipe())
+            run_command()
+        except Exception as error:
+            if not is_shortage(error):
+                raise
+            sys.exit(report(error))
 
 
 def dispatch(command: str, arguments: list[str]) -> int:

@@ -14,6 +14,7 @@ import yaml  # type: ignore[import-untyped]
 
 from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
+from qnerf.cli.ends import output_lost
 from qnerf.cli.text import console
 from qnerf.config.compatibility import fill_added, today_noted
 from qnerf.config.folders import CONF
@@ -91,7 +92,7 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
     try:
-        return experiment.run(config, (), display, name=name)
+        return experiment.run(config, (), display, output_lost, name=name)
     except Diverged as error:
         raise ValueError(str(error)) from error
 

@@ -90,12 +90,17 @@ def upgrade_config(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def fill_added(config: dict[str, Any]) -> None:
-    """Adds the options in `ADDED` that a stored configuration lacks, with the values that change nothing."""
+    """Adds the options in `ADDED` that a stored configuration lacks, with the values that change nothing.
+
+    ValueError if something else stands where a group of options must be.
+    """
     for option, value in neutral(config).items():
         *groups, last = option.split(".")
         node = config
-        for group in groups:
+        for depth, group in enumerate(groups, start=1):
             node = node.setdefault(group, {})
+            if not isinstance(node, dict):
+                raise ValueError(f"expected options of {'.'.join(groups[:depth])}, got {node!r}")
         node.setdefault(last, copy.deepcopy(value))
 
 

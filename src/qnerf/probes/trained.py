@@ -18,6 +18,7 @@ from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import reporting
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
+from qnerf.training.state_checks import check_integer, check_model
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,14 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
     with reporting(path, "read"):
         try:
             checkpoint = load_archive(path)
-            model.load_state_dict(checkpoint["model"])
-            step = int(checkpoint["step"])
-        except OSError:
+            step = checkpoint["step"]
+            check_integer("step", step, 0, settings.train.steps)
+            check_model(checkpoint["model"], model.state_dict())
+        except (OSError, MemoryError):
             raise
         except Exception as error:  # a damaged archive can raise anything
-            raise ValueError(f"{path}: expected the checkpoint of this run, got {type(error).__name__}") from error
+            reason = error if isinstance(error, ValueError) else type(error).__name__
+            raise ValueError(f"{path}: expected the checkpoint of this run, got another: {reason}") from error
+    model.load_state_dict(checkpoint["model"])
     model.field.encoder.progress = step / settings.train.steps
     return Trained(folder, settings, scene, model.eval(), step)

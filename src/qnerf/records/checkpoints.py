@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import textwrap
 import time
 import zipfile
@@ -9,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, exists, open_plain, preserve, rename, replace, reporting
+from qnerf.records.files import StoreError, open_plain, preserve, rename, replace, reporting
 
 
 class Checkpoints:
@@ -40,46 +41,75 @@ class Checkpoints:
         self._check_owner()
         preserve(self.current, self.previous)
 
-    def load(self) -> dict[str, Any] | None:
-        """The newest checkpoint that can be read. A damaged one is renamed, with a warning."""
+    def load(self, check: Callable[[dict[str, Any]], None] = lambda content: None) -> dict[str, Any] | None:
+        """The newest checkpoint that can be read and that passes `check`; None if none can be read.
+
+        check: raises ValueError if the content does not belong to the run. A checkpoint that is not used is renamed,
+        with a warning.
+
+        Raises:
+            StoreError: a checkpoint can be read, but none belongs to the run. All files stay as they are.
+        """
+        refused: dict[Path, str] = {}
+        foreign = False
+        content = None
         for path in (self.current, self.previous):
             try:
-                return load_archive(path)
+                loaded = load_archive(path)
             except FileNotFoundError:
                 continue
-            except OSError as error:
-                raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
             except MemoryError:
                 raise
+            except OSError as error:
+                raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
             except Exception as error:  # damaged archives raise many kinds of errors
-                aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
-                fallback = path == self.current and exists(self.previous)
-                onward = "going on from the checkpoint before" if fallback else "no other checkpoint: starting over"
-                reason = f"{type(error).__name__}: {_shortened(error)}"
-                self._warn(f"{path}: damaged ({reason}); set aside as {aside.name}; {onward}")
-                with reporting(path):
-                    rename(path, aside)
-        return None
+                refused[path] = f"damaged ({type(error).__name__}: {_shortened(error)})"
+                continue
+            try:
+                check(loaded)
+            except ValueError as error:
+                refused[path] = f"does not fit this run ({_shortened(error)})"
+                foreign = True
+                continue
+            content = loaded
+            break
+        if content is None and foreign:
+            reasons = "; ".join(f"{path}: {reason}" for path, reason in refused.items())
+            raise StoreError(f"{reasons}; the run's command with run.force=true does it over")
+        onward = "no other checkpoint: starting over" if content is None else "going on from the checkpoint before"
+        for path, reason in refused.items():
+            aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
+            self._warn(f"{path}: {reason}; set aside as {aside.name}; {onward}")
+            with reporting(path):
+                rename(path, aside)
+        return content
 
 
 def load_archive(path: Path) -> dict[str, Any]:
     """The dict that `torch.save` wrote, with tensors on the CPU. Nothing in the file is executed.
 
     Raises:
+        MemoryError: there is too little memory for a file of this size.
         Exception: of any kind, if the file is damaged or something else.
     """
     import torch
 
     with open_plain(path) as file:
+        size = os.fstat(file.fileno()).st_size
         with zipfile.ZipFile(file) as archive:
-            size = os.fstat(file.fileno()).st_size
             # torch.save neither compresses nor shares bytes. An archive that unpacks to more than its size is not its.
             if sum(item.file_size for item in archive.infolist()) > size:
                 raise zipfile.BadZipFile("it would unpack to more than it holds")
             if (name := archive.testzip()) is not None:  # torch.load does not check the checksums
                 raise zipfile.BadZipFile(f"wrong checksum of {name}")
         file.seek(0)
-        content = torch.load(file, map_location="cpu", weights_only=True)
+        try:
+            content = torch.load(file, map_location="cpu", weights_only=True)
+        except RuntimeError as error:
+            wanted = re.search(r"tried to allocate (\d+) bytes", str(error))
+            if wanted and int(wanted[1]) <= size:
+                raise MemoryError(f"{path}: not enough memory for a checkpoint of {size:,} bytes") from error
+            raise
     if not isinstance(content, dict):
         raise pickle.UnpicklingError(f"expected a dict, got {type(content).__name__}")
     return content

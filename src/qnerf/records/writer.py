@@ -278,13 +278,10 @@ class Run:
             self._ownership.check()
             self._checkpoints.save(dict(content))
 
-    def load_checkpoint(self) -> dict[str, Any] | None:
-        """The last checkpoint that can be read, with its tensors on the CPU; None if there is none.
-
-        A damaged one is renamed, with a warning.
-        """
+    def load_checkpoint(self, check: Callable[[dict[str, Any]], None] = lambda content: None) -> dict[str, Any] | None:
+        """The last checkpoint that can be read, with its tensors on the CPU; see `Checkpoints.load`."""
         with self._io:
-            return self._checkpoints.load()
+            return self._checkpoints.load(check)
 
     # State
 

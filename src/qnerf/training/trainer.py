@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
@@ -17,6 +17,16 @@ from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch
 from qnerf.training.losses import distortion, interlevel, mse
+from qnerf.training.state_checks import (
+    check_adam,
+    check_integer,
+    check_keys,
+    check_model,
+    check_plateau,
+    check_seconds,
+    check_stream,
+    first_non_finite,
+)
 from qnerf.training.stopping import Plateau
 from qnerf.types import Rendering
 
@@ -167,23 +177,70 @@ class Trainer:
             "step_seconds": torch.tensor(self.step_seconds, dtype=torch.float64),
         }
 
-    def load(self, state: dict[str, Any]) -> None:
-        """Restores what `state()` returned. ValueError if it belongs to another model."""
+    def check(self, state: Mapping[str, Any]) -> None:
+        """ValueError unless `state` is one that this run's `state()` can have returned. Nothing of it is loaded."""
+        own = self.state()
+        if lacking := own.keys() - state.keys():
+            raise ValueError(f"lacks {', '.join(sorted(lacking))}")
+        check_integer("step", state["step"], 0, self.train.steps)
+        check_model(state["model"], own["model"])
+        without = check_adam(state["optimiser"], self.optimiser, state["step"])
+        if state["step"] and without and without & self._with_gradient():
+            raise ValueError("optimiser: a parameter has no moments")
+        check_keys("streams", state["streams"], list(self.streams))
+        for name, stream in self.streams.items():
+            check_stream(f"streams.{name}", state["streams"][name], stream.device)
+        check_stream("torch_random", state["torch_random"], torch.device("cpu"))
+        check_plateau(state["plateau"])
+        check_seconds(state["step_seconds"], state["step"])
+
+    def _with_gradient(self) -> set[Tensor]:
+        """The parameters that the loss depends on, found in a step that is not taken."""
+        self.watch.begin(measure=False)
+        buffers = {name: buffer.clone() for name, buffer in self.model.named_buffers()}
+        device = self.streams["samples"].device
+        rays, pixels = self.table.batch(self.train.rays, torch.Generator().manual_seed(0), self.model.cameras)
+        rendering, sampled, behind = self.model(
+            rays,
+            background=self.background,
+            step=0,
+            watch=self.watch,
+            generator=torch.Generator(device).manual_seed(0),
+        )
+        torch.stack(list(self.loss_terms(rendering, sampled, composite(pixels, behind)).values())).sum().backward()
+        found: set[Tensor] = {parameter for parameter in self.model.parameters() if parameter.grad is not None}
+        self.optimiser.zero_grad(set_to_none=True)
+        for name, buffer in self.model.named_buffers():
+            buffer.copy_(buffers[name])
+        return found
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Restores what `state()` returned.
+
+        Raises:
+            ValueError: it does not pass `check`; nothing has been restored.
+        """
         try:
-            self._set_step(state["step"])
-            self.model.load_state_dict(state["model"])
-            self.optimiser.load_state_dict(state["optimiser"])
-            for name, stream in self.streams.items():
-                saved = state["streams"][name].cpu()
-                if len(saved) == len(stream.get_state()):
-                    stream.set_state(saved)
-                else:  # from another kind of device, which draws other random numbers anyway
-                    stream.manual_seed(stream.initial_seed() + self.step)
-            torch.set_rng_state(state["torch_random"].cpu())
-            self.plateau.load(state["plateau"])
-            self.step_seconds = state["step_seconds"].tolist()
-        except (KeyError, TypeError, RuntimeError) as error:
-            raise ValueError("the checkpoint does not fit this run's model") from error
+            self.check(state)
+        except ValueError as error:
+            raise ValueError(f"the checkpoint does not fit this run's model: {error}") from error
+        self._set_step(state["step"])
+        self.model.load_state_dict(state["model"])
+        # Copies, because tensors of a foreign file may share their memory. The options of the groups are this run's.
+        moments = {
+            number: {key: value.clone() for key, value in values.items()}
+            for number, values in state["optimiser"]["state"].items()
+        }
+        self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": moments})
+        for name, stream in self.streams.items():
+            saved = state["streams"][name]
+            if len(saved) == len(stream.get_state()):
+                stream.set_state(saved)
+            else:  # from another kind of device, which draws other random numbers anyway
+                stream.manual_seed(stream.initial_seed() + self.step)
+        torch.set_rng_state(state["torch_random"])
+        self.plateau.load(state["plateau"])
+        self.step_seconds = state["step_seconds"].tolist()
         self.seconds = sum(self.step_seconds)
 
     @property
@@ -231,9 +288,11 @@ class Trainer:
         self.save(store)
 
     def save(self, store: Checkpoints) -> None:
-        """Writes a checkpoint. Diverged if a parameter is not finite."""
+        """Writes a checkpoint. Diverged if a parameter, a buffer or a moment of Adam is not finite."""
         if not all_finite(self.model.parameters()):
             raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._culprit({})}; {ADVICE}")
+        if name := first_non_finite(self.model, self.optimiser):
+            raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
         store.save_checkpoint(self.state())
 
 

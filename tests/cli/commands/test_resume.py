@@ -223,7 +223,7 @@ def test_options_that_are_known_no_longer_are_named(config, resume):
     assert len(losses(run)) == 4
 
 
-@pytest.mark.parametrize(("key", "value"), [("run", 3), ("contraction", None), ("train", [1])])
+@pytest.mark.parametrize(("key", "value"), [("run", 3), ("contraction", None), ("train", [1]), ("density", None)])
 def test_a_group_that_is_none_is_one_line(config, resume, key, value):
     run = stopped(config)
     edit(run, lambda config: config.update({key: value}))

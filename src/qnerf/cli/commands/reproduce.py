@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import dataclasses
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qnerf.cli.commands import add_plugins, add_run
+from qnerf.cli.ends import stoppable, stopped_code
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import run_stored, stored
@@ -47,6 +49,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+@stoppable()
 def main(options: argparse.Namespace) -> int:
     run = find(options.run, options.store).resolve()
     if (now := state(run)) != "finished":
@@ -64,8 +67,8 @@ def main(options: argparse.Namespace) -> int:
         config["store"] = str(store)
         outcome = run_stored(run, config, filled)
         if outcome.state != "finished":
-            print(printable(outcome.message))
-            return 130 if outcome.state == "interrupted" else 1
+            print(printable(outcome.message), file=sys.stderr)
+            return stopped_code() if outcome.state == "interrupted" else 1
         compared = compare(run, outcome.path)
         different = environment_differences(run, outcome.path)
     return report(run, compared, different, options.tolerance)

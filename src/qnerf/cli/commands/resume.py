@@ -3,6 +3,7 @@
 import argparse
 
 from qnerf.cli.commands import add_run
+from qnerf.cli.ends import stoppable, stopped_code
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import CHANGEABLE, run_stored, stored
 from qnerf.records import find, owner, state
@@ -20,6 +21,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+@stoppable()
 def main(options: argparse.Namespace) -> int:
     run = find(options.run, options.store).resolve()
     now = state(run)
@@ -33,4 +35,4 @@ def main(options: argparse.Namespace) -> int:
 
     outcome = run_stored(run, config, filled, run.name)
     print_outcome(console(), outcome)
-    return 130 if outcome.state == "interrupted" else 0
+    return stopped_code() if outcome.state == "interrupted" else 0
