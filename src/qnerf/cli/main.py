@@ -11,7 +11,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.errors import closed_pipe, exit_code, report
+from qnerf.cli.errors import check_process, closed_pipe, exit_code, lacks_files, report
+from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import expand_sweep
 
 FIRST_STEPS = """\
@@ -36,6 +37,7 @@ def usage() -> str:
 
 def main() -> None:
     """The console command `qnerf`."""
+    escape_unencodable()
     command, *arguments = sys.argv[1:] or ["--help"]
     if command in RENAMED:
         print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
@@ -55,24 +57,40 @@ def main() -> None:
 
 def run() -> None:
     """`qnerf run` and `python -m src.run`: Hydra reads sys.argv."""
+    escape_unencodable()
     try:
+        check_process()
         sys.argv[1:] = expand_sweep(sys.argv[1:])
+        from qnerf.cli.launch import run_command
     except ValueError as error:
         sys.exit(report(error))
-    from qnerf.cli.launch import run_command
+    except (OSError, ImportError) as error:
+        if not lacks_files(error):
+            raise
+        sys.exit(report(error))
 
     try:
         run_command()
     except BrokenPipeError:
         sys.exit(closed_pipe())
+    except (OSError, ImportError) as error:
+        if not lacks_files(error):
+            raise
+        sys.exit(report(error))
 
 
 def dispatch(command: str, arguments: list[str]) -> int:
     """Runs one of `COMMANDS` other than `run`; returns its exit code."""
-    if command in ANALYSIS:
-        module = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}")
-        return exit_code(lambda: module.main(arguments))
-    module = importlib.import_module(f"qnerf.cli.commands.{command}")
-    parser = argparse.ArgumentParser(prog=f"qnerf {command}")
-    module.arguments(parser)
-    return exit_code(lambda: module.main(parser.parse_intermixed_args(arguments)))
+
+    def start() -> int | None:
+        check_process()
+        if command in ANALYSIS:
+            code: int | None = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}").main(arguments)
+            return code
+        module = importlib.import_module(f"qnerf.cli.commands.{command}")
+        parser = argparse.ArgumentParser(prog=f"qnerf {command}")
+        module.arguments(parser)
+        code = module.main(parser.parse_intermixed_args(arguments))
+        return code
+
+    return exit_code(start)

@@ -3,7 +3,6 @@
 import json
 import math
 import numbers
-import sys
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 
+from qnerf.cli.streams import escape_unencodable
 from qnerf.metrics import Metric
 from qnerf.records.printable import printable
 
@@ -19,9 +19,8 @@ STATE_STYLES = {"running": "cyan", "finished": "green", "interrupted": "yellow",
 
 
 def console() -> Console:
-    """Standard output; characters that its encoding lacks are escaped."""
-    if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="backslashreplace")
+    """Standard output."""
+    escape_unencodable()
     return Console(highlight=False, markup=False, emoji=False)
 
 
