@@ -33,7 +33,7 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
     out.mkdir(parents=True, exist_ok=True)
     failed = []
     for name in names or FIGURES:
-        errors = {}
+        errors: dict[str, str] = {}
         scenes = FIGURES[name].scenes(name, frame)
         for file, runs in scenes.items():
             with collecting(errors, file):

@@ -84,13 +84,14 @@ def dispatch(command: str, arguments: list[str]) -> int:
 
     def start() -> int | None:
         check_process()
+        code: int | None
         if command in ANALYSIS:
-            code: int | None = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}").main(arguments)
-            return code
-        module = importlib.import_module(f"qnerf.cli.commands.{command}")
-        parser = argparse.ArgumentParser(prog=f"qnerf {command}")
-        module.arguments(parser)
-        code = module.main(parser.parse_intermixed_args(arguments))
+            code = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}").main(arguments)
+        else:
+            module = importlib.import_module(f"qnerf.cli.commands.{command}")
+            parser = argparse.ArgumentParser(prog=f"qnerf {command}")
+            module.arguments(parser)
+            code = module.main(parser.parse_intermixed_args(arguments))
         return code
 
     return exit_code(start)
