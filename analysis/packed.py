@@ -88,7 +88,7 @@ def load(folder: str | Path) -> pd.DataFrame:
 
 
 def views(path: str | Path) -> pd.DataFrame:
-    """The held-out views of a run in a store or a packed folder; StoreError if there are none or they are damaged."""
+    """The held-out views of a run in a store or in a packed folder; StoreError if they are absent or damaged."""
     path = Path(path)
     if not is_packed(path.parent):
         return read_evaluation(path)

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
-from qnerf.records import StoreError
+from qnerf.records import StoreError, annotations, files, find, owner
+from qnerf.records.deletion import delete_run
 from tests.helpers.spoiled import CONFIG, interrupted, store
 
 READERS = {
@@ -52,7 +53,12 @@ def test_a_run_that_is_a_link_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="a: is a link"):
         store(tmp_path).claim("a", CONFIG)
     assert contents(tmp_path / "outside") == before
-    assert len(records.read_metrics(run)) == 10  # a run that was moved to another disk and linked can still be read
+    assert records.runs(run.parent) == []
+    with pytest.raises(StoreError, match="a: is a link"):
+        records.read_metrics(run)
+    with pytest.raises(StoreError, match="a: is a link"):
+        find("a", run.parent)
+    assert len(records.read_metrics(find(str(run)))) == 10  # the user names the link
 
 
 @pytest.mark.parametrize("name", ["status.json", "config.yaml", "summary.parquet", "eval.parquet", "checkpoint.pt"])
@@ -79,6 +85,85 @@ def test_a_linked_log_is_not_appended_to(tmp_path: Path) -> None:
         claim.run.text_log("hello")
     claim.run.finish()
     assert (tmp_path / "profile").read_text() == "mine\n"
+
+
+def test_deletion_does_not_follow_the_store_s_folder_for_deleted_runs(tmp_path: Path) -> None:
+    run = interrupted(tmp_path)
+    precious = tmp_path / "outside" / "old-a-12345678" / "owner"
+    precious.mkdir(parents=True)
+    (run.parent / ".tmp").rmdir()
+    (run.parent / ".tmp").symlink_to(tmp_path / "outside")
+    for action in (lambda: delete_run(run), lambda: store(tmp_path).claim("a", CONFIG)):
+        with pytest.raises(StoreError, match=r"\.tmp: is a link"):
+            action()
+    assert precious.is_dir()
+    assert (run / "config.yaml").exists()
+
+
+@pytest.mark.parametrize("name", ["owner", ".annotations"])
+def test_owner_files_behind_a_link_stay(tmp_path: Path, name: str) -> None:
+    run = interrupted(tmp_path)
+    annotations.write_note(run, "x")
+    before = lead_away(run, name, tmp_path / "outside")
+    actions = [lambda: annotations.write_note(run, "y"), lambda: owner.acquire(run if name == "owner" else run / name)]
+    for action in [lambda: delete_run(run), *actions] if name == "owner" else actions:
+        with pytest.raises(StoreError, match=f"{name}: is a link"):
+            action()
+    assert contents(tmp_path / "outside") == before
+
+
+@pytest.mark.parametrize("name", ["images", "metrics"])
+def test_folders_and_files_that_are_links_are_not_listed(tmp_path: Path, name: str) -> None:
+    run = interrupted(tmp_path)
+    (tmp_path / "secret").write_text("x")
+    (run / name / "link").symlink_to(tmp_path / "secret")
+    assert run / name / "link" not in files.files_in(run / name)
+    lead_away(run, name, tmp_path / "outside")
+    with pytest.raises(StoreError, match=f"{name}: is a link"):
+        files.files_in(run / name)
+
+
+def test_the_store_itself_may_be_a_link(tmp_path: Path) -> None:
+    run = interrupted(tmp_path)
+    run.parent.rename(tmp_path / "scratch")
+    run.parent.symlink_to(tmp_path / "scratch")
+    claim = store(tmp_path).claim("a", CONFIG)
+    assert claim.run is not None
+    claim.run.resume(9)
+    claim.run.finish()
+    assert records.runs(run.parent) == [run]
+    assert len(records.read_metrics(run)) == 10
+    delete_run(run)
+    assert records.runs(run.parent) == []
+
+
+def test_a_folder_swapped_after_the_check_is_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run's folder becomes a link when its file has been written and is about to be renamed."""
+    run = interrupted(tmp_path)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+
+    def swap(_: Path) -> None:
+        run.rename(tmp_path / "moved")
+        run.symlink_to(outside)
+
+    files.replace(run / "status.json", b"{}", before_rename=swap)
+    assert list(outside.iterdir()) == []
+    assert (tmp_path / "moved" / "status.json").read_bytes() == b"{}"
+
+
+@pytest.mark.parametrize("name", ["status.json", "metrics/part-00000.parquet"])
+def test_a_system_without_descriptors_refuses_links_too(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "_DESCRIPTORS", False)
+    run = interrupted(tmp_path)
+    assert files.read_bytes(run / name, 10**6)
+    files.replace(run / "status.json", b"{}")
+    before = lead_away(run, name, tmp_path / "outside")
+    with pytest.raises(StoreError, match="is a link"):
+        files.read_bytes(run / name, 10**6)
+    assert contents(tmp_path / "outside") == before
 
 
 def test_leftovers_that_are_links_go_without_what_they_lead_to(tmp_path: Path) -> None:

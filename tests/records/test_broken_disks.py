@@ -36,7 +36,7 @@ def test_no_space(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_error_in_the_background_reaches_the_training_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = claimed(RunStore(tmp_path, every=0.01))
 
-    def refused(source: Any, target: Any) -> None:
+    def refused(*_: Any, **__: Any) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     def train() -> None:

@@ -107,7 +107,7 @@ def test_run_ids_stay_in_the_store(store_: RunStore, name: str) -> None:
 
 
 def test_no_hard_links(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsupported(source: Any, target: Any) -> None:
+    def unsupported(*_: Any, **__: Any) -> None:
         raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
 
     monkeypatch.setattr(os, "link", unsupported)

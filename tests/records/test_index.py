@@ -89,13 +89,17 @@ def test_runs_are_shown_whatever_is_wrong_with_them(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(frame, index.load(store).set_index("run_id"))
 
 
-def test_there_may_be_no_store(tmp_path: Path) -> None:
-    for store in (tmp_path / "absent", tmp_path / "file", tmp_path / "empty"):
-        (tmp_path / "file").write_text("")
-        (tmp_path / "empty").mkdir(exist_ok=True)
+def test_there_may_be_no_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    for store in ("runs", "empty"):  # the default store, before anybody has trained
         frame = index.load(store)
         assert frame.empty
         assert {"run_id", "state", "path"} <= set(frame.columns)
+    for store, reason in (("absent", "no such folder"), ("file", "not a folder")):
+        with pytest.raises(ValueError, match=f"{store}: {reason}"):
+            index.load(tmp_path / store)
 
 
 def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:

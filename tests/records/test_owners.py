@@ -2,14 +2,18 @@
 
 import json
 import os
+import signal
+import subprocess
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from qnerf import records
 from qnerf.records import Run, RunStore, StoreError, owner
+from tests.helpers.processes import start
 from tests.helpers.stores import CONFIG, claimed, vanish
 
 
@@ -114,3 +118,106 @@ def test_a_late_contender_does_not_become_a_second_owner(store_: RunStore) -> No
     assert not owner._succeeds(run.dir, late, stale)
     last.flush()
     last.finish()
+
+
+@pytest.mark.parametrize("jump", [-1e6, -200.0, 200.0, 1e6])
+def test_an_owner_elsewhere_whose_clock_jumps_keeps_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump: float
+) -> None:
+    """Its heartbeats look old or far in the future, but they change."""
+    run = claimed(RunStore(tmp_path, every=0.05))
+    here = owner.Process.current()
+    monkeypatch.setattr(owner, "_boot_id", lambda: "the claimant's")
+    assert owner.Process.current().boot != here.boot
+    now = time.time
+    monkeypatch.setattr(records.writer.time, "time", lambda: now() + jump if _is_writer() else now())
+    time.sleep(0.2)
+    assert RunStore(tmp_path, watch=20).claim("a", CONFIG).outcome == "busy"
+    run.log(0, 0.0, {"loss": 1.0})
+    run.finish()
+    assert records.state(run.dir) == "finished"
+
+
+def _is_writer() -> bool:
+    return threading.current_thread().name.startswith("qnerf-")
+
+
+def test_a_damaged_owner_file_is_watched_too(store_: RunStore) -> None:
+    """A file system without hard links shows it empty for a moment; the clock of its server may be off."""
+    run = claimed(store_)
+    run._stop()
+    path = next(run.dir.glob("owner/*.json"))
+    record = path.read_text()
+    path.write_text("")
+    os.utime(path, (0, 0))
+    thread = threading.Timer(0.3, path.write_text, [record])
+    thread.start()
+    claim = RunStore(store_.root, watch=20).claim("a", CONFIG)
+    thread.join()
+    assert claim.outcome == "busy"
+
+
+def test_a_new_run_that_is_being_made_survives_a_clock_that_is_off(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.finish()
+    new = store_.root / ".tmp" / "new-a-12345678"
+    (new / "owner").mkdir(parents=True)
+    assert owner.create(new, 0) is not None
+    os.utime(new, (0, 0))
+    assert store_.claim("a", CONFIG, force=True).run is not None
+    assert new.exists()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no SIGSTOP on this platform")
+def test_a_stopped_owner_keeps_its_run_here_and_loses_it_to_another_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = start("replacing", str(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        part = tmp_path / "a" / "metrics" / "part-00000.parquet"
+        wait_for(lambda: part.exists() and part.stat().st_size > 10_000)
+        process.send_signal(signal.SIGSTOP)
+        store = RunStore(tmp_path, every=60, watch=0.3)
+        assert store.claim("a", CONFIG).outcome == "busy"
+        monkeypatch.setattr(owner, "_boot_id", lambda: "another machine's")
+        monkeypatch.setattr(owner, "HEARTBEAT_LIMIT", 0.0)
+        claim = store.claim("a", CONFIG)
+        assert claim.outcome == "resumed"
+        assert claim.run is not None
+        claim.run.resume(-1)
+        content = {path: path.read_bytes() for path in (tmp_path / "a").rglob("*.parquet")}
+        process.send_signal(signal.SIGCONT)
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 1
+        assert "the run was taken over by another process; this one stops writing" in errors
+        assert {path: path.read_bytes() for path in (tmp_path / "a").rglob("*.parquet")} == content
+        claim.run.finish()
+        assert records.state(tmp_path / "a") == "finished"
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_an_owner_that_was_frozen_while_it_wrote_does_not_rename(
+    store_: RunStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = claimed(store_)
+    run.log(0, 0.0, {"loss": 1.0})
+
+    def frozen(_: int) -> None:
+        """While it waits for the disk, another machine takes the run over."""
+        monkeypatch.undo()
+        assert owner.create(run.dir, 1) is not None
+
+    monkeypatch.setattr(os, "fsync", frozen)
+    with pytest.raises(StoreError, match="taken over"):
+        run.flush()
+    assert len(records.read_metrics(run.dir)) == 0
+    run._stop()

@@ -195,3 +195,10 @@ def test_a_server_that_does_not_answer_is_one_line(monkeypatch: pytest.MonkeyPat
         index.load("s3://bucket/runs")
     assert "\n" not in str(error.value)
     s3fs.S3FileSystem.clear_instance_cache()
+
+
+def test_a_web_server_that_does_not_answer_is_one_line() -> None:
+    pytest.importorskip("aiohttp")
+    with pytest.raises(StoreError, match=r"^http://127\.0\.0\.1:9/x: cannot read: ") as error:
+        index.load("http://127.0.0.1:9/x")
+    assert "\n" not in str(error.value)

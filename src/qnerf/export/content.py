@@ -1,7 +1,6 @@
 """What the exporters copy from a run."""
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import pandas as pd
 
 from qnerf.records import StoreError, details, pictures, read_metrics
 from qnerf.records.annotations import Annotations
+from qnerf.records.files import files_in
 
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _FILES = ("config.yaml", "overrides.txt", "environment*.json", "dirty*.diff", "eval.parquet", "summary.parquet")
@@ -67,11 +67,6 @@ def read(folder: Path) -> Content:
         evaluation=run.evaluation,
         annotations=run.annotations,
         metrics=metrics,
-        files=_regular(path for pattern in _FILES for path in sorted(run.path.glob(pattern))),
+        files=[path for pattern in _FILES for path in files_in(run.path, pattern)],
         images=pictures.listed(run.path),
     )
-
-
-def _regular(paths: Iterable[Path]) -> list[Path]:
-    # A link could lead to any file on this machine, and exported files may go to a server.
-    return [path for path in paths if path.is_file() and not path.is_symlink()]

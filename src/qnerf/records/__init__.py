@@ -26,8 +26,8 @@ What survives kill -9. Everything that was written: at most the metrics of the l
 resumes from its last checkpoint. The rows logged after that checkpoint are dropped, so that no step appears twice. The
 next claim removes the temporary files. If the checkpoint is damaged, the one before it is used.
 
-What a folder from elsewhere can do. Nothing in it is executed, no link in it is followed, and files larger than a run
-writes are refused (`files.py`, `read.py`).
+What a folder from elsewhere can do. Nothing in it is executed, no link below the store's root is followed, and files
+larger than a run writes are refused (`files.py`, `read.py`). Only what this package made is deleted (`deletion.py`).
 
 The file system must rename files and folders atomically and create hard links (or at least files) exclusively. Local
 file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.

@@ -20,9 +20,11 @@ from qnerf.records.files import StoreError, reporting
 from qnerf.records.printable import printable
 
 FILE = "annotations.json"
+LOCK = ".annotations"
 TAG_LENGTH = 64
 TAGS = 100
 NOTE_LENGTH = 10_000
+WATCH_TIME = 2.0  # seconds in which a process whose clock is off shows that it lives, by ending its change
 PATIENCE = 10.0  # seconds to wait for another process's change, which takes milliseconds
 
 
@@ -96,19 +98,20 @@ def check_tag(tag: str) -> str:
 
 def _write(path: Path, annotations: Annotations) -> Annotations:
     content = {"tags": list(annotations.tags), "note": annotations.note}
-    files.replace(path, (json.dumps(content, indent=1) + "\n").encode())  # ASCII: safe to print whatever is in it
+    data = (json.dumps(content, indent=1) + "\n").encode()  # ASCII: safe to print whatever is in it
+    files.replace(path, data, temporary_folder=path.parent / LOCK)  # a run that is resumed tidies its own folder
     return annotations
 
 
 @contextlib.contextmanager
 def _changing(run_dir: Path) -> Iterator[Path]:
     """The path of the file, which no other process changes in the meantime."""
-    path, lock = run_dir / FILE, run_dir / ".annotations"
+    path, lock = run_dir / FILE, run_dir / LOCK
     require_run(run_dir)
     with reporting(path):
         files.make_folder(lock)
     end = time.monotonic() + PATIENCE
-    while not isinstance(claim := owner.acquire(lock, watch=0), owner.Ownership):
+    while not isinstance(claim := owner.acquire(lock, watch=WATCH_TIME), owner.Ownership):
         if time.monotonic() > end:
             raise StoreError(f"{path}: being changed by {claim or 'another process'}; try again")
         time.sleep(0.01)

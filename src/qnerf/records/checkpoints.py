@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, open_plain, preserve, replace, reporting
+from qnerf.records.files import StoreError, exists, open_plain, preserve, rename, replace, reporting
 
 
 class Checkpoints:
@@ -53,12 +53,12 @@ class Checkpoints:
                 raise
             except Exception as error:  # damaged archives raise many kinds of errors
                 aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
-                fallback = path == self.current and self.previous.exists()
+                fallback = path == self.current and exists(self.previous)
                 onward = "going on from the checkpoint before" if fallback else "no other checkpoint: starting over"
                 reason = f"{type(error).__name__}: {_shortened(error)}"
                 self._warn(f"{path}: damaged ({reason}); set aside as {aside.name}; {onward}")
                 with reporting(path):
-                    os.replace(path, aside)
+                    rename(path, aside)
         return None
 
 

@@ -1,8 +1,11 @@
 """What a run is, and how it is deleted.
 
-A folder of a user must not be taken for a run because it has a file of the same name. So a run is what has a record of
-an owner in `owner/`, or a config.yaml and a status.json that names this folder as its run. Every run has both from its
-first moment; one is enough, because the other may be damaged.
+A folder of a user must not be taken for a run because it has a file of the same name. So a run has at least one of
+three marks. Every run has all of them from its first moment, but files may be damaged, by a power cut for example.
+
+- a record of an owner in `owner/`,
+- a config.yaml, and a status.json that names this folder as its run,
+- the names of all files that a new run has.
 
 A run is deleted in two steps. It is renamed into the folder `.tmp` of its store, then removed there, its `owner/` last:
 if the process is killed in between, what remains can still be told from a folder of the user.
@@ -22,7 +25,6 @@ from qnerf.records.files import (
     StoreError,
     delete,
     entries_in,
-    exists,
     folders_in,
     make_folder,
     read_json,
@@ -34,6 +36,7 @@ from qnerf.records.numbered import OWNERS
 from qnerf.records.owner import OwnerInfo, Ownership, Process
 from qnerf.records.read import state
 
+_FIRST_FILES = {"config.yaml", "overrides.txt", "eval.parquet", "summary.parquet", "metrics", "images"}
 _NONCE = re.compile(r"[0-9a-f]{16}")
 _TRASH_NAME = re.compile(r"(new|old)-(.+)-[0-9a-f]{8}")
 _ABANDONED_S = 3600.0  # nobody takes so long to make a new run's folder
@@ -43,24 +46,27 @@ def is_run(folder: Path, run_id: str | None = None) -> bool:
     """Whether the folder was made by `RunStore.claim`; False for a link. run_id: by default the folder's name."""
     try:
         owners = OWNERS.in_folder(folder / "owner").values()
-        if any(_is_owner(_read(path)) for path in owners):
-            return True
     except (OSError, StoreError):
-        pass
+        owners = {}.values()
+    if any(_is_owner(_read(path)) for path in owners):
+        return True
     try:
-        status = _read(folder / "status.json")
-        named = status.get("run_id") == (run_id or folder.name) and _is_nonce(status.get("claim"))
-        return named and exists(folder / "config.yaml")
+        names = entries_in(folder).keys()
     except (OSError, StoreError):
         return False
+    status = _read(folder / "status.json") if "config.yaml" in names else {}
+    if status.get("run_id") == (run_id or folder.name) and _is_nonce(status.get("claim")):
+        return True
+    return bool(owners) and names >= _FIRST_FILES
 
 
 def require_run(folder: Path) -> None:
     """StoreError if the folder is not a run, or if it is a link."""
-    refuse_links(folder, folder / "owner")
+    refuse_links(folder, root=folder.parent)
+    refuse_links(folder / "owner")
     # A file may be replaced between the listing and the reading.
     if not any(is_run(folder) for _ in range(3)):
-        raise StoreError(f"{folder}: not a run: it has neither an owner/ nor a status.json that qnerf wrote for it")
+        raise StoreError(f"{folder}: not a run: it has no owner/ or status.json that qnerf wrote for it")
 
 
 def _is_owner(record: dict[str, Any]) -> bool:

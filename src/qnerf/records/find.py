@@ -25,7 +25,8 @@ def find(name: str | Path, store: str | Path = "runs") -> Path:
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder
     folder = existing_store(store)
-    refuse_links(folder / text, root=folder)
+    if text:
+        refuse_links(folder / text, root=folder)
     known = {path.name: path for path in runs(folder)}
     if text in known:
         return known[text]

@@ -23,7 +23,7 @@ def store_folder(store: str | Path) -> Path:
     """The folder of a store, which need not exist yet.
 
     Raises:
-        ValueError: it is a URL, empty, not a path, or it exists and is not a folder.
+        ValueError: it is a URL, empty or not a path.
     """
     text = str(store)
     if isinstance(store, str) and not text.strip():
@@ -32,17 +32,16 @@ def store_folder(store: str | Path) -> Path:
         raise ValueError(f"store: expected a folder, got {text!r}")
     if url_protocol(store) is not None:
         raise ValueError(
-            f"store: expected a folder of this machine, got the URL {text}; runs behind a URL are only listed"
+            f"store: expected a folder of this machine, got {text}; runs behind a URL can only be listed and analysed"
         )
-    folder = Path(text[len("file://") :] if text.lower().startswith("file://") else text)
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"store: expected a folder, but {text} is a file")
-    return folder
+    return Path(text[len("file://") :] if text.lower().startswith("file://") else text)
 
 
 def existing_store(store: str | Path) -> Path:
     """As `store_folder`, for reading: ValueError if there is no such folder. The default store may be absent."""
     folder = store_folder(store)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{store}: not a folder; expected a folder of runs")
     if str(store) != DEFAULT and not folder.exists():
-        raise ValueError(f"store: no such folder: {store}")
+        raise ValueError(f"{store}: no such folder; expected a folder of runs")
     return folder

@@ -197,20 +197,26 @@ def _is_released(record: dict[str, Any]) -> bool:
 
 
 def _is_active(directory: Path, number: int, record: dict[str, Any], watch: float) -> bool:
+    """Whether the owner in `record` lives. If only the clock says that it does not, it is watched for a sign of life:
+    a heartbeat that changes, to whatever time, or a change of its owner file."""
     process = Process.from_record(record)
-    if process is None:  # damaged, or still being written on a file system without hard links
-        with contextlib.suppress(OSError):
-            return is_recent(files.status(_owner_file(directory, number)).st_mtime)
+    running = None if process is None else process.is_running()
+    if running is not None:
+        return running
+
+    def sign() -> tuple[float | None, int, dict[str, Any] | None]:
+        if process is not None:
+            return last_heartbeat(directory, record), *latest(directory)
+        # damaged, or still being written on a file system without hard links
+        return files.status(_owner_file(directory, number)).st_mtime, *latest(directory)
+
+    first = sign()
+    if is_recent(first[0]):
         return True
-    heartbeat = last_heartbeat(directory, record)
-    if is_alive(record, heartbeat):
-        return True
-    if process.is_running() is False:
-        return False
     end = time.monotonic() + watch
     while time.monotonic() < end:
         time.sleep(min(0.2, watch))
-        if last_heartbeat(directory, record) != heartbeat:
+        if sign() != first:
             return True
     return False
 

@@ -130,15 +130,15 @@ class RunStore:
                     return Claim("new", directory, f"{directory}: done over", self._open(published, resumed=False))
                 _refuse_newer_format(directory)
                 remove_temporary_files(directory)
+                without_rows = _has_begun(directory) and not _has_metrics(directory)
                 content.complete(directory)
-            onward = (
-                "from its checkpoint"
-                if any(exists(directory / name) for name in ("checkpoint.pt", "checkpoint.prev.pt"))
-                else "from the start"
-            )
+            onward = "from its checkpoint" if _has_checkpoint(directory) else "from the start"
             stored = before if before == "failed" else "interrupted"
             message = f"{directory}: was {stored}, going on {onward}"
-            return Claim("resumed", directory, message, self._open(holder, resumed=True))
+            run = self._open(holder, resumed=True)
+            if without_rows:
+                run.warn(f"{directory / 'metrics'}: missing or empty; the rows logged before are lost")
+            return Claim("resumed", directory, message, run)
         raise StoreError(f"{directory}: cannot claim the run: its folder comes and goes all the time")
 
     def _open(self, ownership: Ownership, *, resumed: bool) -> Run:
@@ -209,6 +209,21 @@ def _released_on_error(ownership: Ownership) -> Iterator[None]:
         raise
 
 
+def _has_checkpoint(directory: Path) -> bool:
+    return any(exists(directory / name) for name in ("checkpoint.pt", "checkpoint.prev.pt"))
+
+
+def _has_begun(directory: Path) -> bool:
+    return _has_checkpoint(directory) or bool(read_status(directory).get("step"))
+
+
+def _has_metrics(directory: Path) -> bool:
+    try:
+        return bool(PARTS.in_folder(directory / "metrics"))
+    except FileNotFoundError:
+        return False
+
+
 def _refuse_newer_format(directory: Path) -> None:
     written = read_status(directory).get("format", FORMAT)
     if isinstance(written, int) and written > FORMAT:
@@ -253,7 +268,7 @@ class _InitialContent:
                 make_folder(temporary)
                 replace(temporary / PARTS.name(0), EMPTY_PART, durable=False)
                 rename(temporary, folder / "metrics")
-            elif not PARTS.in_folder(folder / "metrics"):
+            elif not _has_metrics(folder):
                 replace(folder / "metrics" / PARTS.name(0), EMPTY_PART, temporary_folder=folder, durable=False)
 
     def write_status(self, folder: Path, ownership: Ownership) -> None:

@@ -28,8 +28,19 @@ from qnerf.config.identity import plain
 from qnerf.records import schemas, summary_row
 from qnerf.records.checkpoints import Checkpoints
 from qnerf.records.environment import MAX_FILE_BYTES, environment_files
-from qnerf.records.files import StoreError, open_plain, preserve, read_bytes, replace, reporting
+from qnerf.records.files import (
+    StoreError,
+    delete,
+    exists,
+    make_folder,
+    open_plain,
+    preserve,
+    read_bytes,
+    replace,
+    reporting,
+)
 from qnerf.records.live_parquet import appended, encode, rewritten
+from qnerf.records.numbered import PARTS
 from qnerf.records.owner import HEARTBEAT_INTERVAL, Ownership, Process
 from qnerf.records.read import read_config, read_part, read_status, read_summary, read_table_bytes
 
@@ -144,9 +155,11 @@ class Run:
         with self._io:
             self._ownership.check()
             last = rows = 0
-            for path in sorted((self.dir / "metrics").glob("part-*.parquet")):
-                number = int(path.stem[5:])
-                table = self._read_or_set_aside(path)
+            parts = PARTS.in_folder(self.dir / "metrics")
+            if missing := [PARTS.name(number) for number in range(max(parts, default=0)) if number not in parts]:
+                self.warn(f"{self.dir / 'metrics'}: {', '.join(missing[:3])} is missing; its rows are lost")
+            for number, path in parts.items():
+                table = self._read_or_set_aside(number, path)
                 remaining = table.filter(pc.less_equal(table["step"], step))
                 # The part is emptied, not removed: a reader may just have listed the folder and must find every file.
                 if remaining.num_rows < table.num_rows:
@@ -159,14 +172,14 @@ class Run:
             self._accepts_rows = True
             self._write_status()
 
-    def _read_or_set_aside(self, path: Path) -> pa.Table:
+    def _read_or_set_aside(self, number: int, path: Path) -> pa.Table:
         try:
             return read_part(path)
         except StoreError as error:
             aside = self.dir / f"damaged-{time.time_ns()}-{path.name}"
             with reporting(path):
                 preserve(path, aside)
-            self._write_part(int(path.stem[5:]), EMPTY_PART)
+            self._write_part(number, EMPTY_PART)
             self.warn(f"{error}; set aside as {aside.name}, its rows are missing from now on")
             return schemas.METRICS_SCHEMA.empty_table()
 
@@ -176,14 +189,14 @@ class Run:
 
     def _read_part(self, number: int) -> bytes:
         path = self._part_path(number)
-        return read_table_bytes(path) if path.exists() else EMPTY_PART
+        return read_table_bytes(path) if exists(path) else EMPTY_PART
 
     def _part_path(self, number: int) -> Path:
-        return self.dir / "metrics" / f"part-{number:05d}.parquet"
+        return self.dir / "metrics" / PARTS.name(number)
 
     def _write_part(self, number: int, data: bytes) -> None:
         # No temporary file in metrics/: a reader must not list a file that is gone when it opens it.
-        replace(self._part_path(number), data, temporary_folder=self.dir)
+        self._replace(self._part_path(number), data, temporary_folder=self.dir)
 
     # Tables, pictures and texts
 
@@ -214,12 +227,12 @@ class Run:
         """
         data = (json.dumps(plain(environment, "environment"), indent=1) + "\n").encode()
         for path, patch in environment_files(self.dir):
-            if not path.exists():
+            if not exists(path):
                 if diff:
                     self._write(patch.name, diff.encode())
                 self._write(path.name, data)
                 return
-            known_diff = read_bytes(patch, MAX_FILE_BYTES) if patch.exists() else b""
+            known_diff = read_bytes(patch, MAX_FILE_BYTES) if exists(patch) else b""
             if read_bytes(path, MAX_FILE_BYTES) == data and known_diff == diff.encode():
                 return
 
@@ -237,8 +250,8 @@ class Run:
         with self._io:
             self._ownership.check()
             with reporting(self.dir / "images"):
-                (self.dir / "images").mkdir(exist_ok=True)
-            replace(self.dir / "images" / file, data.getvalue(), temporary_folder=self.dir, durable=False)
+                make_folder(self.dir / "images")
+            self._replace(self.dir / "images" / file, data.getvalue(), temporary_folder=self.dir, durable=False)
 
     def text_log(self, line: str) -> None:
         """Appends the local time and the line to log.txt."""
@@ -288,8 +301,7 @@ class Run:
     def finish(self, summary: Mapping[str, Any] | None = None) -> None:
         """The run is complete. The same command again will skip it."""
         self._end("finished", None, summary)
-        with contextlib.suppress(OSError):
-            (self.dir / "checkpoint.prev.pt").unlink()
+        delete(self.dir / "checkpoint.prev.pt", ignore_errors=True)
 
     def fail(self, error: str) -> None:
         self._end("failed", " ".join(error.split()))
@@ -367,12 +379,21 @@ class Run:
     def _write(self, name: str, data: bytes) -> None:
         with self._io:
             self._ownership.check()
-            replace(self.dir / name, data)
+            self._replace(self.dir / name, data)
+
+    def _replace(self, path: Path, data: bytes, *, temporary_folder: Path | None = None, durable: bool = True) -> None:
+        """The owner is checked last: a process may be stopped, or wait for a disk, for longer than its claim lasts."""
+
+        def check(_: Path) -> None:
+            self._ownership.check()
+
+        replace(path, data, temporary_folder=temporary_folder, durable=durable, before_rename=check)
 
     def _write_status(self, durable: bool = False) -> None:
         with self._io:
             self._status |= {"run_id": self.run_id, "step": self._step, "heartbeat": time.time()}
-            replace(self.dir / "status.json", (json.dumps(self._status, indent=1) + "\n").encode(), durable=durable)
+            data = (json.dumps(self._status, indent=1) + "\n").encode()
+            self._replace(self.dir / "status.json", data, durable=durable)
 
 
 def _metrics_table(keys: Sequence[str], steps: array, times: array, key_numbers: array, values: array) -> pa.Table:

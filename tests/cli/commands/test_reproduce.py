@@ -167,3 +167,11 @@ def test_the_relative_difference(a, b):
         assert forth <= 2
     elif forth:
         assert forth == np.inf
+
+
+@pytest.mark.parametrize("keep", ["", "s3://bucket/runs"])
+def test_the_second_run_needs_a_folder(make, qnerf, keep):
+    make("a")
+    done = qnerf("reproduce", "a", "--keep", keep)
+    assert done.code == 2
+    assert "store: expected a folder" in done.err

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from qnerf.cli.commands import rm
 from qnerf.records import StoreError, owner, runs
+from qnerf.records.deletion import delete_run
 
 
 class Terminal:
@@ -65,10 +65,10 @@ def test_a_run_that_somebody_takes_at_the_last_moment_stays(make):
     run = make("a")
     held = owner.acquire(run)
     with pytest.raises(StoreError, match="being written by process"):
-        rm.delete(run)
+        delete_run(run)
     assert (run / "summary.parquet").exists()
     held.release()
-    rm.delete(run)
+    delete_run(run)
     assert not run.exists()
 
 
@@ -106,12 +106,17 @@ def test_a_folder_that_is_no_run_stays(qnerf, tmp_path):
 
 
 def test_the_next_one_finishes_what_a_killed_one_began(make):
-    run = make("a")
-    left = run.parent / ".tmp" / "old-x-1234"
-    left.mkdir()
-    (left / "checkpoint.pt").write_text("x")
-    rm.delete(run)
-    assert not left.exists()
+    run, trash = make("a"), make("b").parent / ".tmp"
+    left = (run.parent / "b").rename(trash / "old-b-12345678")
+    for name in ("status.json", "config.yaml", "summary.parquet"):
+        (left / name).unlink()
+    (trash / "old-c-12345678" / "owner").mkdir(parents=True)
+    mine = trash / "old-backup-20260101"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("x")
+    delete_run(run)
+    assert [path.name for path in trash.iterdir()] == [mine.name]
+    assert (mine / "thesis.tex").exists()
 
 
 def test_a_full_disk_does_not_keep_runs_from_being_deleted(make, monkeypatch):
@@ -121,18 +126,63 @@ def test_a_full_disk_does_not_keep_runs_from_being_deleted(make, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(owner, "create", full)
-    rm.delete(run)
+    delete_run(run)
     assert not run.exists()
 
 
 def test_what_cannot_be_renamed_stays_and_is_free_again(make, monkeypatch):
     run = make("a")
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "rename", refuse)
         with pytest.raises(StoreError, match="cannot delete: Read-only file system"):
-            rm.delete(run)
+            delete_run(run)
     assert isinstance(owner.acquire(run), owner.Ownership)
+
+
+def test_a_foreign_folder_in_the_working_directory_stays(make, qnerf, tmp_path, monkeypatch):
+    """`proj` is the run of that name, whatever lies in the working directory."""
+    run = make("proj")
+    mine = tmp_path / "here" / "proj"
+    mine.mkdir(parents=True)
+    for name in ("status.json", "config.yaml"):
+        (mine / name).write_text("{}")
+    monkeypatch.chdir(mine.parent)
+    assert qnerf("tag", "proj", "good").out == "good\n"
+    assert qnerf("rm", "./proj", "--yes").code == 2
+    assert qnerf("tag", "./proj", "good").code == 2
+    assert qnerf("note", "./proj", "good").code == 2
+    assert qnerf("rm", "proj", "--yes").code == 0
+    assert not run.exists()
+    assert sorted(path.name for path in mine.iterdir()) == ["config.yaml", "status.json"]
+
+
+def test_nothing_is_deleted_through_links(make, qnerf, tmp_path):
+    run = make("a")
+    outside = tmp_path / "outside"
+    (outside / "old-x-12345678").mkdir(parents=True)
+    (run.parent / ".tmp").rmdir()
+    (run.parent / ".tmp").symlink_to(outside)
+    done = qnerf("rm", "a", "--yes")
+    assert done.code == 2
+    assert ".tmp: is a link" in done.err
+    assert (outside / "old-x-12345678").is_dir()
+    (run.parent / ".tmp").unlink()
+    (run / "owner").rename(outside / "owner")
+    (run / "owner").symlink_to(outside / "owner")
+    before = sorted(outside.rglob("*"))
+    done = qnerf("rm", "a", "--yes")
+    assert done.code == 2
+    assert "owner: is a link" in done.err
+    assert sorted(outside.rglob("*")) == before
+
+
+def test_an_empty_name_does_not_delete_a_linked_store(make, qnerf, tmp_path):
+    store = make("a").parent
+    store.rename(tmp_path / "scratch")
+    store.symlink_to(tmp_path / "scratch")
+    assert qnerf("rm", "", "--yes").code == 2
+    assert store.is_symlink()

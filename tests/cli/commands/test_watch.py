@@ -65,6 +65,8 @@ def test_the_store_once(store, qnerf):
 
 
 def test_no_store_yet(qnerf, tmp_path):
+    assert f"{tmp_path / 'runs'}: no such folder" in qnerf("watch", "--once").err
+    (tmp_path / "runs").mkdir()
     assert qnerf("watch", "--once").out == f"no runs in {tmp_path / 'runs'}\n"
 
 

@@ -55,7 +55,7 @@ ANALYSIS = {
 RENAMED = {"evaluate": "probe"}
 """Former name of a command -> its name."""
 
-RUN = "a run's folder, its id, or a unique part of its id"
+RUN = "a run's folder (runs/ID or ./ID), its id, or a unique part of its id"
 
 
 def add_store(parser: argparse.ArgumentParser) -> None:

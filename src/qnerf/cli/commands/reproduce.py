@@ -15,6 +15,7 @@ from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import run_stored, stored
 from qnerf.records import find, state
+from qnerf.records.location import store_folder
 from qnerf.records.printable import printable
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_run(parser)
     add_plugins(parser)
-    parser.add_argument("--keep", metavar="DIR", type=Path, help="store for the second run (default: it is deleted)")
+    parser.add_argument("--keep", metavar="DIR", help="store for the second run (default: it is deleted)")
     parser.add_argument(
         "--tolerance",
         metavar="X",
@@ -51,7 +52,8 @@ def main(options: argparse.Namespace) -> int:
     run = find(options.run, options.store).resolve()
     if (now := state(run)) != "finished":
         raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
-    if options.keep is not None and options.keep.resolve() == run.parent:
+    keep = None if options.keep is None else store_folder(options.keep)
+    if keep is not None and keep.resolve() == run.parent:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
     config, filled = stored(run, options.plugins)
 
@@ -59,8 +61,7 @@ def main(options: argparse.Namespace) -> int:
 
     config["threads"] = recorded_threads(run) or config["threads"]
     config["run"]["force"] = True  # the folder of --keep may contain an earlier one
-    second = options.keep and contextlib.nullcontext(options.keep)
-    with second or tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
+    with contextlib.nullcontext(keep) if keep else tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = str(store)
         outcome = run_stored(run, config, filled)
         if outcome.state != "finished":

@@ -45,7 +45,7 @@ def main(options: argparse.Namespace) -> int:
 def _checked(name: str, store: str) -> Path:
     """The absolute path of the run, or of the link that the user names."""
     path = Path(name) if is_path(name) else existing_store(store) / name
-    if path.is_symlink():
+    if name and path.is_symlink():
         return path.absolute()
     run = find(name, store).absolute()
     try:

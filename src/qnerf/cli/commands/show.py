@@ -1,6 +1,7 @@
 """`qnerf show RUN`: everything about one run."""
 
 import argparse
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from qnerf.metrics import image_metrics, metric_of
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.details import Details
+from qnerf.records.files import entries_in
 from qnerf.records.printable import printable
 
 
@@ -150,12 +152,12 @@ def _environment(out: Console, run: Details) -> None:
 def files(run: Path) -> dict[str, int]:
     """Name -> bytes of each file in the run's folder, and of each folder in it. Hidden ones are left out."""
     lengths = {}
-    for path in sorted(run.iterdir()):
-        if path.name.startswith("."):
-            continue
-        inside = path.is_dir() and not path.is_symlink()
-        sizes = [item.lstat().st_size for item in (path.iterdir() if inside else [path])]
-        lengths[f"{path.name}/ ({len(sizes)})" if inside else path.name] = sum(sizes)
+    for name, information in entries_in(run).items():
+        if stat.S_ISDIR(information.st_mode) and not name.startswith("."):
+            inside = [item.st_size for item in entries_in(run / name, root=run.parent).values()]
+            lengths[f"{name}/ ({len(inside)})"] = sum(inside)
+        elif not name.startswith("."):
+            lengths[name] = information.st_size
     return lengths
 
 

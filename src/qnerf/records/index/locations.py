@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import pandas as pd
 
 from qnerf.config.cache import cache_folder
-from qnerf.records.files import MAX_JSON_BYTES, StoreError, read_bytes, reporting
+from qnerf.records.files import MAX_JSON_BYTES, StoreError, folders_in, read_bytes, reporting
 from qnerf.records.read import RUN_MARKERS, read_metrics, state
 
 SUMMARY, STATUS, ANNOTATIONS = "summary.parquet", "status.json", "annotations.json"
@@ -62,12 +62,12 @@ class FolderLocation:
     def scan(self) -> Stamps:
         with reporting(self.root, "read"):
             try:
-                with os.scandir(self.root) as entries:
-                    names = [entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
+                folders = folders_in(self.root, root=self.root)
             except (FileNotFoundError, NotADirectoryError):
                 return {}
         settled_time = settled_before()
-        stamps = {name: _stamps(f"{self.root}/{name}", settled_time) for name in sorted(names) if _is_unicode(name)}
+        names = [folder.name for folder in folders if not folder.name.startswith(".") and _is_unicode(folder.name)]
+        stamps = {name: _stamps(f"{self.root}/{name}", settled_time) for name in names}
         return {name: stamp for name, stamp in stamps.items() if stamp is not None}
 
     def read(self, file: str, runs: Sequence[str]) -> Iterator[bytes | StoreError | None]:

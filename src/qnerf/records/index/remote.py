@@ -85,6 +85,9 @@ class UrlLocation:
                 files = self._file_system.find(f"{self._root}/{folder}" if folder else self._root, detail=True)
             except FileNotFoundError:
                 return {}
+            if not files and not folder:  # find() takes a server that does not answer for an empty folder
+                with contextlib.suppress(FileNotFoundError):
+                    self._file_system.ls(self._root)
         start = len(self._root.rstrip("/")) + 1
         found = {path[start:]: information for path, information in files.items()}
         self._sizes |= {path: information.get("size") or 0 for path, information in found.items()}

@@ -31,6 +31,7 @@ from qnerf.records.index import entries
 from qnerf.records.index.index_file import StoredIndex, save
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY, UNSETTLED, FolderLocation, Location, Stamps
 from qnerf.records.index.ragged_rows import RaggedRow, RaggedTable
+from qnerf.records.location import existing_store, url_protocol
 
 Progress = Callable[[str, int, int], None]
 """Called with a file's name, how many of them were read, and how many there are to read."""
@@ -77,9 +78,8 @@ def columns(store: str | Path) -> list[str]:
 
 def locate(store: str | Path) -> Location:
     """The location of a store or a run: a folder, a file:// URL, or another URL. ValueError if it cannot be read."""
-    protocol, separator, rest = str(store).partition("://")
-    if not separator or protocol == "file":
-        return FolderLocation(rest if separator else store)
+    if url_protocol(store) is None:
+        return FolderLocation(existing_store(store))
     from qnerf.records.index.remote import UrlLocation  # importing fsspec takes longer than listing a small store
 
     return UrlLocation(str(store))
