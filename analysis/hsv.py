@@ -1,6 +1,7 @@
 """How renderings differ from the truth in colour: distributions of hue, saturation and value, tests, effect sizes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -8,6 +9,7 @@ import pandas as pd
 from matplotlib.colors import rgb_to_hsv
 from scipy.stats import ks_2samp, wasserstein_distance
 
+from qnerf.cli.numbers import share
 from qnerf.records.filters import require
 
 from . import circular, command
@@ -32,13 +34,15 @@ def samples(
     classical: str | Mapping[str, object] = CLASSICAL,
     quantum: str | Mapping[str, object] = QUANTUM,
     grey: float = GREY,
+    problems: list[str] | None = None,
 ) -> pd.DataFrame:
-    """The pixels of the held-out views that all chosen runs have pictures of, one row each.
+    """The pixels of the held-out views that all chosen runs have readable pictures of, one row each.
 
     Args:
         frame: runs as `load.runs` gives them.
         classical, quantum: conditions that choose the runs to compare; see `qnerf.records.filters`.
         grey: a pixel of at most this saturation has no hue.
+        problems: gets a line for each view that is left out because a picture of it is damaged.
 
     Returns:
         Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which occurs once),
@@ -58,12 +62,22 @@ def samples(
         without = sum(not own for own in pictures.values())
         raise ValueError(f"no picture that all {len(both)} runs have; {without} of them have none at all")
     pieces = []
+    damaged: list[str] = []
     for image in common:
+        try:
+            strips = {path: panels(pictures[path][image]) for path in both["path"]}
+        except ValueError as error:
+            damaged.append(f"{image}: {error}")
+            continue
         for source, runs in chosen.items():
             for path, seed in zip(runs["path"], runs["seed"], strict=True):
-                strip = panels(pictures[path][image])
+                strip = strips[path]
                 pieces.append(pixels(strip.render, grey).assign(source=source, seed=seed, image=image))
         pieces.append(pixels(strip.truth, grey).assign(source="truth", seed=None, image=image))
+    if problems is not None:
+        problems += damaged
+    if not pieces:
+        raise ValueError(damaged[0])
     table = pd.concat([piece.astype({"seed": "Int64"}) for piece in pieces], ignore_index=True)
     table = table.astype({"source": pd.CategoricalDtype(list(SOURCES)), "image": "category"})
     return table[["source", "seed", "image", *CHANNELS]]
@@ -198,11 +212,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--classical", default="field=classical", metavar="KEY=VALUE,...", help="default: %(default)s")
     parser.add_argument("--quantum", default="field=qcolor", metavar="KEY=VALUE,...", help="default: %(default)s")
     parser.add_argument(
-        "--grey", type=float, default=GREY, help="saturation of a grey pixel at most; default: %(default)s"
+        "--grey", type=share, default=GREY, help="saturation of a grey pixel at most; default: %(default)s"
     )
     options = parser.parse_args(arguments)
     sources = {name: getattr(options, name) for name in ("classical", "quantum")}
-    command.show(table(tests(samples(command.chosen(options), **sources, grey=options.grey))), options.format)
+    problems: list[str] = []
+    made = table(tests(samples(command.chosen(options), **sources, grey=options.grey, problems=problems)))
+    left_out = [f"left out: {len(problems)} views with damaged pictures, the first {problems[0]}"] if problems else []
+    command.show(replace(made, notes=(*made.notes, *left_out)), options.format)
 
 
 if __name__ == "__main__":

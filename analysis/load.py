@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from qnerf.config.compatibility import ADDED, Same
@@ -11,6 +12,14 @@ from qnerf.config.identity import flatten
 from qnerf.records import filters, index
 
 from . import packed
+from .settings import LABELS
+
+_HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
+NEEDED = (
+    "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
+    "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
+)  # fmt: skip
+"""Columns that tables and figures read; in runs that lack them they are empty."""
 
 
 def runs(
@@ -42,6 +51,7 @@ def runs(
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
             _rename_older_fingerprints(frame)
     _fill_added(frame)
+    add_needed(frame)
     return frame if filter is None else filters.require(frame, filter)
 
 
@@ -87,6 +97,13 @@ def _rename_older_fingerprints(frame: pd.DataFrame) -> None:
         pairs = frame[["scene.older_fingerprint", "scene.fingerprint"]].dropna()
         frame["scene.fingerprint"] = frame["scene.fingerprint"].replace(dict(pairs.itertuples(index=False, name=None)))
         del frame["scene.older_fingerprint"]
+
+
+def add_needed(frame: pd.DataFrame) -> None:
+    """Adds the columns of `LABELS` and `NEEDED` that are missing, without values."""
+    for name in (*LABELS, *NEEDED):
+        if name not in frame:
+            frame[name] = None if name in LABELS else np.nan
 
 
 def _scene_names(frame: pd.DataFrame) -> pd.Series:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from qnerf.config.compatibility import today
 from qnerf.records import StoreError
-from qnerf.records.parquet import with_kinds
+from qnerf.records.parquet import check_kinds, with_kinds
 from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
 from qnerf.records.schemas import known_kind
 
@@ -76,10 +76,12 @@ def load(folder: str | Path) -> pd.DataFrame:
         StoreError: the table is damaged, or a run's id is none.
     """
     file = Path(folder) / RUNS
-    table = with_kinds(read_table(file, root=file.parent), {"run_id": "text", "state": "text"}, file)
+    table = read_table(file, root=file.parent)
     table = table.rename_columns([today(name) for name in table.schema.names])
     known = {name: kind for name in table.schema.names if (kind := known_kind(name)) is not None}
-    frame = with_kinds(table, known, file).to_pandas()
+    known = {name: "float" if kind == "int" else kind for name, kind in known.items()}  # pandas has no absent integers
+    check_kinds(table, {"run_id": "text", "state": "text"} | known, file)
+    frame = table.to_pandas()
     if odd := [name for name in frame["run_id"] if not isinstance(name, str) or not RUN_ID.fullmatch(name)]:
         raise StoreError(f"{file}: damaged: expected the ids of runs, got {odd[0]!r:.60}")
     return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])

@@ -4,7 +4,7 @@ that are the same bytes each time."""
 import functools
 import math
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Tick
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+from qnerf.records.printable import printable
 
 COLUMN, PAGE = 3.35, 6.9  # inches
 
@@ -84,9 +89,29 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     def drawn(*arguments: Any, theme: str = "light", **options: Any) -> Figure:
         parameters: dict[Any, Any] = mpl.rcParamsDefault | settings(theme)
         with mpl.rc_context(parameters):
-            return draw(*arguments, **options)
+            figure = draw(*arguments, **options)
+            make_plain(figure)
+            return figure
 
     return drawn
+
+
+def make_plain(figure: Figure) -> None:
+    """Draws the figure's texts as they are, whatever names a store holds: no mathtext, no control characters.
+
+    Labels of ticks stay as their formatters write them.
+    """
+    for text in _texts(figure):
+        text.set_parse_math(False)
+        text.set_text(printable(text.get_text(), lines=True))
+
+
+def _texts(artist: Artist) -> Iterator[Text]:
+    if isinstance(artist, Text):
+        yield artist
+    elif not isinstance(artist, Tick):
+        for child in artist.get_children():
+            yield from _texts(child)
 
 
 def ink() -> str:
@@ -167,3 +192,11 @@ def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> 
             figure.savefig(target, format=kind, metadata=dates.get(kind), facecolor=figure.get_facecolor())
         written.append(target)
     return written
+
+
+def check_formats(formats: Iterable[str]) -> None:
+    """ValueError for a format that matplotlib does not know."""
+    known = FigureCanvasBase.get_supported_filetypes()
+    for kind in formats:
+        if kind not in known:
+            raise ValueError(f"unknown format {kind!r}; known: {', '.join(sorted(known))}")

@@ -76,9 +76,27 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
 
 def _of_best(frame: pd.DataFrame, most: int, curve: Callable[[Sequence[str]], pd.DataFrame]) -> pd.DataFrame:
     """`curve` of the runs of each of the best configurations, with the columns scene_name and name."""
-    table, _ = points.best(select(frame).runs, ["psnr"], most)
+    table, _ = points.best(_with_metrics(select(frame).runs), ["psnr"], most)
     curves = [curve(frame["path"][row["runs"]]).assign(**row[["scene_name", "name"]]) for _, row in table.iterrows()]
     return pd.concat(curves, ignore_index=True)
+
+
+def _with_metrics(runs: pd.DataFrame) -> pd.DataFrame:
+    """The runs whose logged metrics can be read. Raises ValueError with the reason if none can."""
+    problems: list[str] = []
+    readable = [_has_metrics(path, problems) for path in runs["path"]]
+    if not any(readable):
+        raise ValueError(problems[0])
+    return runs[readable]
+
+
+def _has_metrics(path: str, problems: list[str]) -> bool:
+    try:
+        metrics(path)
+    except ValueError as error:
+        problems.append(str(error))
+        return False
+    return True
 
 
 def _losses(paths: Sequence[str]) -> pd.DataFrame:
@@ -130,7 +148,11 @@ def _panels(
     sharey: bool = False,
 ) -> tuple[Figure, np.ndarray, str]:
     """A panel per scene, in which `draw` draws each configuration in a look of its own; the figure's last footnote."""
-    table, rest = points.best(select(frame).runs, ["psnr"], most)
+    runs = select(frame).runs
+    readable = _with_metrics(runs)
+    left = len(runs) - len(readable)
+    damaged = f"left out: {left} with missing or damaged metrics" if left else ""
+    table, rest = points.best(readable, ["psnr"], most)
     figure, axes = style.panels(table["scene_name"].nunique(), 3.2, sharey=sharey)
     order = list(dict.fromkeys(curves["name"]))
     for ax, (scene, shown) in zip(axes, curves.groupby("scene_name"), strict=True):
@@ -138,4 +160,4 @@ def _panels(
             draw(ax, name, curve, **style.series(order.index(name)))
         ax.set_title(scene)
     style.legend(figure, columns=1 if len(axes) == 1 else 2)
-    return figure, axes, "; ".join(filter(None, [points.seeds(table, spread), rest, select(frame).note]))
+    return figure, axes, "; ".join(filter(None, [points.seeds(table, spread), rest, damaged, select(frame).note]))

@@ -1,11 +1,15 @@
 """Figures by name, into files."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from ..style import save
+from qnerf.records.files import one_line
+from qnerf.records.printable import printable
+
+from ..style import check_formats, save
 from .catalogue import FIGURES
 
 
@@ -19,24 +23,46 @@ def check_names(names: Sequence[str]) -> None:
 def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], theme: str = "light") -> None:
     """Writes the named figures, or all of them if `names` is empty, into the folder `out`.
 
-    Prints the files that it wrote, and a line for each figure that cannot be drawn. Raises ValueError if a figure that
-    was named cannot be drawn for any scene.
+    Prints the files that it wrote, and a line for each figure that cannot be drawn; the others are drawn.
+
+    Raises:
+        ValueError: a format is unknown, or a figure that was named cannot be drawn for any scene.
+        OSError: a file cannot be written.
     """
+    check_formats(formats)
     out.mkdir(parents=True, exist_ok=True)
+    failed = []
     for name in names or FIGURES:
-        errors = {}
+        errors: dict[str, str] = {}
         scenes = FIGURES[name].scenes(name, frame)
         for file, runs in scenes.items():
-            try:
-                figure = FIGURES[name].draw(runs, theme=theme)
-            except ValueError as error:
-                errors[file] = error
-            else:
-                print(*save(figure, out / file, formats))
+            with collecting(errors, file):
+                print(*save(FIGURES[name].draw(runs, theme=theme), out / file_name(file), formats))
         if name in names and len(errors) == len(scenes):
-            raise next(iter(errors.values()))
-        for file, reason in errors.items():
-            print(f"{file}: not drawn: {reason}")
+            failed.append(next(iter(errors.values())))
+        else:
+            for file, reason in errors.items():
+                print(f"{printable(file)}: not drawn: {printable(reason)}")
+    if failed:
+        raise ValueError("; ".join(failed))
+
+
+@contextlib.contextmanager
+def collecting(errors: dict[str, str], name: str) -> Iterator[None]:
+    """Puts the reason into `errors` under the name if a figure or table cannot be made; OSError stays an error."""
+    try:
+        yield
+    except OSError:
+        raise
+    except ValueError as error:
+        errors[name] = str(error)
+    except Exception as error:  # runs from elsewhere may lack whatever a figure needs
+        errors[name] = f"{type(error).__name__}: {one_line(error)}"
+
+
+def file_name(name: str) -> str:
+    """The name without characters that lead to another folder or that no file can have; a scene may have any name."""
+    return "".join(c if c.isprintable() and c not in "/\\" else "_" for c in name)[:200]
 
 
 def title(file: str) -> str:

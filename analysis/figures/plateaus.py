@@ -25,7 +25,7 @@ def barren_plateaus(results: benchmarks.Results = None) -> Figure:
             look = style.series(depths.index(spectral))
             ax.errorbar(line["wires"], line["variance"], line["error"], **look, elinewidth=0.6, label=f"S = {spectral}")
         ax.set(title=f"init={init}", xlabel="wires", yscale="log")
-    axes[0].set_ylabel("variance of d<Z$_0$>/dθ")
+    axes[0].set_ylabel("variance of d<Z₀>/dθ")
     style.legend(figure, columns=len(depths))
     circuits = "-".join(map(str, sorted(table["circuits"].unique())))
     style.footnote(

@@ -1,6 +1,9 @@
 """Held-out views of several runs side by side: truth, render, error, depth."""
 
 import textwrap
+from collections.abc import Iterable
+from itertools import islice
+from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -38,14 +41,25 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
     measured["image"] = measured.groupby("path")["image"].transform(lambda images: picture_names(list(images)))
     psnr = measured.set_index(["path", "image"])["value"]
     for scene, runs in chosen.groupby("scene_name"):
-        common, pictures = common_pictures(runs["path"])
+        names, pictures = common_pictures(runs["path"])
+        readable = (name for name in names if _are_readable(own[name] for own in pictures.values()))
+        common = list(islice(readable, views))
         if not common:
             raise ValueError(f"{scene}: no picture that all {len(runs)} chosen runs have")
         for _, run in runs.iterrows():
-            for image in common[:views]:
+            for image in common:
                 quality = psnr.get((run["path"], image), float("nan"))
                 rows.append((scene, run["name"], run["seed"], image, quality, pictures[run["path"]][image]))
     return pd.DataFrame(rows, columns=["scene_name", "name", "seed", "image", "psnr", "picture"])
+
+
+def _are_readable(pictures: Iterable[Path]) -> bool:
+    try:
+        for picture in pictures:
+            panels(picture)
+    except ValueError:
+        return False
+    return True
 
 
 @style.styled

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 import qnerf
+from qnerf.cli.numbers import count
 
 from .. import command
 from ..load import runs
@@ -69,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
     images.add_argument("--no-images", action="store_true", help="leave out the held-out views")
     images.add_argument(
         "--max-images",
-        type=int,
+        type=count,
         default=pictures.MAX_VIEWS,
         metavar="N",
         help="held-out views on the page, at most (default: %(default)s; each is a render and a depth)",
@@ -109,7 +110,7 @@ def write(html: str, out: str) -> Path:
     path = Path(out)
     path = path if path.suffix == ".html" else path / "index.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html, encoding="utf-8")
+    path.write_text(html, encoding="utf-8", errors="backslashreplace")
     return path
 
 

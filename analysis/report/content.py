@@ -3,7 +3,6 @@
 from datetime import UTC, datetime
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 import qnerf
@@ -11,8 +10,9 @@ from qnerf.metrics import METRICS, image_metrics, metric_of
 
 from .. import style
 from ..figures import points
+from ..load import add_needed
 from ..selection import select
-from ..settings import LABELS, first_of_each
+from ..settings import first_of_each
 from . import curves, pictures
 from .columns import packed
 from .versions import versions
@@ -27,13 +27,6 @@ HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
-_HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
-NEEDED = (
-    "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
-    "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
-)  # fmt: skip
-"""Columns that tables and figures read; in runs of another version that lack them they are empty."""
-
 _SETTINGS = ("experiment", "seed", "geo_features", "appearance", "device", "threads")
 _RESULTS = ("params.", "time.", "run.")
 
@@ -44,9 +37,7 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
     The configuration is a name from `points.points`; runs that are unfinished or repeat another have none.
     """
     frame = frame.reset_index(drop=True)
-    for name in (*LABELS, *NEEDED):
-        if name not in frame:
-            frame[name] = None if name in LABELS else np.nan
+    add_needed(frame)
     frame["run_id"] = frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])
     frame["version"] = versions(frame["path"])
     for name in ("tags", "note"):

@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ..figures import FIGURES, save
+from ..figures.files import collecting
 from ..style import settings
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
@@ -30,14 +31,14 @@ class Drawn:
 def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
     """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
     entry, title = FIGURES[name], FIGURES[name].title
-    drawn, absent = [], {}
+    drawn: list[Drawn] = []
+    absent: dict[str, str] = {}
     scenes = entry.scenes(name, frame)
     for runs in scenes.values():
         own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
-        try:
+        with collecting(absent, own):
             drawn.append(themed(own, entry.draw(runs)))
-        except ValueError as error:
-            absent[own] = "; ".join(filter(None, [str(error), entry.hint]))
+    absent = {own: "; ".join(filter(None, [reason, entry.hint])) for own, reason in absent.items()}
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}
     return drawn, [f"{own}: {reason}" for own, reason in absent.items()]

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from ..figures import points
+from ..figures.files import collecting
 from ..selection import select
 from ..settings import LABELS, configuration
 from ..tables import Table, ablation, smallest
@@ -48,10 +49,10 @@ def shown(title: str, table: Table) -> ShownTable:
 
 def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTable:
     """The table under this title, or why there is none."""
-    try:
+    errors: dict[str, str] = {}
+    with collecting(errors, title):
         return shown(title, make(*arguments))
-    except ValueError as error:
-        return ShownTable(title, absent=f"{str(error)[:MAX_ERROR]}.")
+    return ShownTable(title, absent=f"{errors[title][:MAX_ERROR]}.")
 
 
 def row_keys(runs: pd.DataFrame) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from qnerf.cli.numbers import tolerance
 from qnerf.config.compatibility import today_noted
 from qnerf.metrics import METRICS
 
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument(
         "--tolerance",
-        type=float,
+        type=tolerance,
         default=TOLERANCE,
         help="for --smallest, in the metric's unit; default: %(default)s dB",
     )

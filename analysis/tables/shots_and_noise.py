@@ -45,7 +45,7 @@ def shots_and_noise(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
         "PSNR, dB, of the trained circuits with each value from that many shots, or an error of that probability at "
         "each gate",
         *([f"left out: {left} not measured"] if left else []),
-        *filter(None, [selection.note]),
+        *filter(None, [damaged, selection.note]),
     ]
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     return Table("On hardware", text, data, bold, tuple(notes))

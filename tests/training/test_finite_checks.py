@@ -272,6 +272,27 @@ def test_replay_takes_another_place_of_the_scene(checked: Make, file: Path, tmp_
     assert capsys.readouterr().out == again(error)[1]
 
 
+@pytest.mark.parametrize("damage", ["no rays", "another shape", "colours of another shape"])
+def test_a_file_without_the_rays_of_the_step_is_one_line(
+    checked: Make, file: Path, capsys: Capture, damage: str
+) -> None:
+    taken = checked("field=classical")
+    plant(taken.model.field.encoder.table, slice(None), 0)
+    found(taken)
+    content = torch.load(file)
+    if damage == "no rays":
+        content["rays"] = {}
+    elif damage == "another shape":
+        content["rays"]["origins"] = content["rays"]["origins"][:3]
+    else:
+        content["colors"] = content["colors"][:, :2]
+    torch.save(content, file)
+    code, out = replayed(file, capsys)
+    assert code == 2
+    assert out.count("\n") <= 3
+    assert "Traceback" not in out
+
+
 class Command:
     """Unpickling it runs a shell command."""
 

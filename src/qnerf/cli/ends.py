@@ -85,7 +85,6 @@ def stoppable() -> Iterator[None]:
         yield
         return
     open_standard_streams()
-    open_standard_streams()
     previous: dict[int, Any] = {}
     for name in ("SIGTERM", "SIGHUP"):
         kind = getattr(signal, name, None)

@@ -4,13 +4,20 @@ import os
 import sys
 from collections.abc import Callable
 
+from qnerf.cli.streams import escape_unencodable
+
+
+OWN_PACKAGES = ("qnerf", "analysis")
+
 
 def exit_code(command: Callable[[], int | None]) -> int:
     """Runs a command and returns its exit code.
 
     A user's mistake (ValueError), an unreadable file (OSError) and a missing package are printed as one line on
-    standard error, with exit code 2. Any other exception is a bug and keeps its traceback.
+    standard error, with exit code 2, and so is a limit of the system. Any other exception is a bug and keeps its
+    traceback.
     """
+    escape_unencodable()
     try:
         code = command() or 0
         sys.stdout.flush()
@@ -21,10 +28,19 @@ def exit_code(command: Callable[[], int | None]) -> int:
         return closed_pipe()
     except (ValueError, OSError) as error:
         return report(error)
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] in ("qnerf", "analysis"):
+    except Exception as error:
+        missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] not in OWN_PACKAGES
+        if not missing and not is_shortage(error):
             raise
         return report(error)
+
+
+def check_process() -> None:
+    """ValueError if the working folder was deleted: nearly every library asks for it."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise ValueError("the working folder no longer exists; change to another one") from None
 
 
 def closed_pipe() -> int:

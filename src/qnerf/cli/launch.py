@@ -36,6 +36,7 @@ from rich.text import Text
 from qnerf.cli import ends, plugins
 from qnerf.cli import overrides as typed
 from qnerf.cli.errors import is_shortage, one_line, report
+from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import Sweep
 from qnerf.config import bounds
 from qnerf.config.folders import CONF
@@ -219,7 +220,7 @@ def _is_abandoned() -> bool:
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.auto import asked
     from qnerf.cli.display import LiveDisplay, print_outcome
-    from qnerf.cli.text import escape_unencodable, tree
+    from qnerf.cli.text import tree
     from qnerf.config.settings import check_settings
     from qnerf.experiment import run
 

@@ -12,7 +12,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
 from qnerf.cli.ends import open_standard_streams, stoppable
-from qnerf.cli.errors import exit_code, is_shortage, report
+from qnerf.cli.errors import check_process, exit_code, is_shortage, report
+from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import expand_sweep
 
 FIRST_STEPS = """\
@@ -38,6 +39,7 @@ def usage() -> str:
 def main() -> None:
     """The console command `qnerf`."""
     open_standard_streams()
+    escape_unencodable()
     command, *arguments = sys.argv[1:] or ["--help"]
     if command in RENAMED:
         print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
@@ -57,7 +59,9 @@ def main() -> None:
 
 def run() -> None:
     """`qnerf run` and `python -m src.run`: Hydra reads sys.argv."""
+    escape_unencodable()
     try:
+        check_process()
         sys.argv[1:] = expand_sweep(sys.argv[1:])
     except ValueError as error:
         sys.exit(report(error))
@@ -74,10 +78,17 @@ def run() -> None:
 
 def dispatch(command: str, arguments: list[str]) -> int:
     """Runs one of `COMMANDS` other than `run`; returns its exit code."""
-    if command in ANALYSIS:
-        module = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}")
-        return exit_code(lambda: module.main(arguments))
-    module = importlib.import_module(f"qnerf.cli.commands.{command}")
-    parser = argparse.ArgumentParser(prog=f"qnerf {command}")
-    module.arguments(parser)
-    return exit_code(lambda: module.main(parser.parse_intermixed_args(arguments)))
+
+    def start() -> int | None:
+        check_process()
+        code: int | None
+        if command in ANALYSIS:
+            code = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}").main(arguments)
+        else:
+            module = importlib.import_module(f"qnerf.cli.commands.{command}")
+            parser = argparse.ArgumentParser(prog=f"qnerf {command}")
+            module.arguments(parser)
+            code = module.main(parser.parse_intermixed_args(arguments))
+        return code
+
+    return exit_code(start)

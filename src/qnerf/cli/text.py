@@ -3,7 +3,6 @@
 import json
 import math
 import numbers
-import sys
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -12,20 +11,15 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 
+from qnerf.cli.streams import escape_unencodable
 from qnerf.metrics import Metric
 from qnerf.records.printable import printable
 
 STATE_STYLES = {"running": "cyan", "finished": "green", "interrupted": "yellow", "failed": "red", "damaged": "magenta"}
 
 
-def escape_unencodable() -> None:
-    """From now on, characters that the encoding of standard output lacks are escaped."""
-    if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="backslashreplace")
-
-
 def console() -> Console:
-    """Standard output, with `escape_unencodable`."""
+    """Standard output."""
     escape_unencodable()
     return Console(highlight=False, markup=False, emoji=False)
 

@@ -81,21 +81,23 @@ def parse_table(data: bytes, label: object, *, max_rows: int = MAX_ROWS) -> pa.T
 
 
 def with_kinds(table: pa.Table, kinds: Mapping[str, str], label: object) -> pa.Table:
-    """The table with the columns named in `kinds` cast to them; its other columns stay.
-
-    Raises:
-        StoreError: a column is missing or holds values of another kind.
-    """
-    if missing := [name for name in kinds if name not in table.schema.names]:
-        raise StoreError(f"{label}: damaged: has no column {missing[0]}")
+    """The table with the columns named in `kinds` cast to them; its other columns stay. StoreError as `check_kinds`."""
+    check_kinds(table, kinds, label)
     for name, kind in kinds.items():
-        actual = table.schema.field(name).type
-        if (KIND_OF_TYPE.get(str(actual)), kind) not in _ALLOWED:
-            raise StoreError(f"{label}: damaged: {name}: expected {NAMES[kind]}, got {actual}")
         with reading(label):
             number = table.schema.get_field_index(name)
             table = table.set_column(number, name, table.column(number).cast(KINDS[kind]))
     return table
+
+
+def check_kinds(table: pa.Table, kinds: Mapping[str, str], label: object) -> None:
+    """StoreError if a column is missing, occurs twice or holds values of another kind."""
+    for name, kind in kinds.items():
+        if table.schema.names.count(name) != 1:
+            raise StoreError(f"{label}: damaged: expected one column {name}, got {table.schema.names.count(name)}")
+        actual = table.schema.field(name).type
+        if not fits(KIND_OF_TYPE.get(str(actual), "other"), kind):
+            raise StoreError(f"{label}: damaged: {name}: expected {NAMES[kind]}, got {actual}")
 
 
 NAMES = {"int": "whole numbers", "float": "numbers", "bool": "true or false", "text": "text"}

@@ -51,7 +51,7 @@ _KNOWN_PREFIXES = ("params.", "time.")  # of numbers
 
 TABLES = {
     "eval": {"image": "text", "step": "int"},
-    "eval_hardware": {"image": "text", "shots": "int", "noise": "text", "p": "float", "seed": "int", "psnr": "float"},
+    "eval_hardware": {"image": "text", "shots": "int", "noise": "text", "p": "float", "psnr": "float"},
     "units": {"when": "text", "head": "text", "kind": "text", "units": "int", "dead": "float", "std": "float"},
     "rays": {
         **dict.fromkeys(("image", "strategy", "level"), "text"),

@@ -59,8 +59,15 @@ class ReplayTable(RecordingTable):
     def batch(
         self, rays: int, generator: torch.Generator, refinement: PoseRefinement | None = None
     ) -> tuple[Rays, Tensor]:
-        now, _ = super().batch(rays, generator, refinement)
+        now, drawn = super().batch(rays, generator, refinement)
         then, colors = self.stored
+        for name, old in {**then, "colors": colors}.items():
+            expected = drawn if name == "colors" else getattr(now, name)
+            if old.shape != expected.shape or old.dtype != expected.dtype:
+                raise ValueError(
+                    f"the stored {name} of the rays: expected {tuple(expected.shape)} of {expected.dtype}, "
+                    f"got {tuple(old.shape)} of {old.dtype}"
+                )
         merged = {name: torch.where(getattr(now, name) == old, getattr(now, name), old) for name, old in then.items()}
         self.last = Rays(**merged), colors
         return self.last
@@ -165,4 +172,8 @@ def load_step(file: Path) -> dict[str, Any]:
         raise ValueError(f"{file}: expected a {FILE} of numerics.finite_checks, got {type(error).__name__}") from error
     if not isinstance(content, dict) or {k: type(v) for k, v in content.items()} != CONTENT:
         raise ValueError(f"{file}: expected a {FILE} of numerics.finite_checks, got other content")
+    stored = content["rays"]
+    missing = [name for name in RAY_FIELDS if not isinstance(stored.get(name), Tensor)]
+    if missing:
+        raise ValueError(f"{file}: expected the rays of the step, {missing[0]} is missing")
     return content

@@ -244,4 +244,7 @@ def test_links_are_not_exported(run, tmp_path):
 def test_times_come_from_the_run(run):
     status = json.loads((run / "status.json").read_text())
     (run / "status.json").write_text(json.dumps(status | {"created": "yesterday"}))
+    with pytest.raises(ValueError, match="created: expected a Unix time"):
+        content.read(run)
+    (run / "status.json").write_text(json.dumps(status | {"created": None}))
     assert content.read(run).created == (run / "config.yaml").stat().st_mtime

@@ -83,7 +83,7 @@ def test_further_columns(store, qnerf):
         (["lr>0.1"], "no run has a column 'lr'; did you mean train.lr?"),
         (["--sort", "quality"], "no run has a column 'quality'"),
         (["--columns", "sed"], "did you mean seed"),
-        (["--limit", "-1"], "--limit expects 0 or more, got -1"),
+        (["--limit", "-1"], "--limit: expected a whole number from 0 to 1,000,000,000, got '-1'"),
         (["psnr>much"], "psnr>much: > compares numbers, got 'much'"),
     ],
 )

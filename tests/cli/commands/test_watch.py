@@ -76,6 +76,8 @@ def test_the_rate_is_that_of_the_last_rows():
     assert watch.steps_per_second(rows.head(1)) is None
 
 
-def test_seconds_between_refreshes_are_more_than_none(store, qnerf):
-    done = qnerf("watch", "--every", "0")
-    assert (done.code, done.err) == (2, "error: --every expects more than 0 seconds, got 0\n")
+@pytest.mark.parametrize("text", ["0", "-1", "inf", "nan", "1e300", "soon"])
+def test_seconds_between_refreshes_are_a_finite_number(store, qnerf, text):
+    done = qnerf("watch", f"--every={text}")
+    assert done.code == 2
+    assert done.err.endswith(f"--every: expected a number above 0 to 86400, got {text!r}\n")

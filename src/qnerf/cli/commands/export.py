@@ -6,7 +6,8 @@ from pathlib import Path
 from types import ModuleType
 
 from qnerf.cli.commands import add_many_runs
-from qnerf.records import find
+from qnerf.cli.errors import report
+from qnerf.records import StoreError, find
 from qnerf.records.printable import printable
 
 TARGETS = ("mlflow", "tensorboard", "csv")
@@ -23,7 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--experiment", metavar="NAME", help="mlflow: experiment to put the runs into (default: qnerf)")
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: argparse.Namespace) -> int:
     target = options.to
     if target == "mlflow" and options.out is not None:
         raise ValueError("--out is for tensorboard and csv; mlflow takes --uri")
@@ -33,8 +34,13 @@ def main(options: argparse.Namespace) -> None:
     exporter = _exporter(target)
     from qnerf.export.content import read
 
+    code = 0
     for folder in folders:
-        content = read(folder)
+        try:
+            content = read(folder)
+        except StoreError as error:  # of this run alone
+            code = report(error)
+            continue
         if target == "mlflow":
             copy = exporter.export(content, options.uri, options.experiment or "qnerf")
         else:
@@ -42,6 +48,7 @@ def main(options: argparse.Namespace) -> None:
         print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(copy)}")
     if target == "tensorboard":
         print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
+    return code
 
 
 def _exporter(target: str) -> ModuleType:

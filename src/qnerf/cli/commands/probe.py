@@ -5,6 +5,7 @@ from typing import Any
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.upgrade_config import check_identity, stored
+from qnerf.config.bounds import NonNegativeInt, PositiveInt, Share, check
 from qnerf.records import find, state
 
 PROBES = ("spectrum", "encoding", "rays", "units")
@@ -66,6 +67,10 @@ def _conditions(settings: list[str]) -> tuple[list[Any], int]:
     views, seed = _one("views", values["views"]), _one("seed", values["seed"])
     if "noise" in chosen and not p:
         raise ValueError(f"noise={values['noise']} also expects probabilities, such as p=0.001,0.01")
+    check("shots", shots, list[PositiveInt])
+    check("p", p, list[Share])
+    check("views", views, NonNegativeInt)
+    check("seed", seed, NonNegativeInt)
     return grid(shots, values["noise"], p, seed), views
 
 

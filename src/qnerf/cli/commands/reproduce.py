@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from qnerf.cli.commands import add_plugins, add_run
 from qnerf.cli.ends import stoppable, stopped_code
+from qnerf.cli.numbers import tolerance
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import run_stored, stored
@@ -43,7 +44,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance",
         metavar="X",
-        type=float,
+        type=tolerance,
         default=0.0,
         help="relative difference |a - b| / max(|a|, |b|) up to which numbers agree (default: 0, bit for bit)",
     )
@@ -74,18 +75,16 @@ def main(options: argparse.Namespace) -> int:
     return report(run, compared, different, options.tolerance)
 
 
-def report(
-    run: Path, compared: "Sequence[Compared]", different: Mapping[str, tuple[str, str]], tolerance: float
-) -> int:
+def report(run: Path, compared: "Sequence[Compared]", different: Mapping[str, tuple[str, str]], limit: float) -> int:
     """Prints which numbers agree, which differ, and how the environments differ; returns the exit code."""
     out = console()
-    wrong = [item for item in compared if not item.agrees(tolerance)]
+    wrong = [item for item in compared if not item.agrees(limit)]
     numbers, largest = sum(item.numbers for item in compared), max((item.largest for item in compared), default=0.0)
     if wrong:
         print_table(out, COLUMNS, [dataclasses.asdict(item) for item in wrong])
         print(f"{printable(run.name)}: not reproduced, {len(wrong)} of {len(compared)} names differ (above)")
     else:
-        how = f"within {tolerance:g}; the largest relative difference is {largest:.3g}" if largest else "bit for bit"
+        how = f"within {limit:g}; the largest relative difference is {largest:.3g}" if largest else "bit for bit"
         print(f"{printable(run.name)}: reproduced, {numbers:,} numbers agree {how}")
     if different:
         rows = [{"name": name, "then": then, "now": now} for name, (then, now) in different.items()]

@@ -9,6 +9,7 @@ import pandas as pd
 from rich.console import Console
 
 from qnerf.cli.commands import add_store
+from qnerf.cli.numbers import count as count_argument
 from qnerf.cli.table import Column, Row, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing
 from qnerf.metrics import METRICS
@@ -34,7 +35,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--sort", metavar="COLUMN", default="created", help="column to sort by: numbers largest first, text from a to z"
     )
     parser.add_argument("--reverse", action="store_true", help="reverse the order")
-    parser.add_argument("--limit", type=int, metavar="N", help="first N runs; 0: all (default: what the screen holds)")
+    parser.add_argument(
+        "--limit", type=count_argument, metavar="N", help="first N runs; 0: all (default: what the screen holds)"
+    )
     parser.add_argument("--columns", default="", metavar="A,B", help="more columns, such as seed,train.lr")
     parser.add_argument("--all-columns", action="store_true", help="every column there is")
     form = parser.add_mutually_exclusive_group()
@@ -43,8 +46,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> None:
-    if options.limit is not None and options.limit < 0:
-        raise ValueError(f"--limit expects 0 or more, got {options.limit}")
     conditions = filters.parse(options.filters)
     extra = [filters.column(name) for name in options.columns.split(",") if name]
     sort = filters.column(options.sort)

@@ -16,13 +16,15 @@ from rich.text import Text
 from qnerf.cli.commands import RUN, add_store
 from qnerf.cli.commands import runs as listing
 from qnerf.cli.commands.show import state_line
+from qnerf.cli.numbers import seconds
 from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
 from qnerf.cli.table import plain_lines, table
 from qnerf.cli.text import console, count, duration, styled
 from qnerf.metrics import metric_of
-from qnerf.records import details, find, read_metrics
+from qnerf.records import StoreError, details, find, read_metrics
 from qnerf.records.details import Details
 from qnerf.records.printable import printable
+from qnerf.records.schemas import METRICS_SCHEMA
 
 RECENT = 30  # logged steps over which the rate is measured
 BESIDE = 46  # characters beside a bar or curve
@@ -35,13 +37,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("run", nargs="?", metavar="RUN", help=RUN)
     add_store(parser)
-    parser.add_argument("--every", type=float, default=2.0, metavar="SECONDS", help="between refreshes (default: 2)")
+    parser.add_argument("--every", type=seconds, default=2.0, metavar="SECONDS", help="between refreshes (default: 2)")
     parser.add_argument("--once", action="store_true", help="print once")
 
 
 def main(options: argparse.Namespace) -> None:
-    if options.every <= 0:
-        raise ValueError(f"--every expects more than 0 seconds, got {options.every:g}")
     out = console()
     if options.run is None:
         frame = partial(store_frame, options.store, out)
@@ -82,9 +82,13 @@ def store_frame(store: str, out: Console) -> tuple[RenderableType, bool]:
 def run_frame(folder: Path, out: Console) -> tuple[RenderableType, bool]:
     """A run's progress, refreshed while it runs."""
     run = details.read(folder)
-    return Group(
-        *progress(run, read_metrics(folder), out.width, ascii_only=not _shows(out, BLOCKS))
-    ), run.state == "running"
+    try:
+        metrics = read_metrics(folder)
+    except StoreError as error:
+        run.problems.append(str(error))
+        metrics = METRICS_SCHEMA.empty_table().to_pandas()
+    lines = progress(run, metrics, out.width, ascii_only=not _shows(out, BLOCKS))
+    return Group(*lines), run.state == "running"
 
 
 def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool = False) -> list[Text]:
@@ -92,6 +96,7 @@ def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool =
     lines = [styled(run.run_id, "bold"), state_line(run)]
     if run.error and run.state == "failed":
         lines.append(styled(run.error, "red", 2000))
+    lines += [styled(problem, "red", 2000) for problem in run.problems]
     curves = dict(list(metrics.groupby("key", sort=False)))
     loss = curves.get("train/loss")
     if run.steps and run.state == "running":

@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qnerf.records.files import StoreError, read_bytes, remove_temporary_files, replace
-from qnerf.records.index.ragged_rows import HEAD_SCHEMA, KEY, STAMP, RaggedTable, RowShape, column_names
+from qnerf.records.index.ragged_rows import HEAD_SCHEMA, KEY, STAMP, RaggedTable, RowShape, column_name, column_names
+from qnerf.records.parquet import KINDS
 
 FORMAT = 3
 """Of the file and of its entries. A file in another format is ignored and replaced."""
@@ -48,7 +49,18 @@ class StoredIndex:
         version, shapes = json.loads((file.metadata.metadata or {})[_METADATA])
         if version != FORMAT:
             raise ValueError("another format")
-        return cls(file, [RowShape(tuple(names), tuple(kinds)) for names, kinds in shapes])
+        stored = cls(file, [RowShape(tuple(names), tuple(kinds)) for names, kinds in shapes])
+        stored._check()
+        return stored
+
+    def _check(self) -> None:
+        """ValueError if a shape names a column that the file does not have: a store may come with a forged index."""
+        assert self._file is not None
+        types = dict(zip(self._file.schema_arrow.names, self._file.schema_arrow.types, strict=True))
+        for shape in self._shapes:
+            for name, kind in zip(shape.names, shape.kinds, strict=True):
+                if kind != "none" and types.get(column_name(kind, name)) != KINDS[kind]:
+                    raise ValueError(f"has no column {column_name(kind, name)}")
 
     def entries(self, names: Collection[str] | None = None) -> RaggedTable:
         """All entries, with at least the values of these names."""

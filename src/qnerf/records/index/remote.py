@@ -19,7 +19,7 @@ from qnerf.records.files import StoreError, one_line
 from qnerf.records.index.locations import MAX_BYTES, UNSETTLED, Stamps, cached_index, settled_before
 from qnerf.records.numbered import PARTS
 from qnerf.records.owner import is_recent, unix_time
-from qnerf.records.read import RUN_MARKERS, read_metrics
+from qnerf.records.read import MAX_TABLE_BYTES, RUN_MARKERS, read_metrics
 
 BATCH = 500  # files that are fetched at once
 _EXTRAS = {"s3": "s3", "s3a": "s3"}  # protocol -> the extra of this package that reads it
@@ -36,6 +36,7 @@ class UrlLocation:
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
+        self._sizes: dict[str, int] = {}  # path below the root -> bytes, as far as they were listed
         with self._reporting():
             self._file_system, self._root = fsspec.url_to_fs(self.url)
 
@@ -53,7 +54,7 @@ class UrlLocation:
 
     def read(self, file: str, runs: Sequence[str]) -> Iterator[bytes | StoreError | None]:
         for first in range(0, len(runs), BATCH):
-            yield from self._contents([f"{run}/{file}" for run in runs[first : first + BATCH]])
+            yield from self._contents([f"{run}/{file}" for run in runs[first : first + BATCH]], MAX_BYTES[file])
 
     def path(self, run: str) -> str:
         return f"{self.url}/{run}"
@@ -66,7 +67,7 @@ class UrlLocation:
         names = [path for path in self._find("metrics") if PARTS.number(path.removeprefix("metrics/")) is not None]
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "metrics").mkdir()
-            for name, data in zip(names, self._contents(names), strict=True):
+            for name, data in zip(names, self._contents(names, MAX_TABLE_BYTES), strict=True):
                 if isinstance(data, StoreError):
                     raise data
                 if data is not None:
@@ -88,13 +89,19 @@ class UrlLocation:
                 with contextlib.suppress(FileNotFoundError):
                     self._file_system.ls(self._root)
         start = len(self._root.rstrip("/")) + 1
-        return {path[start:]: information for path, information in files.items()}
+        found = {path[start:]: information for path, information in files.items()}
+        self._sizes |= {path: information.get("size") or 0 for path, information in found.items()}
+        return found
 
-    def _contents(self, paths: Sequence[str]) -> Iterator[bytes | StoreError | None]:
-        """The contents of these files, fetched in parallel."""
+    def _contents(self, paths: Sequence[str], max_bytes: int) -> Iterator[bytes | StoreError | None]:
+        """The contents of these files, fetched in parallel; larger ones are not fetched."""
+        small = [f"{self._root}/{path}" for path in paths if self._sizes.get(path, 0) <= max_bytes]
         with self._reporting():
-            contents = self._file_system.cat([f"{self._root}/{path}" for path in paths], on_error="return")
+            contents = self._file_system.cat(small, on_error="return") if small else {}
         for path in paths:
+            if self._sizes.get(path, 0) > max_bytes:
+                yield StoreError(f"{self.url}/{path}: larger than the {max_bytes:,} bytes that such a file may have")
+                continue
             data = contents.get(f"{self._root}/{path}")
             if data is None or isinstance(data, FileNotFoundError):
                 yield None

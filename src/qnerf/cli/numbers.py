@@ -1,0 +1,39 @@
+"""Types of numbers on the command line, for `argparse`: finite, and within what the command can do with them."""
+
+import argparse
+import math
+from collections.abc import Callable
+
+MAX_COUNT = 10**9
+
+
+def number(low: float, high: float, *, above: bool = False) -> Callable[[str], float]:
+    """A finite number from `low` to `high`; above: `low` itself is refused."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high or (above and value == low):
+            start = f"above {low:g}" if above else f"from {low:g}"
+            raise argparse.ArgumentTypeError(f"expected a number {start} to {high:g}, got {text!r:.60}")
+        return value
+
+    return parse
+
+
+share = number(0, 1)
+tolerance = number(0, 1e9)
+seconds = number(0, 86_400, above=True)
+
+
+def count(text: str) -> int:
+    """A whole number from 0 to `MAX_COUNT`."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= MAX_COUNT:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to {MAX_COUNT:,}, got {text!r:.60}")
+    return value

@@ -1,0 +1,307 @@
+"""One damaged run in a store: one row with its reason, and every other run is read as if nothing had happened."""
+
+import io
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from analysis import hsv, images, load, packed
+from analysis.figures.files import draw
+from analysis.report import content, pictures
+from analysis.report.versions import versions
+from analysis.tables import ablation
+from qnerf import records
+from qnerf.cli import main, numbers, streams
+from qnerf.export import content as exported
+from qnerf.export import to_csv
+from qnerf.records import StoreError, details, index
+from qnerf.records.files import parse_json
+from qnerf.records.parquet import parse_table
+from qnerf.records.spreadsheets import as_csv
+from tests.helpers.packed_stores import picture, write_run
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    panels = [np.full((4, 6, 3), shade, np.uint8) for shade in (50, 60, 70, 80)]
+    for field in ("classical", "qcolor"):
+        for seed in range(2):
+            write_run(tmp_path / "runs", field, seed, pictures={"0": picture(*panels), "1": picture(*panels)})
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def bad(store: Path) -> Path:
+    return store / "poster-qcolor-s1"
+
+
+def change_summary(run: Path, **columns: pa.Array) -> None:
+    table = pq.read_table(run / "summary.parquet")
+    for name, column in columns.items():
+        if name in table.schema.names:
+            table = table.drop_columns([name])
+        table = table.append_column(name, column)
+    pq.write_table(table, run / "summary.parquet")
+
+
+def change_status(run: Path, **values: Any) -> None:
+    path = run / "status.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
+    "time out of range": (
+        lambda run: change_summary(run, psnr=pa.array([2**62], pa.timestamp("us"))),
+        "psnr: expected numbers",
+    ),
+    "text for a count": (
+        lambda run: change_summary(run, **{"params.color": pa.array(["many"])}),
+        "params.color: expected",
+    ),
+    "text for a seed": (lambda run: change_summary(run, seed=pa.array(["x"])), "seed: expected whole numbers"),
+    "number for a label": (lambda run: change_summary(run, field=pa.array([1.5])), "field: expected text"),
+    "nested": (lambda run: change_summary(run, more=pa.array([[1]])), "got nested ones"),
+    "created": (lambda run: change_status(run, created=1e308), "created: expected a Unix time"),
+    "heartbeat": (lambda run: change_status(run, heartbeat="now"), "heartbeat: expected a Unix time"),
+    "step": (lambda run: change_status(run, step=-5), "step: expected a whole number"),
+    "no object": (lambda run: (run / "status.json").write_text("[1]") and None, "expected an object"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_run_is_one_damaged_row(store: Path, bad: Path, damage: str) -> None:
+    spoil, reason = DAMAGE[damage]
+    spoil(bad)
+    frame = load.runs(store).set_index("run_id")
+    assert frame["state"].value_counts().to_dict() == {"finished": 3, "damaged": 1}
+    assert reason in frame["error"][bad.name]
+    assert details.read(bad).state == "damaged"
+    assert any(reason in problem for problem in details.read(bad).problems)
+    assert "1 damaged" in ablation(load.runs(store), ["field"]).markdown()
+    assert len(content.prepared(load.runs(store))) == 4
+    content.dates(load.runs(store))
+
+
+def test_a_stray_table_does_not_make_a_store_a_packed_folder(store: Path) -> None:
+    pd.DataFrame({"x": [1]}).to_parquet(store / "runs.parquet")
+    assert len(load.runs(store)) == 4
+    assert len(packed.views(store / "poster-qcolor-s0")) == 2
+
+
+def test_a_packed_run_cannot_be_elsewhere(store: Path, tmp_path: Path) -> None:
+    packed.pack(load.runs(store), tmp_path / "packed")
+    file = tmp_path / "packed" / packed.RUNS
+    pd.read_parquet(file).assign(run_id="../runs/poster-qcolor-s0").to_parquet(file)
+    with pytest.raises(StoreError, match="expected the ids of runs"):
+        load.runs(tmp_path / "packed")
+
+
+def test_a_run_without_readable_views_is_packed_as_damaged(store: Path, bad: Path, tmp_path: Path) -> None:
+    (bad / "eval.parquet").write_bytes(b"PAR1")
+    finished, problems = packed.pack(load.runs(store), tmp_path / "packed")
+    assert (finished, len(problems)) == (3, 1)
+    assert load.runs(tmp_path / "packed").set_index("run_id")["state"][bad.name] == "damaged"
+
+
+def header(width: int, height: int) -> bytes:
+    """A PNG of one pixel that says it is larger."""
+    sink = io.BytesIO()
+    Image.new("RGB", (1, 1)).save(sink, "PNG")
+    data = bytearray(sink.getvalue())
+    data[16:24] = width.to_bytes(4, "big") + height.to_bytes(4, "big")
+    return bytes(data)
+
+
+EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n"
+
+
+@pytest.mark.parametrize("data", [EPS, b"", b"GIF89a", header(2**20, 400), header(0, 0), header(4, 4)[:40]])
+def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes) -> None:
+    (bad / "images" / "0.png").write_bytes(data)
+    with pytest.raises(StoreError, match=r"0\.png: "):
+        images.panels(images.pictures(bad)["0"])
+    frame = load.runs(store)
+    gathered = pictures.gather(frame, range(4), 100, advance=lambda: None)
+    assert (gathered.views, len(gathered.problems)) == (7, 1)
+    problems: list[str] = []
+    assert set(hsv.samples(frame, problems=problems)["image"]) == {"1"}
+    assert len(problems) == 1
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder", "linked folder"])
+def test_only_regular_files_are_pictures(bad: Path, tmp_path: Path, kind: str) -> None:
+    path = bad / "images" / "0.png"
+    if kind == "linked folder":
+        (bad / "images").rename(tmp_path / "elsewhere")
+        (bad / "images").symlink_to(tmp_path / "elsewhere")
+        assert images.pictures(bad) == {}
+        return
+    path.rename(tmp_path / "elsewhere.png")
+    {
+        "link": lambda: path.symlink_to(tmp_path / "elsewhere.png"),
+        "pipe": lambda: os.mkfifo(path),
+        "folder": path.mkdir,
+    }[kind]()
+    assert list(images.pictures(bad)) == ["1"]
+    assert [path.name for path in exported.read(bad).images] == ["1.png"]
+
+
+@pytest.mark.parametrize("kind", ["deep", "pipe", "device", "large"])
+def test_an_environment_that_is_no_small_object(bad: Path, kind: str) -> None:
+    path = bad / "environment.json"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.write_text('{"a":' * 500 + "1" + "}" * 500 if kind == "deep" else '{"packages": {}}' + " " * 2**21)
+    assert versions([str(bad)]) == [None]
+    assert any("environment.json" in problem for problem in details.read(bad).problems)
+
+
+@pytest.mark.parametrize("text", ['{"a": ' * 40 + "1" + "}" * 40, "[" * 10_000])
+def test_json_is_not_nested_deeply(text: str) -> None:
+    with pytest.raises(ValueError, match=r"nested|expected"):
+        parse_json(text.encode())
+
+
+@pytest.mark.parametrize(
+    "text", ["null: 1\n", "1: 2\n", "a: {null: 1}\n", "a: !!binary aGk=\n", "a: " + "[" * 50 + "]" * 50]
+)
+def test_a_config_has_plain_values_and_text_as_keys(bad: Path, text: str) -> None:
+    (bad / "config.yaml").write_text(text)
+    with pytest.raises(StoreError, match=r"config\.yaml: not readable as YAML"):
+        records.read_config(bad)
+    assert details.read(bad).config == {}
+
+
+def encoded(table: pa.Table) -> bytes:
+    sink = io.BytesIO()
+    pq.write_table(table, sink)
+    return sink.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (pa.table({f"c{number}": [1] for number in range(2**14 + 1)}), "16,385 columns"),
+        (
+            pa.table({"s": pa.DictionaryArray.from_arrays(pa.array(np.zeros(2**20, np.int32)), ["x" * 10_000])}),
+            "bytes when unpacked",
+        ),
+        (pa.table({"s": [[1, 2]]}), "nested"),
+        (pa.table({"s": [b"\xff"]}), "damaged"),
+    ],
+    ids=["columns", "text", "nested", "encoding"],
+)
+def test_a_table_is_not_unpacked_beyond_its_limits(table: pa.Table, message: str) -> None:
+    with pytest.raises(StoreError, match=message):
+        parse_table(encoded(table), "x")
+
+
+def test_a_million_views_are_not_listed(bad: Path) -> None:
+    rows = 1_000_000
+    pq.write_table(pa.table({"image": ["a"] * rows, "step": np.zeros(rows, int)}), bad / "eval.parquet")
+    start = time.monotonic()
+    assert any("1,000,000 rows; expected at most 16,384" in problem for problem in details.read(bad).problems)
+    assert time.monotonic() - start < 5
+
+
+def test_metrics_have_no_empty_cells(bad: Path) -> None:
+    table = pa.table({"step": [1, 2], "time_s": [0.0, 1.0], "key": pa.array([None, "a"]), "value": [1.0, 2.0]})
+    pq.write_table(table, bad / "metrics" / "part-00000.parquet")
+    with pytest.raises(StoreError, match="rows without a step, time, key or value"):
+        records.read_metrics(bad)
+
+
+def test_headers_of_a_csv_are_no_formulas_either() -> None:
+    assert as_csv(pd.DataFrame({"=cmd": ["@x"], "＝1": [-1.5]})) == "'=cmd,'＝1\n'@x,-1.5\n"  # noqa: RUF001
+
+
+def test_a_key_may_have_the_name_of_a_column() -> None:
+    rows = pd.DataFrame({"step": [1, 1], "time_s": [0.5, 0.5], "key": ["step", "=x"], "value": [3.0, 4.0]})
+    wide = to_csv.wide(rows, 100.0)
+    assert wide.columns.tolist() == ["step", "time_s", "wall_time", "=x", "step"]
+    assert wide.to_numpy().tolist() == [[1, 0.5, 100.5, "4.0", "3.0"]]
+
+
+def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    for field in ("classical", "qcolor"):
+        write_run(tmp_path / "runs", field)
+    frame = load.runs(tmp_path / "runs").assign(scene_name="$\\frac{ \x1b", encoder=["$x_{", "$y^$"])
+    draw(frame, ["speed"], tmp_path / "out", ["svg"])
+    assert "$\\frac{ \\x1b" in (tmp_path / "out" / "speed.svg").read_text()
+
+
+def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise KeyError("column")
+
+    monkeypatch.setattr("analysis.figures.catalogue.Entry.draw", broken)
+    draw(load.runs(store), [], tmp_path / "out", ["png"])
+    assert "speed: not drawn: KeyError: 'column'" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="KeyError: 'column'; KeyError: 'column'"):
+        draw(load.runs(store), ["speed", "time"], tmp_path / "out", ["png"])
+
+
+@pytest.mark.parametrize("command", [["reproduce", "x", "--tolerance"], ["watch", "--every"], ["hsv", "x", "--grey"]])
+@pytest.mark.parametrize("text", ["nan", "inf", "-1", "1e400"])
+def test_numbers_on_the_command_line_are_finite(command: list[str], text: str, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as end:
+        main.dispatch(command[0], [*command[1:-1], f"{command[-1]}={text}"])
+    assert end.value.code == 2
+    assert "expected a number" in capsys.readouterr().err
+
+
+def test_counts_are_bounded() -> None:
+    assert numbers.count("7") == 7
+    for text in ("-1", "1e3", "9" * 30):
+        with pytest.raises(numbers.argparse.ArgumentTypeError):
+            numbers.count(text)
+
+
+def test_output_does_not_fail_for_a_character(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(data, encoding="ascii"))
+    streams.escape_unencodable()
+    print("läufe \udcff", flush=True)
+    assert data.getvalue() == b"l\\xe4ufe \\udcff\n"
+
+
+def test_a_deleted_working_folder_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main.dispatch("runs", []) == 2
+    assert capsys.readouterr().err == "error: the working folder no longer exists; change to another one\n"
+
+
+def test_export_goes_on_after_a_damaged_run(
+    store: Path, bad: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (bad / "summary.parquet").write_bytes(b"PAR1")
+    good = store / "poster-qcolor-s0"
+    assert main.dispatch("export", [str(bad), str(good), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
+    assert (tmp_path / "out" / good.name / "summary.csv").exists()
+    assert "summary.parquet: damaged" in capsys.readouterr().err
+
+
+def test_the_table_of_runs_names_the_damage(store: Path, bad: Path, capsys: pytest.CaptureFixture) -> None:
+    change_status(bad, created=1e308)
+    assert main.dispatch("runs", ["--store", str(store)]) == 0
+    assert "damaged" in capsys.readouterr().out
+    assert index.load(store)["created"].isna().sum() == 1
