@@ -104,6 +104,20 @@ class Failure:
         return self.kind, self.where or self.command.partition(" ")[0]
 
 
+Wanted = Callable[[Case, str], bool]
+"""Whether a case runs the command of this name."""
+
+
+def every(case: Case, command: str) -> bool:
+    return True
+
+
+def quick(case: Case, command: str) -> bool:
+    """A third of the commands, another one in each case; those that take long less often."""
+    share = 0.1 if command in ("report", "figures") else 0.35
+    return random.Random(f"{case.seed} {command}").random() < share
+
+
 # The store that is changed
 
 
@@ -199,13 +213,9 @@ def commands(seed: int, store: Path, targets: Sequence[str], figures: Sequence[s
         return rng.choice((str(store), f"{store}/"))
 
     forms = [
-        [],
-        ["--json", "--all-columns"],
-        ["--sort=psnr"],
-        ["psnr>5", "--columns=seed,note"],
-        ["--ids"],
+        [], ["--json", "--all-columns"], ["--sort=psnr"], ["psnr>5", "--columns=seed,note"], ["--ids"],
         ["--all-columns"],
-    ]
+    ]  # fmt: skip
     yield ["runs", f"--store={folder()}", *rng.choice(forms), "--limit=0"]
     yield ["show", *run(target), *rng.choice(([], ["--json"], ["--config"]))]
     yield ["diff", str(store / target), str(store / other)]
@@ -215,13 +225,8 @@ def commands(seed: int, store: Path, targets: Sequence[str], figures: Sequence[s
         ["--paper=rgb"], ["--rows=scene_name,field", "--baseline=field=classical"],
     ]  # fmt: skip
     yield ["tables", folder(), *rng.choice(forms)]
-    yield [
-        "figures",
-        folder(),
-        *rng.choice(([], figures[:1])),
-        "--out=figures",
-        f"--formats={rng.choice(('svg', 'png', 'pdf'))}",
-    ]
+    kind = rng.choice(("svg", "png", "pdf"))
+    yield ["figures", folder(), *rng.choice(([], figures)), "--out=figures", f"--formats={kind}"]
     changing = [
         ["pack", folder(), "packed"],
         ["export", str(store / target), str(store / other), f"--to={rng.choice(('csv', 'csv', 'tensorboard'))}"],
@@ -261,7 +266,7 @@ def lighten(rng: random.Random) -> list[str]:
 # One case, in its own process
 
 
-def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]], None], only: str) -> None:
+def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]], None], wanted: Wanted) -> None:
     """Makes the store of a case and runs the commands; reports what it does and what went wrong."""
     os.environ["QNERF_CACHE"] = str(folder / "cache")
     work = folder / "work"
@@ -296,7 +301,7 @@ def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]]
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
     for arguments in commands(case.seed, store.root, store.targets, figures):
-        if only and arguments[0] != only:
+        if not wanted(case, arguments[0]):
             continue
         for handle in (out, err):
             os.ftruncate(handle, 0)
@@ -380,24 +385,24 @@ class Fuzzer:
                 importlib.import_module(f"qnerf.analysis.report.{module}")
         shutil.rmtree(work)
 
-    def failures(self, case: Case, only: str = "") -> tuple[list[str], list[Failure]]:
+    def failures(self, case: Case, wanted: Wanted = every) -> tuple[list[str], list[Failure]]:
         """What was changed, and what went wrong."""
         folder = self.base / "case"
         folder.mkdir()
         try:
-            what, linked, found = self._supervised(case, folder, only)
+            what, linked, found = self._supervised(case, folder, wanted)
             found += self._aftermath(folder, linked)
         finally:
             shutil.rmtree(folder, onerror=_make_removable)
         return what, found
 
-    def _supervised(self, case: Case, folder: Path, only: str) -> tuple[list[str], bool, list[Failure]]:
+    def _supervised(self, case: Case, folder: Path, wanted: Wanted) -> tuple[list[str], bool, list[Failure]]:
         read, write = os.pipe()
         sys.stdout.flush()
         pid = os.fork()
         if pid == 0:
             os.close(read)
-            _attend_and_exit(case, self.base, folder, write, only)
+            _attend_and_exit(case, self.base, folder, write, wanted)
         os.close(write)
         case_so_far = _Messages(case, self.seconds)
         clock = _Clock(pid)
@@ -450,13 +455,13 @@ class Fuzzer:
                 yield Failure("", "formula", path.name, ascii(cell)[:200])
 
 
-def _attend_and_exit(case: Case, base: Path, folder: Path, pipe: int, only: str) -> NoReturn:
+def _attend_and_exit(case: Case, base: Path, folder: Path, pipe: int, wanted: Wanted) -> NoReturn:
     def tell(message: dict[str, Any]) -> None:
         os.write(pipe, f"{json.dumps(message)}\n".encode())
 
     code = 1
     try:
-        attend(case, base, folder, tell, only)
+        attend(case, base, folder, tell, wanted)
         code = 0
     except BaseException:
         tell({"harness": traceback.format_exc()[-1500:]})
@@ -545,18 +550,18 @@ def _make_removable(function: Callable[[str], object], path: str, _: object) -> 
         function(path)
 
 
-def minimal(fuzzer: Fuzzer, case: Case, failures: Sequence[Failure], only: str) -> Case:
+def minimal(fuzzer: Fuzzer, case: Case, failures: Sequence[Failure], wanted: Wanted) -> Case:
     """The case with only one of its mutations, if one is enough for one of the failures."""
     causes = {failure.cause for failure in failures}
     if len(case.mutations) > 1:
         for one in case.mutations:
             single = Case(case.seed, (one,))
-            if causes & {failure.cause for failure in fuzzer.failures(single, only)[1]}:
+            if causes & {failure.cause for failure in fuzzer.failures(single, wanted)[1]}:
                 return single
     return case
 
 
-def fuzz(cases: Sequence[Case], base: Path, only: str = "", say: Callable[[str], None] = print) -> int:
+def fuzz(cases: Sequence[Case], base: Path, wanted: Wanted = every, say: Callable[[str], None] = print) -> int:
     """Runs all cases with a template in the folder `base`; returns how many failed."""
     causes: dict[tuple[str, str], list[str]] = collections.defaultdict(list)
     failed = 0
@@ -564,11 +569,11 @@ def fuzz(cases: Sequence[Case], base: Path, only: str = "", say: Callable[[str],
     fuzzer = Fuzzer(base)
     prepared = time.monotonic()
     for case in cases:
-        changes, failures = fuzzer.failures(case, only)
+        changes, failures = fuzzer.failures(case, wanted)
         if failures:
             failed += 1
-            case = minimal(fuzzer, case, failures, only)
-            changes, failures = fuzzer.failures(case, only)
+            case = minimal(fuzzer, case, failures, wanted)
+            changes, failures = fuzzer.failures(case, wanted)
             say("\n    ".join([f"case {case}", *changes]))
         for failure in failures:
             causes[failure.cause].append(str(case))
@@ -589,7 +594,8 @@ def command_line() -> int:
     parser.add_argument(
         "--case", action="append", default=[], help="'SEED NAME:NUMBER ...' as a failure prints it; repeatable"
     )
-    parser.add_argument("--command", default="", help="only this command")
+    parser.add_argument("--command", help="only this command")
+    parser.add_argument("--quick", action="store_true", help="a third of the commands in each case")
     parser.add_argument("--template", type=Path, metavar="DIR", help="where the template is, or will be kept")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -598,7 +604,10 @@ def command_line() -> int:
     with tempfile.TemporaryDirectory(prefix="qnerf-fuzz-") as folder:
         # Without symbolic links in the path, so that messages and files name the same one.
         base = (options.template or Path(folder)).resolve()
-        failed = fuzz(cases, base, options.command, lambda line: print(line, flush=True))
+        wanted = quick if options.quick else every
+        if options.command:
+            wanted = lambda case, command: command == options.command  # noqa: E731
+        failed = fuzz(cases, base, wanted, lambda line: print(line, flush=True))
     return int(failed > 0)
 
 
