@@ -568,7 +568,9 @@ def fuzz(cases: Sequence[Case], base: Path, wanted: Wanted = every, say: Callabl
     begin = time.monotonic()
     fuzzer = Fuzzer(base)
     prepared = time.monotonic()
-    for case in cases:
+    for number, case in enumerate(cases):
+        if number and number % 100 == 0:
+            say(f"after {number} cases: {failed} failed")
         changes, failures = fuzzer.failures(case, wanted)
         if failures:
             failed += 1

@@ -641,7 +641,7 @@ def odd_link(store: Store, rng: Random) -> str:
     path = store.any(rng)
     there = rng.choice(
         (path, path.parent, "..", ".", "nowhere", "/dev/zero", "/dev/full", "/dev/stdin", "/proc/self/mem",
-         "/proc/self/fd/0", "/", "", store.root, str(store.any(rng)), "x" * 300)
+         "/proc/self/fd/0", "", store.root, str(store.any(rng)), "x" * 300)
     )  # fmt: skip
     remove(path)
     try:
