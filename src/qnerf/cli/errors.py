@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from qnerf.cli.streams import escape_unencodable
 
-
 OWN_PACKAGES = ("qnerf", "analysis")
 
 
