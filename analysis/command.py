@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import pandas as pd
 
-from qnerf.cli.errors import exit_code
+from qnerf.cli.errors import Parser, exit_code
 from qnerf.records.filters import HELP
 
 from .load import runs
@@ -20,7 +20,7 @@ PROGRAM = "qnerf " if __name__.startswith("qnerf.") else f"python -m {__package_
 def parser(name: str, description: str, examples: str = "") -> argparse.ArgumentParser:
     """The parser of a command; `{}` in its examples stands for how the command is started."""
     program = f"{PROGRAM}{name}"
-    return argparse.ArgumentParser(
+    return Parser(
         prog=program,
         description=description,
         epilog=f"examples:\n{examples.replace('{}', program)}" if examples else None,

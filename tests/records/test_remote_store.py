@@ -75,9 +75,9 @@ def fetched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     seen: list[str] = []
     contents = remote.UrlLocation._contents
 
-    def recording(location: remote.UrlLocation, paths: list[str]) -> Iterator[Any]:
+    def recording(location: remote.UrlLocation, paths: list[str], max_bytes: int) -> Iterator[Any]:
         seen.extend(paths)
-        return contents(location, paths)
+        return contents(location, paths, max_bytes)
 
     monkeypatch.setattr(remote.UrlLocation, "_contents", recording)
     return seen
@@ -202,3 +202,11 @@ def test_a_web_server_that_does_not_answer_is_one_line() -> None:
     with pytest.raises(StoreError, match=r"^http://127\.0\.0\.1:9/x: cannot read: ") as error:
         index.load("http://127.0.0.1:9/x")
     assert "\n" not in str(error.value)
+
+
+def test_a_large_file_is_not_fetched(store: RunStore, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    upload(store, url)
+    monkeypatch.setitem(remote.MAX_BYTES, SUMMARY, 10)
+    frame = index.load(url)
+    assert "larger than the 10 bytes" in frame["error"].dropna().iloc[0]
+    assert set(frame["state"]) == {"damaged"}

@@ -1,8 +1,10 @@
 """Exit codes of commands, and the one line on standard error for a user's mistake."""
 
+import argparse
 import os
 import sys
 from collections.abc import Callable
+from typing import NoReturn
 
 from qnerf.cli.streams import escape_unencodable
 
@@ -40,6 +42,13 @@ def check_process() -> None:
         os.getcwd()
     except FileNotFoundError:
         raise ValueError("the working folder no longer exists; change to another one") from None
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, as those of all other mistakes; `--help` shows the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        sys.exit(report(ValueError(message)))
 
 
 def closed_pipe() -> int:

@@ -1,6 +1,5 @@
 """The console command `qnerf`. `qnerf run` takes the same options as `python -m src.run`."""
 
-import argparse
 import importlib
 import os
 import sys
@@ -12,7 +11,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
 from qnerf.cli.ends import open_standard_streams, stoppable
-from qnerf.cli.errors import check_process, exit_code, is_shortage, report
+from qnerf.cli.errors import Parser, check_process, exit_code, is_shortage, report
 from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import expand_sweep
 
@@ -86,7 +85,7 @@ def dispatch(command: str, arguments: list[str]) -> int:
             code = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}").main(arguments)
         else:
             module = importlib.import_module(f"qnerf.cli.commands.{command}")
-            parser = argparse.ArgumentParser(prog=f"qnerf {command}")
+            parser = Parser(prog=f"qnerf {command}")
             module.arguments(parser)
             code = module.main(parser.parse_intermixed_args(arguments))
         return code
