@@ -12,6 +12,7 @@ from PIL import Image
 from qnerf import experiment
 from qnerf.experiment import run
 from qnerf.records import read_metrics, read_status, state
+from qnerf.training import lpips
 from qnerf.training.trainer import Diverged, Trainer
 
 REQUIRED = [
@@ -181,3 +182,12 @@ def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
         assert (
             run(tiny("scene=nerfstudio", f"scene.path={folder}", f"render.background={background}")).state == "finished"
         )
+
+
+def test_weights_of_lpips_that_cannot_be_read_are_refused_before_anything_is_written(monkeypatch, tiny, tmp_path):
+    for name in (lpips.BACKBONE, lpips.HEADS):
+        (tmp_path / name).write_text("no weights")
+    monkeypatch.setenv(lpips.VARIABLE, str(tmp_path))
+    with pytest.raises(ValueError, match="not AlexNet's weights"):
+        run(tiny("field=classical"))
+    assert not (tmp_path / "runs").exists()
