@@ -136,6 +136,9 @@ class Color(Component):
     directions: Name
     degree: Annotated[int, Interval(ge=1, le=4)]  # of the spherical harmonics
     direction_scale: Factor  # factor on raw directions
+    direction_interval: Name
+    activation: Name
+    activations: dict[str, Name]  # head -> its default of color.activation
     rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.color
 
 
