@@ -12,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Tick
+from matplotlib.axis import Axis
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -109,7 +109,9 @@ def make_plain(figure: Figure) -> None:
 def _texts(artist: Artist) -> Iterator[Text]:
     if isinstance(artist, Text):
         yield artist
-    elif not isinstance(artist, Tick):
+    elif isinstance(artist, Axis):
+        yield artist.label  # asking for its ticks would fail on a logarithmic axis without data
+    else:
         for child in artist.get_children():
             yield from _texts(child)
 

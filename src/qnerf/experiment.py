@@ -126,14 +126,15 @@ SHARED: dict[str, tuple[Registry[Any], str]] = {
 def check_components(config: Mapping[str, Any], undecided: Collection[str] = ()) -> None:
     """ValueError unless the options of all components fit their declarations, those of unused heads and tables too.
 
-    undecided: as in `check_settings`, which has checked the config before.
+    undecided: as in `check_settings`, which has checked the config before. While there are any, every option may be
+    `auto`: it may be the copy of an undecided one.
     """
 
     def check(group: str, node: Any, *components: Callable[..., Any]) -> None:
         """Each option of the node, which is one of any of the components."""
         require(group, node, ())
         for key, value in node.items():
-            if key != "name" and f"{group}.{key}" not in undecided:
+            if key != "name" and not (undecided and value == auto.AUTO):
                 owner = next((one for one in components if key in options_of(one)), components[0])
                 check_options(f"{group}.", owner, {key: value})
 

@@ -63,7 +63,7 @@ def test_runs_behind_a_url(store: Path, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_no_runs_is_a_mistake(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no runs found; expected folders"):
+    with pytest.raises(ValueError, match="no such folder; expected a folder of runs"):
         load.runs(tmp_path / "absent")
 
 

@@ -1,5 +1,6 @@
 """Every choice of every group composes, builds and takes two steps; conf/ and the registries name the same things."""
 
+import itertools
 import json
 import re
 
@@ -68,7 +69,10 @@ def test_a_comment_in_conf_lists_the_names_that_a_value_may_have(option):
     group, _, key = option.rpartition(".")
     files = [CONF / "config.yaml", *sorted((CONF / group).glob("*.yaml"))]
     lines = [line for file in files for line in file.read_text().splitlines()]
-    comments = [match[1] for line in lines if (match := re.fullmatch(rf" *{key}: \w+ *# (.* \| .*)", line))]
+    if f"{group}:" in lines:  # of config.yaml: the lines of the option's own group
+        lines = lines[lines.index(f"{group}:") + 1 :]
+        lines = list(itertools.takewhile(lambda line: line.startswith(("  ", "#")) or not line, lines))
+    comments = [match[1] for line in lines if (match := re.fullmatch(rf" *{key}: [^#]+# (.* \| .*)", line))]
     assert comments
     for comment in comments:
         assert sorted(comment.partition(":")[0].split(" | ")) == VALUES[option].names()

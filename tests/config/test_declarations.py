@@ -11,7 +11,7 @@ from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.heads import HEADS
-from qnerf.heads.activations import ACTIVATIONS
+from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.quantum import QuantumLayer
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.initial_angles import INITS
@@ -21,8 +21,8 @@ from qnerf.rendering.spacing import SPACINGS
 from qnerf.training.image_metrics import IMAGE_METRICS
 
 REGISTRIES: tuple[Registry[Any], ...] = (
-    ACTIVATIONS, ANSATZE, CAMERAS, CONTRACTIONS, DIRECTIONS, ENCODERS, HEADS, IMAGE_METRICS, INITS, SAMPLERS,
-    qnerf.scenes.SCENES, SHADINGS, SPACINGS,
+    ANSATZE, CAMERAS, COLOR_ACTIVATIONS, CONTRACTIONS, DENSITY_ACTIVATIONS, DIRECTIONS, ENCODERS, HEADS, IMAGE_METRICS,
+    INITS, SAMPLERS, qnerf.scenes.SCENES, SHADINGS, SPACINGS,
 )  # fmt: skip
 NAMES = {"ansatz", "init", "spacing", "path", "device"}
 """Options whose text is checked elsewhere: names in a registry, a folder, a device of PennyLane."""

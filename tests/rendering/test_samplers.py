@@ -221,7 +221,7 @@ def test_the_loop_of_a_proposal_network_agrees_with_its_modules(dtype, masked, f
         ("vanilla", {"fine": 0}, "fine must be between 1 and"),
         ("vanilla", {"spacing": "log"}, "known: disparity, geometric, piecewise, uniform"),
         ("proposal", {"samples": [8]}, "one number per network"),
-        ("proposal", {"samples": []}, "samples must have at least 1 values"),
+        ("proposal", {"samples": []}, "samples must not be empty"),
         ("proposal", {"samples": [8, 0]}, r"samples\[1\] must be between 1 and 65536, got 0"),
         ("proposal", {"final": 0}, "final must be between 1 and"),
         ("proposal", {"spacing": "log"}, "known: disparity, geometric, piecewise, uniform"),

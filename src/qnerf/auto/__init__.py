@@ -1,5 +1,5 @@
 """Decides every option that is set to `auto` from the training images and poses, before the training starts."""
 
-from qnerf.auto.resolve import asked, resolve
+from qnerf.auto.resolve import AUTO, asked, resolve
 
-__all__ = ["asked", "resolve"]
+__all__ = ["AUTO", "asked", "resolve"]

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
+from qnerf.cli.ends import OUTPUT_LOST
 from qnerf.cli.streams import escape_unencodable
 
 OWN_PACKAGES = ("qnerf", "analysis")
@@ -54,7 +55,7 @@ class Parser(argparse.ArgumentParser):
 def closed_pipe() -> int:
     """Drops the rest of the output once its reader, such as `head`, has ended; returns the exit code."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 141
+    return OUTPUT_LOST
 
 
 def report(error: Exception) -> int:

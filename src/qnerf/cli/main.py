@@ -10,7 +10,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.ends import open_standard_streams, stoppable
+from qnerf.cli.ends import OUTPUT_LOST, open_standard_streams, output_lost, stoppable
 from qnerf.cli.errors import Parser, check_process, exit_code, is_shortage, report
 from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import expand_sweep
@@ -69,6 +69,8 @@ def run() -> None:
             from qnerf.cli.launch import run_command
 
             run_command()
+            if output_lost():
+                sys.exit(OUTPUT_LOST)
         except Exception as error:
             if not is_shortage(error):
                 raise
