@@ -225,8 +225,6 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
-    check_settings(config, asked(config))  # also those that are read here
-    plugins.load(config["plugins"])  # a launcher's process has not imported them
     overrides = list(HydraConfig.get().overrides.task)
     escape_unencodable()
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
@@ -236,6 +234,8 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     else:
         console.rule(" ".join(overrides), align="left")
+    check_settings(config, asked(config))  # also those that are read here
+    plugins.load(config["plugins"])  # a launcher's process has not imported them
     cpus = os.environ.get("SLURM_CPUS_PER_TASK")
     if cpus is not None and config["threads"] is None:
         if not re.fullmatch("[0-9]{1,9}", cpus):
