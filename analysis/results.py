@@ -14,7 +14,7 @@ import pandas as pd
 from qnerf.records.files import read_bytes
 from qnerf.records.parquet import reading
 
-from . import command, load
+from . import command, load, output
 from .figures.files import title
 from .paper import PAPER_TABLES
 from .tables import Table, ablation, shots_and_noise, stability, units
@@ -419,7 +419,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     text = page(options.folder)
     if options.write:
-        options.write.write_text(text, encoding="utf-8")
+        output.write(options.write, text.encode())
     else:
         sys.stdout.write(text)
 

@@ -38,9 +38,9 @@ def export(content: Content, out: Path) -> Path:
         scratch = Path(tempfile.mkdtemp(prefix=".", dir=folder))
         try:
             writer = EventFileWriter(str(scratch), filename_suffix=SUFFIX)
-            for event in events(content):
-                writer.add_event(event)
-            writer.close()
+            with contextlib.closing(writer):
+                for event in events(content):
+                    writer.add_event(event)
             (written,) = scratch.iterdir()
             written.replace(folder / written.name)
         finally:

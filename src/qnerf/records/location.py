@@ -6,6 +6,9 @@ from pathlib import Path
 DEFAULT = "runs"
 """The store of commands that are given none."""
 
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
+"""A run's id as qnerf makes it. The folder of a renamed run may have any other name."""
+
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 
 

@@ -248,3 +248,16 @@ def test_times_come_from_the_run(run):
         content.read(run)
     (run / "status.json").write_text(json.dumps(status | {"created": None}))
     assert content.read(run).created == (run / "config.yaml").stat().st_mtime
+
+
+@pytest.mark.parametrize("target", ["csv", "tensorboard"])
+def test_one_odd_run_does_not_stop_the_others(make, qnerf, tmp_path, target):
+    if target == "tensorboard":
+        pytest.importorskip("tensorboard")
+    half, odd, plain = make("a"), make("b"), make("c")
+    (half / "annotations.json").write_text(json.dumps({"tags": ["\ud800"], "note": "half \ud800"}))
+    odd = odd.rename(odd.parent / "my run")
+    done = qnerf("export", half, odd, plain, "--to", target, "--out", tmp_path / "out")
+    assert done.code == 2
+    assert done.err.splitlines() == ["error: expected a run's id of letters, digits, '.', '_' and '-', got 'my run'"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "c"]

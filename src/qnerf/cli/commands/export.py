@@ -38,13 +38,13 @@ def main(options: argparse.Namespace) -> int:
     for folder in folders:
         try:
             content = read(folder)
+            if target == "mlflow":
+                copy = exporter.export(content, options.uri, options.experiment or "qnerf")
+            else:
+                copy = exporter.export(content, _out(options.out or f"exports/{target}", folder))
         except StoreError as error:  # of this run alone
             code = report(error)
             continue
-        if target == "mlflow":
-            copy = exporter.export(content, options.uri, options.experiment or "qnerf")
-        else:
-            copy = exporter.export(content, _out(options.out or f"exports/{target}", folder))
         print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(copy)}")
     if target == "tensorboard":
         print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
