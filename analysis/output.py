@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from qnerf.records import StoreError
-from qnerf.records.deletion import is_run
+from qnerf.records.deletion import is_run, refuse_runs
 from qnerf.records.files import folders_in, replace, require_file
 
 
@@ -36,9 +36,12 @@ def make_folder(folder: Path, *, store: bool = True) -> None:
     Raises:
         ValueError: the folder is a run's, or in one, or a store.
     """
-    absolute = folder.resolve()
-    if any(is_run(path) for path in (absolute, *absolute.parents) if path.is_dir()):
-        raise ValueError(f"{folder}: is in a run's folder; expected another one")
-    if not store and absolute.is_dir() and any(map(is_run, folders_in(absolute, root=absolute))):
+    refuse_runs(folder)
+    if not store and holds_runs(folder):
         raise ValueError(f"{folder}: expected a folder of its own, this is one of runs")
     folder.mkdir(parents=True, exist_ok=True)
+
+
+def holds_runs(folder: Path) -> bool:
+    """Whether there is a run in the folder."""
+    return folder.is_dir() and any(map(is_run, folders_in(folder, root=folder)))

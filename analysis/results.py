@@ -13,6 +13,7 @@ import pandas as pd
 
 from qnerf.records.files import read_bytes
 from qnerf.records.parquet import reading
+from qnerf.records.printable import printable
 
 from . import command, load, output
 from .figures.files import title
@@ -390,9 +391,10 @@ def stored(folder: Path) -> list[str]:
 
 
 def read_text(file: Path) -> str:
-    """A small text file; StoreError if it is a link, large, or not UTF-8."""
+    """A small text file without control characters; StoreError if it is a link, large, or not UTF-8."""
     with reading(file):
-        return read_bytes(file, MAX_TEXT_BYTES).decode().strip()
+        text = read_bytes(file, MAX_TEXT_BYTES).decode()
+    return printable("\n".join(text.splitlines()), lines=True).strip()
 
 
 def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:

@@ -139,3 +139,11 @@ def test_a_store_is_not_packed_into_itself(store):
 def test_nothing_finished_is_one_line(store, tmp_path):
     with pytest.raises(ValueError, match="none of 1 runs is finished"):
         main([str(store), str(tmp_path / "packed"), "--filter", "state=failed"])
+
+
+def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
+    main([str(store), str(tmp_path / "packed")])
+    for name in ("runs.parquet", "views.parquet"):
+        shutil.copy(tmp_path / "packed" / name, store)
+    with pytest.raises(ValueError, match="holds runs and also packed tables"):
+        load.runs(store)

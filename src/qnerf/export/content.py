@@ -6,9 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from qnerf.records import StoreError, details, pictures, read_metrics
+from qnerf.records import StoreError, details, files, pictures, read_metrics
 from qnerf.records.annotations import Annotations
-from qnerf.records.files import files_in
+from qnerf.records.deletion import refuse_runs
+from qnerf.records.files import files_in, reporting
 from qnerf.records.location import RUN_ID
 
 _FILES = ("config.yaml", "overrides.txt", "environment*.json", "dirty*.diff", "eval.parquet", "summary.parquet")
@@ -68,6 +69,21 @@ def read(folder: Path) -> Content:
         files=[path for pattern in _FILES for path in files_in(run.path, pattern)],
         images=pictures.listed(run.path),
     )
+
+
+def make_folder(out: Path, run_id: str) -> Path:
+    """Makes the folder of a run's copy, `<out>/<run_id>`.
+
+    Raises:
+        StoreError: it cannot be made or is a link.
+        ValueError: it is in a run's folder.
+    """
+    folder = out / run_id
+    refuse_runs(folder)
+    with reporting(folder):
+        out.mkdir(parents=True, exist_ok=True)
+        files.make_folder(folder, root=out)
+    return folder
 
 
 def _encodable(value: Any) -> Any:

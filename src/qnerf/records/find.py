@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from qnerf.records.files import exists, refuse_links
-from qnerf.records.location import existing_store
+from qnerf.records.location import existing_store, resolved
 from qnerf.records.read import RUN_MARKERS, runs
 
 
@@ -21,7 +21,7 @@ def find(name: str | Path, store: str | Path = "runs", *, whole: bool = False) -
     """
     text = str(name)
     if is_path(text):
-        folder = Path(name).resolve() if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
+        folder = resolved(Path(name)) if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
         if not any(exists(folder / file) for file in RUN_MARKERS):
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder

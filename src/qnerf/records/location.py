@@ -1,5 +1,6 @@
 """Where a store may be: in a folder of this machine. Some commands also read stores behind URLs (`index`)."""
 
+import os
 import re
 from pathlib import Path
 
@@ -20,6 +21,11 @@ def url_protocol(store: str | Path) -> str | None:
     """
     match = _URL.match(str(store))
     return None if match is None or match[1].lower() == "file" else match[1].lower()
+
+
+def resolved(path: Path) -> Path:
+    """The absolute path without links. One stays of links in a circle, for which `Path.resolve` raises RuntimeError."""
+    return Path(os.path.realpath(path))
 
 
 def store_folder(store: str | Path) -> Path:

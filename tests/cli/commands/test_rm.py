@@ -232,3 +232,13 @@ def test_folders_nested_very_deeply_do_not_take_long(make):
         )
         assert files.total_size(run) > 0
     assert len(listed) < 100
+
+
+def test_the_end_of_the_input_deletes_nothing(store, qnerf, monkeypatch):
+    terminal = Terminal("")
+    monkeypatch.setattr(terminal, "readline", lambda: "")  # Ctrl-D
+    monkeypatch.setattr("sys.stdin", terminal)
+    done = qnerf("rm", "aaaa")
+    assert done.code == 1
+    assert "nothing deleted" in done.out
+    assert len(names(store)) == 5

@@ -10,7 +10,7 @@ from qnerf.records import find, state
 from qnerf.records.deletion import delete_run, is_run, require_run
 from qnerf.records.files import delete, reporting, total_size
 from qnerf.records.find import is_path
-from qnerf.records.location import existing_store
+from qnerf.records.location import existing_store, resolved
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def _checked(name: str, store: str, whole: bool) -> Path:
     """The absolute path of the run, or of the link that the user names. whole: as in `find`."""
     path = Path(name) if is_path(name) else existing_store(store) / name
     if name and path.is_symlink():
-        if is_path(name) and path.exists() and not is_run(path.resolve()):
+        if is_path(name) and path.exists() and not is_run(resolved(path)):
             raise ValueError(f"{name}: a link that leads to no run; nothing deleted")
         return path.absolute()
     run = find(name, store, whole=whole).absolute()
@@ -63,4 +63,8 @@ def _agreed(count: int) -> bool:
     if not sys.stdin.isatty():
         raise ValueError("cannot ask, standard input is not a terminal: --yes deletes without asking")
     question = f"delete {'this run' if count == 1 else f'these {count} runs'} for good? [y/N] "
-    return input(question).strip().lower() in ("y", "yes")
+    try:
+        return input(question).strip().lower() in ("y", "yes")
+    except EOFError:  # Ctrl-D
+        print()
+        return False
