@@ -8,6 +8,7 @@ import pandas as pd
 
 from qnerf.cli.errors import Parser, exit_code
 from qnerf.records.filters import HELP
+from qnerf.records.printable import printable
 
 from .load import runs
 from .tables.table import Table
@@ -50,7 +51,7 @@ def show(table: Table, form: str) -> None:
     """Prints the table; a CSV has no room for notes, so its notes go to standard error."""
     print(FORMATS[form](table))
     if form == "csv":
-        print("\n".join(table.notes), file=sys.stderr)
+        print("\n".join(map(printable, table.notes)), file=sys.stderr)
 
 
 def run(main: Callable[[Sequence[str] | None], None]) -> None:

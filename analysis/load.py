@@ -12,6 +12,7 @@ from qnerf.config.identity import flatten
 from qnerf.records import filters, index
 
 from . import packed
+from .output import holds_runs
 from .settings import LABELS
 
 _HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
@@ -40,6 +41,8 @@ def runs(
             unknown column.
     """
     if packed.is_packed(store):
+        if holds_runs(Path(store)):
+            raise ValueError(f"{store}: holds runs and also packed tables; expected one of both in a folder")
         frame = packed.load(store)
     else:
         frame = index.load(store, progress=progress)

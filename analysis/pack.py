@@ -1,14 +1,19 @@
 """`qnerf pack STORE FOLDER` or `python -m analysis.pack`: see `--help`."""
 
+import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import pandas as pd
+
+from qnerf.records import StoreError
+from qnerf.records.location import resolved, store_folder, url_protocol
 from qnerf.records.printable import printable
 
-from . import command, packed
+from . import command, output, packed
 from .figures import FIGURES
-from .figures.files import check_names, draw, title
+from .figures.files import check_names, draw, file_name
 from .paper import PAPER_TABLES
 
 DESCRIPTION = """\
@@ -26,15 +31,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
     options = parser.parse_args(arguments)
     check_names(options.figures)
-    if options.folder.resolve() == Path(options.store).resolve():
+    if url_protocol(options.store) is None and resolved(options.folder) == resolved(store_folder(options.store)):
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = command.chosen(options)
     unfinished = int((frame["state"] != "finished").sum())
     if unfinished == len(frame):
         raise ValueError(f"{options.store}: none of {unfinished} runs is finished")
-    for file in [*options.folder.glob("*.png"), *options.folder.glob("*.md")]:
-        if title(file.stem) != file.stem or file.stem in PAPER_TABLES:
-            file.unlink()  # made from the runs that were packed before
+    output.make_folder(options.folder, store=False)
+    remove_earlier(options.folder)
     finished, problems = packed.pack(frame, options.folder)
     for problem in problems:
         print(f"left out: {printable(problem)}", file=sys.stderr)
@@ -43,9 +47,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         draw(frame, options.figures, options.folder, ["png"])
     if options.paper:
         heading, table = PAPER_TABLES[options.paper]
-        (options.folder / f"{options.paper}.md").write_text(
-            f"**{heading}**\n\n{table(frame).markdown()}\n", encoding="utf-8"
-        )
+        text = f"**{heading}**\n\n{table(frame).markdown()}\n"
+        output.write(options.folder / f"{options.paper}.md", text.encode())
+
+
+def remove_earlier(folder: Path) -> None:
+    """Removes the figures and tables that were made from the runs packed in this folder, if it is a packed one."""
+    if not packed.is_packed(folder):
+        return
+    scenes: list[object] = []
+    with contextlib.suppress(StoreError):
+        scenes = list(packed.load(folder).get("scene_name", pd.Series()).unique())
+    figures = [file_name(f"{name}{part}") for name in FIGURES for part in ("", *(f"_{scene}" for scene in scenes))]
+    for file in [*(f"{name}.png" for name in figures), *(f"{name}.md" for name in PAPER_TABLES)]:
+        (folder / file).unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 `analysis.pack` writes such a folder. It is read like a store, and every table here can be made from it.
 """
 
-import re
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -12,14 +11,16 @@ import pandas as pd
 
 from qnerf.config.compatibility import today
 from qnerf.records import StoreError
+from qnerf.records.location import RUN_ID
 from qnerf.records.parquet import check_kinds, with_kinds
 from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
 from qnerf.records.schemas import known_kind
 
+from .output import make_folder, write
+
 RUNS, VIEWS = "runs.parquet", "views.parquet"
 PROBES = ("units", "eval_hardware")
 """Tables that `qnerf probe` leaves in a run's folder and that are small enough to keep."""
-RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
 """Columns about the machine that a run was done on, which are not packed."""
 
@@ -53,14 +54,15 @@ def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
                 tables.append(own.assign(run_id=name))
     if not parts:
         raise StoreError(problems[0])
-    folder.mkdir(parents=True, exist_ok=True)
     portable = chosen.drop(columns=[name for name in _HERE if name in chosen])
-    portable.to_parquet(folder / RUNS, index=False)
-    pd.concat(parts, ignore_index=True).to_parquet(folder / VIEWS, index=False)
-    for probe, tables in probed.items():
-        (folder / f"{probe}.parquet").unlink(missing_ok=True)
-        if tables:
-            pd.concat(tables, ignore_index=True).to_parquet(folder / f"{probe}.parquet", index=False)
+    tables = {probe: pd.concat(own, ignore_index=True) for probe, own in probed.items() if own}
+    tables |= {"views": pd.concat(parts, ignore_index=True), "runs": portable}
+    make_folder(folder, store=False)
+    for probe in PROBES if is_packed(folder) else ():
+        if probe not in tables:
+            (folder / f"{probe}.parquet").unlink(missing_ok=True)
+    for name, frame in tables.items():
+        write(folder / f"{name}.parquet", frame.to_parquet(index=False))
     return len(parts), problems
 
 

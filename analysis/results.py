@@ -13,8 +13,9 @@ import pandas as pd
 
 from qnerf.records.files import read_bytes
 from qnerf.records.parquet import reading
+from qnerf.records.printable import printable
 
-from . import command, load
+from . import command, load, output
 from .figures.files import title
 from .paper import PAPER_TABLES
 from .tables import Table, ablation, shots_and_noise, stability, units
@@ -390,9 +391,10 @@ def stored(folder: Path) -> list[str]:
 
 
 def read_text(file: Path) -> str:
-    """A small text file; StoreError if it is a link, large, or not UTF-8."""
+    """A small text file without control characters; StoreError if it is a link, large, or not UTF-8."""
     with reading(file):
-        return read_bytes(file, MAX_TEXT_BYTES).decode().strip()
+        text = read_bytes(file, MAX_TEXT_BYTES).decode()
+    return printable("\n".join(text.splitlines()), lines=True).strip()
 
 
 def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:
@@ -419,7 +421,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     text = page(options.folder)
     if options.write:
-        options.write.write_text(text, encoding="utf-8")
+        output.write(options.write, text.encode())
     else:
         sys.stdout.write(text)
 

@@ -78,9 +78,11 @@ def measured(runs: pd.DataFrame) -> list[str]:
 
 
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where a key is no column; it names the nearest."""
+    """ValueError where a key is no column, with the nearest names, or a run can have several of its values."""
     for key in rows:
         check_column(key, frame.columns)
+        if frame[key].map(lambda value: isinstance(value, (tuple, list))).any():
+            raise ValueError(f"a run can have several {key}; expected a key with one value a run")
 
 
 def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
@@ -94,7 +96,7 @@ def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
         mixed = several[several.any(axis=1)]
         if len(mixed):
             keys = mixed.columns[mixed.iloc[0]]
-            group = groups.get_group(_as_tuple(mixed.index[0]))
+            group = runs[groups.ngroup() == int(several.any(axis=1).to_numpy().argmax())]  # a key may be NaN
             different = ", ".join(f"{key} ({_values(group[key])})" for key in keys[:3])
             raise ValueError(
                 f"row {label(mixed.index[0])} mixes runs of different {different}: add a key to the rows or filter"

@@ -2,6 +2,7 @@
 that are the same bytes each time."""
 
 import functools
+import io
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
@@ -19,6 +20,8 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from qnerf.records.printable import printable
+
+from . import output
 
 COLUMN, PAGE = 3.35, 6.9  # inches
 
@@ -181,8 +184,11 @@ def footnote(figure: Figure, *parts: str) -> None:
 def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> list[Path]:
     """Writes path.png, path.svg and path.pdf and returns their paths.
 
-    Text stays text and no date is written, so the same figure gives the same bytes. Raises ValueError for a format that
-    matplotlib does not know.
+    Text stays text and no date is written, so the same figure gives the same bytes.
+
+    Raises:
+        ValueError: matplotlib does not know a format, or there is a link at one of the paths.
+        OSError: a file cannot be written.
     """
     written = []
     for kind in formats:
@@ -191,7 +197,10 @@ def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> 
         with mpl.rc_context(
             {key: _BASE[key] for key in ("svg.fonttype", "svg.hashsalt", "pdf.fonttype", "savefig.dpi")}
         ):
-            figure.savefig(target, format=kind, metadata=dates.get(kind), facecolor=figure.get_facecolor())
+            options = {"format": kind, "metadata": dates.get(kind), "facecolor": figure.get_facecolor()}
+            data = io.BytesIO()
+            figure.savefig(data, **options)
+            output.write(target, data.getvalue())
         written.append(target)
     return written
 

@@ -9,6 +9,7 @@ import pandas as pd
 from qnerf.records.files import one_line
 from qnerf.records.printable import printable
 
+from ..output import make_folder
 from ..style import check_formats, save
 from .catalogue import FIGURES
 
@@ -30,7 +31,7 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
         OSError: a file cannot be written.
     """
     check_formats(formats)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     failed = []
     for name in names or FIGURES:
         errors: dict[str, str] = {}

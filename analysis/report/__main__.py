@@ -13,7 +13,7 @@ from rich.progress import Progress
 import qnerf
 from qnerf.cli.numbers import count
 
-from .. import command
+from .. import command, output
 from ..load import runs
 from . import content, curves, page, parts, pictures
 
@@ -109,8 +109,8 @@ def write(html: str, out: str) -> Path:
     """Writes the page to the file `out`, or to index.html in the folder `out`; returns its path."""
     path = Path(out)
     path = path if path.suffix == ".html" else path / "index.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html, encoding="utf-8", errors="backslashreplace")
+    output.make_folder(path.parent)
+    output.write(path, html.encode(errors="backslashreplace"))
     return path
 
 

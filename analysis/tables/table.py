@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from qnerf.records.printable import printable
 from qnerf.records.spreadsheets import as_csv
 
 _LATEX = str.maketrans(
@@ -30,12 +31,12 @@ _LATEX = str.maketrans(
         "]": "{]}",
         "*": "{*}",
         "±": r"$\pm$",
-        "\n": " ",
     }
 )
-_MARKDOWN = str.maketrans({"\\": r"\\", "|": r"\|", "`": r"\`", "\n": " ", "\r": " "})
-# A star between spaces is a star, and < before anything but the start of a tag is less-than.
-_MARKUP = re.compile(r"\*(?=\S)|(?<=\S)\*|<(?=[A-Za-z/!?])")
+_MARKDOWN = str.maketrans({"\\": r"\\", "|": r"\|", "`": r"\`"})
+# A star between spaces is a star, < before anything but the start of a tag is less-than, and brackets are links only
+# before one of ( [ :
+_MARKUP = re.compile(r"\*(?=\S)|(?<=\S)\*|<(?=[A-Za-z/!?])|\](?=[(\[:])")
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ class Table:
         """The numbers in full, one column each (`psnr_mean`, `psnr_std`, `psnr_n`), without title and notes."""
         flat = self.data.reset_index() if self.data.index.names != [None] else self.data
         flat.columns = ["_".join(filter(None, map(str, _parts(name)))) for name in flat.columns]
-        return as_csv(flat).rstrip("\n")
+        shown = flat.map(lambda value: printable(value) if isinstance(value, str) else value)
+        return as_csv(shown).rstrip("\n")
 
     def _rows(self, escape: Callable[[str], str], emphasis: str) -> list[list[str]]:
         return [
@@ -89,11 +91,15 @@ class Table:
 
 
 def latex_escape(text: str) -> str:
-    return text.translate(_LATEX)
+    return _one_line(text).translate(_LATEX)
 
 
 def markdown_escape(text: str) -> str:
-    return _MARKUP.sub(r"\\\g<0>", text.translate(_MARKDOWN))
+    return _MARKUP.sub(r"\\\g<0>", _one_line(text).translate(_MARKDOWN))
+
+
+def _one_line(text: str) -> str:
+    return printable(" ".join(text.splitlines()))
 
 
 def _is_numeric(column: pd.Series) -> bool:

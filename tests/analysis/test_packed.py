@@ -1,3 +1,4 @@
+import errno
 import shutil
 
 import pandas as pd
@@ -53,11 +54,61 @@ def test_packing_again_reads_the_new_views(store, tmp_path):
 
 def test_figures_of_other_runs_go_and_files_of_others_stay(store, tmp_path):
     packed = tmp_path / "packed"
-    packed.mkdir()
+    main([str(store), str(packed)])
     for name in ("loss.png", "capacity_density.png", "spectrum_poster.png", "rgb.md", "notes.md", "photo.png"):
         (packed / name).write_text("")
     main([str(store), str(packed)])
     assert sorted(path.name for path in packed.iterdir() if path.suffix != ".parquet") == ["notes.md", "photo.png"]
+
+
+def test_in_a_folder_that_is_not_packed_nothing_goes(store, tmp_path):
+    names = {"loss.png", "width_notes.png", "rgb.md", "units.parquet"}
+    for name in names:
+        (tmp_path / name).write_text("mine")
+    main([str(store), str(tmp_path)])
+    assert {name for name in names if (tmp_path / name).read_text() == "mine"} == names
+
+
+@pytest.mark.parametrize("part", ["", "images", "images/more"])
+def test_nothing_is_packed_into_a_run(store, part):
+    run = next(store.glob("poster-*"))
+    (run / "units.parquet").write_text("measured")
+    with pytest.raises(ValueError, match="is in a run's folder"):
+        main([str(store), str(run / part)])
+    assert (run / "units.parquet").read_text() == "measured"
+    assert not list(run.glob("**/views.parquet"))
+
+
+def test_nothing_is_packed_into_another_store(store, tmp_path):
+    write_run(tmp_path / "other")
+    with pytest.raises(ValueError, match="expected a folder of its own"):
+        main([str(store), str(tmp_path / "other")])
+    with pytest.raises(ValueError, match="expected a folder of its own"):
+        main([f"file://{store}", str(store)])
+
+
+@pytest.mark.parametrize("name", ["runs.parquet", "views.parquet", "rgb.md", "capacity.png"])
+def test_nothing_is_written_through_a_link(store, tmp_path, name):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "packed").mkdir()
+    (tmp_path / "packed" / name).symlink_to(tmp_path / "mine")
+    with pytest.raises(ValueError, match="is a link"):
+        main([str(store), str(tmp_path / "packed"), "--paper", "rgb", "--figures", "capacity"])
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_full_disk_keeps_the_earlier_tables(store, tmp_path, monkeypatch):
+    packed = tmp_path / "packed"
+    main([str(store), str(packed), "--filter", "seed=0"])
+    before = {path.name: path.read_bytes() for path in packed.iterdir()}
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="No space left"):
+        main([str(store), str(packed)])
+    assert {path.name: path.read_bytes() for path in packed.iterdir()} == before
 
 
 def test_a_packed_folder_can_be_packed_again(store, tmp_path):
@@ -88,3 +139,11 @@ def test_a_store_is_not_packed_into_itself(store):
 def test_nothing_finished_is_one_line(store, tmp_path):
     with pytest.raises(ValueError, match="none of 1 runs is finished"):
         main([str(store), str(tmp_path / "packed"), "--filter", "state=failed"])
+
+
+def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
+    main([str(store), str(tmp_path / "packed")])
+    for name in ("runs.parquet", "views.parquet"):
+        shutil.copy(tmp_path / "packed" / name, store)
+    with pytest.raises(ValueError, match="holds runs and also packed tables"):
+        load.runs(store)

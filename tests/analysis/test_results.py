@@ -7,7 +7,7 @@ import pytest
 
 from analysis import load
 from analysis.pack import main as pack
-from analysis.results import QUESTIONS, Question, main, page
+from analysis.results import QUESTIONS, Question, main, page, read_text
 from qnerf.model.labels import labels
 from tests.helpers.configs import ROOT, composed, swept
 from tests.helpers.packed_stores import write_run
@@ -91,3 +91,8 @@ def some(key: str, values: list[str], question: Question) -> list[str]:
         return values
     base = str((question.baseline or {}).get(key, values[0]))
     return [value for value in values if value in (base, f"{base}.0", *values[:2])]
+
+
+def test_texts_of_a_folder_from_elsewhere_hold_no_escape_sequences(tmp_path):
+    (tmp_path / "hardware.txt").write_text("an \x1b[31mEPYC\r\n\u202etwo cores\n")
+    assert read_text(tmp_path / "hardware.txt") == "an \\x1b[31mEPYC\n\\u202etwo cores"

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from analysis import command
 from analysis.load import runs
 from analysis.tables import Table, ablation, markdown, over_seeds
 from analysis.tables.__main__ import main
@@ -219,3 +220,28 @@ def test_the_command_prints_what_is_asked(store, capsys):
         main([str(store), "--filter", "seed=7"])
     with pytest.raises(ValueError, match="baseline: 'run_id' is not a row key"):
         main([str(store), "--rows", "field", "--baseline", "seed"])
+
+
+HOSTILE = "\x1b[31m\u202e\u2028\x85\r\n[a](http://x)![b](http://x)[c][d]"
+
+
+@pytest.mark.parametrize("form", ["markdown", "latex", "csv"])
+def test_names_of_a_stranger_change_neither_the_terminal_nor_the_page(tmp_path, capsys, form):
+    write_run(tmp_path, "qcolor", 0)
+    frame = runs(tmp_path).assign(color=HOSTILE)
+    command.show(ablation(frame, ["color"]), form)
+    out = capsys.readouterr().out
+    assert all(character.isprintable() for line in out.split("\n") for character in line)
+    assert "\\x1b" in out or "textbackslash{}x1b" in out
+    assert form != "markdown" or not re.search(r"(?<!\\)\][(\[]", out)
+
+
+def test_a_key_with_several_values_a_run_is_refused(store, capsys):
+    with pytest.raises(ValueError, match="a run can have several tags; expected a key with one value a run"):
+        main([str(store), "--rows", "tags"])
+
+
+def test_a_mixture_in_a_row_without_a_value_is_named(store):
+    frame = runs(store).assign(note=np.nan)
+    with pytest.raises(ValueError, match="row none mixes runs of different field"):
+        over_seeds(frame, ["note"])

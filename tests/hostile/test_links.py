@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
+from qnerf.cli import main
 from qnerf.records import StoreError, annotations, files, find, owner
 from qnerf.records.deletion import delete_run
+from tests.helpers.packed_stores import write_run
 from tests.helpers.spoiled import CONFIG, interrupted, store
 
 READERS = {
@@ -176,3 +178,22 @@ def test_leftovers_that_are_links_go_without_what_they_lead_to(tmp_path: Path) -
     assert claim.run is not None
     claim.run.finish()
     assert (tmp_path / "outside" / "precious").read_text() == "x"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["show", "./loop"], ["diff", "./loop", "./loop"], ["tag", "./loop", "x"], ["export", "./loop", "--to=csv"],
+        ["export", "RUN", "--to=csv", "--out=loop"], ["resume", "./loop"], ["reproduce", "./loop"],
+        ["pack", "STORE", "loop"], ["figures", "STORE", "capacity", "--out=loop"],
+    ],
+)  # fmt: skip
+def test_a_link_to_itself_is_one_line(tmp_path, monkeypatch, capsys, arguments):
+    run = write_run(tmp_path / "runs")
+    (tmp_path / "loop").symlink_to("loop")
+    monkeypatch.chdir(tmp_path)
+    command, *rest = [{"RUN": str(run), "STORE": str(run.parent)}.get(word, word) for word in arguments]
+    assert main.dispatch(command, rest) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1

@@ -1,17 +1,17 @@
 """What the exporters copy from a run."""
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from qnerf.records import StoreError, details, pictures, read_metrics
+from qnerf.records import StoreError, details, files, pictures, read_metrics
 from qnerf.records.annotations import Annotations
-from qnerf.records.files import files_in
+from qnerf.records.deletion import refuse_runs
+from qnerf.records.files import files_in, reporting
+from qnerf.records.location import RUN_ID
 
-_RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _FILES = ("config.yaml", "overrides.txt", "environment*.json", "dirty*.diff", "eval.parquet", "summary.parquet")
 
 
@@ -43,12 +43,11 @@ def read(folder: Path) -> Content:
     """Reads a run as it is now, running or ended.
 
     Raises:
-        ValueError: the folder's name is not a run id.
-        StoreError: a part of the run is damaged.
+        StoreError: the folder's name is not a run id, or a part of the run is damaged.
     """
     run = details.read(folder)
-    if not _RUN_ID.fullmatch(run.run_id):
-        raise ValueError(f"expected a run's id of letters, digits, '.', '_' and '-', got {run.run_id!r}")
+    if not RUN_ID.fullmatch(run.run_id):
+        raise StoreError(f"expected a run's id of letters, digits, '.', '_' and '-', got {run.run_id!r}")
     if run.problems:
         raise StoreError(run.problems[0])
     created = run.created or (run.path / "config.yaml").stat().st_mtime
@@ -61,12 +60,38 @@ def read(folder: Path) -> Content:
         created=created,
         ended=run.heartbeat or created,
         step=int(metrics["step"].max()) if len(metrics) else 0,
-        config=run.flat,
-        results={name: value for name, value in run.results.items() if name not in ("run_id", "state")},
+        config=_encodable(run.flat),
+        results=_encodable({name: value for name, value in run.results.items() if name not in ("run_id", "state")}),
         commit=str(commit) if commit else None,
         evaluation=run.evaluation,
-        annotations=run.annotations,
+        annotations=Annotations(tuple(_encodable(list(run.annotations.tags))), _encodable(run.annotations.note)),
         metrics=metrics,
         files=[path for pattern in _FILES for path in files_in(run.path, pattern)],
         images=pictures.listed(run.path),
     )
+
+
+def make_folder(out: Path, run_id: str) -> Path:
+    """Makes the folder of a run's copy, `<out>/<run_id>`.
+
+    Raises:
+        StoreError: it cannot be made or is a link.
+        ValueError: it is in a run's folder.
+    """
+    folder = out / run_id
+    refuse_runs(folder)
+    with reporting(folder):
+        out.mkdir(parents=True, exist_ok=True)
+        files.make_folder(folder, root=out)
+    return folder
+
+
+def _encodable(value: Any) -> Any:
+    r"""The value with escapes such as `\ud800` for halves of characters, which JSON can hold and UTF-8 cannot."""
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
+    if isinstance(value, list):
+        return [_encodable(item) for item in value]
+    if isinstance(value, dict):
+        return {_encodable(name): _encodable(item) for name, item in value.items()}
+    return value

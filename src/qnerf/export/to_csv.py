@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.export.content import Content
-from qnerf.records.files import replace, reporting
+from qnerf.export.content import Content, make_folder
+from qnerf.records.files import replace
 from qnerf.records.spreadsheets import as_csv
 
 
@@ -16,9 +16,7 @@ def export(content: Content, out: Path) -> Path:
     value; an empty cell means that nothing was logged. eval.csv: one row per held-out image. summary.csv: one row with
     state, tags, note, results and configuration.
     """
-    folder = out / content.run_id
-    with reporting(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    folder = make_folder(out, content.run_id)
     _write(folder / "metrics.csv", wide(content.metrics, content.created))
     _write(folder / "eval.csv", content.evaluation)
     labels = {"tags": ",".join(content.annotations.tags), "note": content.annotations.note}

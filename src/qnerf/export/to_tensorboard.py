@@ -18,7 +18,7 @@ from tensorboard.plugins.hparams import api_pb2, metadata, plugin_data_pb2, summ
 from tensorboard.plugins.text.summary_v2 import text_pb
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
-from qnerf.export.content import Content
+from qnerf.export.content import Content, make_folder
 from qnerf.records.files import StoreError, reporting
 from qnerf.records.pictures import read_png_bytes
 
@@ -31,16 +31,15 @@ def export(content: Content, out: Path) -> Path:
 
     The new event file replaces the one of an earlier export; other files stay.
     """
-    folder = out / content.run_id
+    folder = make_folder(out, content.run_id)
     with reporting(folder):
-        folder.mkdir(parents=True, exist_ok=True)
         before = list(folder.glob(f"events.out.tfevents.*{SUFFIX}"))
         scratch = Path(tempfile.mkdtemp(prefix=".", dir=folder))
         try:
             writer = EventFileWriter(str(scratch), filename_suffix=SUFFIX)
-            for event in events(content):
-                writer.add_event(event)
-            writer.close()
+            with contextlib.closing(writer):
+                for event in events(content):
+                    writer.add_event(event)
             (written,) = scratch.iterdir()
             written.replace(folder / written.name)
         finally:

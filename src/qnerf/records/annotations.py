@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from qnerf.records import files, owner
 from qnerf.records.deletion import require_run
@@ -97,7 +98,10 @@ def check_tag(tag: str) -> str:
 
 
 def _write(path: Path, annotations: Annotations) -> Annotations:
-    content = {"tags": list(annotations.tags), "note": annotations.note}
+    content: dict[str, Any] = {}
+    with contextlib.suppress(FileNotFoundError):
+        content = files.read_json(path)  # a newer version may know more keys
+    content |= {"tags": list(annotations.tags), "note": annotations.note}
     data = (json.dumps(content, indent=1) + "\n").encode()  # ASCII: safe to print whatever is in it
     files.replace(path, data, temporary_folder=path.parent / LOCK)  # a run that is resumed tidies its own folder
     return annotations

@@ -32,6 +32,7 @@ from qnerf.records.files import (
     rename,
     reporting,
 )
+from qnerf.records.location import resolved
 from qnerf.records.numbered import OWNERS
 from qnerf.records.owner import OwnerInfo, Ownership, Process
 from qnerf.records.read import state
@@ -67,6 +68,13 @@ def require_run(folder: Path) -> None:
     # A file may be replaced between the listing and the reading.
     if not any(is_run(folder) for _ in range(3)):
         raise StoreError(f"{folder}: not a run: it has no owner/ or status.json that qnerf wrote for it")
+
+
+def refuse_runs(folder: Path) -> None:
+    """ValueError if the folder, which need not exist, is that of a run or lies in one: no other files go there."""
+    absolute = resolved(folder)
+    if any(is_run(path) for path in (absolute, *absolute.parents) if path.is_dir()):
+        raise ValueError(f"{folder}: is in a run's folder; expected another one")
 
 
 def _is_owner(record: dict[str, Any]) -> bool:

@@ -35,6 +35,7 @@ from typing import IO, Any
 from qnerf.records.plain_values import check_plain
 
 MAX_JSON_BYTES = 2**20
+MAX_DEPTH = 64
 
 SUBFOLDERS = frozenset({"metrics", "images", "owner", ".annotations"})
 """Folders inside a run's folder."""
@@ -176,6 +177,12 @@ def open_plain(path: Path, mode: str = "rb", *, max_bytes: int | None = None, ro
     return file
 
 
+def require_file(path: Path, *, root: Path | None = None) -> None:
+    """StoreError if there is something else than a regular file at the path; nothing there is fine."""
+    with contextlib.suppress(FileNotFoundError):
+        _require_file(path, status(path, root=root), None)
+
+
 def _require_file(path: Path, status: os.stat_result, max_bytes: int | None) -> None:
     if stat.S_ISLNK(status.st_mode):
         raise _is_a_link(path)
@@ -229,10 +236,16 @@ def entries_in(folder: Path, *, root: Path | None = None) -> dict[str, os.stat_r
 
 
 def total_size(folder: Path) -> int:
-    """Bytes of all files in the folder and below; links count as themselves, what cannot be read as nothing."""
+    """Bytes of all files in the folder and below; links count as themselves, what cannot be read as nothing.
+
+    Folders below `MAX_DEPTH` are left out: each is reached from the root again.
+    """
     root, total, folders = _root_of(folder), 0, [folder]
+    deepest = len(folder.parts) + MAX_DEPTH
     while folders:
         folder = folders.pop()
+        if len(folder.parts) > deepest:
+            continue
         with contextlib.suppress(OSError, StoreError):
             for name, information in entries_in(folder, root=root).items():
                 if stat.S_ISDIR(information.st_mode):

@@ -5,22 +5,23 @@ import os
 from pathlib import Path
 
 from qnerf.records.files import exists, refuse_links
-from qnerf.records.location import existing_store
+from qnerf.records.location import existing_store, resolved
 from qnerf.records.read import RUN_MARKERS, runs
 
 
-def find(name: str | Path, store: str | Path = "runs") -> Path:
+def find(name: str | Path, store: str | Path = "runs", *, whole: bool = False) -> Path:
     """The run's folder.
 
     name: a run's folder, written with a separator (`runs/ID`, `./ID`); or in `store` an id, or any part of an id that
     no other id contains. A folder of the working directory that has the name of a run is not looked at.
+    whole: a part of an id is refused.
 
     Raises:
         ValueError: no run or more than one; the line names the nearest ids.
     """
     text = str(name)
     if is_path(text):
-        folder = Path(name).resolve() if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
+        folder = resolved(Path(name)) if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
         if not any(exists(folder / file) for file in RUN_MARKERS):
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder
@@ -31,6 +32,8 @@ def find(name: str | Path, store: str | Path = "runs") -> Path:
     if text in known:
         return known[text]
     matches = [run_id for run_id in known if text and text in run_id]
+    if len(matches) == 1 and whole:
+        raise ValueError(f"{text}: no such run in {store}; expected a whole id, such as {_listed(matches)}")
     if len(matches) == 1:
         return known[matches[0]]
     if matches:

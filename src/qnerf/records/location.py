@@ -1,10 +1,14 @@
 """Where a store may be: in a folder of this machine. Some commands also read stores behind URLs (`index`)."""
 
+import os
 import re
 from pathlib import Path
 
 DEFAULT = "runs"
 """The store of commands that are given none."""
+
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
+"""A run's id as qnerf makes it. The folder of a renamed run may have any other name."""
 
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 
@@ -17,6 +21,11 @@ def url_protocol(store: str | Path) -> str | None:
     """
     match = _URL.match(str(store))
     return None if match is None or match[1].lower() == "file" else match[1].lower()
+
+
+def resolved(path: Path) -> Path:
+    """The absolute path without links. One stays of links in a circle, for which `Path.resolve` raises RuntimeError."""
+    return Path(os.path.realpath(path))
 
 
 def store_folder(store: str | Path) -> Path:

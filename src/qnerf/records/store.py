@@ -3,7 +3,6 @@
 import contextlib
 import errno
 import json
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -32,13 +31,11 @@ from qnerf.records.files import (
     reporting,
     temporary_path,
 )
-from qnerf.records.location import store_folder
+from qnerf.records.location import RUN_ID, store_folder
 from qnerf.records.numbered import PARTS
 from qnerf.records.owner import OwnerInfo, Ownership
 from qnerf.records.read import read_config, read_evaluation, read_status, read_summary, runs
 from qnerf.records.writer import EMPTY_PART, FORMAT, Run, running_status
-
-_RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ class RunStore:
             ValueError: not a run id.
             StoreError: the store cannot be written.
         """
-        if not _RUN_ID.fullmatch(run_id):
+        if not RUN_ID.fullmatch(run_id):
             raise ValueError(f"run_id: expected letters, digits, '.', '_', '-' after a letter or digit, got {run_id!r}")
         content = _InitialContent(run_id, plain(config), list(overrides), dict(columns or {}))
         directory = self.root / run_id

@@ -226,7 +226,7 @@ def test_a_mistake_is_one_line(run, qnerf, arguments, message):
 
 
 def test_nothing_is_exported_into_the_store_or_of_a_damaged_run(store, qnerf, tmp_path):
-    assert "contains the run itself" in qnerf("export", "aaaa", "--to", "csv", "--out", store).err
+    assert "is in a run's folder" in qnerf("export", "aaaa", "--to", "csv", "--out", store).err
     assert "summary.parquet: damaged" in qnerf("export", "eeee", "--to", "csv", "--out", tmp_path / "out").err
     assert not (tmp_path / "out").exists()
 
@@ -248,3 +248,31 @@ def test_times_come_from_the_run(run):
         content.read(run)
     (run / "status.json").write_text(json.dumps(status | {"created": None}))
     assert content.read(run).created == (run / "config.yaml").stat().st_mtime
+
+
+@pytest.mark.parametrize("target", ["csv", "tensorboard"])
+def test_one_odd_run_does_not_stop_the_others(make, qnerf, tmp_path, target):
+    if target == "tensorboard":
+        pytest.importorskip("tensorboard")
+    half, odd, plain = make("a"), make("b"), make("c")
+    (half / "annotations.json").write_text(json.dumps({"tags": ["\ud800"], "note": "half \ud800"}))
+    odd = odd.rename(odd.parent / "my run")
+    done = qnerf("export", half, odd, plain, "--to", target, "--out", tmp_path / "out")
+    assert done.code == 2
+    assert done.err.splitlines() == ["error: expected a run's id of letters, digits, '.', '_' and '-', got 'my run'"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "c"]
+
+
+@pytest.mark.parametrize("target", ["csv", "tensorboard"])
+def test_nothing_is_exported_through_a_linked_folder_or_into_a_run(make, qnerf, tmp_path, target):
+    if target == "tensorboard":
+        pytest.importorskip("tensorboard")
+    run, outside, out = make("a"), tmp_path / "outside", tmp_path / "out"
+    outside.mkdir()
+    out.mkdir()
+    (out / "a").symlink_to(outside)
+    assert "is a link" in qnerf("export", run, "--to", target, "--out", out).err
+    assert not list(outside.iterdir())
+    before = sorted(run.rglob("*"))
+    assert "is in a run's folder" in qnerf("export", run, "--to", target, "--out", run / "images").err
+    assert sorted(run.rglob("*")) == before

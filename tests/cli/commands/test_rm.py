@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from qnerf.records import StoreError, owner, runs
+from qnerf.records import StoreError, files, owner, runs
 from qnerf.records.deletion import delete_run
 
 
@@ -25,8 +25,13 @@ def names(store: Path) -> list[str]:
     return [path.name[-4:] for path in runs(store)]
 
 
+def whole(store: Path, *ends: str) -> list[str]:
+    """The ids of the runs that end so."""
+    return [path.name for end in ends for path in runs(store) if path.name.endswith(end)]
+
+
 def test_yes_deletes_what_is_named(store, qnerf):
-    done = qnerf("rm", "aaaa", "cccc", "--yes")
+    done = qnerf("rm", *whole(store, "aaaa", "cccc"), "--yes")
     assert done.code == 0
     assert "finished" in done.out
     assert "failed" in done.out
@@ -55,7 +60,7 @@ def test_without_a_terminal_it_does_not_guess(store, qnerf, monkeypatch):
 
 
 def test_a_running_run_stays_and_so_do_the_others(store, running, qnerf):
-    done = qnerf("rm", "aaaa", "ffff", "--yes")
+    done = qnerf("rm", *whole(store, "aaaa", "ffff"), "--yes")
     assert done.code == 2
     assert "running; stop it first; nothing deleted" in done.err
     assert len(names(store)) == 6
@@ -91,7 +96,7 @@ def test_a_damaged_run_can_be_deleted(store, qnerf):
     (run,) = store.glob("*-eeeeeeeeee")
     (run / "status.json").unlink()
     (run / "config.yaml").unlink()
-    assert qnerf("rm", "eeee", "--yes").code == 0
+    assert qnerf("rm", run.name, "--yes").code == 0
     assert not run.exists()
 
 
@@ -186,3 +191,54 @@ def test_an_empty_name_does_not_delete_a_linked_store(make, qnerf, tmp_path):
     store.symlink_to(tmp_path / "scratch")
     assert qnerf("rm", "", "--yes").code == 2
     assert store.is_symlink()
+
+
+def test_without_a_question_a_part_of_an_id_deletes_nothing(make, qnerf):
+    """The second of two equal commands must not delete the copy that the user has made of the run."""
+    run = make("proj-s0-1234")
+    copy = run.rename(run.parent / "proj-s0-1234-backup")
+    done = qnerf("rm", "proj-s0-1234", "--yes")
+    assert done.code == 2
+    assert "expected a whole id, such as proj-s0-1234-backup" in done.err
+    assert copy.is_dir()
+
+
+def test_a_link_that_leads_to_no_run_stays(make, qnerf, tmp_path, monkeypatch):
+    store = make("a").parent
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    Path("stored").symlink_to(store)
+    Path("latest").symlink_to(store / "a")
+    assert qnerf("rm", "./stored", "--yes").code == 2
+    assert qnerf("rm", "./latest", "--yes").code == 0
+    assert [path.name for path in Path().iterdir()] == ["stored"]
+    assert (store / "a").is_dir()
+
+
+def test_folders_nested_very_deeply_do_not_take_long(make):
+    run = make("a")
+    handle = os.open(run, os.O_RDONLY)
+    for _ in range(500):
+        os.mkdir("d", dir_fd=handle)
+        inner = os.open("d", os.O_RDONLY, dir_fd=handle)
+        os.close(handle)
+        handle = inner
+    os.close(handle)
+    listed: list[Path] = []
+    with pytest.MonkeyPatch.context() as patch:
+        entries = files.entries_in
+        patch.setattr(
+            files, "entries_in", lambda folder, **options: listed.append(folder) or entries(folder, **options)
+        )
+        assert files.total_size(run) > 0
+    assert len(listed) < 100
+
+
+def test_the_end_of_the_input_deletes_nothing(store, qnerf, monkeypatch):
+    terminal = Terminal("")
+    monkeypatch.setattr(terminal, "readline", lambda: "")  # Ctrl-D
+    monkeypatch.setattr("sys.stdin", terminal)
+    done = qnerf("rm", "aaaa")
+    assert done.code == 1
+    assert "nothing deleted" in done.out
+    assert len(names(store)) == 5

@@ -206,3 +206,13 @@ def test_sizes(held, text):
 
 def test_counts():
     assert (count(1234567), count(None), count(3.0)) == ("1,234,567", "-", "3")
+
+
+@pytest.mark.parametrize("name", ["x poster-qcolor-s0-aaaaaaaaaa", "-y", "--store=elsewhere", "a'b", "two\nlines", "é"])
+def test_ids_alone_leave_out_what_xargs_would_misread(make, qnerf, name):
+    run = make("a")
+    run.rename(run.parent / name)
+    make("b")
+    done = qnerf("runs", "--ids")
+    assert done.out == "b\n"
+    assert "is no run's id; name the folder" in done.err

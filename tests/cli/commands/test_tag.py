@@ -111,3 +111,11 @@ def test_a_tag_that_is_accepted_is_one_visible_word(tag):
     except ValueError:
         fits = False
     assert fits == (tag.isprintable() and tag.split() == [tag] and "," not in tag and "=" not in tag)
+
+
+def test_keys_of_a_newer_version_stay(make):
+    run = make("a")
+    (run / "annotations.json").write_text(json.dumps({"tags": ["old"], "note": "n", "author": {"name": "me"}}))
+    annotations.change_tags(run, ["new"], ["old"])
+    content = json.loads((run / "annotations.json").read_text())
+    assert content == {"tags": ["new"], "note": "n", "author": {"name": "me"}}

@@ -38,13 +38,13 @@ def main(options: argparse.Namespace) -> int:
     for folder in folders:
         try:
             content = read(folder)
+            if target == "mlflow":
+                copy = exporter.export(content, options.uri, options.experiment or "qnerf")
+            else:
+                copy = exporter.export(content, Path(options.out or f"exports/{target}"))
         except StoreError as error:  # of this run alone
             code = report(error)
             continue
-        if target == "mlflow":
-            copy = exporter.export(content, options.uri, options.experiment or "qnerf")
-        else:
-            copy = exporter.export(content, _out(options.out or f"exports/{target}", folder))
         print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(copy)}")
     if target == "tensorboard":
         print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
@@ -58,9 +58,3 @@ def _exporter(target: str) -> ModuleType:
         if (error.name or "").partition(".")[0] == "qnerf":
             raise
         raise ValueError(f'{target} is not installed here: pip install "qnerf[{target}]"') from error
-
-
-def _out(out: str, run: Path) -> Path:
-    if Path(out).resolve() == run.resolve().parent:
-        raise ValueError(f"{out}: contains the run itself; expected another folder")
-    return Path(out)

@@ -17,7 +17,7 @@ from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import run_stored, stored
 from qnerf.records import find, state
-from qnerf.records.location import store_folder
+from qnerf.records.location import resolved, store_folder
 from qnerf.records.printable import printable
 
 if TYPE_CHECKING:
@@ -52,11 +52,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 @stoppable()
 def main(options: argparse.Namespace) -> int:
-    run = find(options.run, options.store).resolve()
+    run = resolved(find(options.run, options.store))
     if (now := state(run)) != "finished":
         raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
     keep = None if options.keep is None else store_folder(options.keep)
-    if keep is not None and keep.resolve() == run.parent:
+    if keep is not None and resolved(keep) == run.parent:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
     config, filled = stored(run, options.plugins)
 

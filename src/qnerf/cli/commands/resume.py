@@ -7,6 +7,7 @@ from qnerf.cli.ends import stoppable, stopped_code
 from qnerf.cli.text import console
 from qnerf.cli.upgrade_config import CHANGEABLE, run_stored, stored
 from qnerf.records import find, owner, state
+from qnerf.records.location import resolved
 from qnerf.records.printable import printable
 
 
@@ -23,7 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 @stoppable()
 def main(options: argparse.Namespace) -> int:
-    run = find(options.run, options.store).resolve()
+    run = resolved(find(options.run, options.store))
     now = state(run)
     if now in ("finished", "running"):
         reason = "finished already" if now == "finished" else f"being written by {owner.describe(run)}"

@@ -7,10 +7,10 @@ from pathlib import Path
 from qnerf.cli.commands import add_many_runs
 from qnerf.cli.text import STATE_STYLES, console, size, styled
 from qnerf.records import find, state
-from qnerf.records.deletion import delete_run, require_run
+from qnerf.records.deletion import delete_run, is_run, require_run
 from qnerf.records.files import delete, reporting, total_size
 from qnerf.records.find import is_path
-from qnerf.records.location import existing_store
+from qnerf.records.location import existing_store, resolved
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,11 +19,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 1: nothing was deleted."
     )
     add_many_runs(parser)
-    parser.add_argument("--yes", "-y", action="store_true", help="delete without asking")
+    parser.add_argument("--yes", "-y", action="store_true", help="delete without asking; expects whole ids or folders")
 
 
 def main(options: argparse.Namespace) -> int:
-    paths = list(dict.fromkeys(_checked(name, options.store) for name in options.runs))
+    paths = list(dict.fromkeys(_checked(name, options.store, options.yes) for name in options.runs))
     out = console()
     for path in paths:
         kind = "link" if path.is_symlink() else state(path)
@@ -42,12 +42,14 @@ def main(options: argparse.Namespace) -> int:
     return 0
 
 
-def _checked(name: str, store: str) -> Path:
-    """The absolute path of the run, or of the link that the user names."""
+def _checked(name: str, store: str, whole: bool) -> Path:
+    """The absolute path of the run, or of the link that the user names. whole: as in `find`."""
     path = Path(name) if is_path(name) else existing_store(store) / name
     if name and path.is_symlink():
+        if is_path(name) and path.exists() and not is_run(resolved(path)):
+            raise ValueError(f"{name}: a link that leads to no run; nothing deleted")
         return path.absolute()
-    run = find(name, store).absolute()
+    run = find(name, store, whole=whole).absolute()
     try:
         require_run(run)
         if state(run) == "running":
@@ -61,4 +63,8 @@ def _agreed(count: int) -> bool:
     if not sys.stdin.isatty():
         raise ValueError("cannot ask, standard input is not a terminal: --yes deletes without asking")
     question = f"delete {'this run' if count == 1 else f'these {count} runs'} for good? [y/N] "
-    return input(question).strip().lower() in ("y", "yes")
+    try:
+        return input(question).strip().lower() in ("y", "yes")
+    except EOFError:  # Ctrl-D
+        print()
+        return False

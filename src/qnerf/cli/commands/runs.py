@@ -14,6 +14,7 @@ from qnerf.cli.table import Column, Row, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing
 from qnerf.metrics import METRICS
 from qnerf.records import filters, index
+from qnerf.records.location import RUN_ID
 from qnerf.records.printable import ELLIPSIS, printable
 
 EPILOG = """filters (a run must match all of them):
@@ -55,7 +56,11 @@ def main(options: argparse.Namespace) -> None:
     if options.json:
         print(as_json(records(limited(frame, options.limit))))
     elif options.ids:
-        sys.stdout.writelines(f"{printable(name)}\n" for name in limited(frame, options.limit).get("run_id", ()))
+        for name in limited(frame, options.limit).get("run_id", ()):
+            if RUN_ID.fullmatch(name):
+                print(name)
+            else:  # `xargs` would take it for several names or for an option
+                print(f"left out: {printable(name)!r} is no run's id; name the folder", file=sys.stderr)
     elif frame.empty:
         where = printable(options.store)
         print(f"none of {len(everything):,} runs in {where} matches" if len(everything) else f"no runs in {where}")
