@@ -44,6 +44,7 @@ from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator
+from qnerf.training.state_checks import largest_state
 from qnerf.training.trainer import Trainer
 
 
@@ -370,7 +371,8 @@ def _execute(
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
     )
-    checkpoint = store.load_checkpoint(trainer.check) if store.resumed else None
+    max_bytes = largest_state(model, settings.train.steps)
+    checkpoint = store.load_checkpoint(trainer.check, max_bytes) if store.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
     if store.resumed:
