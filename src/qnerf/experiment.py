@@ -378,32 +378,43 @@ def _execute(
     if store.resumed:
         store.resume(trainer.step)
 
-    display.begin(store.dir, trainer.step, settings.train.steps)
     train = settings.train
     measured = None
+
+    def assess() -> Measures | None:
+        """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
+        views = scene.eval if trainer.done else scene.eval[: train.eval_views or None]
+        rows, result = evaluate(evaluator, store, views, trainer.step, stopping)
+        if result is not None:
+            # Every point of the curve is a mean over the same views.
+            curve = means(rows[: train.eval_views or None])
+            store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
+            display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(result['psnr'])}")
+        return result
+
+    def is_due() -> bool:
+        return trainer.done or bool(train.eval_every and trainer.step % train.eval_every == 0)
+
+    display.begin(store.dir, trainer.step, train.steps)
     try:
+        if trainer.step and is_due() and not was_evaluated(store.dir, trainer.step):  # it was stopped in there
+            measured = assess()
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
         for metrics in trainer.steps(store, stopping):
-            done = trainer.done
             if metrics:
                 store.log(trainer.step, trainer.seconds, metrics)
                 display.step(trainer.step, metrics)
-            if done or (train.eval_every and trainer.step % train.eval_every == 0):
-                views = scene.eval if done else scene.eval[: train.eval_views or None]
-                rows, measured = evaluate(evaluator, store, views, trainer.step)
-                # Every point of the curve is a mean over the same views.
-                curve = means(rows[: train.eval_views or None])
-                store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-                display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(measured['psnr'])}")
+            if is_due():
+                measured = assess()
     finally:
         display.end()
-    if not trainer.done:
+    if trainer.done and measured is None and not stopping():  # killed between the last checkpoint and the end
+        _, measured = evaluate(evaluator, store, scene.eval, trainer.step, stopping)
+    if not trainer.done or measured is None:
         store.interrupt()
         message = f"stopped at step {trainer.step} of {train.steps}; the same command continues from there"
         return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
 
-    if measured is None:  # killed between the last checkpoint and the end
-        _, measured = evaluate(evaluator, store, scene.eval, trainer.step)
     timings = {
         "train_s": trainer.seconds,
         "step_ms": median_ms(trainer.step_seconds),
@@ -415,8 +426,19 @@ def _execute(
     return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
 
 
-def evaluate(evaluator: Evaluator, store: Run, views: Sequence[int], step: int) -> tuple[list[Measures], Measures]:
-    """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means."""
+def was_evaluated(path: Path, step: int) -> bool:
+    """Whether the run has logged an evaluation after this step."""
+    logged = read_metrics(path)
+    return bool(logged["key"][logged["step"] == step].str.startswith("eval/").any())
+
+
+def evaluate(
+    evaluator: Evaluator, store: Run, views: Sequence[int], step: int, stopping: Callable[[], bool]
+) -> tuple[list[Measures], Measures | None]:
+    """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means.
+
+    stopping: called after each view but the last. Once it is true, there are no means, and no table is written.
+    """
     start = time.perf_counter()
     rows = []
     scene = evaluator.scene
@@ -424,6 +446,8 @@ def evaluate(evaluator: Evaluator, store: Run, views: Sequence[int], step: int) 
     for rendered, row in evaluator.views(list(views), step):
         rows.append(row)
         store.save_image(names[rendered.view], evaluator.picture(rendered))
+        if len(rows) < len(views) and stopping():
+            return rows, None
     store.write_eval(rows)
     measured = means(rows)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
