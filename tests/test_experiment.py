@@ -153,6 +153,13 @@ def test_a_stop_request_ends_an_evaluation_which_the_resumed_run_repeats(tiny, t
     assert resumed.summary["psnr"] == whole.summary["psnr"]
 
 
+def test_too_few_samples_for_a_circuit_leave_no_run(tiny):
+    config = tiny("field=qboth", "qiren=1L1S", "train.rays=1", "sampler=uniform", "sampler.samples=1")
+    with pytest.raises(ValueError, match="normalises over the samples of a step: expected at least 2, got 1"):
+        run(config)
+    assert not Path(config["store"]).exists()
+
+
 def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_checkpoint(tiny, monkeypatch):
     take_step = Trainer.take_step
 

@@ -26,10 +26,11 @@ from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
+from qnerf.heads.qiren import Normalisation, check_samples
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
 from qnerf.model.labels import LABELLED, labels, slug
-from qnerf.model.memory import planned, require_memory
+from qnerf.model.memory import planned, require_memory, samples_per_ray
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
@@ -232,6 +233,15 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         torch.set_default_dtype(previous)
 
 
+def check_samples_of_a_step(settings: Settings, model: Model) -> None:
+    """ValueError if a circuit head could get too few samples in a training step."""
+    # With a mask, only the last sample of each ray is sure to be evaluated. Shadings make sure of enough colours.
+    rendered = 1 if model.field.mask is not None else samples_per_ray(model.sampler)[0]
+    heads = [model.field.density_head, *([model.field.color_head] if settings.shading["name"] == "none" else [])]
+    if any(isinstance(module, Normalisation) for head in heads for module in head.modules()):
+        check_samples(settings.train.rays * rendered)
+
+
 def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> SpaceMask | None:
     """Where density may be: seen by enough cameras, inside the silhouettes, and not empty; None: everywhere."""
     cameras, n = settings.visibility.cameras, settings.visibility.resolution
@@ -327,6 +337,7 @@ def run(
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     model = build_model(settings, scene)
+    check_samples_of_a_step(settings, model)
     table = ray_table(settings, scene)
     lpips.weights()  # files that cannot be used are reported now, not at the first evaluation
 
