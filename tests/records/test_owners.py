@@ -52,6 +52,15 @@ def test_the_next_owner_removes_what_a_killed_claim_left(store_: RunStore) -> No
     assert not any(path.exists() for path in left)
 
 
+def test_a_new_run_that_was_killed_before_it_had_an_owner_is_removed(store_: RunStore) -> None:
+    folder = store_.root / ".tmp" / "new-a-0123abcd"
+    (folder / "owner").mkdir(parents=True)
+    (folder / "owner" / ".000000.json.0123abcd.tmp").write_text("{}")
+    os.utime(folder, (0, 0))
+    claimed(store_).interrupt()
+    assert not folder.exists()
+
+
 def test_a_contender_whose_file_the_owner_removes_finds_the_run_owned(
     store_: RunStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
