@@ -1,5 +1,6 @@
 """A run from start to end: what it leaves, how it resumes, how it stops."""
 
+import contextlib
 import math
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from qnerf import experiment
 from qnerf.experiment import run
 from qnerf.records import read_metrics, read_status, state
 from qnerf.training import lpips
+from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Diverged, Trainer
+from tests.helpers.scenes import write_scene
 
 REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
@@ -120,6 +123,41 @@ def test_a_stop_request_ends_at_the_next_step_with_a_checkpoint(tiny, monkeypatc
     assert "stopped at step 3 of 6" in outcome.message
     assert torch.load(outcome.path / "checkpoint.pt", weights_only=True)["step"] == 3
     assert run(tiny("train.steps=6")).state == "finished"
+
+
+@pytest.mark.parametrize("stop_at", [2, 4])
+def test_a_stop_request_ends_an_evaluation_which_the_resumed_run_repeats(tiny, tmp_path, monkeypatch, stop_at):
+    scene = write_scene(tmp_path / "views", views=20)
+    options = ["train.steps=4", "train.eval_every=2", "train.eval_views=0", f"scene.path={scene}"]
+    whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
+    parts = tiny(*options, f"store={tmp_path / 'parts'}")
+    requests: list[int] = []
+
+    def views(self, chosen, step, original=Evaluator.views):
+        for number, item in enumerate(original(self, chosen, step)):
+            if step == stop_at and number == 0:
+                requests.append(2)
+            yield item
+
+    with monkeypatch.context() as patch:
+        patch.setattr(experiment, "stop_requests", lambda: contextlib.nullcontext(requests))
+        patch.setattr(Evaluator, "views", views)
+        outcome = run(parts)
+    assert (outcome.state, state(outcome.path)) == ("interrupted", "interrupted")
+    assert f"stopped at step {stop_at} of 4" in outcome.message
+    assert torch.load(outcome.path / "checkpoint.pt", weights_only=True)["step"] == stop_at
+    assert "eval/psnr" not in set(read_metrics(outcome.path).query("step == @stop_at")["key"])
+    resumed = run(parts)
+    assert resumed.state == "finished"
+    pd.testing.assert_frame_equal(logged(resumed.path), logged(whole.path))
+    assert resumed.summary["psnr"] == whole.summary["psnr"]
+
+
+def test_too_few_samples_for_a_circuit_leave_no_run(tiny):
+    config = tiny("field=qboth", "qiren=1L1S", "train.rays=1", "sampler=uniform", "sampler.samples=1")
+    with pytest.raises(ValueError, match="normalises over the samples of a step: expected at least 2, got 1"):
+        run(config)
+    assert not Path(config["store"]).exists()
 
 
 def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_checkpoint(tiny, monkeypatch):

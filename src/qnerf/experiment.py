@@ -26,10 +26,11 @@ from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
+from qnerf.heads.qiren import Normalisation, check_samples
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.model.field import Field
 from qnerf.model.labels import LABELLED, labels, slug
-from qnerf.model.memory import planned, require_memory
+from qnerf.model.memory import planned, require_memory, samples_per_ray
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
@@ -44,6 +45,7 @@ from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator
+from qnerf.training.state_checks import largest_state
 from qnerf.training.trainer import Trainer
 
 
@@ -232,6 +234,15 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         torch.set_default_dtype(previous)
 
 
+def check_samples_of_a_step(settings: Settings, model: Model) -> None:
+    """ValueError if a circuit head could get too few samples in a training step."""
+    # With a mask, only the last sample of each ray is sure to be evaluated. Shadings make sure of enough colours.
+    rendered = 1 if model.field.mask is not None else samples_per_ray(model.sampler)[0]
+    heads = [model.field.density_head, *([model.field.color_head] if settings.shading["name"] == "none" else [])]
+    if any(isinstance(module, Normalisation) for head in heads for module in head.modules()):
+        check_samples(settings.train.rays * rendered)
+
+
 def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> SpaceMask | None:
     """Where density may be: seen by enough cameras, inside the silhouettes, and not empty; None: everywhere."""
     cameras, n = settings.visibility.cameras, settings.visibility.resolution
@@ -327,6 +338,7 @@ def run(
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     model = build_model(settings, scene)
+    check_samples_of_a_step(settings, model)
     table = ray_table(settings, scene)
     lpips.weights()  # files that cannot be used are reported now, not at the first evaluation
 
@@ -371,38 +383,50 @@ def _execute(
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
     )
-    checkpoint = store.load_checkpoint(trainer.check) if store.resumed else None
+    max_bytes = largest_state(model, settings.train.steps)
+    checkpoint = store.load_checkpoint(trainer.check, max_bytes) if store.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
     if store.resumed:
         store.resume(trainer.step)
 
-    display.begin(store.dir, trainer.step, settings.train.steps)
     train = settings.train
     measured = None
+
+    def assess() -> Measures | None:
+        """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
+        views = scene.eval if trainer.done else scene.eval[: train.eval_views or None]
+        rows, result = evaluate(evaluator, store, views, trainer.step, stopping)
+        if result is not None:
+            # Every point of the curve is a mean over the same views.
+            curve = means(rows[: train.eval_views or None])
+            store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
+            display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(result['psnr'])}")
+        return result
+
+    def is_due() -> bool:
+        return trainer.done or bool(train.eval_every and trainer.step % train.eval_every == 0)
+
+    display.begin(store.dir, trainer.step, train.steps)
     try:
+        if trainer.step and is_due() and not was_evaluated(store.dir, trainer.step):  # it was stopped in there
+            measured = assess()
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
         for metrics in trainer.steps(store, stopping):
-            done = trainer.done
             if metrics:
                 store.log(trainer.step, trainer.seconds, metrics)
                 display.step(trainer.step, metrics)
-            if done or (train.eval_every and trainer.step % train.eval_every == 0):
-                views = scene.eval if done else scene.eval[: train.eval_views or None]
-                rows, measured = evaluate(evaluator, store, views, trainer.step)
-                # Every point of the curve is a mean over the same views.
-                curve = means(rows[: train.eval_views or None])
-                store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-                display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(measured['psnr'])}")
+            if is_due():
+                measured = assess()
     finally:
         display.end()
-    if not trainer.done:
+    if trainer.done and measured is None and not stopping():  # killed between the last checkpoint and the end
+        _, measured = evaluate(evaluator, store, scene.eval, trainer.step, stopping)
+    if not trainer.done or measured is None:
         store.interrupt()
         message = f"stopped at step {trainer.step} of {train.steps}; the same command continues from there"
         return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
 
-    if measured is None:  # killed between the last checkpoint and the end
-        _, measured = evaluate(evaluator, store, scene.eval, trainer.step)
     timings = {
         "train_s": trainer.seconds,
         "step_ms": median_ms(trainer.step_seconds),
@@ -414,8 +438,19 @@ def _execute(
     return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
 
 
-def evaluate(evaluator: Evaluator, store: Run, views: Sequence[int], step: int) -> tuple[list[Measures], Measures]:
-    """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means."""
+def was_evaluated(path: Path, step: int) -> bool:
+    """Whether the run has logged an evaluation after this step."""
+    logged = read_metrics(path)
+    return bool(logged["key"][logged["step"] == step].str.startswith("eval/").any())
+
+
+def evaluate(
+    evaluator: Evaluator, store: Run, views: Sequence[int], step: int, stopping: Callable[[], bool]
+) -> tuple[list[Measures], Measures | None]:
+    """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means.
+
+    stopping: called after each view but the last. Once it is true, there are no means, and no table is written.
+    """
     start = time.perf_counter()
     rows = []
     scene = evaluator.scene
@@ -423,6 +458,8 @@ def evaluate(evaluator: Evaluator, store: Run, views: Sequence[int], step: int) 
     for rendered, row in evaluator.views(list(views), step):
         rows.append(row)
         store.save_image(names[rendered.view], evaluator.picture(rendered))
+        if len(rows) < len(views) and stopping():
+            return rows, None
     store.write_eval(rows)
     measured = means(rows)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}

@@ -71,7 +71,8 @@ def test_jobs_side_by_side_share_the_cores_and_a_failure_stops_none(parallel, tm
     assert "train.lr=-1" in stderr
     assert "train.lr must be between 1e-30 and 1000000.0, got -1" in " ".join(stderr.split())
     assert "Traceback" not in stderr
-    assert {line.split(" | ")[0] for line in stdout.splitlines()} == {"0", "1", "2"}, "each line says whose it is"
+    assert {line.split(" | ")[0] for line in stdout.splitlines()} == {"0", "2"}, "each line says whose it is"
+    assert "1 | error: train.lr" in stderr
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     for path in runs(tmp_path / "runs"):
         environment = pd.read_json(path / "environment.json", typ="series")
@@ -149,6 +150,20 @@ def test_failures_come_in_the_order_of_the_jobs_without_what_all_have_in_common(
     assert not sweep.stopping()
     sweep.stop()
     assert Sweep(tmp_path / "sweep").stopping()
+
+
+def test_a_damaged_report_of_a_job_is_one_failure(tmp_path):
+    sweep = Sweep(tmp_path / "sweep")
+    for job in range(4):
+        sweep.fail(job, [f"seed={job}"], "reason")
+    (sweep.folder / "failed" / "0.json").write_text("[" * 100_000)
+    (sweep.folder / "failed" / "1.json").write_text('{"overrides": 3}')
+    (sweep.folder / "failed" / "2.json").unlink()
+    (sweep.folder / "failed" / "2.json").symlink_to(sweep.folder / "failed" / "3.json")
+    (sweep.folder / "failed" / "other.json").write_text("{}")
+    failures = sweep.failures()
+    assert [job for job, _ in failures] == ["job 0", "job 1", "job 2", "seed=3"]
+    assert all("cannot be read" in reason for _, reason in failures[:3])
 
 
 def test_every_line_gets_its_prefix():

@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from qnerf import records
 from qnerf.cli.main import main
 from tests.helpers.configs import ROOT, TINY
 
@@ -85,13 +86,18 @@ def test_cfg_job_prints_the_configuration(small):
     assert "log2_table_size: 13" in done.stdout
 
 
-def test_the_console_command_takes_the_same_options(small):
+def test_the_console_command_takes_the_same_options(small, tmp_path):
+    """Also where standard output knows only ASCII, and the store is named with an umlaut."""
+    store = tmp_path / "täst"
     done = subprocess.run(
-        [sys.executable, "-c", "from qnerf.cli.main import main; main()", "run", *small, "train.steps=2"],
+        [sys.executable, "-c", "from qnerf.cli.main import main; main()", "run", *small, "train.steps=2",
+         f"store='{store}'"],
+        env=os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert len(runs(small)) == 1
+    (run,) = records.runs(store)
+    assert f"t\\xe4st/{run.name}" in done.stdout
     unknown = subprocess.run(
         [sys.executable, "-c", "from qnerf.cli.main import main; main()", "fly"],
         capture_output=True,

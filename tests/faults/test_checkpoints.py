@@ -41,6 +41,9 @@ def test_a_changed_checkpoint_is_never_loaded_in_part(tmp_path: Path) -> None:
             assert message.endswith("going on from the checkpoint before")
         else:
             assert any(part in line["file"] for part in HARMLESS), line
+    both, harmless = (
+        sum(match in line["file"] for line in results for match in matches) for matches in (["both"], HARMLESS)
+    )
     previous = sum(line["outcome"] == "previous" for line in results)
-    assert previous > 0.8 * len(results)
+    assert previous >= len(results) - both - harmless > len(results) / 2
     print(f"{len(results)} files, {previous} times the checkpoint before")

@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 
+from qnerf import experiment
+from qnerf.cli import launch, main
 from qnerf.cli.ends import Output, output_lost, stoppable
 from qnerf.experiment import stop_requests
-from qnerf.records import read_metrics, runs, state
+from qnerf.records import Run, read_metrics, runs, state
 from tests.helpers.configs import ROOT, TINY
 from tests.helpers.scenes import write_scene
 
@@ -163,6 +165,55 @@ def test_too_little_memory_is_one_line(start: Any, options: list[str], store: Pa
     assert process.returncode == 2
     assert errors.startswith("error: a limit of this system is reached")
     assert errors.count("\n") == 1
+
+
+def test_a_stop_while_the_scene_is_read_leaves_no_run(start: Any, options: list[str], tmp_path: Path) -> None:
+    (tmp_path / "slow_scene.py").write_text(
+        "import signal\n"
+        "from qnerf.scenes import SCENES\n\n"
+        '@SCENES.register("slow")\n'
+        "def slow():\n"
+        "    signal.raise_signal(signal.SIGTERM)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    process = start("plugins=[slow_scene]", *options, "scene.name=slow", "~scene.path", "~scene.downscale",
+                    "~scene.skip_missing", env=environment)  # fmt: skip
+    _, errors = process.communicate(timeout=200)
+    assert (process.returncode, errors.count("\n")) == (130, 1), errors
+    assert errors.startswith("stopped; the same command continues")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_stop_while_modules_are_imported_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(launch, "run_command", interrupted)
+    monkeypatch.setattr(sys, "argv", ["qnerf run"])
+    with pytest.raises(SystemExit) as end:
+        main.run()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "stopped\n"
+
+
+def test_a_run_that_is_being_finished_is_finished(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first request comes too late to matter; the second interrupts the run, which then can be resumed."""
+    finish, requests = Run.finish, 2
+
+    def stopped(self: Run, summary: Any = None) -> None:
+        for _ in range(requests):
+            signal.raise_signal(signal.SIGTERM)
+        finish(self, summary)
+
+    monkeypatch.setattr(Run, "finish", stopped)
+    with stoppable(), pytest.raises(KeyboardInterrupt):
+        experiment.run(tiny())
+    assert [state(run) for run in runs(tiny()["store"])] == ["interrupted"]
+    requests = 1
+    with stoppable():
+        assert experiment.run(tiny()).state == "finished"
 
 
 # The pieces

@@ -1,4 +1,4 @@
-"""Writers that are killed at their system calls: at each one with QNERF_FAULTS=full, else at every eighth.
+"""Writers that are killed at their system calls: at each one with QNERF_FAULTS=full, else at every 24th.
 
 With strace the kills hit real system calls. Where it is missing or may not trace, they hit Python's audit events.
 """
@@ -41,7 +41,7 @@ def shim() -> str:
 
 
 def test_killed_at_every_call(tmp_path: Path, whole: Path, shim: str) -> None:
-    every = 1 if FULL else 8 if shim == "strace" else 3
+    every = 1 if FULL else 24 if shim == "strace" else 8
     process = start("deaths", str(tmp_path), str(every), shim, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     out, err = process.communicate(timeout=1800)
     rounds = [json.loads(line) for line in out.splitlines()]
@@ -63,7 +63,6 @@ def test_killed_at_every_call(tmp_path: Path, whole: Path, shim: str) -> None:
         )
         last = torch.load(run / "checkpoint.pt", weights_only=True)
         assert all(torch.equal(last[name], checkpoint[name]) for name in ("value", "random"))
-        left = [path for path in run.rglob(".*.tmp") if path.parent.name != "owner"]  # others may be claiming there
-        assert not left, line
+        assert not list(run.rglob(".*.tmp")), line
         assert not list((store / ".tmp").glob("old-*")), line
     print(f"{shim}: {dict(kills)}")

@@ -1,10 +1,10 @@
 """Writers that are killed before their n-th system call, n = 1, 2, ... until they get through.
 
-python -m tests.helpers.deaths FOLDER EVERY strace|audit
+python -m tests.helpers.deaths FOLDER EVERY strace|audit [OPERATION ...]
 
-A training (that of `tests.helpers.jobs`) is killed in each of `OPERATIONS`, and the next process finishes it. EVERY is
-1 for each call, 3 for each third. `strace` injects the kill before a real system call. `audit` kills before one of
-Python's audit events, for systems without strace. Prints one JSON line per round.
+A training (that of `tests.helpers.jobs`) is killed in each of `OPERATIONS`, or in those named, and the next process
+finishes it. EVERY is 1 for each call, 3 for each third. `strace` injects the kill before a real system call. `audit`
+kills before one of Python's audit events, for systems without strace. Prints one JSON line per round.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -204,11 +204,11 @@ def resume(root: Path) -> None:
         train(run, pace=0.0)
 
 
-def main(root: Path, every: int, kind: str) -> None:
+def main(root: Path, every: int, kind: str, operations: Sequence[str]) -> None:
     import torch
 
     torch.set_num_threads(1)
-    for operation in OPERATIONS:
+    for operation in operations:
         folder = root / operation.replace(" ", "-")
         folder.mkdir()
         for number, strace in moments(folder, operation, kind):
@@ -224,4 +224,4 @@ def main(root: Path, every: int, kind: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], sys.argv[4:] or list(OPERATIONS))

@@ -102,7 +102,7 @@ def files(state: dict[str, Any], full: bool) -> Iterator[tuple[str, bytes]]:
     paths = list(leaves(state))
     if not full:  # all of the outer ones, a few of the parameters and their moments
         inner = [path for path in paths if len(path) > 2 or path[0] == "model"]
-        paths = [path for path in paths if path not in inner] + rng.sample(inner, 10)
+        paths = [path for path in paths if path not in inner] + rng.sample(inner, 5)
     for path in paths:
         value = get(state, path)
         name = ".".join(map(str, path))
@@ -124,7 +124,7 @@ def files(state: dict[str, Any], full: bool) -> Iterator[tuple[str, bytes]]:
                 continue
             yield f"{name}: {label}", saved(changed(state, path, other))
     whole = saved(state)
-    for _ in range(300 if full else 20):
+    for _ in range(300 if full else 10):
         data = bytearray(whole)
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         yield "bit flipped", bytes(data)

@@ -12,6 +12,9 @@ from typing import Any
 import pytest
 import torch
 
+from qnerf.config import memory
+from qnerf.records.checkpoints import load_archive
+from qnerf.records.tensor_bounds import check_bounds
 from tests.helpers.spoiled import interrupted, started, store
 
 
@@ -72,6 +75,35 @@ def shared(_: object) -> bytes:
     return data.getvalue()
 
 
+def edited(old: bytes, new: bytes, file: str = "data.pkl") -> bytes:
+    """A checkpoint with a tensor of four numbers, in which one of the archive's files is changed."""
+    whole = zipfile.ZipFile(io.BytesIO(saved({"step": 3, "x": torch.arange(4.0)})))
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for item in whole.infolist():
+            content = whole.read(item)
+            if item.filename.endswith(file):
+                assert old in content
+                content = content.replace(old, new)
+            archive.writestr(item.filename, content)
+    return data.getvalue()
+
+
+FOUR, MANY = b"K\x04", b"M\x00\x10"  # pickled integers
+LYING: list[Callable[[str], bytes]] = [
+    lambda _: edited(FOUR, MANY),  # storage and shape
+    lambda _: edited(FOUR + b"t", MANY + b"t"),  # the storage
+    lambda _: edited(FOUR + b"\x85", MANY + b"\x85"),  # the shape
+    lambda _: edited(b"K\x01\x85", MANY + b"\x85"),  # the stride
+    lambda _: edited(b"QK\x00", b"Q" + MANY),  # the offset
+    lambda _: edited(b"FloatStorage", b"DoubleStorage"),
+    lambda _: edited(bytes(4), b"", "data/0"),  # fewer bytes than the tensor has
+    lambda _: edited(b"u.", b"(K\x00K\x01uu."),  # writes into the tensor
+    lambda _: b"before" + edited(b"", b""),
+    lambda _: edited(b"", b"", "nothing").replace(b"/version", b"/BYTEORDER"),  # twice the same name, but for case
+]
+
+
 @pytest.mark.parametrize(
     "made",
     [
@@ -84,8 +116,8 @@ def shared(_: object) -> bytes:
         shared,
         lambda _: saved([1, 2]),
         lambda _: saved({"step": 3, "x": type("Own", (), {"__reduce__": lambda self: (open, ("/dev/zero",))})()}),
+        *LYING,
     ],
-    ids=["reduce", "eval", "alone", "legacy", "pickle", "compressed", "shared", "no dict", "open"],
 )
 def test_a_hostile_checkpoint_is_set_aside(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, made: Callable[[str], bytes]
@@ -103,6 +135,38 @@ def test_a_hostile_checkpoint_is_set_aside(
     assert "going on from the checkpoint before" in message
     assert "\n" not in message
     claim.run.interrupt()
+
+
+@pytest.mark.parametrize("made", LYING)
+def test_sizes_that_lie_are_found_before_pytorch_reads_them(tmp_path: Path, made: Callable[[str], bytes]) -> None:
+    """Some versions of PyTorch would make a tensor of memory that does not belong to it."""
+    data = made("")
+    with pytest.raises((pickle.UnpicklingError, zipfile.BadZipFile, TypeError)):
+        check_bounds(zipfile.ZipFile(io.BytesIO(data)))
+
+
+def test_true_sizes_pass() -> None:
+    odd = {"scalar": torch.tensor(2), "empty": torch.empty(0, 3), "turned": torch.rand(3, 4).t()[1:]}
+    rest = {"none": None, "large": 10**30, "nested": [1.5, (True, "text")], "state": torch.nn.Linear(3, 2).state_dict()}
+    check_bounds(zipfile.ZipFile(io.BytesIO(saved(odd | rest))))
+
+
+def test_a_checkpoint_larger_than_that_of_the_run_is_not_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    run = interrupted(tmp_path)
+    (run / "checkpoint.pt").write_bytes(saved({"step": 3, "x": torch.zeros(2**18)}))
+    claim = store(tmp_path).claim("a", {})
+    assert claim.run is not None
+    with caplog.at_level(logging.WARNING):
+        assert claim.run.load_checkpoint(max_bytes=2**20) == {"step": 8}
+    assert "larger than the 1,048,576 bytes" in caplog.messages[0]
+    claim.run.interrupt()
+
+
+def test_a_file_that_does_not_fit_in_memory_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = interrupted(tmp_path)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 100)
+    with pytest.raises(MemoryError, match="not enough memory for a checkpoint of"):
+        load_archive(run / "checkpoint.pt")
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe", "folder"])

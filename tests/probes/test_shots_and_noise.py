@@ -4,6 +4,7 @@ import pytest
 from qnerf.experiment import run
 from qnerf.probes import load
 from qnerf.probes.shots_and_noise import Condition, evaluate_hardware, grid
+from qnerf.records import StoreError
 
 SMALL = ("qiren.qubits=3", "train.steps=3")
 
@@ -24,6 +25,9 @@ def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(tin
     noisy = again[again["noise"] == "depolarizing"].iloc[0]
     assert (noisy["shots"], noisy["p"]) == (4, 0.3)
     pd.testing.assert_frame_equal(pd.read_parquet(path / "eval_hardware.parquet"), again)
+    (path / "eval_hardware.parquet").write_bytes(b"PAR1")
+    with pytest.raises(StoreError, match=r"eval_hardware\.parquet"):
+        evaluate_hardware(load(path), [Condition()])
 
 
 def test_rows_of_another_command_meanwhile_stay(tiny):

@@ -8,11 +8,12 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from qnerf import records
-from qnerf.records import Run, RunStore, StoreError, owner
+from qnerf.records import Run, RunStore, StoreError, annotations, owner
 from tests.helpers.processes import start
 from tests.helpers.stores import CONFIG, claimed, vanish
 
@@ -37,6 +38,44 @@ def test_a_recycled_pid_is_not_the_owner(store_: RunStore) -> None:
     assert "was interrupted, going on from the start" in again.message
     assert again.run is not None
     again.run.finish()
+
+
+def test_the_next_owner_removes_what_a_killed_claim_left(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.interrupt()
+    annotations.change_tags(run.dir, ["one"])
+    left = [run.dir / name for name in ("owner/.000001.json.0a.tmp", ".annotations/.annotations.json.0a.tmp")]
+    for path in left:
+        path.write_text("{}")
+    claimed(store_).interrupt()
+    annotations.change_tags(run.dir, ["two"])
+    assert not any(path.exists() for path in left)
+
+
+def test_a_new_run_that_was_killed_before_it_had_an_owner_is_removed(store_: RunStore) -> None:
+    folder = store_.root / ".tmp" / "new-a-0123abcd"
+    (folder / "owner").mkdir(parents=True)
+    (folder / "owner" / ".000000.json.0123abcd.tmp").write_text("{}")
+    os.utime(folder, (0, 0))
+    claimed(store_).interrupt()
+    assert not folder.exists()
+
+
+def test_a_contender_whose_file_the_owner_removes_finds_the_run_owned(
+    store_: RunStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = claimed(store_)
+    run.interrupt()
+    link, winners = os.link, []
+
+    def slow(*arguments: Any, **options: Any) -> None:  # the other process is faster, and tidies
+        monkeypatch.undo()
+        winners.append(claimed(store_))
+        link(*arguments, **options)
+
+    monkeypatch.setattr(os, "link", slow)
+    assert store_.claim("a", CONFIG).outcome == "busy"
+    winners[0].interrupt()
 
 
 def elsewhere(run: Run, age: float) -> None:

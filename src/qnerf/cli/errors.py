@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -38,11 +39,15 @@ def exit_code(command: Callable[[], int | None]) -> int:
 
 
 def check_process() -> None:
-    """ValueError if the working folder was deleted: nearly every library asks for it."""
+    """ValueError if the working folder was deleted, which nearly every library asks for, or Numba's threads are no
+    number: it would print a traceback."""
     try:
         os.getcwd()
     except FileNotFoundError:
         raise ValueError("the working folder no longer exists; change to another one") from None
+    threads = os.environ.get("NUMBA_NUM_THREADS", "")
+    if threads and not re.fullmatch(" *0*[1-9][0-9]{0,8} *", threads):
+        raise ValueError(f"NUMBA_NUM_THREADS must be a whole number from 1, got {threads!r:.100}")
 
 
 class Parser(argparse.ArgumentParser):

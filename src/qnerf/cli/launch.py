@@ -23,6 +23,7 @@ import hydra
 from annotated_types import MinLen
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
 from hydra.experimental.callback import Callback
@@ -70,7 +71,7 @@ class SweepStart(Callback):
         _rename_swept(config)
         try:
             bounds.check("store", config.store, Annotated[str, MinLen(1)])  # the sweep's folder is inside
-            _count_jobs(config)
+            _check_jobs(config)
         except (ValueError, HydraException, OmegaConfBaseException) as error:
             sys.exit(report(error))  # Hydra would only warn
         sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
@@ -95,17 +96,22 @@ def _rename_swept(config: DictConfig) -> None:
             config.hydra.sweeper.params = {typed.option(key, f"={value}"): value for key, value in params.items()}
 
 
-def _count_jobs(config: DictConfig) -> None:
-    """ValueError if the sweep has no job, or more than `MAX_JOBS`."""
+def _check_jobs(config: DictConfig) -> None:
+    """ValueError if the sweep has no job, or more than `MAX_JOBS`, or names a choice that does not exist."""
+    loader = GlobalHydra.instance().config_loader()
     params = config.hydra.sweeper.get("params") or {}
     arguments = [*config.hydra.overrides.task, *(f"{key}={value}" for key, value in params.items())]
     jobs = 1
-    for override in OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(arguments):
+    for override in OverridesParser.create(loader).parse_overrides(arguments):
         if override.is_sweep_override() and override.is_discrete_sweep():
-            values = sum(1 for _ in islice(override.sweep_string_iterator(), MAX_JOBS + 1))
+            values = list(islice(override.sweep_string_iterator(), MAX_JOBS + 1))
             if not values:
                 raise ValueError(f"{override.input_line}: an empty list of values, so there is no job")
-            jobs *= values
+            jobs *= len(values)
+            known = loader.get_group_options(override.key_or_group, ObjectType.CONFIG)
+            names = [value for value in values if re.fullmatch(r"[\w.-]+", value) and value != "null"]
+            if known and (unknown := [name for name in names if name.removesuffix(".yaml") not in known]):
+                raise ValueError(f"{override.key_or_group}={unknown[0]}: unknown; known: {', '.join(known)}")
     if jobs > MAX_JOBS:
         raise ValueError(f"the sweep has more than {MAX_JOBS} jobs")
 
@@ -168,6 +174,7 @@ class _Prefixed:
 @ends.stoppable()  # the processes of a launcher start here
 def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
+    escape_unencodable()  # in a launcher's process, too
     hydra_config = HydraConfig.get()
     sweep = Sweep(hydra_config.sweep.dir) if hydra_config.mode == RunMode.MULTIRUN else None
     _jobs.append(sweep)
@@ -226,7 +233,6 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     overrides = list(HydraConfig.get().overrides.task)
-    escape_unencodable()
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
     if sweep is None:
         console.print(tree("configuration", config))
@@ -303,6 +309,9 @@ def _composition_message(error: Exception) -> str:
         group, _, name = str(error.missing_cfg_file).rpartition("/")
         known = f"known: {', '.join(error.options)}" if error.options else "--sweep NAME lists the sweeps"
         return f"{group or 'config'}={name}: unknown; {known}"
+    if "LexerNoViableAltException: " in str(error):
+        word = one_line(error).partition("LexerNoViableAltException: ")[2].partition(" ^")[0]
+        return f"{word}: has a character that needs quotes, as in \"store='my runs'\""
     unknown = _unknown_option(str(error))
     if unknown:
         return unknown

@@ -10,7 +10,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.ends import OUTPUT_LOST, open_standard_streams, output_lost, stoppable
+from qnerf.cli.ends import OUTPUT_LOST, open_standard_streams, output_lost, stoppable, stopped_code
 from qnerf.cli.errors import Parser, check_process, exit_code, is_shortage, report
 from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import expand_sweep
@@ -71,6 +71,9 @@ def run() -> None:
             run_command()
             if output_lost():
                 sys.exit(OUTPUT_LOST)
+        except KeyboardInterrupt:  # while modules are imported
+            print("stopped", file=sys.stderr)
+            sys.exit(stopped_code())
         except Exception as error:
             if not is_shortage(error):
                 raise

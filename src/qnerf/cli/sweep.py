@@ -57,9 +57,21 @@ class Sweep:
 
     def failures(self) -> list[tuple[str, str]]:
         """Each failed job's own overrides and the reason, in the order of the jobs."""
-        paths = sorted((self.folder / "failed").glob("*.json"), key=lambda path: int(path.stem))
-        failed = [json.loads(path.read_text()) for path in paths]
-        return [(self._own(job["overrides"]), job["reason"]) for job in failed]
+        from qnerf.records.files import read_json  # imports pandas, which `qnerf --help` must not wait for
+        from qnerf.records.numbered import NumberedFiles
+
+        failed = []
+        try:
+            reports = NumberedFiles("", 1, ".json").in_folder(self.folder / "failed")
+        except FileNotFoundError:
+            return []
+        for number, path in reports.items():
+            try:
+                job = read_json(path)
+                failed.append((self._own(list(map(str, job["overrides"]))), str(job["reason"])))
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                failed.append((f"job {number}", f"{path}: cannot be read: {error}"))
+        return failed
 
     def _own(self, overrides: Sequence[str]) -> str:
         return " ".join([item for item in overrides if item not in self.common] or overrides)

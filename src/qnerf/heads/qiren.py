@@ -16,6 +16,15 @@ from qnerf.quantum.layer import Method
 Statistics = Literal["batch", "first"]
 
 
+def check_samples(count: int) -> None:
+    """ValueError if a circuit head gets too few samples in a training step."""
+    if count < MIN_BATCH:
+        raise ValueError(
+            f"a circuit head normalises over the samples of a step: expected at least {MIN_BATCH}, got {count}; "
+            "raise train.rays or the samples of a ray"
+        )
+
+
 class Normalisation(nn.BatchNorm1d):
     """Batch normalisation (N, wires) that stays accurate when the mean is far from 0.
 
@@ -88,11 +97,8 @@ class HybridLayer(nn.Module):
         self.input_scale = input_scale
 
     def forward(self, features: Tensor) -> Tensor:
-        if self.training and len(features) < MIN_BATCH and not self.norm.known:
-            raise ValueError(
-                f"a circuit head normalises over the samples of a step: expected at least {MIN_BATCH}, "
-                f"got {len(features)}; raise train.rays or the samples of a ray"
-            )
+        if self.training and not self.norm.known:
+            check_samples(len(features))
         # Batch normalisation cancels the bias, so its gradient is pure rounding error. Adam would turn that into full
         # steps: the bias would drift at random, and the running statistics that evaluation uses would lag behind it.
         bias: Tensor = self.linear.bias

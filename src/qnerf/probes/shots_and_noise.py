@@ -14,7 +14,8 @@ from qnerf.metrics import image_metrics, metric_of
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer, hardware_conditions
 from qnerf.quantum.pennylane import Noise
-from qnerf.records.files import replace
+from qnerf.records.files import exists, replace
+from qnerf.records.read import read_probe
 from qnerf.training.evaluation import Evaluator
 
 FILE = "eval_hardware.parquet"
@@ -99,7 +100,7 @@ def evaluate_hardware(
         The whole table: image, psnr, ssim, lpips, lpips_reason, depth_error, depth_error_median, and `KEYS`.
 
     Raises:
-        ValueError: the run has no circuit, or the noise would take hours.
+        ValueError: the run has no circuit, the noise would take hours, or the table is damaged.
     """
     folder, scene, model = trained.folder, trained.scene, trained.model
     if not any(isinstance(module, QuantumLayer) for module in model.modules()):
@@ -116,6 +117,11 @@ def evaluate_hardware(
     if any(condition.noise != "none" for condition in conditions):
         check_noise_feasible(evaluator, views or len(scene.eval))
     path = folder / FILE
+
+    def measured() -> pd.DataFrame | None:
+        return read_probe(folder, path.stem) if exists(path) else None
+
+    measured()  # a damaged table is reported now
     table = pd.DataFrame()
     for condition in conditions:
         noise = Noise(**{condition.noise: condition.p}) if condition.noise != "none" else None
@@ -125,7 +131,8 @@ def evaluate_hardware(
                 rows.append(row | vars(condition))
         new = pd.DataFrame(rows).astype({item.key: "float64" for item in image_metrics()})
         # Read and written after each condition, so that no row is lost if this stops or another command writes too.
-        table = pd.concat([pd.read_parquet(path), new]) if path.exists() else new
+        earlier = measured()
+        table = new if earlier is None else pd.concat([earlier, new])
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())
         shots = f"{condition.shots} shots" if condition.shots else "exact"

@@ -18,7 +18,7 @@ from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import reporting
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
-from qnerf.training.state_checks import check_integer, check_model
+from qnerf.training.state_checks import check_integer, check_model, largest_state
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
     path = folder / "checkpoint.pt"
     with reporting(path, "read"):
         try:
-            checkpoint = load_archive(path)
+            checkpoint = load_archive(path, largest_state(model, settings.train.steps))
             step = checkpoint["step"]
             check_integer("step", step, 0, settings.train.steps)
             check_model(checkpoint["model"], model.state_dict())

@@ -119,6 +119,7 @@ def _changing(run_dir: Path) -> Iterator[Path]:
         if time.monotonic() > end:
             raise StoreError(f"{path}: being changed by {claim or 'another process'}; try again")
         time.sleep(0.01)
+    files.remove_temporary_files(lock)  # of a change that was killed
     try:
         yield path
     finally:

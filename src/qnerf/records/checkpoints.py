@@ -10,7 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from qnerf.config import memory
 from qnerf.records.files import StoreError, open_plain, preserve, rename, replace, reporting
+from qnerf.records.tensor_bounds import check_bounds
 
 
 class Checkpoints:
@@ -41,11 +43,13 @@ class Checkpoints:
         self._check_owner()
         preserve(self.current, self.previous)
 
-    def load(self, check: Callable[[dict[str, Any]], None] = lambda content: None) -> dict[str, Any] | None:
+    def load(
+        self, check: Callable[[dict[str, Any]], None] = lambda content: None, max_bytes: int | None = None
+    ) -> dict[str, Any] | None:
         """The newest checkpoint that can be read and that passes `check`; None if none can be read.
 
-        check: raises ValueError if the content does not belong to the run. A checkpoint that is not used is renamed,
-        with a warning.
+        check: raises ValueError if the content does not belong to the run. max_bytes: of a checkpoint's file, at most.
+        A checkpoint that is not used is renamed, with a warning.
 
         Raises:
             StoreError: a checkpoint can be read, but none belongs to the run. All files stay as they are.
@@ -55,7 +59,7 @@ class Checkpoints:
         content = None
         for path in (self.current, self.previous):
             try:
-                loaded = load_archive(path)
+                loaded = load_archive(path, max_bytes)
             except FileNotFoundError:
                 continue
             except MemoryError:
@@ -85,30 +89,37 @@ class Checkpoints:
         return content
 
 
-def load_archive(path: Path) -> dict[str, Any]:
+def load_archive(path: Path, max_bytes: int | None = None) -> dict[str, Any]:
     """The dict that `torch.save` wrote, with tensors on the CPU. Nothing in the file is executed.
+
+    max_bytes: of the file, at most; by default, what fits in memory.
 
     Raises:
         MemoryError: there is too little memory for a file of this size.
-        Exception: of any kind, if the file is damaged or something else.
+        Exception: of any kind, if the file is damaged, too large or something else.
     """
     import torch
 
-    with open_plain(path) as file:
+    with open_plain(path, max_bytes=max_bytes) as file:
         size = os.fstat(file.fileno()).st_size
+        too_little = MemoryError(f"{path}: not enough memory for a checkpoint of {size:,} bytes")
+        available = memory.available_bytes()
+        if available is not None and size > available:
+            raise too_little
         with zipfile.ZipFile(file) as archive:
             # torch.save neither compresses nor shares bytes. An archive that unpacks to more than its size is not its.
             if sum(item.file_size for item in archive.infolist()) > size:
                 raise zipfile.BadZipFile("it would unpack to more than it holds")
             if (name := archive.testzip()) is not None:  # torch.load does not check the checksums
                 raise zipfile.BadZipFile(f"wrong checksum of {name}")
+            check_bounds(archive)
         file.seek(0)
         try:
             content = torch.load(file, map_location="cpu", weights_only=True)
         except RuntimeError as error:
             wanted = re.search(r"tried to allocate (\d+) bytes", str(error))
             if wanted and int(wanted[1]) <= size:
-                raise MemoryError(f"{path}: not enough memory for a checkpoint of {size:,} bytes") from error
+                raise too_little from error
             raise
     if not isinstance(content, dict):
         raise pickle.UnpicklingError(f"expected a dict, got {type(content).__name__}")

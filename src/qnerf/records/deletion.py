@@ -40,6 +40,7 @@ from qnerf.records.read import state
 _FIRST_FILES = {"config.yaml", "overrides.txt", "eval.parquet", "summary.parquet", "metrics", "images"}
 _NONCE = re.compile(r"[0-9a-f]{16}")
 _TRASH_NAME = re.compile(r"(new|old)-(.+)-[0-9a-f]{8}")
+_UNFINISHED = re.compile(r"\.[0-9]{6}\.json\.[0-9a-f]{8}\.tmp")
 _ABANDONED_S = 3600.0  # nobody takes so long to make a new run's folder
 
 
@@ -172,9 +173,9 @@ def delete_leftovers(store: Path, run_id: str | None = None) -> None:
 
 
 def _is_hollow(folder: Path) -> bool:
-    """Whether the folder holds no more than an empty `owner/`."""
+    """Whether the folder holds no more than `owner/`, and that no more than records that were not complete yet."""
     names = entries_in(folder)
-    return not names or (list(names) == ["owner"] and not entries_in(folder / "owner"))
+    return not names or (list(names) == ["owner"] and all(map(_UNFINISHED.fullmatch, entries_in(folder / "owner"))))
 
 
 def _is_abandoned(folder: Path) -> bool:

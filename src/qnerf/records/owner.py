@@ -147,6 +147,8 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
                     continue
                 if _succeeds(directory, ownership, record):
                     _remove_older(directory, ownership.number)
+                    # A contender whose temporary file goes finds the run owned when it tries again.
+                    files.remove_temporary_files(directory / "owner")
                     return ownership
                 files.delete(_owner_file(directory, ownership.number), ignore_errors=True)
             except FileNotFoundError:

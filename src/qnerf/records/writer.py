@@ -278,10 +278,12 @@ class Run:
             self._ownership.check()
             self._checkpoints.save(dict(content))
 
-    def load_checkpoint(self, check: Callable[[dict[str, Any]], None] = lambda content: None) -> dict[str, Any] | None:
+    def load_checkpoint(
+        self, check: Callable[[dict[str, Any]], None] = lambda content: None, max_bytes: int | None = None
+    ) -> dict[str, Any] | None:
         """The last checkpoint that can be read, with its tensors on the CPU; see `Checkpoints.load`."""
         with self._io:
-            return self._checkpoints.load(check)
+            return self._checkpoints.load(check, max_bytes)
 
     # State
 

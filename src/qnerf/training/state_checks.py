@@ -16,6 +16,15 @@ CPU_STATE = len(torch.Generator().get_state())  # bytes of a random generator's 
 CUDA_STATE = 16
 
 
+def largest_state(model: torch.nn.Module, steps: int) -> int:
+    """Bytes that a checkpoint of the model takes at most.
+
+    That is the model, the two moments of Adam and the times of all steps, with 16 MiB for everything else.
+    """
+    tensors = sum(value.nbytes for value in model.state_dict().values())
+    return (1 + len(MOMENTS)) * tensors + 8 * steps + 2**24
+
+
 def check_tensor(name: str, value: Any, like: Tensor, *, finite: bool = True) -> None:
     """ValueError unless `value` is an ordinary CPU tensor with the shape and dtype of `like`.
 
