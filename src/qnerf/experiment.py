@@ -128,6 +128,8 @@ def check_components(config: Mapping[str, Any], undecided: Collection[str] = ())
 
     undecided: as in `check_settings`, which has checked the config before.
     """
+    tables = [option for option in undecided if option.startswith("hash.")]
+    undecided = {*undecided, *(option.replace("hash.", "encoder.") for option in tables)}  # the encoder follows them
 
     def check(group: str, node: Any, *components: Callable[..., Any]) -> None:
         """Each option of the node, which is one of any of the components."""
