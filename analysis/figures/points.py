@@ -67,7 +67,7 @@ def names(
     used = [key for key in _NAME_LABELS if key in always or labels[key].nunique() > 1] or ["field"]
     texts = pd.Series([" ".join(filter(None, row)) for row in labels[used].to_numpy()], index=table.index, dtype=object)
     settings = _settings(table, runs, ignored)
-    for key in settings:
+    for key in settings.columns[settings.nunique() > 1]:
         groups = pd.DataFrame({"scene": table["scene_name"], "text": texts, "value": settings[key]})
         several = groups.groupby(["scene", "text"])["value"].transform("nunique") > 1
         texts = texts.where(~several, texts + f", {key}=" + settings[key])

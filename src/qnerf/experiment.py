@@ -131,6 +131,8 @@ def check_components(config: Mapping[str, Any], undecided: Collection[str] = ())
     undecided: as in `check_settings`, which has checked the config before. While there are any, every option may be
     `auto`: it may be the copy of an undecided one.
     """
+    tables = [option for option in undecided if option.startswith("hash.")]
+    undecided = {*undecided, *(option.replace("hash.", "encoder.") for option in tables)}  # the encoder follows them
 
     def check(group: str, node: Any, *components: Callable[..., Any]) -> None:
         """Each option of the node, which is one of any of the components."""

@@ -132,7 +132,7 @@ def test_unusual_scenes_train(auto, world, decisions):
         (BALL, ("train.lr=auto",), "train.lr expects float, got 'auto'"),
         (BALL, ("needs=none", "train.lr=auto"), "train.lr expects float, got 'auto'"),
         (BALL, ("hash.min_resolution=auto",), r"hash\.min_resolution must be a whole number of at least 1, got 'auto'"),
-        (BALL, ("sampler.final=auto",), "sampler.final expects int, got 'auto'"),
+        (BALL, ("sampler.final=auto",), r"sampler\.final expects int, got 'auto'"),
         (BALL, ("contraction.name=box", "+contraction.half_extent=x"), "half_extent expects float, got 'x'"),
         (
             constant(9),

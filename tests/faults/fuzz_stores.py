@@ -9,7 +9,8 @@ that it declares, without an exception, and without control characters in what i
 be read into its output or changed. A failure is tried again with each of its mutations alone, and printed with those
 that are needed. Exit code: 1 if any case failed.
 
-To keep a case at about a second, the report draws one or two of its figures, another choice in each case.
+A case takes about three seconds, with --quick one. The report draws one or two of its figures, another choice in each
+case.
 """
 
 import argparse
@@ -364,21 +365,28 @@ class Fuzzer:
         self.base = base
         self.seconds: collections.Counter[str] = collections.Counter()
         with open(os.devnull, "w") as null, contextlib.redirect_stdout(null), contextlib.redirect_stderr(null):
-            if not (base / "kept").is_dir():
+            if trained := not (base / "kept").is_dir():
                 write_template(base)
                 shutil.copytree(base / "outside", base / "kept", symlinks=True)
-            self._import_everything()
+            self._import_everything(trained)
         self.pristine = snapshot(base / "outside")
 
-    def _import_everything(self) -> None:
-        """What the commands import, before the fork. Figures start slowly."""
+    def _import_everything(self, trained: bool) -> None:
+        """What the commands import, before the fork. The first figure and the first training start slowly.
+
+        trained: whether this process has trained already.
+        """
         work = self.base / "warm"
         work.mkdir()
         with contextlib.chdir(work):
-            for arguments in commands(0, self.base / "store", (), ["capacity"]):
+            shutil.copytree(self.base / "store", work / "store", symlinks=True)
+            if not trained:
+                (interrupted,) = work.glob("store/*-s2-*")
+                console("resume", interrupted)
+            for arguments in commands(0, work / "store", (), ["capacity"]):
                 if arguments[0] in ("runs", "show", "diff", "tables", "export"):
                     console(*arguments)
-            console("figures", self.base / "store", "capacity", "qualitative", "--formats=svg,png,pdf")
+            console("figures", work / "store", "capacity", "--formats=svg,png,pdf")
             for module in ("__main__", "content", "curves", "page", "parts", "pictures"):
                 importlib.import_module(f"qnerf.analysis.report.{module}")
         shutil.rmtree(work)

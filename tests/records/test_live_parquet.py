@@ -83,6 +83,25 @@ def test_a_file_that_is_rewritten_for_ever_does_not_grow_for_ever(monkeypatch: p
     assert max(lengths) < 4 * alone
 
 
+def test_a_damaged_file_is_replaced_and_its_footer_ends_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyarrow ends the process when it is asked for a column whose part of the footer is damaged."""
+    monkeypatch.setattr(live_parquet, "MAX_OLD_BYTES", 0)
+    old = appended(encode(table(20)), table(20, 20))
+    start, expected = live_parquet.footer_start(old), table(3)
+    for place in range(start, len(old) - 8, 7):
+        for bit in (1, 4, 64):
+            damaged = bytearray(old)
+            damaged[place] ^= bit
+            assert read(rewritten(bytes(damaged), partial(encode, expected))).equals(expected)
+
+
+def test_rows_follow_those_that_another_program_wrote() -> None:
+    other = table(5).set_column(0, "step", pa.array(range(5), pa.int32()))
+    sink = io.BytesIO()
+    pq.write_table(other, sink)
+    assert read(appended(sink.getvalue(), table(5, 5))).equals(table(10))
+
+
 @pytest.mark.parametrize("reader", ["pandas", "duckdb"])
 def test_readers_that_open_a_file_twice(tmp_path: Path, reader: str) -> None:
     """They read a part while another process replaces it."""

@@ -1,7 +1,7 @@
 """What the index holds of each file of a run: from the file's bytes to the names, kinds and values of one row."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +11,7 @@ from qnerf.records.files import StoreError, parse_json
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY
 from qnerf.records.index.ragged_rows import RaggedRow, RaggedTable, RowShape
 from qnerf.records.owner import unix_time
-from qnerf.records.parquet import reading
+from qnerf.records.parquet import KINDS, reading
 from qnerf.records.read import STATES
 from qnerf.records.schemas import check_status, summary_kinds
 
@@ -37,6 +37,34 @@ def parse(file: str, run: str, stamp: str, data: bytes) -> RaggedRow:
     except StoreError as error:
         return unreadable(run, stamp, str(error))
     return RaggedRow(run, stamp, shape, values)
+
+
+def check_shape(file: str, shape: RowShape) -> None:
+    """ValueError if no entry of the file has this shape."""
+    if shape == _UNREADABLE_SHAPE:
+        return
+    if file != SUMMARY:
+        expected = {STATUS: _STATUS_SHAPE, ANNOTATIONS: _ANNOTATIONS_SHAPE}[file]
+        if shape != expected:
+            raise ValueError(f"expected {expected}, got {shape}")
+    elif shape.kinds != summary_kinds(shape.names, tuple(str(KINDS[kind]) for kind in shape.kinds)):
+        raise ValueError(f"expected kinds {list(KINDS)}, got {shape.kinds}")
+
+
+def check(file: str, entries: RaggedTable) -> None:
+    """ValueError for values of a status or of annotations that `parse` does not give."""
+    if file == STATUS:
+        names = [name for name in _STATUS_SHAPE.names if name != "record"]
+        for values in zip(*map(entries.values, names), strict=True):
+            check_status(dict(zip(names, values, strict=True)))
+        if not set(entries.values("state")) <= {*STATES, None}:
+            raise ValueError(f"state: expected one of {', '.join(STATES)}")
+        for record in filter(None, entries.values("record")):
+            check_status(parse_json(record.encode()))
+    if file == ANNOTATIONS:
+        for tags in filter(None, entries.values("tags")):
+            if tags != json.dumps(_tags(parse_json(b'{"tags": %s}' % tags.encode()))):
+                raise ValueError("tags: expected a sorted list of texts")
 
 
 def table(entries: Sequence[RaggedRow]) -> RaggedTable:
@@ -85,9 +113,12 @@ def _parse_status(data: bytes) -> tuple[RowShape, Sequence[Any]]:
 
 def _parse_annotations(data: bytes) -> tuple[RowShape, Sequence[Any]]:
     record = _object(data)
+    return _ANNOTATIONS_SHAPE, (json.dumps(_tags(record)), _text(record.get("note")))
+
+
+def _tags(record: Mapping[str, Any]) -> list[str]:
     tags = record.get("tags")
-    texts = {tag for tag in tags if isinstance(tag, str)} if isinstance(tags, list) else set()
-    return _ANNOTATIONS_SHAPE, (json.dumps(sorted(texts)), _text(record.get("note")))
+    return sorted({tag for tag in tags if isinstance(tag, str)}) if isinstance(tags, list) else []
 
 
 def _object(data: bytes) -> dict[str, Any]:

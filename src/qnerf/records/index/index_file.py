@@ -5,15 +5,24 @@ import io
 import json
 import os
 import zlib
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from itertools import pairwise
 from pathlib import Path
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from qnerf.records.files import StoreError, read_bytes, remove_temporary_files, replace
-from qnerf.records.index.ragged_rows import HEAD_SCHEMA, KEY, STAMP, RaggedTable, RowShape, column_name, column_names
-from qnerf.records.parquet import KINDS
+from qnerf.records.index.ragged_rows import (
+    HEAD_SCHEMA,
+    KEY,
+    SHAPE,
+    STAMP,
+    RaggedTable,
+    RowShape,
+    column_names,
+    schema_of,
+)
+from qnerf.records.parquet import open_table, read_columns, reading
 
 FORMAT = 3
 """Of the file and of its entries. A file in another format is ignored and replaced."""
@@ -24,50 +33,56 @@ _ABANDONED_S = 3600.0  # no process takes so long to write an index
 
 
 class StoredIndex:
-    """Entries that were read before. keys: their runs. stamps: the versions of the files that they were read from."""
+    """Entries that were read before. keys: their runs. stamps: the versions of the files that they were read from.
 
-    def __init__(self, file: pq.ParquetFile | None = None, shapes: Sequence[RowShape] = ()) -> None:
-        self._file, self._shapes = file, tuple(shapes)
-        head = file.read([KEY, STAMP], use_threads=False) if file else HEAD_SCHEMA.empty_table()
+    A store may come with an index that somebody else wrote. One that `save` would not have written counts as none.
+    """
+
+    def __init__(self, file: pq.ParquetFile | None = None, shapes: Sequence[RowShape] = (), label: str = "") -> None:
+        self._file, self._shapes, self._label = file, tuple(shapes), label
+        head = read_columns(file, label, HEAD_SCHEMA.names) if file else HEAD_SCHEMA.empty_table()
         self.keys: list[str] = head[KEY].to_pylist()
         self.stamps: list[str] = head[STAMP].to_pylist()
+        if any(column.null_count for column in head.columns):
+            raise StoreError(f"{label}: expected a key, a stamp and a shape in every row")
+        if any(key >= following for key, following in pairwise(self.keys)):
+            raise StoreError(f"{label}: expected each run once, sorted by name")
+        if not set(head[SHAPE].unique().to_pylist()) <= set(range(len(self._shapes))):
+            raise StoreError(f"{label}: expected numbers of its {len(self._shapes)} shapes")
 
     @classmethod
-    def load(cls, folders: Sequence[Path], name: str) -> "StoredIndex":
-        """From the first folder that has an undamaged one of this format; empty if none has."""
+    def load(cls, folders: Sequence[Path], name: str, check: Callable[[RowShape], None]) -> "StoredIndex":
+        """From the first folder that has an undamaged one of this format; empty if none has.
+
+        check: raises ValueError for a shape that no entry of this index has.
+        """
         for folder in folders:
-            with contextlib.suppress(OSError, ValueError, LookupError):
-                return cls._parse(read_bytes(folder / name, _MAX_BYTES))
+            with contextlib.suppress(OSError, StoreError), reading(name):
+                return cls._parse(read_bytes(folder / name, _MAX_BYTES), name, check)
         return cls()
 
     @classmethod
-    def _parse(cls, data: bytes) -> "StoredIndex":
+    def _parse(cls, data: bytes, name: str, check: Callable[[RowShape], None]) -> "StoredIndex":
         checksum, content = data[:4], data[4:]
         if checksum != _checksum(content):
             raise ValueError("damaged")
-        file = pq.ParquetFile(pa.BufferReader(content))
-        version, shapes = json.loads((file.metadata.metadata or {})[_METADATA])
+        file = open_table(content, name)
+        version, stored_shapes = json.loads((file.metadata.metadata or {})[_METADATA])
         if version != FORMAT:
             raise ValueError("another format")
-        stored = cls(file, [RowShape(tuple(names), tuple(kinds)) for names, kinds in shapes])
-        stored._check()
-        return stored
-
-    def _check(self) -> None:
-        """ValueError if a shape names a column that the file does not have: a store may come with a forged index."""
-        assert self._file is not None
-        types = dict(zip(self._file.schema_arrow.names, self._file.schema_arrow.types, strict=True))
-        for shape in self._shapes:
-            for name, kind in zip(shape.names, shape.kinds, strict=True):
-                if kind != "none" and types.get(column_name(kind, name)) != KINDS[kind]:
-                    raise ValueError(f"has no column {column_name(kind, name)}")
+        shapes = [RowShape(tuple(names), tuple(kinds)) for names, kinds in stored_shapes]
+        for shape in shapes:
+            check(shape)
+        if not file.metadata.schema.to_arrow_schema().equals(schema_of(shapes)):
+            raise ValueError("its columns are not those of its shapes")
+        return cls(file, shapes, name)
 
     def entries(self, names: Collection[str] | None = None) -> RaggedTable:
-        """All entries, with at least the values of these names."""
+        """All entries, with at least the values of these names. StoreError if they cannot be read."""
         if self._file is None:
             return RaggedTable(HEAD_SCHEMA.empty_table(), ())
         columns = None if names is None else [*HEAD_SCHEMA.names, *column_names(self._shapes, names)]
-        return RaggedTable(self._file.read(columns, use_threads=False), self._shapes)
+        return RaggedTable(read_columns(self._file, self._label, columns), self._shapes)
 
 
 def save(entries: RaggedTable, folders: Sequence[Path], name: str) -> None:

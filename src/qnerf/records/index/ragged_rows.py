@@ -117,6 +117,13 @@ def column_names(shapes: Iterable[RowShape], names: Collection[str]) -> list[str
     return list(dict.fromkeys(column_name(kind, name) for kind, name in pairs if name in names and kind != "none"))
 
 
+def schema_of(shapes: Iterable[RowShape]) -> pa.Schema:
+    """Columns of a table whose rows have these shapes."""
+    pairs = chain.from_iterable(zip(shape.kinds, shape.names, strict=True) for shape in shapes)
+    columns = {column_name(kind, name): KINDS[kind] for kind, name in pairs if kind != "none"}
+    return pa.schema([*HEAD_SCHEMA, *columns.items()])
+
+
 def _table_of_one_shape(shape: RowShape, number: int, rows: Sequence[RaggedRow]) -> pa.Table:
     head = [pa.array([row.key for row in rows]), pa.array([row.stamp for row in rows])]
     head.append(pa.array([number] * len(rows), pa.int32()))

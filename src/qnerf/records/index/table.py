@@ -20,6 +20,7 @@ be written, the index lies in the user's cache folder; if that cannot be written
 
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from qnerf.records.index.index_file import StoredIndex, save
 from qnerf.records.index.locations import ANNOTATIONS, STATUS, SUMMARY, UNSETTLED, FolderLocation, Location, Stamps
 from qnerf.records.index.ragged_rows import RaggedRow, RaggedTable
 from qnerf.records.location import existing_store, url_protocol
+from qnerf.records.parquet import reading
 
 Progress = Callable[[str, int, int], None]
 """Called with a file's name, how many of them were read, and how many there are to read."""
@@ -103,18 +105,31 @@ def _refreshed(
     names: the result has at least these values. reread: runs whose file is read in any case.
     """
     folders, name = location.index_folders(), f"{file}.index"
-    stored = StoredIndex.load(folders, name)
+    stored = StoredIndex.load(folders, name, partial(entries.check_shape, file))
     stamps = _stamps_of(file, all_stamps)
-    current = [
-        number
-        for number, (run, stamp) in enumerate(zip(stored.keys, stored.stamps, strict=True))
-        if stamps.get(run) == stamp != UNSETTLED and run not in reread
-    ]
+
+    def current_entries() -> RaggedTable:
+        current = [
+            number
+            for number, (run, stamp) in enumerate(zip(stored.keys, stored.stamps, strict=True))
+            if stamps.get(run) == stamp != UNSETTLED and run not in reread
+        ]
+        table = stored.entries(names if len(current) == len(stamps) else None).take(current)
+        with reading(name):
+            entries.check(file, table)
+        return table
+
+    try:
+        table = current_entries()
+    except StoreError:  # damaged, or written by somebody else
+        stored = StoredIndex()
+        table = current_entries()
+    current = table.keys()
     if len(current) == len(stamps):
-        return stored.entries(names).take(current), ()
-    stale = stamps.keys() - {stored.keys[number] for number in current}
+        return table, ()
+    stale = stamps.keys() - set(current)
     fresh = list(_read(location, file, {run: stamps[run] for run in sorted(stale)}, progress))
-    table = (stored.entries().take(current) + entries.table(fresh)).sorted()
+    table = (table + entries.table(fresh)).sorted()
     changes = len(stale) + len(stored.keys) - len(current)
     if changes > CHANGES_WORTH_SAVING * len(stamps):
         save(table, folders, name)
