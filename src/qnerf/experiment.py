@@ -43,7 +43,7 @@ from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
-from qnerf.training.evaluation import Evaluator
+from qnerf.training.evaluation import Evaluator, colormap
 from qnerf.training.trainer import Trainer
 
 
@@ -327,7 +327,9 @@ def run(
         torch.set_num_threads(settings.threads)
     model = build_model(settings, scene)
     table = ray_table(settings, scene)
-    lpips.weights()  # files that cannot be used are reported now, not at the first evaluation
+    # Files that cannot be used are reported now, not at the first evaluation.
+    lpips.weights()
+    colormap()
 
     name = name or id_of(config, scene)
     config = dict(config) | {"needs": resolved["needs"]}
