@@ -44,7 +44,7 @@ from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
-from qnerf.training.evaluation import Evaluator
+from qnerf.training.evaluation import Evaluator, colormap
 from qnerf.training.state_checks import largest_state
 from qnerf.training.trainer import Trainer
 
@@ -342,7 +342,9 @@ def run(
     model = build_model(settings, scene)
     check_samples_of_a_step(settings, model)
     table = ray_table(settings, scene)
-    lpips.weights()  # files that cannot be used are reported now, not at the first evaluation
+    # Files that cannot be used are reported now, not at the first evaluation.
+    lpips.weights()
+    colormap()
 
     name = name or id_of(config, scene)
     config = dict(config) | {"needs": resolved["needs"]}

@@ -1,15 +1,24 @@
 """A mistake on the command line is one line, whatever it is, and nothing is written."""
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
 
 from qnerf import experiment
 from qnerf.cli import launch
 from qnerf.cli.launch import run_command
+from qnerf.cli.sweep import check_file, expand_sweep
+from tests.helpers.configs import ROOT, TINY
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{after}: &{after} [{', '.join(9 * [f'*{before}'])}]\n" for before, after in zip("abcdef", "bcdefg", strict=True)
+)
 
 Call = Callable[..., str]
 
@@ -39,6 +48,14 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_pat
     [
         (["=1"], "'=1': expected OPTION=VALUE"),
         (["~"], "'~': expected OPTION=VALUE"),
+        (["seed=0", "--nope"], "error: unrecognized arguments: --nope\n"),
+        (["-cn"], "error: argument --config-name/-cn: expected one argument\n"),
+        (["store=~/runs"], "store=~/runs: cannot be read; quote a value"),
+        (["seed=range(100001)", "-m"], "the sweep has more than 100000 jobs"),
+        (
+            ["-m", "seed=0,1", "hydra.sweeper.max_batch_size=0"],
+            "max_batch_size must be between 1 and 1000000000, got 0",
+        ),
         (["steps"], "Error parsing override 'steps' missing EQUAL"),
         (["seed=[1"], "no viable alternative at input '[1'"),
         (["needs=" + 2000 * "["], ""),
@@ -73,6 +90,61 @@ def test_a_mistake_is_one_line(call, tmp_path, arguments, message):
     assert message in text
     assert text.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_matplotlibs_settings_are_checked_before_the_training(tiny_scene, tmp_path):
+    small = [*TINY, "scene=nerfstudio", f"scene.path={tiny_scene}", "field=classical", "hash=C7", "train.steps=2"]
+    done = subprocess.run(
+        [sys.executable, "-m", "src.run", *small, f"store={tmp_path / 'runs'}"],
+        cwd=ROOT, env={**os.environ, "MPLBACKEND": "nope"}, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: Key backend: 'nope' is not a valid value")
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (BOMB, "its aliases stand for more than 10000 values"),
+        ("a: &a [*a]\n", "its aliases stand for more than 10000 values"),
+        ("#" * 2**18 + "\n", "more than 256 KiB of configuration"),
+    ],
+)
+@pytest.mark.parametrize("chosen", [["--sweep", "mine.yaml"], ["-cd", ".", "-cn", "mine"]])
+def test_a_hostile_file_of_a_sweep_is_refused(call, monkeypatch, tmp_path, content, message, chosen):
+    file = tmp_path / "mine.yaml"
+    file.write_text(content)
+    text = call(*expand_sweep(chosen))
+    assert text.startswith("error: ")
+    assert message in text
+    assert text.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_file_of_a_sweep_may_repeat_itself(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("a: &a {b: [1, 2]}\nc: *a\nd: {<<: *a}\n")
+    check_file(file)
+
+
+def test_joblib_starts_no_more_processes_than_it_has_jobs(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    for wanted, started in ((100_000, 3), (2, 2), (-1, -1)):
+        config = OmegaConf.create({"hydra": {"sweeper": {}, "launcher": {"n_jobs": wanted}}})
+        launch._limit_processes(config, 3)
+        assert config.hydra.launcher.n_jobs == started
+    config.hydra.launcher.n_jobs = 0
+    with pytest.raises(ValueError, match="n_jobs must be at least 1, or -1"):
+        launch._limit_processes(config, 3)
+
+
+def test_a_plain_run_is_never_abandoned(call, monkeypatch):
+    monkeypatch.setenv(launch.STARTER, "1")
+    monkeypatch.setattr(experiment, "run", lambda *_: 1 / 0)
+    monkeypatch.setattr(os, "_exit", lambda _: pytest.fail("left at once"))
+    with pytest.raises(ZeroDivisionError):
+        call("device=cpu")
 
 
 def test_an_environment_variable_is_checked(call, monkeypatch, tmp_path):

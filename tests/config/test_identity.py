@@ -94,6 +94,7 @@ def test_clean(slug: str, expected: str) -> None:
     [
         (["images/1.png", "images/2.jpg"], ["images-1", "images-2"]),
         (["猫.png", "狗.png", "c.png"], ["run.0", "run.1", "c"]),
+        (["a.1.png", "a.png", "a.jpg"], ["a.1", "a.1.1", "a.2"]),
         (["x" * 90 + "a", "x" * 90 + "b"], ["x" * 80 + ".0", "x" * 80 + ".1"]),
     ],
 )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from qnerf.cli.errors import MAX_MESSAGE, one_line
 from qnerf.scenes import SCENES, transforms
 from tests.helpers.scenes import write_scene
 
@@ -178,3 +179,26 @@ def test_a_giant_file_is_not_read(scene: tuple[Path, Path, Build]) -> None:
         stream.truncate(2**40)  # a hole: it takes no room on the disk, but would in memory
     refused(build, str(file), "more than 256 MiB")
     assert transforms.MAX_JSON_BYTES == 2**28
+
+
+@pytest.mark.parametrize("value", [False, 0, "", {}])
+@pytest.mark.parametrize(
+    ("key", "label"),
+    [
+        ("camera_model", "camera model"),
+        ("train_filenames", "train_filenames must be a list of file names"),
+        ("test_filenames", "test_filenames must be a list of file names"),
+    ],
+)
+def test_a_wrong_type_is_not_taken_for_nothing(tmp_path: Path, key: str, label: str, value: object) -> None:
+    file = write_scene(tmp_path / "scene") / "transforms.json"
+    change(file, lambda content: content.update({key: value}))
+    refused(lambda: SCENES.build("nerfstudio", path=file.parent), label)
+
+
+def test_a_message_is_never_long(tmp_path: Path) -> None:
+    file = write_scene(tmp_path / "scene") / "transforms.json"
+    change(file, lambda content: content["frames"][0].update(file_path="x" * 10**6))
+    with pytest.raises(ValueError, match="missing") as error:
+        SCENES.build("nerfstudio", path=file.parent)
+    assert len(one_line(error.value)) == MAX_MESSAGE

@@ -6,7 +6,7 @@ from qnerf.config.settings import settings_from
 from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
-from qnerf.training.evaluation import Evaluator, shade
+from qnerf.training.evaluation import Evaluator, RenderedView, shade
 
 
 @pytest.fixture
@@ -55,6 +55,14 @@ def test_a_picture_has_four_panels_enlarged(make):
     assert picture.shape == (240, 4 * 8 * 40, 3)
     truth = evaluator.scene.images[rendered.view].numpy()
     np.testing.assert_array_equal(picture[::40, : 8 * 40 : 40], truth)
+
+
+def test_a_picture_of_one_row_stays_in_memory(make):
+    """Enlarged to 240 rows, a row of 2,000 pixels would have 460 million pixels in its four panels."""
+    evaluator = make()
+    row = RenderedView(0, torch.zeros(1, 2000, 3), torch.ones(1, 2000), torch.ones(1, 2000))
+    evaluator.truth = lambda _: torch.zeros(1, 2000, 3)
+    assert evaluator.picture(row).shape == (1, 8000, 3)
 
 
 def test_a_large_view_is_shaded_by_some_of_its_pixels(monkeypatch):

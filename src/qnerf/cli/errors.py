@@ -10,6 +10,7 @@ from typing import NoReturn
 from qnerf.cli.ends import OUTPUT_LOST
 from qnerf.cli.streams import escape_unencodable
 
+MAX_MESSAGE = 2000  # characters; a file can hold a name of a megabyte
 OWN_PACKAGES = ("qnerf", "analysis")
 
 
@@ -101,4 +102,4 @@ def one_line(error: Exception) -> str:
         return f"{getattr(error, 'full_key', '?')} must be given"
     message, _, rest = files.one_line(error).partition(" full_key: ")  # OmegaConf's, too
     key = rest.partition(" ")[0]
-    return printable.printable(f"{key}: {message}" if key else message)
+    return printable.printable(f"{key}: {message}" if key else message, MAX_MESSAGE)

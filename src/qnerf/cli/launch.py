@@ -25,7 +25,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -38,8 +38,9 @@ from qnerf.cli import ends, plugins
 from qnerf.cli import overrides as typed
 from qnerf.cli.errors import is_shortage, one_line, report
 from qnerf.cli.streams import escape_unencodable
-from qnerf.cli.sweep import Sweep
+from qnerf.cli.sweep import Sweep, check_file
 from qnerf.config import bounds
+from qnerf.config.bounds import PositiveInt
 from qnerf.config.folders import CONF
 
 LAUNCHERS = {
@@ -71,7 +72,7 @@ class SweepStart(Callback):
         _rename_swept(config)
         try:
             bounds.check("store", config.store, Annotated[str, MinLen(1)])  # the sweep's folder is inside
-            _check_jobs(config)
+            _limit_processes(config, _count_jobs(config))
         except (ValueError, HydraException, OmegaConfBaseException) as error:
             sys.exit(report(error))  # Hydra would only warn
         sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
@@ -96,8 +97,23 @@ def _rename_swept(config: DictConfig) -> None:
             config.hydra.sweeper.params = {typed.option(key, f"={value}"): value for key, value in params.items()}
 
 
-def _check_jobs(config: DictConfig) -> None:
-    """ValueError if the sweep has no job, or more than `MAX_JOBS`, or names a choice that does not exist."""
+def _limit_processes(config: DictConfig, jobs: int) -> None:
+    """At most one process a job or a processor: joblib starts as many as it is told, also with nothing to do.
+
+    Raises:
+        ValueError: a number of processes or of jobs at a time that is none.
+    """
+    bounds.check("hydra.sweeper.max_batch_size", config.hydra.sweeper.get("max_batch_size"), PositiveInt | None)
+    launcher = config.hydra.launcher
+    wanted = launcher.get("n_jobs")
+    if wanted == 0:
+        raise ValueError("hydra.launcher.n_jobs must be at least 1, or -1 for one process a usable core, got 0")
+    if isinstance(wanted, int):
+        launcher.n_jobs = min(wanted, max(jobs, os.cpu_count() or 1))
+
+
+def _count_jobs(config: DictConfig) -> int:
+    """The sweep's number of jobs. ValueError if it has none, more than `MAX_JOBS`, or names a choice that does not exist."""
     loader = GlobalHydra.instance().config_loader()
     params = config.hydra.sweeper.get("params") or {}
     arguments = [*config.hydra.overrides.task, *(f"{key}={value}" for key, value in params.items())]
@@ -114,6 +130,7 @@ def _check_jobs(config: DictConfig) -> None:
                 raise ValueError(f"{override.key_or_group}={unknown[0]}: unknown; known: {', '.join(known)}")
     if jobs > MAX_JOBS:
         raise ValueError(f"the sweep has more than {MAX_JOBS} jobs")
+    return jobs
 
 
 def _require(launcher: str) -> None:
@@ -199,7 +216,7 @@ def job(composed: DictConfig) -> None:
             sys.exit(2)
         sweep.fail(hydra_config.job.num, list(hydra_config.overrides.task), reason)
     finally:
-        if _is_abandoned():
+        if sweep is not None and _is_abandoned():
             os._exit(1)  # otherwise joblib's process waits for its next job
 
 
@@ -315,6 +332,8 @@ def _composition_message(error: Exception) -> str:
     unknown = _unknown_option(str(error))
     if unknown:
         return unknown
+    if isinstance(error, OverrideParseException) and error.message.startswith("LexerNoViableAlt"):
+        return f"{error.override}: cannot be read; quote a value that holds special characters: \"option='value'\""
     cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
     return one_line(error).partition(" See https://hydra.cc")[0] + cause
 
@@ -325,8 +344,11 @@ def run_command() -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of printing them itself
     code: Any = 0
     try:
-        sys.argv[1:] = typed.translated(sys.argv[1:])
+        arguments, options = typed.ordered(sys.argv[1:])
+        sys.argv[1:] = typed.translated(arguments)
         typed.check(sys.argv[1:])
+        for folder in filter(None, (options["config_dir"], options["config_path"])):
+            check_file(Path(folder) / f"{(options['config_name'] or 'config').removesuffix('.yaml')}.yaml")
         plugins.load(typed.plugins(sys.argv[1:]))
     except ValueError as error:
         sys.exit(report(error))

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
 
 from qnerf.config.compatibility import today_noted
 from qnerf.config.folders import CONF
@@ -39,6 +40,30 @@ def option(key: str, value: str = "") -> str:
     if key in _HEADS and not value.startswith("={"):
         return f"head@{key}"
     return today_noted(key)
+
+
+def ordered(arguments: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+    """Hydra's own options before the overrides, because Hydra wants them so, and the values of those options.
+
+    >>> ordered(["seed=0", "-m", "field=qcolor"])[0]
+    ['-m', 'seed=0', 'field=qcolor']
+
+    Raises:
+        ValueError: an option that Hydra does not have, or one without its value.
+    """
+    from hydra._internal.utils import get_args_parser
+
+    parser = get_args_parser()
+    parser.error = _refuse  # type: ignore[method-assign]
+    parsed = vars(parser.parse_intermixed_args(list(arguments)))
+    rest, overrides = list(arguments), list(parsed["overrides"])
+    for override in overrides:
+        rest.remove(override)
+    return rest + overrides, parsed
+
+
+def _refuse(message: str) -> NoReturn:
+    raise ValueError(message)
 
 
 def check(arguments: Iterable[str]) -> None:

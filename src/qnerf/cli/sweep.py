@@ -11,9 +11,14 @@ The folder works for jobs on any machine that shares the store:
 
 import json
 from collections.abc import Collection, Sequence
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from qnerf.config.folders import SWEEPS
+
+MAX_FILE_BYTES = 2**18  # of a configuration file
+MAX_VALUES = 10_000  # in it, aliases written out
 
 
 def expand_sweep(arguments: Sequence[str]) -> list[str]:
@@ -41,6 +46,36 @@ def expand_sweep(arguments: Sequence[str]) -> list[str]:
             raise ValueError(f"--sweep expects a .yaml file or a known sweep, got {name!r}; known: {known}")
         expanded += ["-cd", str(file.parent.absolute()), "-cn", file.stem]
     return expanded
+
+
+def check_file(file: Path) -> None:
+    """ValueError if a configuration file is too large to read, or becomes too large by aliases of its own parts."""
+    import yaml  # type: ignore[import-untyped]
+
+    if not file.is_file():
+        return  # Hydra will say so
+    if file.stat().st_size > MAX_FILE_BYTES:
+        raise ValueError(f"{file}: more than {MAX_FILE_BYTES // 2**10} KiB of configuration")
+    content = file.read_bytes()
+    if b"*" not in content:
+        return
+    sizes: dict[int, int] = {}
+
+    def size(node: Any) -> int:
+        """Number of values of the node with all its aliases written out."""
+        if id(node) not in sizes:
+            sizes[id(node)] = MAX_VALUES  # an alias of a node that it is in
+            children = chain.from_iterable(node.value) if isinstance(node, yaml.MappingNode) else node.value
+            sizes[id(node)] = 1 if isinstance(node, yaml.ScalarNode) else 1 + sum(map(size, children))
+        return sizes[id(node)]
+
+    try:
+        root = yaml.compose(content, Loader=yaml.SafeLoader)
+        values = size(root) if root is not None else 0
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return  # Hydra will say so
+    if values > MAX_VALUES:
+        raise ValueError(f"{file}: its aliases stand for more than {MAX_VALUES} values")
 
 
 class Sweep:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath, PurePosixPath
 from typing import Any
@@ -77,7 +78,13 @@ def picture_names(images: Sequence[str]) -> list[str]:
     ['a-1', 'b.1', 'b.2']
     """
     names = [clean(PurePosixPath(image).with_suffix("").as_posix()) for image in images]
-    return [name if names.count(name) == 1 else f"{name}.{number}" for number, name in enumerate(names)]
+    counts = Counter(names)
+    used = set(names)
+    for number, name in enumerate(names):
+        while counts[name] > 1 and names[number] in used:  # an image's own name may end in a number, too
+            names[number] += f".{number}"
+        used.add(names[number])
+    return names
 
 
 def flatten(config: Mapping[str, Any]) -> dict[str, Any]:

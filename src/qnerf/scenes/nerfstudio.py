@@ -40,7 +40,7 @@ def _split(file: Path, listed: Sequence[Frame], frames: Sequence[Frame]) -> tupl
 
     def indices(key: str) -> list[int] | None:
         names = content.get(key)
-        if not names:
+        if names is None or names == []:
             return None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise ValueError(f"{file}: {key} must be a list of file names")

@@ -112,7 +112,7 @@ def read_frames(folder: Path, file: Path) -> list[Frame]:
             raise ValueError(f"{file}: frame {index} must be an object, got {type(source).__name__}")
         name = source.get("file_path")
         if not isinstance(name, str) or not name:
-            raise ValueError(f"{file}: file_path of frame {index} must be a file name, got {name!r}")
+            raise ValueError(f"{file}: file_path of frame {index} must be a file name, got {_short(name)}")
         label = f"{file}: frame {name!r}"
         image = find_image(folder, name)
         matrix = read_matrix(source, label)
@@ -182,9 +182,9 @@ def stated_intrinsics(frame: Frame, label: str) -> dict[str, float]:
         ValueError: a number is not usable, the camera model is not supported, or there is no focal length.
     """
     merged = {**frame.shared, **frame.own}
-    model = merged.get("camera_model") or "OPENCV"
-    if model not in MODELS or merged.get("is_fisheye"):
-        name = "fisheye" if merged.get("is_fisheye") else repr(model)
+    model = merged.get("camera_model")
+    if (model is not None and model not in MODELS) or merged.get("is_fisheye"):
+        name = "fisheye" if merged.get("is_fisheye") else _short(model)
         raise ValueError(f"{label}: camera model {name} is not supported; known: {', '.join(MODELS)}")
     for key, value in stated_numbers(merged, UNSUPPORTED, label).items():
         if value:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from qnerf.timing import Stopwatch
 from qnerf.training.image_metrics import Comparison, measure
 
 MAX_PIXELS = 2**22  # of a depth map, evenly spread, from which its percentiles are computed
+MAX_WIDTH = 2**13  # pixels; a picture is not enlarged beyond it
 
 
 @dataclass(frozen=True)
@@ -79,23 +81,29 @@ class Evaluator:
     def picture(self, rendered: RenderedView, min_height: int = 240) -> np.ndarray:
         """truth | render | error (x 4) | depth (near is bright) as one image (h, w, 3) uint8.
 
-        A view of fewer than `min_height` pixels is enlarged by a whole factor.
+        A view lower than `min_height` pixels is enlarged by a whole factor, unless the picture would become too wide.
         """
         truth = self.truth(rendered.view)
         error = ((rendered.color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
         panels = [truth, rendered.color, error, shade(rendered.depth)]
         picture = torch.cat([panel.to(torch.float32) for panel in panels], dim=1)
-        factor = max(1, -(-min_height // picture.shape[0]))
+        height, width, _ = picture.shape
+        factor = max(1, min(-(-min_height // height), MAX_WIDTH // width))
         picture = picture.repeat_interleave(factor, 0).repeat_interleave(factor, 1)
         return (picture * 255).round().to(torch.uint8).numpy()
 
 
-def shade(depth: Tensor) -> Tensor:
-    """Depth (H, W) -> (H, W, 3) in [0, 1]: inverse depth between its 2nd and 98th percentile, near bright."""
+def colormap() -> Any:
+    """Of depths. ValueError if matplotlib's own settings (`matplotlibrc`, `MPLBACKEND`) are not usable."""
     import matplotlib
 
+    return matplotlib.colormaps["magma"]
+
+
+def shade(depth: Tensor) -> Tensor:
+    """Depth (H, W) -> (H, W, 3) in [0, 1]: inverse depth between its 2nd and 98th percentile, near bright."""
     inverse = 1 / depth.clamp(min=1e-3)
     sample = inverse.flatten()[:: -(-inverse.numel() // MAX_PIXELS)]
     low, high = torch.quantile(sample, torch.tensor([0.02, 0.98], dtype=inverse.dtype))
     scaled = ((inverse - low) / (high - low).clamp(min=1e-6)).clamp(0, 1)
-    return torch.from_numpy(matplotlib.colormaps["magma"](scaled.numpy())[..., :3])
+    return torch.from_numpy(colormap()(scaled.numpy())[..., :3])
