@@ -113,7 +113,7 @@ def _limit_processes(config: DictConfig, jobs: int) -> None:
 
 
 def _count_jobs(config: DictConfig) -> int:
-    """The sweep's number of jobs. ValueError if it has none, more than `MAX_JOBS`, or names a choice that does not exist."""
+    """The sweep's number of jobs. ValueError if it has none or over `MAX_JOBS`, or a choice that does not exist."""
     loader = GlobalHydra.instance().config_loader()
     params = config.hydra.sweeper.get("params") or {}
     arguments = [*config.hydra.overrides.task, *(f"{key}={value}" for key, value in params.items())]
