@@ -80,7 +80,7 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_pat
         (["-m", "seed=range(0,0)"], "seed=range(0,0): an empty list of values, so there is no job"),
         (["-m", "seed=range(0,0)", "field=qcolor,classical"], "so there is no job"),
         (["-m", "seed=0,1", "hash=C1,nope"], "hash=nope: unknown; known: C1, C2"),
-        (["store=/täst"], "store=/täst: has a character that needs quotes, as in \"store='my runs'\""),
+        (["store=/täst"], "store=/täst: cannot be read; quote a value that holds special characters"),
         (["-m", "seed=range(0,1000000000000)"], "the sweep has more than 100000 jobs"),
     ],
 )

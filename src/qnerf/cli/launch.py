@@ -326,9 +326,6 @@ def _composition_message(error: Exception) -> str:
         group, _, name = str(error.missing_cfg_file).rpartition("/")
         known = f"known: {', '.join(error.options)}" if error.options else "--sweep NAME lists the sweeps"
         return f"{group or 'config'}={name}: unknown; {known}"
-    if "LexerNoViableAltException: " in str(error):
-        word = one_line(error).partition("LexerNoViableAltException: ")[2].partition(" ^")[0]
-        return f"{word}: has a character that needs quotes, as in \"store='my runs'\""
     unknown = _unknown_option(str(error))
     if unknown:
         return unknown

@@ -107,6 +107,6 @@ def plugins(arguments: Sequence[str]) -> list[str]:
             except (HydraException, RecursionError):
                 value = None
             if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-                raise ValueError(f"{argument}: expected a list of modules, such as plugins=[my_module]")
+                raise ValueError(f"{argument[:80]}: expected a list of modules, such as plugins=[my_module]")
             names = value
     return names
