@@ -61,6 +61,8 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_pat
         (["needs=" + 2000 * "["], ""),
         (["plugins=" + 2000 * "["], "expected a list of modules"),
         (["plugins=3"], "plugins=3: expected a list of modules, such as plugins=[my_module]"),
+        (["plugins=[..my_module]"], "plugins: expected names of modules such as my_module or package.module"),
+        (["plugins=['']"], "plugins: expected names of modules such as my_module or package.module, got ''"),
         (["hash=null"], "hash=null: expected the name of a choice; known: C1, C2"),
         (["needs=5"], "needs=5: expected the name of a choice; known: auto, full, none"),
         (["density=null"], "head@density=null: expected the name of a choice; known: mlp, qfgn, qiren"),

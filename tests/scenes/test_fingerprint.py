@@ -162,7 +162,7 @@ def test_a_finished_older_run_is_not_done_again(tiny: Any, as_older: Any) -> Non
     again = experiment.run(config)
     assert (again.state, again.run_id) == ("finished", first.run_id)
     assert [run.name for run in records.runs(config["store"])] == [first.run_id]
-    check_identity(first.path, experiment.prepare(config)[2])  # as resume, reproduce and probe do
+    check_identity(first.path, experiment.prepare(config)[2], None)  # as resume, reproduce and probe do
 
 
 def test_an_interrupted_older_run_goes_on(tiny: Any, as_older: Any, run_until: Any) -> None:
@@ -183,7 +183,7 @@ def test_an_older_run_is_resumed_and_a_changed_scene_is_refused(
     file = tiny_scene.with_name("changed") / "transforms.json"
     file.write_text(file.read_text().replace('"fl_x": 8.0', '"fl_x": 8.5'))
     assert main.dispatch("resume", [run.name, f"scene.path={file.parent}", "--store", config["store"]]) == 2
-    assert "the scene's contents are not those" in capsys.readouterr().err
+    assert f"scene.path={file.parent}: the scene's contents are not those" in capsys.readouterr().err
     assert main.dispatch("resume", [run.name, "--store", config["store"]]) == 0
     assert records.state(run) == "finished"
 

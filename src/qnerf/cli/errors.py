@@ -102,4 +102,8 @@ def one_line(error: Exception) -> str:
         return f"{getattr(error, 'full_key', '?')} must be given"
     message, _, rest = files.one_line(error).partition(" full_key: ")  # OmegaConf's, too
     key = rest.partition(" ")[0]
-    return printable.printable(f"{key}: {message}" if key else message, MAX_MESSAGE)
+    text = f"{key}: {message}" if key else message
+    if len(text) > MAX_MESSAGE:  # what is wrong stands at either end
+        half = MAX_MESSAGE // 2
+        text = f"{text[: half - 1]}{printable.ELLIPSIS}{text[-half:]}"
+    return printable.printable(text)

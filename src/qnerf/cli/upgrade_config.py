@@ -87,7 +87,7 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
     from qnerf.cli.display import LiveDisplay
     from qnerf.training.trainer import Diverged
 
-    check_identity(run, experiment.prepare(config)[2])
+    check_identity(run, experiment.prepare(config)[2], config["scene"].get("path"))
     display = LiveDisplay(console(), live=config["run"]["progress"])
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
@@ -97,13 +97,15 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
         raise ValueError(str(error)) from error
 
 
-def check_identity(run: Path, scene: "Scene") -> None:
-    """ValueError if the stored configuration or the scene's contents have changed since the run was started."""
+def check_identity(run: Path, scene: "Scene", path: str | Path | None) -> None:
+    """ValueError if the stored configuration or the scene's contents have changed since the run was started.
+
+    path: from which the scene was read, for the message.
+    """
     config = read_config(run)
     if any(run.name.endswith(f"-{identity(config, fingerprint)}") for fingerprint in scene.fingerprints):
         return
     known = read_status(run).get("config")
-    path = config.get("scene", {}).get("path")
     edited = f"{run / 'config.yaml'} is not the configuration that the run was started with"
     moved = f"scene.path={path}: the scene's contents are not those that the run was started with (docs/runs.md)"
     if known is None:

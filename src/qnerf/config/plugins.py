@@ -5,8 +5,10 @@ from collections.abc import Sequence
 
 
 def import_plugins(names: Sequence[str]) -> None:
-    """Imports the modules; ValueError names one that is missing."""
+    """Imports the modules; ValueError names one that is missing, or that is no name of a module."""
     for name in names:
+        if not all(part.isidentifier() for part in name.split(".")):
+            raise ValueError(f"plugins: expected names of modules such as my_module or package.module, got {name!r}")
         try:
             importlib.import_module(name)
         except ModuleNotFoundError as error:

@@ -40,7 +40,7 @@ def main(options: argparse.Namespace) -> None:
     from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
 
     trained = load(run, stored(run, repeated)[0] if state(run) == "finished" else None)
-    check_identity(run, trained.scene)
+    check_identity(run, trained.scene, trained.settings.scene.get("path"))
     for name in names:
         print(probe(trained, name))
     if conditions is not None:
