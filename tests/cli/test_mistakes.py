@@ -35,6 +35,8 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_pat
         return capsys.readouterr().err
 
     monkeypatch.chdir(tmp_path)
+    # Hydra would disable the loggers of all tests.
+    monkeypatch.setattr("hydra._internal.logging_config.configure_logging", lambda _: None)
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
     monkeypatch.setattr(launch, "_started", [])
     monkeypatch.setattr(launch, "_jobs", [])

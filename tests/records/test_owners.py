@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import threading
@@ -228,7 +229,10 @@ def test_a_stopped_owner_keeps_its_run_here_and_loses_it_to_another_machine(
         process.send_signal(signal.SIGCONT)
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 1
-        assert "the run was taken over by another process; this one stops writing" in errors
+        # It was stopped in a check of its ownership, or while it wrote a file that its successor has removed since.
+        assert re.search(
+            "taken over by another process; this one stops writing|part-.*: cannot write: No such file", errors
+        )
         assert {path: path.read_bytes() for path in (tmp_path / "a").rglob("*.parquet")} == content
         claim.run.finish()
         assert records.state(tmp_path / "a") == "finished"

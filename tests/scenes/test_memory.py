@@ -86,17 +86,17 @@ def test_alpha_is_dropped_in_place_and_filled_in(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"views": 10**9}, "would need .* GiB; the limit is 16 GiB"),
-        ({"views": 10**9, "width": 1, "height": 1, "supersample": 1}, "would take .* are available"),
-        ({"width": 10**6, "height": 10**6}, "would need .* GiB"),
-        ({"supersample": 10**6}, "need .* rays; the limit is 10,000,000,000"),
-        ({"views": 3, "width": 1, "height": 1, "supersample": 50_000}, "tracing would take .* smaller supersample"),
+        ({"views": 10**6, "width": 360, "height": 640}, "would need .* GiB; the limit is 16 GiB"),
+        ({"views": 10**5}, "would take .* are available"),
+        ({"width": 65536, "height": 65536}, "would need .* GiB"),
+        ({"supersample": 256}, "need .* rays; the limit is 10,000,000,000"),
+        ({"views": 3, "width": 400, "height": 1, "supersample": 256}, "tracing would take .* smaller supersample"),
     ],
 )
 def test_the_poster_is_refused_before_it_is_traced(
     options: dict[str, int], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory, "available_bytes", lambda: 64 * 2**30)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 2**30)
     with pytest.raises(ValueError, match=message):
         SCENES.build("poster", **options)
 

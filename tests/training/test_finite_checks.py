@@ -252,7 +252,7 @@ def test_a_run_without_the_option_is_not_looked_at(
 def test_a_run_that_diverges_goes_on_with_checks_and_names_the_part(
     tiny: Callable[..., dict[str, Any]], capsys: Capture
 ) -> None:
-    config = tiny("field=classical", "train.lr=1e30", "train.lr_final=1e30", "train.steps=8")
+    config = tiny("field=classical", "train.lr=1e6", "train.lr_final=1e6", "train.steps=8")
     with pytest.raises(Diverged, match="the same command with numerics"):
         experiment.run(config)
     with pytest.raises(NonFinite, match="`qnerf replay ") as caught:

@@ -74,7 +74,7 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
             checkpoint = load_archive(path, largest_state(model, settings.train.steps))
             step = checkpoint["step"]
             check_integer("step", step, 0, settings.train.steps)
-            check_model(checkpoint["model"], model.state_dict())
+            check_model(checkpoint["model"], model.state_dict(), finite=True)
         except (OSError, MemoryError):
             raise
         except Exception as error:  # a damaged archive can raise anything

@@ -31,6 +31,7 @@ from qnerf.records.files import (
     refuse_links,
     rename,
     reporting,
+    status,
 )
 from qnerf.records.location import resolved
 from qnerf.records.numbered import OWNERS
@@ -56,8 +57,8 @@ def is_run(folder: Path, run_id: str | None = None) -> bool:
         names = entries_in(folder).keys()
     except (OSError, StoreError):
         return False
-    status = _read(folder / "status.json") if "config.yaml" in names else {}
-    if status.get("run_id") == (run_id or folder.name) and _is_nonce(status.get("claim")):
+    stored = _read(folder / "status.json") if "config.yaml" in names else {}
+    if stored.get("run_id") == (run_id or folder.name) and _is_nonce(stored.get("claim")):
         return True
     return bool(owners) and names >= _FIRST_FILES
 
@@ -185,4 +186,4 @@ def _is_abandoned(folder: Path) -> bool:
         process = Process.from_record(record or {})
         if process is not None and (running := process.is_running()) is not None:
             return not running
-    return abs(time.time() - entries_in(folder.parent)[folder.name].st_mtime) > _ABANDONED_S
+    return abs(time.time() - status(folder, root=folder.parent.parent).st_mtime) > _ABANDONED_S

@@ -67,14 +67,14 @@ def check_integer(name: str, value: Any, lowest: int, highest: int) -> None:
         raise ValueError(f"{name}: expected an integer from {lowest} to {highest}, got {shown}")
 
 
-def check_model(state: Any, own: Mapping[str, Tensor]) -> None:
-    """ValueError unless `state` fits the model whose `state_dict()` is `own`, and every value is finite."""
+def check_model(state: Any, own: Mapping[str, Tensor], *, finite: bool) -> None:
+    """ValueError unless `state` fits the model whose `state_dict()` is `own`."""
     check_keys("model", state, list(own))
     for name, like in own.items():
-        check_tensor(f"model.{name}", state[name], like)
+        check_tensor(f"model.{name}", state[name], like, finite=finite)
 
 
-def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> set[Tensor]:
+def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int, *, finite: bool) -> set[Tensor]:
     """The parameters without moments: those that never had a gradient.
 
     Raises:
@@ -98,7 +98,7 @@ def check_adam(state: Any, optimiser: torch.optim.Optimizer, step: int) -> set[T
                 continue
             check_keys(name, moments[number], ["step", *MOMENTS])
             for moment in MOMENTS:
-                check_tensor(f"{name}.{moment}", moments[number][moment], parameter)
+                check_tensor(f"{name}.{moment}", moments[number][moment], parameter, finite=finite)
             check_tensor(f"{name}.step", moments[number]["step"], torch.zeros((), dtype=torch.float32))
             count = float(moments[number]["step"])
             if not 1 <= count <= step or not count.is_integer():

@@ -177,14 +177,17 @@ class Trainer:
             "step_seconds": torch.tensor(self.step_seconds, dtype=torch.float64),
         }
 
-    def check(self, state: Mapping[str, Any]) -> None:
-        """ValueError unless `state` is one that this run's `state()` can have returned. Nothing of it is loaded."""
+    def check(self, state: Mapping[str, Any], *, finite: bool = True) -> None:
+        """ValueError unless `state` is one that this run's `state()` can have returned. Nothing of it is loaded.
+
+        finite: refuse NaN and infinities in the model and in the optimiser.
+        """
         own = self.state()
         if lacking := own.keys() - state.keys():
             raise ValueError(f"lacks {', '.join(sorted(lacking))}")
         check_integer("step", state["step"], 0, self.train.steps)
-        check_model(state["model"], own["model"])
-        without = check_adam(state["optimiser"], self.optimiser, state["step"])
+        check_model(state["model"], own["model"], finite=finite)
+        without = check_adam(state["optimiser"], self.optimiser, state["step"], finite=finite)
         if state["step"] and without and without & self._with_gradient():
             raise ValueError("optimiser: a parameter has no moments")
         check_keys("streams", state["streams"], list(self.streams))
@@ -214,14 +217,16 @@ class Trainer:
             buffer.copy_(buffers[name])
         return found
 
-    def load(self, state: Mapping[str, Any]) -> None:
+    def load(self, state: Mapping[str, Any], *, finite: bool = True) -> None:
         """Restores what `state()` returned.
+
+        finite: as in `check`.
 
         Raises:
             ValueError: it does not pass `check`; nothing has been restored.
         """
         try:
-            self.check(state)
+            self.check(state, finite=finite)
         except ValueError as error:
             raise ValueError(f"the checkpoint does not fit this run's model: {error}") from error
         self._set_step(state["step"])

@@ -43,7 +43,7 @@ def main(options: argparse.Namespace) -> int:
     table = ReplayTable(experiment.ray_table(settings, scene), content["rays"], content["colors"])
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     trainer = CheckedTrainer(model, table, settings, watch, RunContext(scene.names, config, None))
-    trainer.load(content["state"])
+    trainer.load(content["state"], finite=False)  # a value that is not finite may be what is looked for
     print(printable(f"then: {content['told']}"))
     try:
         trainer.take_step(measure=False)
