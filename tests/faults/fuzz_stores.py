@@ -289,9 +289,8 @@ def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]]
             what.append(f"{name}: nothing to change")
         except (OSError, ValueError) as error:  # a mutation met what an earlier one had left
             what.append(f"{name}: {type(error).__name__}")
-    linked = any(path.is_symlink() for path in store.root.iterdir()) or any(
-        name == "hard_link" for name, _ in case.mutations
-    )
+    hard_linked = any(name == "hard_link" for name, _ in case.mutations)
+    linked = hard_linked or any(path.is_symlink() for path in store.root.iterdir())
     tell({"changes": what, "linked": linked})
     out, err = (os.open(folder / name, os.O_RDWR | os.O_CREAT | os.O_TRUNC) for name in ("out", "err"))
     faulthandler.register(signal.SIGUSR1, file=os.fdopen(os.dup(err), "w"), all_threads=False)
@@ -311,7 +310,9 @@ def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]]
         tell({"begin": line(arguments)})
         begin = time.process_time()
         for failure in problems(arguments, out, err):
-            tell({"failure": dataclasses.asdict(failure)})
+            # A hard link is a file of the store like any other: its content is read and shown.
+            if failure.kind != "secret" or not hard_linked:
+                tell({"failure": dataclasses.asdict(failure)})
         tell({"end": arguments[0], "seconds": time.process_time() - begin})
 
 

@@ -129,6 +129,11 @@ def is_regular(path: Path) -> bool:
     return False
 
 
+def shares_a_file(path: Path) -> bool:
+    """Whether a file has another name, which may lie outside the store."""
+    return path.is_file() and path.stat().st_nlink > 1
+
+
 def remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
@@ -695,6 +700,8 @@ def permissions(store: Store, rng: Random) -> str:
     if os.geteuid() == 0:
         raise Skipped
     path = store.any(rng)
+    if shares_a_file(path):
+        raise Skipped
     mode = rng.choice((0, 0o444, 0o222, 0o111, 0o555))
     path.chmod(mode)
     return f"{store.label(path)} has mode {mode:o}"
@@ -811,7 +818,7 @@ def strangers(store: Store, rng: Random) -> str:
 @mutation
 def times(store: Store, rng: Random) -> str:
     path = store.any(rng)
-    if path.is_symlink():
+    if path.is_symlink() or shares_a_file(path):
         raise Skipped
     moment = rng.choice((0, -1, -(2**31), 2**31, 2**33, 253402300800, 2**40))
     try:
