@@ -71,7 +71,7 @@ def test_jobs_side_by_side_share_the_cores_and_a_failure_stops_none(parallel, tm
     assert "train.lr=-1" in stderr
     assert "train.lr must be between 1e-30 and 1000000.0, got -1" in " ".join(stderr.split())
     assert "Traceback" not in stderr
-    assert {line.split(" | ")[0] for line in stdout.splitlines()} == {"0", "2"}, "each line says whose it is"
+    assert {line.split(" | ")[0] for line in stdout.splitlines()} == {"0", "1", "2"}, "each line says whose it is"
     assert "1 | error: train.lr" in stderr
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     for path in runs(tmp_path / "runs"):

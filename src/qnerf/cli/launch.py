@@ -6,6 +6,7 @@ started the sweep through the sweep's folder.
 
 import contextlib
 import importlib.util
+import logging
 import os
 import re
 import signal
@@ -250,6 +251,9 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     overrides = list(HydraConfig.get().overrides.task)
+    log = logging.getLogger("qnerf")  # Hydra has turned it off; its warnings go to standard error
+    log.disabled = False
+    log.setLevel(logging.WARNING)
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
     if sweep is None:
         console.print(tree("configuration", config))
