@@ -13,8 +13,6 @@ from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args,
 
 from annotated_types import Ge, GroupedMetadata, Gt, Interval, Le, Lt, MaxLen, MinLen
 
-PositiveFloat = Annotated[float, Interval(gt=0)]
-NonNegativeFloat = Annotated[float, Interval(ge=0)]
 Share = Annotated[float, Interval(ge=0, le=1)]
 PositiveInt = Annotated[int, Interval(ge=1, le=10**9)]
 NonNegativeInt = Annotated[int, Interval(ge=0, le=10**9)]

@@ -20,15 +20,3 @@ def at_least(name: str, value: float, minimum: float) -> None:
     """ValueError unless `value` is a finite number of at least `minimum`."""
     if not minimum <= value < float("inf"):
         raise ValueError(f"{name} must be at least {minimum:g}, got {value}")
-
-
-def between(name: str, value: float, low: float, high: float) -> None:
-    """ValueError unless low <= value <= high."""
-    if not low <= value <= high:
-        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value}")
-
-
-def positive(name: str, value: float) -> None:
-    """ValueError unless `value` is finite and above 0."""
-    if not 0 < value < float("inf"):
-        raise ValueError(f"{name} must be finite and above 0, got {value}")
