@@ -35,6 +35,7 @@ _HEADS = ("density", "color")
 
 ADDED: dict[str, Any] = {
     "plugins": [],
+    "hash.dense": True,
     "color.direction_interval": "signed",
     "color.activation": "sigmoid",
     "color.activations": {"mlp": "sigmoid", "qiren": "sigmoid", "qfgn": "sigmoid"},
