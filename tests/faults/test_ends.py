@@ -134,7 +134,7 @@ def test_a_command_without_standard_streams_writes_into_no_file(start: Any, opti
     assert [state(run) for run in runs(store)] == ["finished"]
 
 
-@pytest.mark.parametrize(("launcher", "how"), [("basic", "stdout"), ("joblib", "SIGHUP"), ("joblib", "stdout")])
+@pytest.mark.parametrize(("launcher", "how"), [("basic", "stdout"), ("joblib", "SIGHUP")])
 def test_a_sweep_ends_with_checkpoints(start: Any, options: list[str], store: Path, launcher: str, how: str) -> None:
     parallel = launcher == "joblib"
     if parallel:

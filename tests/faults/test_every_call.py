@@ -1,4 +1,4 @@
-"""Writers that are killed at their system calls: at each one with QNERF_FAULTS=full, else at every 24th.
+"""Writers that are killed at their system calls: at each one with QNERF_FAULTS=full, else at every 60th.
 
 With strace the kills hit real system calls. Where it is missing or may not trace, they hit Python's audit events.
 """
@@ -41,7 +41,7 @@ def shim() -> str:
 
 
 def test_killed_at_every_call(tmp_path: Path, whole: Path, shim: str) -> None:
-    every = 1 if FULL else 24 if shim == "strace" else 8
+    every = 1 if FULL else 60 if shim == "strace" else 20
     process = start("deaths", str(tmp_path), str(every), shim, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     out, err = process.communicate(timeout=1800)
     rounds = [json.loads(line) for line in out.splitlines()]
