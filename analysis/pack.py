@@ -11,7 +11,7 @@ from qnerf.records import StoreError
 from qnerf.records.location import resolved, store_folder, url_protocol
 from qnerf.records.printable import printable
 
-from . import command, output, packed
+from . import command, load, output, packed
 from .figures import FIGURES
 from .figures.files import check_names, draw, file_name
 from .paper import PAPER_TABLES
@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = command.parser("pack", DESCRIPTION)
     command.add_runs(parser)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the tables go; earlier ones are replaced")
+    parser.add_argument("--add", action="store_true", help="keep the other runs that FOLDER has")
     parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"draw as PNG: {', '.join(FIGURES)}")
     parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
     options = parser.parse_args(arguments)
@@ -37,6 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     unfinished = int((frame["state"] != "finished").sum())
     if unfinished == len(frame):
         raise ValueError(f"{options.store}: none of {unfinished} runs is finished")
+    if options.add and packed.is_packed(options.folder):
+        frame = with_earlier(frame, options.folder)
     output.make_folder(options.folder, store=False)
     remove_earlier(options.folder)
     finished, problems = packed.pack(frame, options.folder)
@@ -49,6 +52,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         heading, table = PAPER_TABLES[options.paper]
         text = f"**{heading}**\n\n{table(frame).markdown()}\n"
         output.write(options.folder / f"{options.paper}.md", text.encode())
+
+
+def with_earlier(frame: pd.DataFrame, folder: Path) -> pd.DataFrame:
+    """The runs, and those packed in the folder that are not among them."""
+    earlier = load.runs(folder)
+    parts = [frame, earlier[~earlier["run_id"].isin(frame["run_id"])]]
+    return pd.concat([part.dropna(axis=1, how="all") for part in parts], ignore_index=True)
 
 
 def remove_earlier(folder: Path) -> None:

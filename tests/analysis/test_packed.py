@@ -52,6 +52,24 @@ def test_packing_again_reads_the_new_views(store, tmp_path):
     assert len(statistics.evaluations(load.runs(packed, "state=finished"))) == 8
 
 
+def test_runs_are_added_to_packed_ones(store, tmp_path):
+    """For example those of another machine; a run that is there already is replaced."""
+    packed, whole = tmp_path / "packed", tmp_path / "whole"
+    main([str(store), str(whole)])
+    main([str(store), str(packed), "--filter", "seed=0"])
+    write_run(store, "qdensity", 0, [20.0, 21.0], results={"more": 1.0})
+    main([str(store), str(packed), "--filter", "seed=1,2", "--add"])
+    expected = [ablation(load.runs(folder, "state=finished"), ["field"]).markdown() for folder in (packed, whole)]
+    assert expected[0] == expected[1]
+    main([str(store), str(packed), "--filter", "field=qdensity", "--add"])
+    frame = load.runs(packed)
+    assert frame["run_id"].nunique() == len(frame) == 6
+    assert frame["more"].count() == 1
+    assert len(statistics.evaluations(frame[frame["state"] == "finished"])) == 10
+    main([str(store), str(packed), "--add"])
+    assert load.runs(packed)["run_id"].nunique() == len(frame)
+
+
 def test_figures_of_other_runs_go_and_files_of_others_stay(store, tmp_path):
     packed = tmp_path / "packed"
     main([str(store), str(packed)])
