@@ -113,6 +113,11 @@ def density_start(title: str, field: str, rate: str, initial: str) -> Question:
     )
 
 
+SIGMOID = (
+    "color.activations.qiren=sigmoid color.activations.qfgn=sigmoid color.direction_interval=signed hash.dense=true"
+)
+"""What `train=paper` was before the published code was followed."""
+
 SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
 
 QUESTIONS = {
@@ -345,13 +350,28 @@ QUESTIONS = {
     ),
     "paper_short": Question(
         "Two circuit heads with the paper's recipe and with the quick one, 1,500 steps each",
-        (sweep("scenes", "field=qboth train=quick,paper"),),
+        (sweep("scenes", f"field=qboth train=quick,paper {SIGMOID}"),),
         ("scene_name", "train"),
         {"train": "paper"},
     ),
     "paper": Question(
-        "The paper's recipe, 30,000 steps",
-        ("python -m src.run -m train=paper field=classical,qcolor",),
+        "The paper's recipe to its end, 30,000 steps",
+        ("python -m src.run -cd sweeps -cn paper",),
+        ("scene_name", "field"),
+        {"field": "classical"},
+        values=(*QUALITY, "step_ms", "train_s"),
+        failures=True,
+    ),
+    "fog": Question(
+        "Which colours of a circuit end as fog in the paper's recipe? (3,000 steps)",
+        ("python -m src.run -cd sweeps -cn fog",),
+        ("scene_name", "color.activation"),
+        {"color.activation": "linear"},
+        failures=True,
+    ),
+    "paper_sigmoid": Question(
+        "The paper's recipe with a sigmoid on a circuit's colours, 30,000 steps",
+        (f"python -m src.run -m train=paper field=classical,qcolor {SIGMOID}",),
         ("scene_name", "field"),
         values=(*QUALITY, "step_ms", "train_s"),
     ),
