@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
-from tests.faults.fuzz_stores import CONTROLS, Case, formula, snapshot
+from tests.faults.fuzz_case import CONTROLS, Case, snapshot
+from tests.faults.fuzz_stores import formula
 from tests.faults.mutations import MUTATIONS, Skipped, Store
 from tests.helpers.configs import ROOT
 from tests.helpers.spoiled import interrupted
