@@ -10,9 +10,9 @@ import pandas as pd
 from qnerf.config.compatibility import ADDED, Same
 from qnerf.config.identity import flatten
 from qnerf.records import filters, index
+from qnerf.records.deletion import holds_runs
 
 from . import packed
-from .output import holds_runs
 from .settings import LABELS
 
 _HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from qnerf.records import StoreError
-from qnerf.records.deletion import is_run, refuse_runs
-from qnerf.records.files import folders_in, replace, require_file
+from qnerf.records.deletion import holds_runs, refuse_runs
+from qnerf.records.files import replace, require_file
 
 
 def write(path: Path, content: bytes | Callable[[Any], None]) -> None:
@@ -40,8 +40,3 @@ def make_folder(folder: Path, *, store: bool = True) -> None:
     if not store and holds_runs(folder):
         raise ValueError(f"{folder}: expected a folder of its own, this is one of runs")
     folder.mkdir(parents=True, exist_ok=True)
-
-
-def holds_runs(folder: Path) -> bool:
-    """Whether there is a run in the folder."""
-    return folder.is_dir() and any(map(is_run, folders_in(folder, root=folder)))

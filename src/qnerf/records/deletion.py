@@ -63,6 +63,11 @@ def is_run(folder: Path, run_id: str | None = None) -> bool:
     return bool(owners) and names >= _FIRST_FILES
 
 
+def holds_runs(folder: Path) -> bool:
+    """Whether there is a run in the folder."""
+    return folder.is_dir() and any(map(is_run, folders_in(folder, root=folder)))
+
+
 def require_run(folder: Path) -> None:
     """StoreError if the folder is not a run, or if it is a link."""
     refuse_links(folder, root=folder.parent)

@@ -103,6 +103,20 @@ def test_nothing_is_written_through_a_link(make, tmp_path, name):
     assert left in ('{"tags": ["theirs"]}', [])
 
 
+def test_a_run_outside_the_store_is_not_reached_through_a_link_in_it(make, qnerf, tmp_path):
+    """Its path may be typed without looking; elsewhere a link is the user's own."""
+    store, elsewhere = make("a").parent, make("b").rename(tmp_path / "b")
+    (store / "b").symlink_to(elsewhere)
+    (store / "best").symlink_to("a")
+    (tmp_path / "mine").symlink_to(elsewhere)
+    done = qnerf("tag", str(store / "b"), "seen")
+    assert (done.code, done.out) == (2, "")
+    assert f"a link in a store, to {elsewhere}; name that folder itself" in done.err
+    assert not annotations.read(elsewhere).tags
+    for link in (store / "best", tmp_path / "mine"):
+        assert qnerf("tag", str(link), "seen").out == "seen\n"
+
+
 @given(tag=st.text(min_size=1, max_size=64))
 def test_a_tag_that_is_accepted_is_one_visible_word(tag):
     fits = True

@@ -55,7 +55,12 @@ class Store:
     targets: list[str] = field(default_factory=list)
 
     def paths(self, pattern: str = "**/*") -> list[Path]:
-        return sorted(path for path in self.root.glob(pattern) if not path.parent.is_symlink())
+        """What matches, but for what is reached through a link."""
+        return sorted(path for path in self.root.glob(pattern) if not self._behind_a_link(path))
+
+    def _behind_a_link(self, path: Path) -> bool:
+        above = path.relative_to(self.root).parents
+        return any((self.root / part).is_symlink() for part in above)
 
     def runs(self) -> list[Path]:
         return [path for path in self.paths("*") if not path.name.startswith(".") and path.is_dir()]
