@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import PositiveInt, Seed, checked
-from qnerf.quantum import lightcone, measurement, pennylane, statevector
+from qnerf.quantum import lightcone, measurement, operator, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cost_model import Cost, choose_engine
@@ -43,7 +43,8 @@ class QuantumLayer(nn.Module):
         ansatz_options: keyword-only parameters of that ansatz.
         init: a name in `qnerf.quantum.initial_angles.INITS`. Angles are drawn from torch's global generator.
         backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device; auto takes
-            compiled wherever it can run. Second and higher derivatives (`create_graph=True`) go through plain PyTorch.
+            compiled wherever it can run. Second and higher derivatives (`create_graph=True`), `torch.func` and forward
+            derivatives go through plain PyTorch. `torch.compile` sees the layer as one operator.
         device, diff_method, shots, noise, seed: of method=pennylane, see `qnerf.quantum.pennylane.make_node`.
 
     Parameters: `weights1` (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in
@@ -98,6 +99,7 @@ class QuantumLayer(nn.Module):
             angles = INITS.get(init)(self.circuit)
         self.weights1 = nn.Parameter(angles[: -second[0]].reshape(first))
         self.weights2 = nn.Parameter(angles[-second[0] :].reshape(second))
+        self._number = operator.register(self)
 
     @property
     def wires(self) -> int:
@@ -119,17 +121,25 @@ class QuantumLayer(nn.Module):
 
     plan = cost  # the earlier name
 
-    def _cost(self, batch: int, device: torch.device, dtype: torch.dtype) -> Cost:
+    @property
+    def outputs(self) -> int:
+        return len(self.circuit.observables)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self._number = operator.register(self)  # a copy is another layer
+
+    def _cost(self, batch: int, device: torch.device, dtype: torch.dtype, transformed: bool = False) -> Cost:
         if self._node is not None:
             return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
         on_cpu = device.type == "cpu"
         if self.backend == "compiled" and not on_cpu:
             raise ValueError(f"backend=compiled expects tensors on the CPU, got {device}; choose auto or torch")
-        key = batch, device, dtype, torch.get_num_threads()
+        key = batch, device, dtype, torch.get_num_threads(), transformed
         if key not in self._costs:
             if len(self._costs) > 1000:
                 self._costs.clear()
-            compiled = on_cpu and self.backend != "torch"
+            compiled = on_cpu and self.backend != "torch" and not transformed
             self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
         return self._costs[key]
 
@@ -141,12 +151,17 @@ class QuantumLayer(nn.Module):
             raise ValueError(f"QuantumLayer expects shape (..., {self.wires}), got {tuple(x.shape)}")
         dtype = torch.promote_types(x.dtype, self.weights2.dtype)
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
+        angles = x.reshape(-1, self.wires).to(dtype)
         with torch.autocast(x.device.type, enabled=False):
-            out = self._outputs(x.reshape(-1, self.wires).to(dtype))
+            weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
+            if torch.compiler.is_compiling():
+                out = operator.evaluate(angles, weights, self._number)
+            else:
+                out = self.evaluate(angles, weights)
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
-    def _outputs(self, x: Tensor) -> Tensor:
-        weights = statevector.stacked(self.weights1, self.weights2).to(x.dtype)
+    def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Outputs (B, outputs) for inputs (B, n) in radians and stacked weights (rows, 3, n)."""
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
@@ -156,7 +171,7 @@ class QuantumLayer(nn.Module):
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
         if self._node is not None:
             return self._node(x, weights.transpose(1, 2))
-        engine = self._cost(x.shape[0], x.device, x.dtype)
+        engine = self._cost(x.shape[0], x.device, x.dtype, _is_transformed())
         if engine.method == "lightcone":
             if engine.backend == "torch":
                 return lightcone.evaluate_reference(self.circuit, x, weights)
@@ -166,3 +181,8 @@ class QuantumLayer(nn.Module):
         if engine.backend == "torch":
             return statevector.evaluate(self._engine.form, x, weights)
         return compiled.evaluate(self._engine, x, weights)
+
+
+def _is_transformed() -> bool:
+    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
+    return torch._C._are_functorch_transforms_active() or torch.autograd.forward_ad._current_level >= 0
