@@ -75,7 +75,7 @@ class Normalisation(nn.BatchNorm1d):
 
 
 class HybridLayer(nn.Module):
-    """Linear -> normalisation -> circuit: (N, in_dim) -> (N, wires), values in [-1, 1].
+    """Linear -> normalisation -> circuit: (N, in_dim) -> (N, outputs of the circuit), values in [-1, 1].
 
     Batch normalisation cancels the scale of the linear map, so `input_scale` multiplies the normalised values instead.
     They are the circuit's angles, in radians. Training on fewer than 2 rows raises ValueError: they have no variance.
@@ -166,9 +166,9 @@ class QirenHead(Head):
         own = (ansatz_options or {}).get(ansatz)
         for index in range(layers + 1):
             circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init, ansatz_options=own)
-            layer_in = in_dim if index == 0 else qubits
+            layer_in = in_dim if index == 0 else circuit.outputs
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
-        self.readout = nn.Linear(qubits, out_dim)
+        self.readout = nn.Linear(circuit.outputs, out_dim)
         if center and not self.readout.weight.is_meta:
             self.center()
 

@@ -83,8 +83,8 @@ class Circuit:
     `observables[k]`, in [-1, 1]. Wire 0 is the most significant bit of a basis state, as in PennyLane.
 
     Raises:
-        ValueError: a row, wire, gate, axis or Pauli letter that does not exist, or one wire measured in two letters.
-            All outputs can therefore be read in the same shot.
+        ValueError: an operation, row, wire, gate, axis or Pauli letter that does not exist, no observable, or one wire
+            measured in two letters. All outputs can therefore be read in the same shot.
     """
 
     name: str
@@ -102,7 +102,11 @@ class Circuit:
         for operation in self.operations:
             self._check(operation)
         measured: dict[int, str] = {}
+        if not self.observables:
+            raise self._error("needs at least one observable")
         for word in self.observables:
+            if len({wire for wire, _ in word}) < len(word):
+                raise self._error(f"observable {word} has more than one letter on a wire")
             for wire, letter in word:
                 if not 0 <= wire < self.wires or letter not in PAULIS:
                     known = ", ".join(PAULIS)
@@ -116,6 +120,9 @@ class Circuit:
 
     def _check(self, operation: Operation) -> None:
         n, rows = self.wires, self.rows
+        if not isinstance(operation, Operation):
+            known = ", ".join(kind.__name__ for kind in get_args(Operation))
+            raise self._error(f"unknown operation {operation!r}; known: {known}")
         if isinstance(operation, Rotations) and not 0 <= operation.row < rows:
             raise self._error(f"rotations use row {operation.row}, weights have rows 0..{rows - 1}")
         if isinstance(operation, Entangler):

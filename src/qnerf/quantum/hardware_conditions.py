@@ -9,7 +9,7 @@
 >>> bool(((measured - layer(x)).abs() < 0.2).all())  # after the block the layer is exact again
 True
 
-This is for evaluation: the outputs carry no gradients.
+This is for evaluation: a backward pass through the outputs is a ValueError.
 """
 
 from collections.abc import Iterator

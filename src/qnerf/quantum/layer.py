@@ -82,9 +82,16 @@ class QuantumLayer(nn.Module):
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
         self._node: Callable[[Tensor, Tensor], Tensor] | None = None
-        options = {"device": device, "diff_method": diff_method, "shots": shots, "noise": noise, "seed": seed}
+        options: dict[str, Any] = {
+            "device": device,
+            "diff_method": diff_method,
+            "shots": shots,
+            "noise": noise,
+            "seed": seed,
+        }
+        self._node_options = options
         if method == "pennylane":
-            self._node = pennylane.make_node(self.circuit, **options)  # type: ignore[arg-type]
+            self._node = pennylane.make_node(self.circuit, **options)
         else:
             defaults = inspect.signature(pennylane.make_node).parameters
             for name, value in options.items():
@@ -125,8 +132,13 @@ class QuantumLayer(nn.Module):
     def outputs(self) -> int:
         return len(self.circuit.observables)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_node": None}  # PennyLane's functions cannot be pickled
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
+        if self.method == "pennylane":
+            self._node = pennylane.make_node(self.circuit, **self._node_options)
         self._number = operator.register(self)  # a copy is another layer
 
     def _cost(self, batch: int, device: torch.device, dtype: torch.dtype, transformed: bool = False) -> Cost:

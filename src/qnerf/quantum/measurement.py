@@ -1,6 +1,7 @@
 """Circuits measured as on hardware: with finitely many shots or noisy gates. The outputs carry no gradients."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -53,12 +54,28 @@ class Conditions:
         return not self.noisy and (self.shots is None or not self.joint)
 
 
-@torch.no_grad()
+class _WithoutGradient(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, *sources: Tensor) -> Tensor:
+        return values.view_as(values)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        raise ValueError("outputs under hardware conditions carry no gradients; train outside the conditions")
+
+
 def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, conditions: Conditions) -> Tensor:
-    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n).
+    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n). A backward pass through them is a ValueError.
 
     `exact` are the exact expectation values, which `conditions.needs_exact` asks for.
     """
+    with torch.no_grad():
+        values = _measured(circuit, x, weights, exact, conditions)
+    out: Tensor = _WithoutGradient.apply(values, x, weights)
+    return out
+
+
+def _measured(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, conditions: Conditions) -> Tensor:
     if conditions.noise is not None and conditions.noisy:
         exact = density.evaluate(circuit, x, weights, conditions.noise, conditions.noisy_coefficients)
     if conditions.shots is None:

@@ -52,8 +52,6 @@ def _gradients(gradient: Tensor, x: Tensor, weights: Tensor, number: int) -> tup
     with torch.enable_grad():
         inputs = x.detach().requires_grad_(), weights.detach().requires_grad_()
         out = _evaluators[number].evaluate(*inputs)
-    if not out.requires_grad:
-        raise ValueError("outputs under hardware conditions carry no gradients")
     of_x, of_weights = torch.autograd.grad(out, inputs, gradient)
     return of_x, of_weights
 

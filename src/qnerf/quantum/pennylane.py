@@ -159,6 +159,8 @@ def make_node(
     if shots is not None and diff_method != "parameter-shift":
         raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
     target = make_device(device, circuit.wires, seed)
+    if noise is not None and noise.any:
+        _check_channels(target)
     # Only backprop without channels can broadcast over the batch.
     broadcast = diff_method == "backprop" and (noise is None or not noise.any)
 
@@ -175,6 +177,23 @@ def make_node(
         return torch.stack([torch.stack(list(node(sample, weights))) for sample in x]).to(x.dtype)
 
     return run
+
+
+def _check_channels(device: Any) -> None:
+    """ValueError unless the device takes channels."""
+    import pennylane as qml
+
+    @qml.qnode(device)
+    def one_channel() -> Any:
+        qml.DepolarizingChannel(0.1, wires=0)
+        return qml.expval(qml.PauliZ(0))
+
+    try:
+        one_channel()
+    except Exception as error:
+        raise ValueError(
+            f"noise: device {device.name} takes no channels; choose one that does, such as default.mixed"
+        ) from error
 
 
 def draw(circuit: Circuit) -> str:

@@ -78,7 +78,7 @@ def checkpoint(store: Store, rng: Random) -> str:
             "three": lambda: torch.zeros(3),
             "scalar": lambda: torch.tensor(1.0),
             "empty": lambda: torch.zeros(0),
-            "transposed": lambda: old.reshape(*old.shape[::-1]),
+            "transposed": lambda: old.reshape(old.shape[::-1]),
             "nan": lambda: torch.full_like(old, float("nan")) if old.is_floating_point() else old + 1,
             "huge": lambda: torch.full(old.shape, 1e38) if old.is_floating_point() else torch.full_like(old, 127),
             "int": lambda: old.to(torch.int64),
