@@ -1,7 +1,10 @@
+import dataclasses
+
 import pytest
 import torch
 
 from qnerf.heads import HEADS
+from qnerf.quantum.circuit import ANSATZE
 
 
 @pytest.mark.parametrize("name", HEADS.names())
@@ -27,6 +30,17 @@ def test_sum_layers_adds_the_measured_values_of_all_circuits():
     torch.testing.assert_close(head(x), head.readout(2.5 * (first + second + third)))
     head.sum_layers = False
     torch.testing.assert_close(head(x), head.readout(2.5 * third))
+
+
+@pytest.mark.parametrize("sum_layers", [True, False])
+def test_a_circuit_may_have_other_outputs_than_wires(sum_layers, monkeypatch):
+    def pairs(wires, spectral):
+        circuit = ANSATZE.build("qiren", wires, spectral)
+        return dataclasses.replace(circuit, observables=(((0, "Z"),), ((0, "Z"), (1, "Z"))))
+
+    monkeypatch.setitem(ANSATZE._components, "pairs", pairs)
+    head = HEADS.build("qiren", 5, 2, layers=2, qubits=3, ansatz="pairs", sum_layers=sum_layers, center=True)
+    assert head(torch.randn(7, 5)).shape == (7, 2)
 
 
 def test_input_scale_acts_after_the_normalisation():

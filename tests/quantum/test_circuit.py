@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, ring
+from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, PauliWord, Rotations, ring
 from qnerf.quantum.cones import TooLarge, find_cones
 from qnerf.quantum.normal_form import CNOTs, Diagonal, RYLayer, cnot_permutation, cz_signs, normal_form
 from qnerf.quantum.pennylane import draw
@@ -77,11 +77,21 @@ def test_scales_without_a_common_unit_have_no_cone() -> None:
         (Entangler("CZ", ((0, 2),)), r"pair \(0, 2\) needs two different wires below 2"),
         (Encoding("W", (1.0, 1.0)), "unknown axis 'W'; known: X, Y, Z"),
         (Encoding("Z", (1.0,)), "encoding needs 2 finite scales"),
+        ("RX", "unknown operation 'RX'; known: Rotations, Entangler, Encoding"),
     ],
 )
 def test_wrong_descriptions_say_what_is_wrong(operation: Rotations, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Circuit("wrong", 2, 1, 2, (operation,), (((0, "Z"),),))
+
+
+@pytest.mark.parametrize(
+    ("observables", "message"),
+    [((), "needs at least one observable"), ((((0, "Z"), (0, "Z")),), "has more than one letter on a wire")],
+)
+def test_wrong_observables_say_what_is_wrong(observables: tuple[PauliWord, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Circuit("wrong", 2, 1, 2, (), observables)
 
 
 def test_a_wire_is_measured_in_one_letter() -> None:

@@ -82,16 +82,10 @@ class QuantumLayer(nn.Module):
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
         self._node: Callable[[Tensor, Tensor], Tensor] | None = None
-        options: dict[str, Any] = {
-            "device": device,
-            "diff_method": diff_method,
-            "shots": shots,
-            "noise": noise,
-            "seed": seed,
-        }
-        self._node_options = options
+        options = {"device": device, "diff_method": diff_method, "shots": shots, "noise": noise, "seed": seed}
+        self._node_options: dict[str, Any] = options
         if method == "pennylane":
-            self._node = pennylane.make_node(self.circuit, **options)
+            self._node = pennylane.make_node(self.circuit, **options)  # type: ignore[arg-type]
         else:
             defaults = inspect.signature(pennylane.make_node).parameters
             for name, value in options.items():
