@@ -144,9 +144,7 @@ def test_the_drawing_shows_every_gate() -> None:
 
 
 def test_noise_on_a_device_without_channels_is_refused_at_once():
-    with pytest.raises(
-        ValueError, match=r"default\.qubit takes no channels"
-    ):
+    with pytest.raises(ValueError, match=r"default\.qubit takes no channels"):
         QuantumLayer(2, 1, method="pennylane", noise=Noise(depolarizing=0.1))
 
 

@@ -153,7 +153,7 @@ def test_trains() -> None:
         ((0, 1), {}, r"wires must be an integer in 1..14, got 0"),
         ((15, 1), {}, r"got 15 \(one state of 15 wires takes 512 KiB"),
         ((40, 1), {}, r"got 40 \(one state of 40 wires takes 16 TiB of memory"),
-        ((2.0, 1), {}, "wires expects int, got 2.0"),
+        ((2.0, 1), {}, "wires expects int or Circuit, got 2.0"),
         ((3, 0), {}, "spectral must be between 1 and 64, got 0"),
         ((3, 1), {"method": "exact"}, "method expects one of auto, lightcone, statevector, pennylane, got 'exact'"),
         ((3, 1), {"backend": "cuda"}, "backend expects one of auto, compiled, torch, got 'cuda'"),
@@ -188,3 +188,15 @@ def test_wrong_arguments_say_what_is_wrong(arguments: tuple[Any, ...], options: 
 def test_wrong_inputs_say_what_is_wrong(x: torch.Tensor, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         QuantumLayer(3, 1)(x)
+
+
+def test_a_layer_of_a_description_is_the_layer_of_its_name() -> None:
+    circuit = ANSATZE.build("qiren", 3, 2, entangler="CNOT")
+    layer, named = QuantumLayer(circuit), QuantumLayer(3, 2, ansatz_options={"entangler": "CNOT"})
+    named.load_state_dict(layer.state_dict())
+    x = torch.randn(5, 3)
+    assert torch.equal(layer(x), named(x))
+    with pytest.raises(ValueError, match="spectral belongs to the circuit qiren, which is given, got spectral=2"):
+        QuantumLayer(circuit, 2)
+    with pytest.raises(ValueError, match="spectral is missing"):
+        QuantumLayer(3)

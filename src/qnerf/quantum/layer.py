@@ -35,11 +35,11 @@ class QuantumLayer(nn.Module):
     Every circuit in `ANSATZE` has one output for each wire.
 
     Args:
-        wires: n, 1 to 14.
+        wires: n, 1 to 14; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
         spectral: S, encodings of the input (data re-uploadings), 1 to 64.
         method: auto takes the cheaper exact engine for the batch at hand (`cost` says which); lightcone evaluates
             trigonometric polynomials, statevector simulates, pennylane runs a PennyLane device.
-        ansatz: a name in `qnerf.quantum.circuit.ANSATZE`.
+        ansatz: a name in `qnerf.quantum.circuit.ANSATZE`; by default qiren.
         ansatz_options: keyword-only parameters of that ansatz.
         init: a name in `qnerf.quantum.initial_angles.INITS`. Angles are drawn from torch's global generator.
         backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device; auto takes
@@ -62,11 +62,11 @@ class QuantumLayer(nn.Module):
     @checked
     def __init__(
         self,
-        wires: int,
-        spectral: Spectral,
+        wires: int | Circuit,
+        spectral: Spectral | None = None,
         *,
         method: Method = "auto",
-        ansatz: str = "qiren",
+        ansatz: str | None = None,
         init: str = "uniform",
         ansatz_options: dict[str, Any] | None = None,
         backend: Literal["auto", "compiled", "torch"] = "auto",
@@ -77,8 +77,7 @@ class QuantumLayer(nn.Module):
         seed: Seed | None = None,
     ) -> None:
         super().__init__()
-        check_wires(wires)
-        self.circuit: Circuit = ANSATZE.build(ansatz, wires, spectral, **(ansatz_options or {}))
+        self.circuit = _described(wires, spectral, ansatz, ansatz_options)
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
         self._node: Callable[[Tensor, Tensor], Tensor] | None = None
@@ -187,6 +186,20 @@ class QuantumLayer(nn.Module):
         if engine.backend == "torch":
             return statevector.evaluate(self._engine.form, x, weights)
         return compiled.evaluate(self._engine, x, weights)
+
+
+def _described(
+    wires: int | Circuit, spectral: int | None, ansatz: str | None, ansatz_options: dict[str, Any] | None
+) -> Circuit:
+    if isinstance(wires, Circuit):
+        for name, value in {"spectral": spectral, "ansatz": ansatz, "ansatz_options": ansatz_options}.items():
+            if value is not None:
+                raise ValueError(f"{name} belongs to the circuit {wires.name}, which is given, got {name}={value!r}")
+        return wires
+    check_wires(wires)
+    if spectral is None:
+        raise ValueError("spectral is missing: how often the circuit takes in its input")
+    return ANSATZE.build(ansatz or "qiren", wires, spectral, **(ansatz_options or {}))
 
 
 def _is_transformed() -> bool:
