@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import qnerf
+from qnerf.config import memory
 from qnerf.quantum import hardware, hardware_conditions
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.initial_angles import INITS
@@ -150,8 +151,8 @@ def test_trains() -> None:
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((0, 1), {}, r"wires must be an integer in 1..14, got 0"),
-        ((15, 1), {}, r"got 15 \(one state of 15 wires takes 512 KiB"),
+        ((0, 1), {}, r"wires must be an integer in 1..20, got 0"),
+        ((21, 1), {}, r"got 21 \(one state of 21 wires takes 32 MiB"),
         ((40, 1), {}, r"got 40 \(one state of 40 wires takes 16 TiB of memory"),
         ((2.0, 1), {}, "wires expects int or Circuit, got 2.0"),
         ((3, 0), {}, "spectral must be between 1 and 64, got 0"),
@@ -200,3 +201,33 @@ def test_a_layer_of_a_description_is_the_layer_of_its_name() -> None:
         QuantumLayer(circuit, 2)
     with pytest.raises(ValueError, match="spectral is missing"):
         QuantumLayer(3)
+
+
+@pytest.mark.parametrize("spectral", [1, 2])
+def test_a_wide_circuit_is_exact(spectral: int) -> None:
+    layer = QuantumLayer(17, spectral, method="statevector", backend="compiled")
+    plain = QuantumLayer(17, spectral, method="statevector", backend="torch").double()
+    plain.load_state_dict(layer.state_dict())
+    x = torch.randn(2, 17)
+    fast, slow = x.clone().requires_grad_(), x.double().requires_grad_()
+    values, expected = layer(fast), plain(slow)
+    torch.testing.assert_close(values.double(), expected, rtol=0, atol=3e-6)
+    values.square().sum().backward()
+    expected.square().sum().backward()
+    assert fast.grad is not None
+    torch.testing.assert_close(fast.grad.double(), slow.grad, rtol=0, atol=3e-6)
+    if spectral == 1:
+        cones = QuantumLayer(layer.circuit)
+        cones.load_state_dict(layer.state_dict())
+        assert cones.cost(6144).method == "lightcone"
+        torch.testing.assert_close(cones(x.expand(6144, 2, 17)[0]), values, rtol=0, atol=3e-6)
+
+
+def test_a_circuit_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    layer = QuantumLayer(16, 2)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 2**28)
+    with pytest.raises(ValueError, match=r"a circuit of 20 wires would take .* GiB of memory; 256 MiB are available"):
+        QuantumLayer(20, 2)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 64)
+    with pytest.raises(ValueError, match=r"a batch of 10000 samples of a circuit of 16 wires would take"):
+        layer(torch.zeros(10000, 16))

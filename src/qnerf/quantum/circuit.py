@@ -31,7 +31,7 @@ from annotated_types import Interval
 from qnerf.config.bounds import Factor
 from qnerf.config.registry import Registry
 
-MAX_WIRES = 14
+MAX_WIRES = 20
 MAX_SPECTRAL = 64  # the largest scale of ternary encodings, 3^63, is still a float32
 
 Wires = Annotated[int, Interval(ge=1, le=MAX_WIRES)]
@@ -149,7 +149,7 @@ class Circuit:
 
 
 def check_wires(wires: int) -> None:
-    """ValueError unless 1 <= wires <= 14. The message says how much memory one state vector would take."""
+    """ValueError unless 1 <= wires <= 20. The message says how much memory one state vector would take."""
     if isinstance(wires, bool) or not isinstance(wires, int) or not 1 <= wires <= MAX_WIRES:
         size = ""
         if isinstance(wires, int) and wires > MAX_WIRES:
@@ -205,7 +205,7 @@ def qiren(
         2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RZ───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <Z>
 
     Args:
-        wires: n, 1 to 14.
+        wires: n, 1 to 20.
         spectral: S, the encodings of the input, at least 1.
         sublayers: of each trainable block; each is Rot on every wire and a ring of entanglers.
         entangler: CZ or CNOT.

@@ -88,6 +88,14 @@ def statevector_operations(form: NormalForm) -> int:
     return 2 * forward + measurement + backward  # the backward pass runs the forward pass again
 
 
+def statevector_memory(form: NormalForm, batch: int, itemsize: int = 4) -> int:
+    """Bytes of work space, at most, of the compiled state-vector engine: a block of samples for each thread."""
+    blocks = -(-batch * itemsize // VECTOR_BYTES)
+    vectors = 2 * (len(form.steps) + 2) + 10
+    blocks_at_once = min(torch.get_num_threads(), blocks)
+    return blocks_at_once * vectors * 2**form.wires * VECTOR_BYTES + itemsize * batch * 4 * form.wires
+
+
 @lru_cache(maxsize=256)
 def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
     """Multiply-adds for each sample, forward and backward, and circuit evaluations for each step.
@@ -140,10 +148,6 @@ def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype,
             reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
             return Cost("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason, others)
         why_not = f"{cone:,} operations a sample, but {once:,} once a step"
-    if compiled:
-        vectors = 2 * (len(form.steps) + 2) + 10
-        memory = threads * vectors * 2**circuit.wires * VECTOR_BYTES + itemsize * batch * 4 * circuit.wires
-    else:
-        memory = statevector.CHUNK_BYTES
+    memory = statevector_memory(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
     reason = "asked for" if method == "statevector" else why_not
     return Cost("statevector", backend, batch, state, 0, memory, seconds(state, 0), reason, {"lightcone": why_not})

@@ -7,14 +7,16 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from qnerf.config import memory
 from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum import lightcone, measurement, operator, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
 from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.cost_model import Cost, choose_engine
+from qnerf.quantum.cost_model import Cost, choose_engine, statevector_memory
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.normal_form import normal_form
 
+LARGE = 2**28  # bytes of work space that are asked for only if the machine has them
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 
 
@@ -35,7 +37,7 @@ class QuantumLayer(nn.Module):
     Every circuit in `ANSATZE` has one output for each wire.
 
     Args:
-        wires: n, 1 to 14; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
+        wires: n, 1 to 20; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
         spectral: S, encodings of the input (data re-uploadings), 1 to 64.
         method: auto takes the cheaper exact engine for the batch at hand (`cost` says which); lightcone evaluates
             trigonometric polynomials, statevector simulates, pennylane runs a PennyLane device.
@@ -55,7 +57,7 @@ class QuantumLayer(nn.Module):
     infinite give NaN.
 
     Raises:
-        ValueError: a wrong last dimension, integer inputs, wires outside 1..14, an unknown name, or method=lightcone
+        ValueError: a wrong last dimension, integer inputs, wires outside 1..20 or more than the memory holds, an unknown name, or method=lightcone
             for a circuit without small light cones.
     """
 
@@ -90,7 +92,9 @@ class QuantumLayer(nn.Module):
             for name, value in options.items():
                 if value != defaults[name].default:
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
-        self._engine = compiled.StatevectorEngine(normal_form(self.circuit))
+        form = normal_form(self.circuit)
+        memory.require(f"one sample of a circuit of {self.wires} wires", statevector_memory(form, 1))
+        self._engine = compiled.StatevectorEngine(form)
         self._cone = lightcone.LightConeEngine(self.circuit) if method == "lightcone" else None
         self._costs: dict[tuple[Any, ...], Cost] = {}
         first, second = self.circuit.weight_shapes
@@ -185,6 +189,8 @@ class QuantumLayer(nn.Module):
             return lightcone.evaluate(self._cone, x, weights)
         if engine.backend == "torch":
             return statevector.evaluate(self._engine.form, x, weights)
+        if engine.memory > LARGE:
+            memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.wires} wires", engine.memory)
         return compiled.evaluate(self._engine, x, weights)
 
 
