@@ -57,8 +57,8 @@ class QuantumLayer(nn.Module):
     infinite give NaN.
 
     Raises:
-        ValueError: a wrong last dimension, integer inputs, wires outside 1..20 or more than the memory holds, an unknown name, or method=lightcone
-            for a circuit without small light cones.
+        ValueError: a wrong last dimension, integer inputs, wires outside 1..20 or more than memory holds, an unknown
+            name, or method=lightcone for a circuit without small light cones.
     """
 
     @checked
