@@ -214,7 +214,8 @@ def forged_state(store: Store, rng: Random) -> str:
 @mutation
 def owner_files(store: Store, rng: Random) -> str:
     folder = store.run(rng) / rng.choice(("owner", "owner", ".annotations/owner"))
-    if not folder.parent.is_dir() or folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+    odd = not folder.parent.is_dir() or (folder.exists() and not folder.is_dir())
+    if odd or store.is_behind_a_link(folder / "file"):
         raise Skipped
     folder.mkdir(exist_ok=True)
     record = {

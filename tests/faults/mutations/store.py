@@ -56,14 +56,15 @@ class Store:
 
     def paths(self, pattern: str = "**/*") -> list[Path]:
         """What matches, but for what is reached through a link."""
-        return sorted(path for path in self.root.glob(pattern) if not self._behind_a_link(path))
+        return sorted(path for path in self.root.glob(pattern) if not self.is_behind_a_link(path))
 
-    def _behind_a_link(self, path: Path) -> bool:
+    def is_behind_a_link(self, path: Path) -> bool:
         above = path.relative_to(self.root).parents
         return any((self.root / part).is_symlink() for part in above)
 
     def runs(self) -> list[Path]:
-        return [path for path in self.paths("*") if not path.name.startswith(".") and path.is_dir()]
+        folders = (path for path in self.paths("*") if path.is_dir() and not path.is_symlink())
+        return [path for path in folders if not path.name.startswith(".")]
 
     def run(self, rng: Random) -> Path:
         return self.touched(rng.choice(self.runs() or [self.root]))
