@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+import pennylane as qml
 import pytest
 import torch
 from hypothesis import given
@@ -13,9 +14,11 @@ from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import ray_table, run
-from qnerf.probes import PROBES, load, probe, rays, spectrum
+from qnerf.probes import PROBES, cost, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone, statevector
+from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.lightcone import interpolation
+from qnerf.quantum.pennylane import apply
 from qnerf.timing import Stopwatch
 
 SMALL = ("qiren.qubits=3", "train.steps=3")
@@ -185,6 +188,34 @@ def test_the_command_writes_what_is_asked_for(tiny, monkeypatch, capsys):
     assert not (path / "eval_hardware.parquet").exists()
     assert command(monkeypatch, str(path), "rays", "shots=10", "views=1") == 0
     assert (path / "eval_hardware.parquet").exists()
+
+
+def test_the_cost_on_hardware_counts_what_is_evaluated(tiny, monkeypatch, capsys):
+    trained = load(run(tiny("field=qboth", *SMALL, "qiren.layers=2", "visibility.cameras=0")).path)
+    table = PROBES["cost"](trained)
+    assert table[["head", "circuit"]].values.tolist() == [[head, n] for head in ("density", "color") for n in range(3)]
+    pixels = trained.ray_table().width * trained.ray_table().height
+    samples = trained.settings.sampler["final"]
+    angles = 9 * 2 * (2 + 1) + 3 * 2  # of 3 wires, 2 sublayers and 2 re-uploadings
+    density = table.query("head == 'density'")
+    assert set(density["view"]) == {pixels * samples}
+    assert set(density["step"]) == {trained.settings.train.rays * samples * (1 + 2 * angles)}
+    np.testing.assert_allclose(density["view_hours"], pixels * samples * 1000 / 1e4 / 3600)
+    before = {name: value.clone() for name, value in trained.model.state_dict().items()}
+    PROBES["cost"](trained)
+    assert all(torch.equal(value, before[name]) for name, value in trained.model.state_dict().items())
+    assert command(monkeypatch, str(trained.folder), "cost") == 0
+    assert capsys.readouterr().out.count("density") == 3
+
+
+@pytest.mark.parametrize("name", ["qiren", "cnot", "ry", "neighbours"])
+@pytest.mark.parametrize("wires", [1, 2, 5])
+def test_gates_and_depth_are_those_of_pennylane(name, wires):
+    circuit = ANSATZE.build(name, wires, 2)
+    with qml.tape.QuantumTape() as tape:
+        apply(circuit, torch.zeros(wires), torch.zeros(circuit.rows, wires, 3))
+    counted = tape.specs["resources"]
+    assert cost.gate_counts(circuit) == (counted.gate_sizes[1], counted.gate_sizes.get(2, 0), counted.depth)
 
 
 def test_the_command_knows_every_probe():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.probes import encoding, rays, spectrum, units
+from qnerf.probes import cost, encoding, rays, spectrum, units
 from qnerf.probes.trained import Trained, load
 from qnerf.records.files import replace
 
@@ -14,6 +14,7 @@ PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
     "encoding": encoding.table,
     "rays": rays.table,
     "units": units.table,
+    "cost": cost.table,
 }
 
 
@@ -21,7 +22,7 @@ def probe(trained: Trained, name: str) -> Path:
     """Computes a probe, replaces `<name>.parquet` in the run's folder and returns its path.
 
     Raises:
-        ValueError: an unknown probe, or one that the run has no parts for (a spectrum without circuits).
+        ValueError: an unknown probe, or one that the run has no parts for (a spectrum or a cost without circuits).
     """
     if name not in PROBES:
         raise ValueError(f"unknown probe {name!r}; known: {', '.join(PROBES)}")

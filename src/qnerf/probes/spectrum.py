@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 import torch
 
-from qnerf.heads.qiren import HybridLayer, QirenHead
-from qnerf.probes.trained import Trained
+from qnerf.heads.qiren import HybridLayer
+from qnerf.probes.trained import Trained, circuits_of
 from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import Circuit, Encoding
 from qnerf.quantum.compiled import engine as compiled
@@ -45,12 +45,10 @@ def table(trained: Trained) -> pd.DataFrame:
     """
     parts = []
     for name, head in trained.heads.items():
-        if isinstance(head, QirenHead):
-            for index, layer in enumerate(head.hybrid):
-                circuit = layer.circuit
-                assert isinstance(circuit, QuantumLayer)
-                rows = powers(circuit).merge(angles(layer, circuit.wires), on="wire")
-                parts.append(rows.assign(head=name, circuit=index))
+        for index, (place, circuit) in enumerate(circuits_of(head).items()):
+            layer = head.get_submodule(place.rpartition(".")[0])
+            rows = powers(circuit).merge(angles(layer, circuit.wires), on="wire")
+            parts.append(rows.assign(head=name, circuit=index))
     if not parts:
         raise ValueError(f"{trained.folder}: has no circuit, both of its heads are MLPs")
     rows = pd.concat(parts, ignore_index=True)

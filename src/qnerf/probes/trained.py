@@ -48,6 +48,11 @@ def heads_of(model: Model) -> dict[str, nn.Module]:
     return {"density": model.field.density_head, "color": model.field.color_head}
 
 
+def circuits_of(head: nn.Module) -> dict[str, QuantumLayer]:
+    """The circuits of a head, by their place in it."""
+    return {name: module for name, module in head.named_modules() if isinstance(module, QuantumLayer)}
+
+
 def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
     """Builds the run's scene and model and loads its last checkpoint.
 

@@ -66,6 +66,14 @@ TABLES = {
         "column": "int",
         **{f"channel_{number}": "float" for number in range(8)},
     },
+    "cost": {
+        "head": "text",
+        **dict.fromkeys(
+            ("circuit", "wires", "one_qubit_gates", "two_qubit_gates", "depth", "view", "step"),
+            "int",
+        ),
+        **dict.fromkeys(("view_hours", "step_hours"), "float"),
+    },
     "spectrum": {
         "head": "text",
         "method": "text",

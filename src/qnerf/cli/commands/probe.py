@@ -8,7 +8,7 @@ from qnerf.cli.upgrade_config import check_identity, stored
 from qnerf.config.bounds import NonNegativeInt, PositiveInt, Share, check
 from qnerf.records import find, state
 
-PROBES = ("spectrum", "encoding", "rays", "units")
+PROBES = ("spectrum", "encoding", "rays", "units", "cost")
 DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
 
 
@@ -16,8 +16,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measures the trained model of a finished run; the results go into the run's folder. With shots=... or "
         "noise=... it renders the held-out views as quantum hardware would: eval_hardware.parquet. PROBE is spectrum "
-        "(Fourier power of the circuits), encoding (a slice of the encoders), rays (samples along a few rays) or units "
-        "(dead units and the spread of each layer's values, before and after training): PROBE.parquet."
+        "(Fourier power of the circuits), encoding (a slice of the encoders), rays (samples along a few rays), units "
+        "(dead units and the spread of each layer's values, before and after training) or cost (gates, evaluations and "
+        "hours of the circuits on quantum hardware): PROBE.parquet."
     )
     add_run(parser)
     parser.add_argument(
@@ -37,12 +38,18 @@ def main(options: argparse.Namespace) -> None:
     conditions, views = _conditions(settings) if settings or not names else (None, 0)
 
     from qnerf.probes import load, probe
+    from qnerf.probes.cost import RATE, SHOTS
     from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
+    from qnerf.records.read import read_probe
 
     trained = load(run, stored(run, repeated)[0] if state(run) == "finished" else None)
     check_identity(run, trained.scene, trained.settings.scene.get("path"))
     for name in names:
-        print(probe(trained, name))
+        path = probe(trained, name)
+        print(path)
+        if name == "cost":
+            print(f"hours: {SHOTS:,} shots an evaluation, {RATE:,.0f} shots a second")
+            print(read_probe(trained.folder, name).to_string(index=False, float_format="%.3g"))
     if conditions is not None:
         evaluate_hardware(trained, conditions, views=views, tell=print)
         print(f"rows in {trained.folder / FILE}")
