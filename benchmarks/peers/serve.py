@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -77,8 +78,9 @@ class Remote:
         environment = dict(os.environ, OMP_WAIT_POLICY="PASSIVE", OMP_NUM_THREADS=str(threads))
         # So that the process finds this checkout's qnerf in an environment that has only what qnerf needs.
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "src"), environment.get("PYTHONPATH")]))
+        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed with this object)
         self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True, cwd=ROOT,
             env=environment,
         )  # fmt: skip
         self._answer()
@@ -87,8 +89,9 @@ class Remote:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
-            _, errors = self.process.communicate()
-            lines = [text for text in errors.splitlines() if text.strip()]
+            self.close()
+            self.errors.seek(0)
+            lines = [text for text in self.errors.read().splitlines() if text.strip()]
             raise RuntimeError(lines[-1] if lines else f"exit code {self.process.returncode}")
         answer: dict[str, Any] = json.loads(line)
         return answer
@@ -98,9 +101,12 @@ class Remote:
         print(json.dumps({"do": do, **values}), file=self.process.stdin, flush=True)
         return self._answer()
 
+    def close(self) -> None:
+        """Ends the process."""
+        self.process.communicate()
+
     def __enter__(self) -> "Remote":
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.process.stdin.close()  # type: ignore[union-attr]
-        self.process.communicate()
+        self.close()
