@@ -2,11 +2,17 @@
 
 Compares nerfstudio 1.1.5's Nerfacto (its PyTorch implementation, on the CPU) with our classical field, and Nerfacto
 with the published quantum colour head (linear colours; our circuit inside) with our `field=qcolor`, all under
-`train=paper`. Both sides get the same images, poses, batches of pixels, numbers of samples, hash tables, widths, losses,
-schedules of the learning rate and of annealing, and fixed poses, without an appearance embedding. Random numbers differ:
-initial values and jitter. So does one schedule: nerfstudio trains its proposal networks at every second step at first
-and every sixth after step 5,000, we every fifth, as the paper says. PYTHON's environment needs qnerf, and nerfstudio
-without its viewer and rasterisers, which are replaced by empty stand-ins (`benchmarks.peers.stand_ins`):
+`train=paper`. Both sides get the same images, poses, batches of pixels, numbers of samples, table sizes, widths,
+losses, schedules of the learning rate and of annealing, and fixed poses, without an appearance embedding. What
+differs:
+
+- initial values and jitter are other random numbers;
+- nerfstudio trains its proposal networks at every second step at first and at every sixth after step 5,000; we train
+  them at every fifth, as the paper says;
+- nerfstudio's proposal networks hash their coarse levels, too; ours index them directly.
+
+PYTHON's environment needs qnerf, and nerfstudio without its viewer and rasterisers, which are replaced by empty
+stand-ins (`benchmarks.peers.stand_ins`):
 
     pip install . jaxtyping tyro einops && pip install --no-deps nerfstudio==1.1.5
 
@@ -76,7 +82,10 @@ def table_of(trainer: Trainer, evaluator: Evaluator, seed: int, steps: int) -> d
     """The rays, colours and batches that nerfstudio's side needs; see `benchmarks.peers.nerfstudio_models`."""
     table, scene = trainer.table, evaluator.scene
     rays = [table.view(view) for view in range(len(scene.cameras))]
-    assert table.colors.shape[-1] == 3, "a scene without alpha expected"
+    if table.colors.shape[-1] != 3:
+        raise ValueError(
+            f"scene {scene.name}: images without alpha expected, as nerfstudio's side composites them otherwise"
+        )
     arrays = {
         "origins": torch.stack([view.origins[0] for view in rays]),
         "directions": torch.cat([view.directions for view in rays]),
@@ -88,7 +97,10 @@ def table_of(trainer: Trainer, evaluator: Evaluator, seed: int, steps: int) -> d
 
 
 def settings_of(case: str, trainer: Trainer, seed: int, threads: int) -> dict[str, Any]:
-    """The settings of nerfstudio's side, read from ours."""
+    """The settings of nerfstudio's side, read from ours.
+
+    It has no other pose refinement, shading or contraction than `train=paper`.
+    """
     field, sampler, train = trainer.model.field, trainer.model.sampler, trainer.train
     grid: Any = field.encoder
     head: Any = field.color_head
@@ -284,7 +296,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, nargs="+", default=[1000, 3000, 10000], help="when views are rendered")
     parser.add_argument("--schedule", type=int, default=10000, help="steps of the learning rate's schedule")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--overrides", default="", help="of both sides, as for `qnerf run`; default: the scene poster")
+    parser.add_argument("--overrides", default="", help="of both sides: of scene, hash, proposal and train")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="of time; quality uses the first")
     parser.add_argument("--rounds", type=int, default=7, help="blocks of steps for each model and number of threads")
     parser.add_argument("--again", action="store_true", help="repeat quality cases that are saved")
@@ -296,7 +308,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     if not options.report:
         with tempfile.TemporaryDirectory() as folder:
-            measure(Bench(options, Path(folder)))
+            try:
+                measure(Bench(options, Path(folder)))
+            except RuntimeError as error:  # of a model's process
+                raise SystemExit(f"{error} (the environment of --peers-python is described by --help)") from error
     report(stored())
 
 

@@ -132,7 +132,7 @@ class Nerfstudio:
             directions=self.table["directions"][numbers],
             pixel_area=ones,
             camera_indices=views[:, None],
-            nears=ones * self.settings["near"],
+            nears=ones * self.settings["near"],  # given, because its default in evaluation is 0
             fars=ones * self.settings["far"],
         )
 

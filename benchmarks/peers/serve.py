@@ -78,7 +78,7 @@ class Remote:
         environment = dict(os.environ, OMP_WAIT_POLICY="PASSIVE", OMP_NUM_THREADS=str(threads))
         # So that the process finds this checkout's qnerf in an environment that has only what qnerf needs.
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "src"), environment.get("PYTHONPATH")]))
-        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed with this object)
+        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 (`close` closes it)
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True, cwd=ROOT,
             env=environment,
@@ -89,9 +89,7 @@ class Remote:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
-            self.close()
-            self.errors.seek(0)
-            lines = [text for text in self.errors.read().splitlines() if text.strip()]
+            lines = [text for text in self.close().splitlines() if text.strip()]
             raise RuntimeError(lines[-1] if lines else f"exit code {self.process.returncode}")
         answer: dict[str, Any] = json.loads(line)
         return answer
@@ -101,9 +99,14 @@ class Remote:
         print(json.dumps({"do": do, **values}), file=self.process.stdin, flush=True)
         return self._answer()
 
-    def close(self) -> None:
-        """Ends the process."""
+    def close(self) -> str:
+        """Ends the process and returns what it printed."""
+        if self.errors.closed:
+            return ""
         self.process.communicate()
+        with self.errors:
+            self.errors.seek(0)
+            return self.errors.read()
 
     def __enter__(self) -> "Remote":
         return self
