@@ -11,6 +11,14 @@ def _kibibytes(key: str) -> int:
     raise KeyError(key)
 
 
+def resident(key: str) -> int:
+    """Bytes of the process in memory now (VmRSS) or at most so far (VmHWM); -1 where this cannot be measured."""
+    try:
+        return _kibibytes(key) * 1024
+    except (OSError, KeyError):
+        return -1
+
+
 def growth(step: Callable[[], object]) -> int:
     """How many bytes the resident set grows at its peak during `step`; -1 where this cannot be measured."""
     try:

@@ -1,0 +1,54 @@
+"""Empty stand-ins for packages that nerfstudio imports but its models do not use: viewers, images, rasterisers.
+
+With them nerfstudio's models can be imported without a display, CUDA or a full installation.
+"""
+
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+# Its PSNR of each step and its LPIPS are not used, and the latter needs a download.
+ALWAYS = ("torchmetrics",)
+IF_MISSING = ("boto3", "cv2", "gsplat", "matplotlib", "mediapy", "nerfacc", "tensorboard", "torchvision", "viser")
+
+
+class _Empty(ModuleType):
+    """A module in which every name is a class that takes any arguments and does nothing."""
+
+    __path__: list[str] = []  # noqa: RUF012 (the type that modules declare)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        nothing = type(name, (), {"__init__": _ignore, "__call__": _ignore})
+        setattr(self, name, nothing)
+        return nothing
+
+
+def _ignore(*_arguments: object, **_options: object) -> None:
+    return None
+
+
+class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    def __init__(self, packages: Sequence[str]) -> None:
+        self.packages = packages
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> Any:
+        if fullname.split(".")[0] in self.packages:
+            return importlib.machinery.ModuleSpec(fullname, self, is_package=True)
+        return None
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
+        return _Empty(spec.name)
+
+    def exec_module(self, module: ModuleType) -> None: ...
+
+
+def install() -> None:
+    """Makes the packages importable. Call it before anything of nerfstudio is imported."""
+    missing = [name for name in IF_MISSING if importlib.util.find_spec(name) is None]
+    sys.meta_path.insert(0, _Finder([*ALWAYS, *missing]))
