@@ -266,7 +266,9 @@ def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]]
             what.append(MUTATIONS[name](store, random.Random(number)))
         except Skipped:
             what.append(f"{name}: nothing to change")
-        except (OSError, ValueError) as error:  # a mutation met what an earlier one had left
+        except Exception as error:  # a mutation met what an earlier one had left
+            if len(case.mutations) == 1:
+                raise
             what.append(f"{name}: {type(error).__name__}")
     hard_linked = any(name == "hard_link" for name, _ in case.mutations)
     linked = hard_linked or any(path.is_symlink() for path in store.root.iterdir())
