@@ -40,12 +40,11 @@ def shape_points(frame: pd.DataFrame, measure: str, head: str = "color") -> pd.D
     ]
     table = points.points(runs, ["psnr"], shape).rename(columns={f"{head}.name": "kind"})
     table["x"] = [float(row[columns[row["kind"]]]) for _, row in table.iterrows()]
-    varied = list(columns.values())
+    varied = [*columns.values(), "experiment"]  # an experiment acts through the settings that it changes
     table = points.families(table, runs, "x", varied)
     if table.empty:
-        raise ValueError(
-            f"no two configurations differ in the {measure} of the {style.HEADS[head]} alone ({', '.join(varied)})"
-        )
+        keys = ", ".join(columns.values())
+        raise ValueError(f"no two configurations differ in the {measure} of the {style.HEADS[head]} alone ({keys})")
     labelled = table.assign(**{head: [_fixed(row, measure, head) for _, row in table.iterrows()]})
     for _, rows in labelled.groupby("kind"):
         table.loc[rows.index, "line"] = points.family_names(rows, runs, varied, [head])
@@ -81,7 +80,8 @@ def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
         for ax, kind in zip(row, kinds, strict=True):
             shown = table[(table["scene_name"] == scene) & (table["kind"] == kind)]
             for number, (line, group) in enumerate(shown.groupby("line")):
-                ax.errorbar(group["x"], group["psnr"], group["psnr_std"], label=line, **style.series(number))
+                bars = group["psnr_std"] if group["psnr_std"].notna().any() else None  # else the legend would show some
+                ax.errorbar(group["x"], group["psnr"], bars, label=line, **style.series(number))
             ax.set_title(f"{scene}: {style.HEADS[head]}, {'circuits' if kind == 'qiren' else 'MLPs'}")
             if len(shown):
                 ax.legend()
@@ -94,6 +94,7 @@ def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
         ax.set_xticks(ticks, [f"{x:.0f}" for x in ticks])
     finished = select(frame)
     others = len(points.points(finished.runs, ["psnr"])) - len(table)
-    rest = f"{others} configurations that differ in more than the {measure} are not drawn" if others else ""
+    what = "1 configuration that differs" if others == 1 else f"{others} configurations that differ"
+    rest = f"not drawn: {what} in more than the {measure}" if others else ""
     style.footnote(figure, points.seeds(table), rest, finished.note)
     return figure

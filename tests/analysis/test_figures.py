@@ -126,7 +126,17 @@ def test_circuits_have_their_own_panel_of_depth(frame):
     (container,) = figure.axes[1].containers
     assert container.get_label() == "S = 1"
     assert container[0].get_xdata(orig=False).tolist() == [1, 2]
-    assert "2 configurations that differ in more than the depth are not drawn" in footnote(figure)
+    assert "not drawn: 2 configurations that differ in more than the depth" in footnote(figure)
+
+
+def test_an_experiment_is_no_setting_of_its_own(frame):
+    """It acts through what it changes, so a sweep over experiments draws the same lines."""
+    named = frame.assign(experiment="experiment " + frame["color"])
+    for measure in ("depth", "width"):
+        pd.testing.assert_frame_equal(
+            figures.shape_points(named, measure).drop(columns="experiment", errors="ignore"),
+            figures.shape_points(frame, measure).drop(columns="experiment", errors="ignore"),
+        )
 
 
 def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
