@@ -18,22 +18,24 @@ def ids(done) -> list[str]:
 
 def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
     qnerf("tag", "aaaa", "good", "base")
-    lines = qnerf("runs", "--sort", "psnr").out.splitlines()
-    assert lines[0].split() == [
-        "id", "state", "field", "encoder", "qiren", "params", "heads", "PSNR", "steps", "time", "age", "tags", "error",
+    titles, *lines = (line.split() for line in qnerf("runs", "--sort", "psnr").out.splitlines())
+    assert titles == [
+        "id", "state", "scene", "field", "encoder", "qiren", "params", "heads", "PSNR", "SSIM", "steps", "time", "age",
+        "tags", "error",
     ]  # fmt: skip
-    rows = {line.split()[0]: line.split() for line in lines[1:]}
-    assert all(len(row) == 13 for row in rows.values())
+    assert all(len(line) == len(titles) for line in lines)
+    rows = {line[0]: dict(zip(titles, line, strict=True)) for line in lines}
     assert list(rows)[:2] == ["poster-classical-s0-bbbbbbbbbb", "poster-qcolor-s0-aaaaaaaaaa"]
-    assert rows["poster-qcolor-s0-aaaaaaaaaa"][1:10] == [
-        "finished", "qcolor", "hash", "1L2S", "1234", "234", "21.50", "40", "1m40s",
+    first = rows["poster-qcolor-s0-aaaaaaaaaa"]
+    assert [first[title] for title in titles[1:12]] == [
+        "finished", "poster", "qcolor", "hash", "1L2S", "1234", "234", "21.50", "0.500", "40", "1m40s",
     ]  # fmt: skip
-    assert rows["poster-qcolor-s0-aaaaaaaaaa"][11] == "base,good"
-    assert rows["poster-classical-s0-bbbbbbbbbb"][4] == "-"
+    assert first["tags"] == "base,good"
+    assert rows["poster-classical-s0-bbbbbbbbbb"]["qiren"] == "-"
     failed = rows["poster-qcolor-s1-cccccccccc"]
-    assert (failed[1], failed[7], failed[8], failed[12]) == ("failed", "-", "20/40", "loss_is_NaN")
-    assert rows["poster-qcolor-s2-dddddddddd"][1] == "interrupted"
-    assert rows["poster-qboth-s0-eeeeeeeeee"][1] == "damaged"
+    assert [failed[title] for title in ("state", "PSNR", "steps", "error")] == ["failed", "-", "20/40", "loss_is_NaN"]
+    assert rows["poster-qcolor-s2-dddddddddd"]["state"] == "interrupted"
+    assert rows["poster-qboth-s0-eeeeeeeeee"]["state"] == "damaged"
 
 
 @pytest.mark.parametrize(
@@ -141,7 +143,7 @@ def test_a_first_look_at_many_runs_says_how_far_it_is(monkeypatch, capsys):
 
 
 def test_a_run_that_is_running(running, qnerf):
-    assert qnerf("runs", "state=running").out.splitlines()[1].split()[8] == "20/40"
+    assert qnerf("runs", "state=running").out.splitlines()[1].split()[10] == "20/40"
 
 
 def test_commands_that_read_import_neither_torch_nor_hydra():
