@@ -260,6 +260,8 @@ def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]]
         locations.SETTLED = -1.0
         index.load(folder / "store")
     store = Store(folder / "store", base / "outside")
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
     what = []
     for name, number in case.mutations:
         try:
@@ -280,8 +282,6 @@ def attend(case: Case, base: Path, folder: Path, tell: Callable[[dict[str, Any]]
     os.dup2(err, 2)
     sys.stdout = os.fdopen(1, "w", encoding="utf-8")
     sys.stderr = os.fdopen(2, "w", encoding="utf-8", errors="backslashreplace", buffering=1)
-    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
     for arguments in commands(case.seed, store.root, store.targets, figures):
         if not wanted(case, arguments[0]):
             continue

@@ -69,10 +69,15 @@ def _event(wall_time: float, step: int, summary: Any) -> event_pb2.Event:
 
 
 def _hyperparameters(content: Content) -> Any:
-    values = {
-        name: value if isinstance(value, (bool, int, float, str)) else "none" for name, value in content.config.items()
-    }
+    values = {name: _hyperparameter(value) for name, value in content.config.items()}
     return summary_v2.hparams_pb(values, trial_id=content.run_id, start_time_secs=content.created)
+
+
+def _hyperparameter(value: Any) -> bool | float | str:
+    """The value as TensorBoard takes it, numbers as floats."""
+    if isinstance(value, int) and abs(value) >= 2**1023:  # of a damaged configuration
+        return f"an integer of {value.bit_length()} bits"
+    return value if isinstance(value, (bool, int, float, str)) else "none"
 
 
 def _session_end(content: Content) -> Any:

@@ -104,6 +104,13 @@ def test_tensorboard_reads_back_what_was_logged(run, qnerf, tmp_path):
     assert {"state", "tags", "_hparams_/session_start_info"} <= set(events.Tags()["tensors"])
 
 
+@pytest.mark.parametrize("number", [10**400, -(10**400), int("1" + "0" * 4000, 16) ** 4])
+def test_a_number_beyond_all_floats_is_exported_as_text(number):
+    to_tensorboard = pytest.importorskip("qnerf.export.to_tensorboard", reason="tensorboard is not installed")
+    assert to_tensorboard._hyperparameter(number) == f"an integer of {number.bit_length()} bits"
+    assert to_tensorboard._hyperparameter(3) == 3
+
+
 def test_tensorboard_leaves_other_files_alone(run, qnerf, tmp_path):
     pytest.importorskip("tensorboard", reason="tensorboard is not installed")
     folder = tmp_path / "out" / run.name
