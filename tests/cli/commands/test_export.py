@@ -104,7 +104,7 @@ def test_tensorboard_reads_back_what_was_logged(run, qnerf, tmp_path):
     assert {"state", "tags", "_hparams_/session_start_info"} <= set(events.Tags()["tensors"])
 
 
-@pytest.mark.parametrize("number", [10**400, -(10**400), int("1" + "0" * 4000, 16) ** 4])
+@pytest.mark.parametrize("number", [10**400, -(10**400), 2**20_000], ids=["large", "small", "no text"])
 def test_a_number_beyond_all_floats_is_exported_as_text(number):
     to_tensorboard = pytest.importorskip("qnerf.export.to_tensorboard", reason="tensorboard is not installed")
     assert to_tensorboard._hyperparameter(number) == f"an integer of {number.bit_length()} bits"
