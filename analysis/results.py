@@ -364,7 +364,7 @@ QUESTIONS = {
     ),
     "fog": Question(
         "Which colours of a circuit end as fog in the paper's recipe? (3,000 steps)",
-        ("python -m src.run -cd sweeps -cn fog",),
+        ("python -m src.run -cd sweeps -cn fog train.steps=3000",),
         ("scene_name", "color.activation"),
         {"color.activation": "linear"},
         failures=True,
