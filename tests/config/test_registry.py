@@ -1,6 +1,7 @@
 import pytest
 
 from qnerf.config.registry import Registry
+from qnerf.heads import HEADS
 
 
 @pytest.fixture
@@ -64,3 +65,9 @@ def test_a_class_that_hands_its_options_on_has_those_of_its_parent(registry):
 def test_wiring_is_not_an_option(registry):
     with pytest.raises(ValueError, match="unknown option in_dim"):
         registry.check("circle", {"in_dim": 3})
+
+
+@pytest.mark.parametrize("option", ["name", "self"])
+def test_an_option_may_not_hide_an_argument(option):
+    with pytest.raises(ValueError, match=f"head=mlp: unknown option {option}=3; known: layers"):
+        HEADS.build("mlp", 3, 2, **{option: 3})

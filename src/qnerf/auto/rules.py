@@ -142,7 +142,8 @@ OVERSAMPLING = 2.0  # cells per cell of the sampling theorem, because interpolat
 
 def unit_resolution(data: Measured, config: Config) -> float:
     """Cells per axis of the unit cube that resolve the finest detail of the images."""
-    contraction = CONTRACTIONS.build(**config["contraction"])
+    options = dict(config["contraction"])
+    contraction = CONTRACTIONS.build(options.pop("name"), **options)
     side = 2 * contraction.half_extent if isinstance(contraction, Box) else 4.0  # world units along the cube
     return OVERSAMPLING * side * data.cells_per_world_unit
 

@@ -59,7 +59,7 @@ class Registry(Generic[T]):
         """The keyword-only parameters of the component: what a user may set."""
         return {option: parameter for option, (parameter, _) in options_of(self.get(name)).items()}
 
-    def build(self, name: str, *wiring: Any, **options: Any) -> T:
+    def build(self, name: str, /, *wiring: Any, **options: Any) -> T:
         """Builds the component; ValueError names the group, the option, its value and what was expected."""
         self.check(name, options)
         missing = [
