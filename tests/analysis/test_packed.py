@@ -2,6 +2,8 @@ import errno
 import shutil
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from analysis import load, statistics
@@ -165,3 +167,19 @@ def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
         shutil.copy(tmp_path / "packed" / name, store)
     with pytest.raises(ValueError, match="holds runs and also packed tables"):
         load.runs(store)
+
+
+def test_a_table_with_two_columns_of_one_name_is_damaged(store, tmp_path, capsys):
+    run = next(store.glob("poster-*"))
+    columns = [
+        pa.array(["end"]),
+        pa.array(["color"]),
+        pa.array(["relu"]),
+        *(pa.array([1]),) * 2,
+        pa.array([0.5]),
+        pa.array([0.5]),
+    ]
+    names = ["when", "head", "kind", "units", "layer", "dead", "std"]
+    pq.write_table(pa.table([*columns, pa.array([2])], [*names, "layer"]), run / "units.parquet")
+    main([str(store), str(tmp_path / "packed")])
+    assert "units.parquet: damaged: expected one column layer, got 2" in capsys.readouterr().err

@@ -122,4 +122,4 @@ def _checked_status(path: Path) -> dict[str, Any]:
 
 
 def _read_lines(path: Path) -> list[str]:
-    return read_bytes(path, MAX_OVERRIDES_BYTES).decode(errors="replace").splitlines()
+    return read_bytes(path, MAX_OVERRIDES_BYTES).decode(errors="backslashreplace").splitlines()

@@ -91,10 +91,14 @@ def with_kinds(table: pa.Table, kinds: Mapping[str, str], label: object) -> pa.T
 
 
 def check_kinds(table: pa.Table, kinds: Mapping[str, str], label: object) -> None:
-    """StoreError if a column is missing, occurs twice or holds values of another kind."""
+    """StoreError if one of these columns is missing or holds values of another kind, or any column occurs twice."""
+    names = table.schema.names
+    if len(set(names)) < len(names):
+        doubled = next(name for name in names if names.count(name) > 1)
+        raise StoreError(f"{label}: damaged: expected one column {doubled}, got {names.count(doubled)}")
     for name, kind in kinds.items():
-        if table.schema.names.count(name) != 1:
-            raise StoreError(f"{label}: damaged: expected one column {name}, got {table.schema.names.count(name)}")
+        if name not in names:
+            raise StoreError(f"{label}: damaged: expected one column {name}, got 0")
         actual = table.schema.field(name).type
         if not fits(KIND_OF_TYPE.get(str(actual), "other"), kind):
             raise StoreError(f"{label}: damaged: {name}: expected {NAMES[kind]}, got {actual}")
