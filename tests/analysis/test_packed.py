@@ -171,15 +171,8 @@ def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
 
 def test_a_table_with_two_columns_of_one_name_is_damaged(store, tmp_path, capsys):
     run = next(store.glob("poster-*"))
-    columns = [
-        pa.array(["end"]),
-        pa.array(["color"]),
-        pa.array(["relu"]),
-        *(pa.array([1]),) * 2,
-        pa.array([0.5]),
-        pa.array([0.5]),
-    ]
-    names = ["when", "head", "kind", "units", "layer", "dead", "std"]
-    pq.write_table(pa.table([*columns, pa.array([2])], [*names, "layer"]), run / "units.parquet")
+    row = {"when": "end", "head": "color", "kind": "relu", "units": 1, "layer": 0, "dead": 0.5, "std": 0.5}
+    table = pa.Table.from_pylist([row])
+    pq.write_table(table.append_column("layer", table["layer"]), run / "units.parquet")
     main([str(store), str(tmp_path / "packed")])
     assert "units.parquet: damaged: expected one column layer, got 2" in capsys.readouterr().err
