@@ -15,7 +15,10 @@ from qnerf.heads import QirenHead
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
 
-pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated"),  # PyTorch's own, for derivatives
+    pytest.mark.filterwarnings("ignore:Guards may run slower on Python 3.13.0"),
+]
 Layers = tuple[QuantumLayer, QuantumLayer]
 
 
