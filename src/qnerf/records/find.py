@@ -4,7 +4,6 @@ import difflib
 import os
 from pathlib import Path
 
-from qnerf.records.deletion import holds_runs
 from qnerf.records.files import exists, refuse_links
 from qnerf.records.location import existing_store, resolved
 from qnerf.records.read import RUN_MARKERS, runs
@@ -18,13 +17,13 @@ def find(name: str | Path, store: str | Path = "runs", *, whole: bool = False) -
     whole: a part of an id is refused.
 
     Raises:
-        ValueError: no run or more than one; the line names the nearest ids.
+        ValueError: no run or more than one, with the nearest ids; or a link to a run in another folder.
     """
     text = str(name)
     if is_path(text):
         folder = resolved(Path(name)) if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
-        if Path(name).is_symlink() and folder.parent != resolved(Path(name).parent) and holds_runs(Path(name).parent):
-            raise ValueError(f"{text}: a link in a store, to {folder}; name that folder itself")
+        if Path(name).is_symlink() and folder.parent != resolved(Path(name).parent):
+            raise ValueError(f"{text}: a link to {folder}; name that folder itself")
         if not any(exists(folder / file) for file in RUN_MARKERS):
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder

@@ -104,17 +104,18 @@ def test_nothing_is_written_through_a_link(make, tmp_path, name):
 
 
 def test_a_run_outside_the_store_is_not_reached_through_a_link_in_it(make, qnerf, tmp_path):
-    """Its path may be typed without looking; elsewhere a link is the user's own."""
+    """Its path may be typed without looking. A link beside its run is the user's own."""
     store, elsewhere = make("a").parent, make("b").rename(tmp_path / "b")
     (store / "b").symlink_to(elsewhere)
     (store / "best").symlink_to("a")
-    (tmp_path / "mine").symlink_to(elsewhere)
-    done = qnerf("tag", str(store / "b"), "seen")
-    assert (done.code, done.out) == (2, "")
-    assert f"a link in a store, to {elsewhere}; name that folder itself" in done.err
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links" / "c").symlink_to(elsewhere)  # a store of nothing but links
+    for link in (store / "b", tmp_path / "links" / "c"):
+        done = qnerf("tag", str(link), "seen")
+        assert (done.code, done.out) == (2, "")
+        assert f"a link to {elsewhere}; name that folder itself" in done.err
     assert not annotations.read(elsewhere).tags
-    for link in (store / "best", tmp_path / "mine"):
-        assert qnerf("tag", str(link), "seen").out == "seen\n"
+    assert qnerf("tag", str(store / "best"), "seen").out == "seen\n"
 
 
 @given(tag=st.text(min_size=1, max_size=64))
