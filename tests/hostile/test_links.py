@@ -60,7 +60,7 @@ def test_a_run_that_is_a_link_is_not_written(tmp_path: Path) -> None:
         records.read_metrics(run)
     with pytest.raises(StoreError, match="a: is a link"):
         find("a", run.parent)
-    with pytest.raises(ValueError, match="a link to .*; name that folder itself"):
+    with pytest.raises(ValueError, match=r"a link to .*; name that folder itself"):
         find(str(run))  # its path may be typed without looking
 
 
