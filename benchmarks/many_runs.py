@@ -18,6 +18,7 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from qnerf.config.folders import CONF
 from qnerf.config.identity import run_id
 from qnerf.model.labels import labels, slug

@@ -31,6 +31,7 @@ from omegaconf import OmegaConf
 
 from analysis import load, statistics
 from benchmarks.training import Plain, in_turn
+import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from qnerf import experiment
 from qnerf.config.folders import CONF
 from qnerf.quantum import QuantumLayer

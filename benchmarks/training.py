@@ -27,6 +27,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from qnerf import experiment, kernels
 from qnerf.config.folders import CONF
 from qnerf.encoders import HashEncoder

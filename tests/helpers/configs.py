@@ -7,6 +7,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+import qnerf.cli.resolvers  # noqa: F401
 from qnerf.cli.overrides import translated
 
 ROOT = Path(__file__).parents[2]

@@ -35,7 +35,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from qnerf.cli import ends, plugins
+from qnerf.cli import ends, plugins, resolvers  # noqa: F401  the configuration needs the resolvers
 from qnerf.cli import overrides as typed
 from qnerf.cli.errors import is_shortage, one_line, report
 from qnerf.cli.streams import escape_unencodable

@@ -159,6 +159,8 @@ def todays_defaults(config: Mapping[str, Any]) -> dict[str, Any]:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
+    import qnerf.cli.resolvers  # noqa: F401
+
     choices = {
         group: node.get("name") for part, group in GROUPS.items() if isinstance(node := config.get(part), Mapping)
     }

@@ -1,8 +1,15 @@
 """Heads: features -> density, geometry features or colour."""
 
+from qnerf.heads.amplitude import AmplitudeHead
 from qnerf.heads.base import HEADS, Head, chosen, head_options
 from qnerf.heads.mlp import MLPHead
 from qnerf.heads.qfgn import QFGNHead
 from qnerf.heads.qiren import HybridLayer, QirenHead
+from qnerf.heads.qiren_bypass import QirenBypassHead
+from qnerf.heads.siren import SirenHead
+from qnerf.heads.surrogate import SurrogateHead
 
-__all__ = ["HEADS", "Head", "HybridLayer", "MLPHead", "QFGNHead", "QirenHead", "chosen", "head_options"]
+__all__ = [
+    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "MLPHead", "QFGNHead", "QirenBypassHead", "QirenHead",
+    "SirenHead", "SurrogateHead", "chosen", "head_options",
+]  # fmt: skip

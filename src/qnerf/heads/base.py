@@ -15,6 +15,9 @@ class Head(nn.Module):
 
     quantum = False
     """Whether the field's label counts the head as a circuit."""
+    recipe = "mlp"
+    """The built-in head whose rates, initial density and colour activation a recipe (conf/train) gives this head, unless
+    the configuration names the head itself."""
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Factor
 from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer
-from qnerf.quantum.circuit import ANSATZE, Spectral, Wires
+from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, Wires
 from qnerf.quantum.layer import Method
 
 Statistics = Literal["batch", "first"]
@@ -133,6 +133,7 @@ class QirenHead(Head):
     """
 
     quantum = True
+    recipe = "qiren"
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:
@@ -164,8 +165,9 @@ class QirenHead(Head):
         self.sum_layers = sum_layers
         self.hybrid = nn.ModuleList()
         own = (ansatz_options or {}).get(ansatz)
+        described = self.described(ANSATZE.build(ansatz, qubits, spectral, **(own or {})))
         for index in range(layers + 1):
-            circuit = QuantumLayer(qubits, spectral, method=method, ansatz=ansatz, init=init, ansatz_options=own)
+            circuit = QuantumLayer(described, method=method, init=init)
             layer_in = in_dim if index == 0 else circuit.outputs
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(circuit.outputs, out_dim)
@@ -179,6 +181,10 @@ class QirenHead(Head):
         resting = [circuit(torch.zeros(1, circuit.wires)) for circuit in circuits]
         values = torch.stack(resting).sum(0) if self.sum_layers else resting[-1]
         self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
+
+    def described(self, circuit: Circuit) -> Circuit:
+        """The circuit of every layer; a head that measures other values overrides this."""
+        return circuit
 
     def hybrid_layer(
         self, index: int, in_dim: int, wires: int, circuit: QuantumLayer, input_scale: float, statistics: Statistics

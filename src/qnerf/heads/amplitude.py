@@ -1,0 +1,275 @@
+"""Amplitude encoding: features become the amplitudes of a state, a unitary acts on it, Z is measured."""
+
+from collections.abc import Callable, Mapping
+from itertools import combinations
+from typing import Annotated, Any, Literal
+
+import torch
+from annotated_types import Interval, MaxLen, MinLen
+from torch import Tensor, nn
+
+from qnerf.config.bounds import Factor, NonNegativeFactor
+from qnerf.heads.base import HEADS, Head
+from qnerf.heads.registers import AmplitudeRegister, BlochRegister, Encoding, product
+from qnerf.heads.unitaries import Kind, Unitaries
+from qnerf.quantum.circuit import EntanglingGate
+from qnerf.quantum.normal_form import z_eigenvalues
+from qnerf.quantum.unitary import apply
+
+MAX_QUBITS = 10  # of all registers together: matrices have 4^n entries
+Qubits = Annotated[int, Interval(ge=1, le=MAX_QUBITS)]
+Values = Literal["Z", "ZZ", "probabilities"]
+
+
+class System(nn.Module):
+    """Registers that one circuit acts on, and the probabilities of what is measured.
+
+    The state is the tensor product of the registers' amplitudes. Then come `uploads` encodings, RZ by
+    frequency x (V x + c) on every wire, with a unitary before, between and after them.
+    """
+
+    frequencies: Tensor
+    measured: Tensor
+
+    def __init__(
+        self,
+        registers: list[nn.Module],
+        wires: int,
+        in_dim: int,
+        unitaries: Unitaries,
+        frequencies: str,
+        values: Values,
+    ) -> None:
+        super().__init__()
+        self.wires = wires
+        self.register_buffer("measured", eigenvalues(wires, values), persistent=False)
+        self.registers = nn.ModuleList(registers)
+        self.unitaries = unitaries
+        self.uploads = unitaries.count - 1
+        if self.uploads:
+            self.upload = nn.Linear(in_dim, wires)
+            powers = 3.0 ** torch.arange(self.uploads)[:, None].expand(-1, wires)
+            if frequencies == "ternary":
+                self.frequencies = nn.Parameter(powers.clone())
+            else:
+                self.register_buffer("frequencies", torch.ones_like(powers))
+
+    @property
+    def folds(self) -> bool:
+        """Whether the unitary can be multiplied into the linear map that makes the amplitudes: |U v| = |v|."""
+        first = self.registers[0] if len(self.registers) == 1 else None
+        return isinstance(first, AmplitudeRegister) and first.encoding == "normalised" and not self.uploads
+
+    def forward(self, parts: list[Tensor], features: Tensor, weights: Tensor) -> Tensor:
+        """The measured values times weights (out, values): (N, out).
+
+        parts: the features of each register, (N, ...). features: those of the encodings.
+        """
+        weights = weights @ self.measured  # (out, 2^n), on the probabilities of the basis states
+        return self._folded(parts[0], weights) if self.folds else self._state(parts, features, weights)
+
+    def _folded(self, features: Tensor, weights: Tensor) -> Tensor:
+        """p_k = u_k^2 / sum(u^2) with u = U W x + U b: what an MLP with squares and a division costs."""
+        register = self.registers[0]
+        assert isinstance(register, AmplitudeRegister)
+        weight, bias = register.map()
+        (unitary,) = self.unitaries()
+        if unitary is not None:
+            dtype = torch.promote_types(unitary.dtype, weight.dtype)
+            joined = unitary.to(dtype) @ torch.cat([weight, bias[:, None]], 1).to(dtype)
+            weight, bias = joined[:, :-1], joined[:, -1]
+        if weight.is_complex():
+            weight, bias = torch.cat([weight.real, weight.imag]), torch.cat([bias.real, bias.imag])
+            weights = weights.repeat(1, 2)
+        u = nn.functional.linear(register.inputs(features), weight, bias)
+        sums = (u * u) @ torch.cat([weights, torch.ones_like(weights[:1])]).T
+        return sums[:, :-1] / sums[:, -1:]
+
+    def _state(self, parts: list[Tensor], features: Tensor, weights: Tensor) -> Tensor:
+        state = self.prepared(parts, features)
+        angles = self.upload(features) if self.uploads else None
+        signs = eigenvalues(self.wires, "Z").to(features).T if self.uploads else None
+        for index, unitary in enumerate(self.unitaries()):
+            if unitary is not None:
+                dtype = torch.promote_types(unitary.dtype, state.dtype)
+                state = state.to(dtype) @ unitary.to(dtype).T
+            if angles is not None and signs is not None and index < self.uploads:
+                half = (angles * self.frequencies[index]) @ signs.T / 2
+                state = state * torch.complex(half.cos(), -half.sin())
+        return probabilities(state) @ weights.T
+
+    def plain(self, parts: list[Tensor], features: Tensor, weights: Tensor) -> Tensor:
+        """The reference of `forward`: prepares the state, runs the circuit gate by gate, measures."""
+        state = self.prepared(parts, features)
+        state = state.to(state.dtype.to_complex())
+        unitaries = self.unitaries
+        circuit = unitaries.circuit
+        cut = [i for i, operation in enumerate(circuit.operations) if hasattr(operation, "scales")]
+        for index in range(unitaries.count):
+            if unitaries.kind in ("circuit", "product"):
+                first, last = [-1, *cut, len(circuit.operations)][index : index + 2]
+                block = circuit.operations[first + 1 : last]
+                state = apply(circuit, state, unitaries.angles, operations=block)
+            elif (unitary := unitaries()[index]) is not None:
+                state = state @ unitary.to(state.dtype).T
+            if index < self.uploads:
+                x = self.upload(features) * self.frequencies[index]
+                state = apply(circuit, state, state.real, x, operations=circuit.operations[cut[index] :][:1])
+        return probabilities(state) @ self.measured.T @ weights.T
+
+    def prepared(self, parts: list[Tensor], features: Tensor) -> Tensor:
+        """The state (N, 2^n) before the first unitary; without registers |0...0>."""
+        if self.registers:
+            return product([register(part) for register, part in zip(self.registers, parts, strict=True)])
+        return nn.functional.pad(torch.ones_like(features[:, :1]), (0, 2**self.wires - 1))
+
+
+def probabilities(state: Tensor) -> Tensor:
+    return state.real.square() + state.imag.square() if state.is_complex() else state.square()
+
+
+def eigenvalues(wires: int, values: Values) -> Tensor:
+    """(values, 2^n): what each measured value is on each basis state."""
+    if values == "probabilities":
+        return torch.eye(2**wires)
+    words = [frozenset({wire}) for wire in range(wires)]
+    if values == "ZZ":
+        words += [frozenset(pair) for pair in combinations(range(wires), 2)]
+    return torch.from_numpy(z_eigenvalues(tuple(words), wires)).to(torch.get_default_dtype())
+
+
+@HEADS.register("amplitude")
+class AmplitudeHead(Head):
+    """Amplitude encoding, a unitary, measured values, a last linear map (docs/heads.md).
+
+        psi = U a(x),   a = (W x + b) / |W x + b|,   values <Z_i>, <Z_i Z_j>,   out = gain R values + c
+
+    c starts so that x = 0 gives 0. Where the state is one normalised register, U (W x + b) = (U W) x + U b: the unitary
+    is multiplied into W once a step and costs nothing per sample. For the same reason W can take the place of any U.
+    The defaults are the best form that we found; heads after publications are choices of conf/head.
+
+    Args:
+        registers: qubits of each register; the state is the tensor product of the registers, at most 10 qubits.
+            Registers of one qubit are a product state of angles, which no longer absorbs a unitary.
+        encoding: of each register, see `AmplitudeRegister`; none: the wires start in |0...0>.
+        amplitudes: real or complex.
+        hidden: ReLU units before the amplitudes; 0: none.
+        bias: standard deviation of b at the start. W starts by He's rule.
+        branch: what each register sees. joint: all features. amplitude: the last one sees the direction alone, the
+            others the rest (dual-branch). bloch: the same, and the last register's qubits point in the direction
+            (`BlochRegister`), which needs color.directions=raw.
+        direction_features: how many of the first features are the view direction, where a branch sees it.
+        joint: one circuit on all registers. false: every register has a circuit of its own and is measured by itself
+            (parallel small circuits).
+        unitary: circuit, or a control, see `Unitaries`.
+        layers: of the circuit, in each of the uploads + 1 blocks.
+        rotations: RY (real) or Rot (complex) on every wire in each layer.
+        entangler: CZ or CNOT, in a ring.
+        uploads: RZ encodings of a second linear map of the features, behind the amplitudes.
+        frequencies: factors on the encoded angles. fixed: 1. ternary: trained from 1, 3, 9, ... (arXiv:2602.23409).
+        values: Z of every wire; ZZ: also of all pairs; or the probabilities of all basis states.
+        gain: factor on the values.
+        readout: the last linear map. false: the first values are the outputs, times the gain.
+    """
+
+    quantum = True
+
+    @classmethod
+    def label(cls, options: Mapping[str, Any]) -> str:
+        """`amplitude6`: qubits of the registers; then each option that is not the default."""
+        parameters = HEADS.options("amplitude")
+        parts = [f"amplitude{'+'.join(map(str, options['registers']))}"]
+        for key, value in options.items():
+            if key != "registers" and value != parameters[key].default:
+                parts.append(value if isinstance(value, str) else f"{key}={str(value).lower()}")
+        return "-".join(parts)
+
+    def __init__(
+        self,
+        in_dim: int,
+        out_dim: int,
+        *,
+        registers: Annotated[list[Qubits], MinLen(1), MaxLen(MAX_QUBITS)] = [6],  # noqa: B006
+        encoding: Encoding = "normalised",
+        amplitudes: Literal["real", "complex"] = "real",
+        hidden: Annotated[int, Interval(ge=0, le=2**16)] = 0,
+        bias: NonNegativeFactor = 0.3,
+        branch: Literal["joint", "amplitude", "bloch"] = "joint",
+        direction_features: Annotated[int, Interval(ge=1, le=2**16)] = 3,
+        joint: bool = True,
+        unitary: Kind = "circuit",
+        layers: Annotated[int, Interval(ge=1, le=64)] = 4,
+        rotations: Literal["RY", "Rot"] = "RY",
+        entangler: EntanglingGate = "CZ",
+        uploads: Annotated[int, Interval(ge=0, le=16)] = 0,
+        frequencies: Literal["fixed", "ternary"] = "fixed",
+        values: Values = "ZZ",
+        gain: Factor = 6.0,
+        readout: bool = True,
+    ) -> None:
+        super().__init__()
+        if sum(registers) > MAX_QUBITS:
+            raise ValueError(f"registers must have at most {MAX_QUBITS} qubits together, got {list(registers)}")
+        self.gain = gain
+        self.out_dim = out_dim
+        self.last = len(registers) - 1  # the register that sees the direction, where one does
+        self.direction_features = direction_features if branch != "joint" else 0
+        if self.direction_features >= in_dim or (self.direction_features and len(registers) < 2):
+            raise ValueError(
+                f"branch={branch} expects two registers and more than {direction_features} features, "
+                f"got registers {list(registers)} and {in_dim} features"
+            )
+        made: list[nn.Module] = []
+        for index, qubits in enumerate(registers if encoding != "none" else []):
+            size = in_dim
+            if self.direction_features:
+                size = direction_features if index == len(registers) - 1 else in_dim - direction_features
+            if branch == "bloch" and index == len(registers) - 1:
+                made.append(BlochRegister(size, qubits))
+            else:
+                options = {"encoding": encoding, "is_complex": amplitudes == "complex", "bias": bias, "hidden": hidden}
+                made.append(AmplitudeRegister(size, qubits, **options))  # type: ignore[arg-type]
+        groups = [range(len(registers))] if joint else [range(i, i + 1) for i in range(len(registers))]
+        self.groups = [group if made else range(0) for group in groups]
+        self.systems = nn.ModuleList()
+        for group, own in zip(groups, self.groups, strict=True):
+            wires = sum(registers[index] for index in group)
+            unitaries = Unitaries(
+                wires, uploads + 1, kind=unitary, layers=layers, rotations=rotations, entangler=entangler
+            )
+            own_registers = [made[index] for index in own]
+            self.systems.append(System(own_registers, wires, in_dim, unitaries, frequencies, values))
+        count = sum(len(system.measured) for system in self.systems)
+        self.readout = nn.Linear(count, out_dim) if readout else None
+        if self.readout is None and count < out_dim:
+            raise ValueError(f"readout=false expects at least {out_dim} values, got {count}; take values=ZZ or more qubits")
+        if self.readout is not None and not self.readout.weight.is_meta:
+            with torch.no_grad():
+                self.readout.bias.zero_()
+                self.readout.bias.copy_(-self(torch.zeros(1, in_dim))[0])
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(N, in_dim) -> (N, out_dim)."""
+        return self._evaluated(features, System.forward)
+
+    def plain(self, features: Tensor) -> Tensor:
+        """`forward` with the states prepared and the circuits run gate by gate: its reference."""
+        return self._evaluated(features, System.plain)
+
+    def _evaluated(self, features: Tensor, evaluate: Callable[[System, list[Tensor], Tensor, Tensor], Tensor]) -> Tensor:
+        if self.readout is None:
+            count = sum(len(system.measured) for system in self.systems)
+            weights = torch.eye(self.out_dim, count, dtype=features.dtype, device=features.device)
+        else:
+            weights = self.readout.weight
+        direction, rest = features[:, : self.direction_features], features[:, self.direction_features :]
+        out = None
+        first = 0
+        for system, group in zip(self.systems, self.groups, strict=True):
+            assert isinstance(system, System)
+            parts = [direction if self.direction_features and index == self.last else rest for index in group]
+            values = evaluate(system, parts, features, self.gain * weights[:, first : first + len(system.measured)])
+            out = values if out is None else out + values
+            first += len(system.measured)
+        assert out is not None
+        return out if self.readout is None else out + self.readout.bias

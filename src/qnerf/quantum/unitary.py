@@ -1,0 +1,128 @@
+"""The matrix of a circuit that holds no data. A step builds it once, for all samples.
+
+It is plain PyTorch, for any device, with derivatives of any order. `apply` is its reference: it runs the gates one by
+one on given states, and takes encodings as well.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations, ring
+from qnerf.quantum.normal_form import basis_bits, cnot_permutation, cz_signs
+
+
+def layered(
+    wires: int, layers: int, *, uploads: int = 0, entangler: str = "CZ", groups: tuple[int, ...] | None = None
+) -> Circuit:
+    """Blocks of `layers` rotations on every wire, each followed by a ring; between the blocks RZ encodings.
+
+    uploads: encodings; the circuit has uploads + 1 blocks. groups: sizes of neighbouring groups of wires, each with a
+    ring of its own; None: one ring of all wires; groups of one wire: no entangler. Rows are numbered block by block.
+
+    >>> layered(3, 1, groups=(2, 1)).operations[1]
+    Entangler(gate='CZ', pairs=((0, 1),))
+    """
+    pairs: list[tuple[int, int]] = []
+    first = 0
+    for size in groups or (wires,):
+        own = ring(size, 1)[: 1 if size == 2 else None]  # two wires: CZ twice would cancel
+        pairs += [(first + a, first + b) for a, b in own]
+        first += size
+    operations: list[Operation] = []
+    for block in range(uploads + 1):
+        for layer in range(layers):
+            operations += [Rotations(block * layers + layer), Entangler(entangler, tuple(pairs))]
+        if block < uploads:
+            operations.append(Encoding("Z", (1.0,) * wires))
+    observables = tuple(((wire, "Z"),) for wire in range(wires))
+    return Circuit("layered", wires, max(uploads, 1), layers, tuple(operations), observables)
+
+
+def rotation(angles: Tensor) -> Tensor:
+    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) for angles (..., 3) in radians: complex (..., 2, 2).
+
+    Angles (..., 1) are theta alone, and the matrices are real.
+    """
+    theta = angles[..., angles.shape[-1] // 2] / 2
+    c, s = theta.cos(), theta.sin()
+    matrix = torch.stack([c, -s, s, c], -1).unflatten(-1, (2, 2))
+    if angles.shape[-1] == 1:
+        return matrix
+    half = angles[..., ::2] / 2  # phi and omega
+    before, after = (torch.polar(torch.ones_like(part), -part) for part in half.unbind(-1))
+    columns, rows = (torch.stack([phase, phase.conj()], -1) for phase in (before, after))
+    return rows[..., :, None] * matrix * columns[..., None, :]
+
+
+def blocks(circuit: Circuit, angles: Tensor) -> list[Tensor]:
+    """The matrices (2^n, 2^n) of the parts of a circuit before, between and after its encodings.
+
+    Args:
+        angles: (rows, n, 3) radians of the rotations, or (rows, n, 1): theta alone, real where the circuit has CZ or
+            CNOT only, which both are real.
+
+    >>> import math
+    >>> blocks(layered(1, 1), torch.full((1, 1, 1), math.pi))[0].round().abs()
+    tensor([[0., 1.],
+            [1., 0.]])
+    """
+    single = rotation(angles)
+    matrices = single[:, 0]
+    for wire in range(1, circuit.wires):
+        size = matrices.shape[-1]
+        product = matrices[:, :, None, :, None] * single[:, wire, None, :, None, :]
+        matrices = product.reshape(-1, 2 * size, 2 * size)
+    layers = list(matrices.unbind(0))
+    parts: list[Tensor] = []
+    unit = torch.eye(2**circuit.wires, dtype=single.dtype, device=single.device)
+    whole = unit
+    for operation in circuit.operations:
+        if isinstance(operation, Encoding):
+            parts.append(whole)
+            whole = unit
+        elif isinstance(operation, Rotations):
+            layer = layers[operation.row]
+            whole = layer if whole is unit else layer @ whole
+        else:
+            whole = _entangled(whole, operation, circuit.wires)
+    return [*parts, whole]
+
+
+def apply(
+    circuit: Circuit,
+    states: Tensor,
+    angles: Tensor,
+    x: Tensor | None = None,
+    *,
+    operations: Sequence[Operation] | None = None,
+) -> Tensor:
+    """Runs the gates one by one on states (N, 2^n), complex, and returns the states at the end.
+
+    angles: as in `blocks`. x: (N, n) radians, the input of the encodings about Z. operations: a
+    part of the circuit; None: all.
+    """
+    n = circuit.wires
+    signs = torch.from_numpy(1.0 - 2.0 * basis_bits(n)).to(states.real)
+    for operation in circuit.operations if operations is None else operations:
+        if isinstance(operation, Rotations):
+            for wire, matrix in enumerate(rotation(angles[operation.row]).to(states.dtype)):
+                view = states.reshape(-1, 2**wire, 2, 2 ** (n - wire - 1))
+                states = torch.einsum("ab,nibj->niaj", matrix, view).reshape(states.shape)
+        elif isinstance(operation, Encoding):
+            assert x is not None and operation.axis == "Z"
+            phases = (x * x.new_tensor(operation.scales)) @ signs.T / 2
+            states = states * torch.polar(torch.ones_like(phases), -phases)
+        else:
+            states = _entangled(states.T, operation, n).T
+    return states
+
+
+def _entangled(states: Tensor, operation: Entangler, wires: int) -> Tensor:
+    """The entangler on states (2^n, ...)."""
+    if not operation.pairs:
+        return states
+    if operation.gate == "CZ":
+        return torch.from_numpy(cz_signs(operation.pairs, wires)).to(states.real)[:, None] * states
+    return states[torch.from_numpy(cnot_permutation(operation.pairs, wires)).to(states.device)]
