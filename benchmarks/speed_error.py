@@ -29,9 +29,9 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from analysis import load, statistics
 from benchmarks.training import Plain, in_turn
-import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from qnerf import experiment
 from qnerf.config.folders import CONF
 from qnerf.quantum import QuantumLayer

@@ -232,17 +232,21 @@ class AmplitudeHead(Head):
         groups = [range(len(registers))] if joint else [range(i, i + 1) for i in range(len(registers))]
         self.groups = [group if made else range(0) for group in groups]
         self.systems = nn.ModuleList()
+        self.counts: list[int] = []  # values of each system
         for group, own in zip(groups, self.groups, strict=True):
             wires = sum(registers[index] for index in group)
             unitaries = Unitaries(
                 wires, uploads + 1, kind=unitary, layers=layers, rotations=rotations, entangler=entangler
             )
-            own_registers = [made[index] for index in own]
-            self.systems.append(System(own_registers, wires, in_dim, unitaries, frequencies, values))
-        count = sum(len(system.measured) for system in self.systems)
+            system = System([made[index] for index in own], wires, in_dim, unitaries, frequencies, values)
+            self.systems.append(system)
+            self.counts.append(len(system.measured))
+        count = sum(self.counts)
         self.readout = nn.Linear(count, out_dim) if readout else None
         if self.readout is None and count < out_dim:
-            raise ValueError(f"readout=false expects at least {out_dim} values, got {count}; take values=ZZ or more qubits")
+            raise ValueError(
+                f"readout=false expects at least {out_dim} values, got {count}; take values=ZZ or more qubits"
+            )
         if self.readout is not None and not self.readout.weight.is_meta:
             with torch.no_grad():
                 self.readout.bias.zero_()
@@ -256,20 +260,22 @@ class AmplitudeHead(Head):
         """`forward` with the states prepared and the circuits run gate by gate: its reference."""
         return self._evaluated(features, System.plain)
 
-    def _evaluated(self, features: Tensor, evaluate: Callable[[System, list[Tensor], Tensor, Tensor], Tensor]) -> Tensor:
+    def _evaluated(
+        self, features: Tensor, evaluate: Callable[[System, list[Tensor], Tensor, Tensor], Tensor]
+    ) -> Tensor:
+        direction, rest = features[:, : self.direction_features], features[:, self.direction_features :]
+        parts = [
+            direction if self.direction_features and index == self.last else rest for index in range(self.last + 1)
+        ]
         if self.readout is None:
-            count = sum(len(system.measured) for system in self.systems)
-            weights = torch.eye(self.out_dim, count, dtype=features.dtype, device=features.device)
+            weights = torch.eye(self.out_dim, sum(self.counts), dtype=features.dtype, device=features.device)
         else:
             weights = self.readout.weight
-        direction, rest = features[:, : self.direction_features], features[:, self.direction_features :]
-        out = None
-        first = 0
-        for system, group in zip(self.systems, self.groups, strict=True):
-            assert isinstance(system, System)
-            parts = [direction if self.direction_features and index == self.last else rest for index in group]
-            values = evaluate(system, parts, features, self.gain * weights[:, first : first + len(system.measured)])
-            out = values if out is None else out + values
-            first += len(system.measured)
-        assert out is not None
-        return out if self.readout is None else out + self.readout.bias
+        values = [
+            evaluate(system, [parts[index] for index in group], features, own)  # type: ignore[arg-type]
+            for system, group, own in zip(
+                self.systems, self.groups, (self.gain * weights).split(self.counts, 1), strict=True
+            )
+        ]
+        total = sum(values[1:], values[0])
+        return total if self.readout is None else total + self.readout.bias

@@ -44,9 +44,9 @@ class AmplitudeRegister(nn.Module):
     def map(self) -> tuple[Tensor, Tensor]:
         """W (2^qubits, inputs) and b, complex where the amplitudes are."""
         weight, bias = self.linear.weight, self.linear.bias
-        if self.is_complex:
-            weight, bias = torch.complex(*weight.chunk(2)), torch.complex(*bias.chunk(2))
-        return weight, bias
+        if not self.is_complex:
+            return weight, bias
+        return torch.complex(*weight.chunk(2)), torch.complex(*bias.chunk(2))
 
     def forward(self, features: Tensor) -> Tensor:
         values = self.linear(self.inputs(features))

@@ -111,7 +111,8 @@ def apply(
                 view = states.reshape(-1, 2**wire, 2, 2 ** (n - wire - 1))
                 states = torch.einsum("ab,nibj->niaj", matrix, view).reshape(states.shape)
         elif isinstance(operation, Encoding):
-            assert x is not None and operation.axis == "Z"
+            assert x is not None
+            assert operation.axis == "Z"
             phases = (x * x.new_tensor(operation.scales)) @ signs.T / 2
             states = states * torch.polar(torch.ones_like(phases), -phases)
         else:
