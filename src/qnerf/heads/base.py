@@ -16,8 +16,8 @@ class Head(nn.Module):
     quantum = False
     """Whether the field's label counts the head as a circuit."""
     recipe = "mlp"
-    """The built-in head whose rates, initial density and colour activation a recipe (conf/train) gives this head, unless
-    the configuration names the head itself."""
+    """The built-in head whose rates, initial density and colour activation this head gets from a recipe (conf/train),
+    unless the configuration names this head itself."""
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:

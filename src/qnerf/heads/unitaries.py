@@ -19,7 +19,7 @@ class Unitaries(nn.Module):
             `circuit`: layers of a rotation on every wire and a ring of entanglers, with trained angles;
             `product`: the same without entanglers;
             `identity`: none at all;
-            `dense`: any orthogonal (complex: unitary) matrix, trained as exp(A - A^T) (complex: exp(A - A^T + i (A + A^T)));
+            `dense`: any rotation, trained as exp(A - A^T), or any unitary, as exp(A - A^T + i (A + A^T));
             `random`: one drawn by Haar's measure at the start and kept.
         rotations: RY, which is real, or Rot, which is complex.
     """
