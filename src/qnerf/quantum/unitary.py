@@ -5,6 +5,7 @@ one on given states, and takes encodings as well.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -124,6 +125,13 @@ def _entangled(states: Tensor, operation: Entangler, wires: int) -> Tensor:
     """The entangler on states (2^n, ...)."""
     if not operation.pairs:
         return states
+    table = _table(operation, wires, states.real.dtype, states.device)
+    return table * states if operation.gate == "CZ" else states[table]
+
+
+@lru_cache(maxsize=256)
+def _table(operation: Entangler, wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """The signs (2^n, 1) of CZs, or the permutation (2^n,) of CNOTs."""
     if operation.gate == "CZ":
-        return torch.from_numpy(cz_signs(operation.pairs, wires)).to(states.real)[:, None] * states
-    return states[torch.from_numpy(cnot_permutation(operation.pairs, wires)).to(states.device)]
+        return torch.from_numpy(cz_signs(operation.pairs, wires)).to(device, dtype)[:, None]
+    return torch.from_numpy(cnot_permutation(operation.pairs, wires)).to(device)
