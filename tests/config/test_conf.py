@@ -12,7 +12,7 @@ from qnerf.config.compatibility import ADDED, neutral
 from qnerf.config.settings import settings_from
 from qnerf.encoders import DIRECTIONS
 from qnerf.experiment import build_head, run
-from qnerf.heads import head_options
+from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.quantum.circuit import Encoding
 from qnerf.quantum.initial_angles import INITS
@@ -46,15 +46,18 @@ def node_of(group: str, name: str) -> dict:
 
 @pytest.mark.parametrize("group", REGISTRIES)
 def test_conf_and_registry_name_the_same_choices(group):
-    assert choices(group) == REGISTRIES[group].names()
+    named = {node_of(group, name)["name"] for name in choices(group)} if group == "head" else choices(group)
+    assert sorted(named) == REGISTRIES[group].names()
+    assert set(named) <= set(choices(group))
 
 
 @pytest.mark.parametrize(("group", "name"), [(group, name) for group in REGISTRIES for name in choices(group)])
 def test_conf_spells_out_every_option(group, name):
     node = node_of(group, name)
-    known = set(REGISTRIES[group].options(name))
+    known = set(REGISTRIES[group].options(node["name"] if group == "head" else name))
     if group == "head":
         options, chosen = head_options(node), node["name"]
+        name = name if name in REGISTRIES[group].names() else chosen  # else a head with other defaults
     elif group == "ansatz":
         options, chosen = node["ansatz_options"].get(name, {}), node["ansatz"]
     else:
@@ -189,11 +192,17 @@ def test_every_contraction_trains(tiny, key, contraction):
     finished(tiny("field=classical", f"{key}={contraction}", "visibility.cameras=0"))
 
 
-@pytest.mark.parametrize("name", choices("head"))
+@pytest.mark.parametrize("name", HEADS.names())
 @pytest.mark.parametrize("key", ["color", "color.name", "density"])
 def test_every_head_trains(tiny, name, key):
     summary = finished(tiny(f"{key}={name}", "color.directions=sh", "qiren=1L1S", "qiren.qubits=2"))
     assert summary[f"{key.partition('.')[0]}.name"] == name
+
+
+@pytest.mark.parametrize("name", sorted({*choices("head")} - {*HEADS.names()}))
+def test_every_head_with_other_defaults_trains(tiny, name):
+    summary = finished(tiny(f"color={name}", "color.directions=raw"))
+    assert summary["color"] != finished(tiny(f"color={summary['color.name']}", "color.directions=raw"))["color"]
 
 
 @pytest.mark.parametrize("ansatz", choices("ansatz"))

@@ -227,7 +227,7 @@ def test_the_command_knows_every_probe():
     [
         (["ray"], "unknown probe 'ray'; known: spectrum, encoding, rays"),
         (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
-        (["spectrum"], "has no circuit, both of its heads are MLPs"),
+        (["spectrum"], "neither of its heads has a re-uploading circuit"),
         (["views=-1"], "views expects one number of at least 0, got '-1'"),
         (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
         (["noise=thermal"], "noise=thermal also expects probabilities, such as p=0.001,0.01"),

@@ -16,7 +16,7 @@ from qnerf.quantum.circuit import EntanglingGate
 from qnerf.quantum.normal_form import z_eigenvalues
 from qnerf.quantum.unitary import apply
 
-MAX_QUBITS = 10  # of all registers together: matrices have 4^n entries
+MAX_QUBITS = 10  # that one circuit acts on: matrices have 4^n entries
 Qubits = Annotated[int, Interval(ge=1, le=MAX_QUBITS)]
 Values = Literal["Z", "ZZ", "probabilities"]
 
@@ -175,7 +175,7 @@ class AmplitudeHead(Head):
     The defaults are the best form that we found; heads after publications are choices of conf/head.
 
     Args:
-        registers: qubits of each register; the state is the tensor product of the registers, at most 10 qubits.
+        registers: qubits of each register; the state is their tensor product. One circuit has at most 10 qubits.
             Registers of one qubit are a product state of angles, which no longer absorbs a unitary.
         encoding: of each register, see `AmplitudeRegister`; none: the wires start in |0...0>.
         amplitudes: real or complex.
@@ -234,8 +234,10 @@ class AmplitudeHead(Head):
         readout: bool = True,
     ) -> None:
         super().__init__()
-        if sum(registers) > MAX_QUBITS:
-            raise ValueError(f"registers must have at most {MAX_QUBITS} qubits together, got {list(registers)}")
+        if joint and sum(registers) > MAX_QUBITS:
+            raise ValueError(
+                f"registers must have at most {MAX_QUBITS} qubits together, got {list(registers)}; or set joint=false"
+            )
         self.gain = gain
         self.out_dim = out_dim
         self.last = len(registers) - 1  # the register that sees the direction, where one does

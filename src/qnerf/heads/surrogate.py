@@ -47,7 +47,7 @@ class SurrogateHead(Head):
         *,
         qubits: Wires = 8,
         spectral: Spectral = 2,
-        features: Count = 32,
+        features: Count = 64,
         input_scale: Factor = 0.3,
         statistics: Statistics = "batch",
     ) -> None:

@@ -34,7 +34,7 @@ def table(trained: Trained) -> pd.DataFrame:
         (name, place): layer for name, head in trained.heads.items() for place, layer in circuits_of(head).items()
     }
     if not layers:
-        raise ValueError(f"{trained.folder}: has no circuit, both of its heads are MLPs")
+        raise ValueError(f"{trained.folder}: neither of its heads has a re-uploading circuit")
     rays = trained.ray_table()
     in_view = samples(trained, trained.model)
     in_step = samples(trained, copy.deepcopy(trained.model).train())  # a copy: its normalisations learn statistics

@@ -104,7 +104,7 @@ def evaluate_hardware(
     """
     folder, scene, model = trained.folder, trained.scene, trained.model
     if not any(isinstance(module, QuantumLayer) for module in model.modules()):
-        raise ValueError(f"{folder}: has no circuit to measure, both of its heads are MLPs")
+        raise ValueError(f"{folder}: neither of its heads has a re-uploading circuit")
     evaluator = Evaluator(
         scene,
         trained.ray_table(),

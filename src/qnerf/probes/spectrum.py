@@ -50,7 +50,7 @@ def table(trained: Trained) -> pd.DataFrame:
             rows = powers(circuit).merge(angles(layer, circuit.wires), on="wire")
             parts.append(rows.assign(head=name, circuit=index))
     if not parts:
-        raise ValueError(f"{trained.folder}: has no circuit, both of its heads are MLPs")
+        raise ValueError(f"{trained.folder}: neither of its heads has a re-uploading circuit")
     rows = pd.concat(parts, ignore_index=True)
     return rows[["head", "circuit", *rows.columns.drop(["head", "circuit"])]]
 

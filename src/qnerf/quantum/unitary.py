@@ -87,6 +87,7 @@ def blocks(circuit: Circuit, angles: Tensor) -> list[Tensor]:
             layer = layers[operation.row]
             whole = layer if whole is unit else layer @ whole
         else:
+            assert isinstance(operation, Entangler)
             whole = _entangled(whole, operation, circuit.wires)
     return [*parts, whole]
 
@@ -117,6 +118,7 @@ def apply(
             phases = (x * x.new_tensor(operation.scales)) @ signs.T / 2
             states = states * torch.polar(torch.ones_like(phases), -phases)
         else:
+            assert isinstance(operation, Entangler)
             states = _entangled(states.T, operation, n).T
     return states
 

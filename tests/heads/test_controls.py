@@ -1,0 +1,75 @@
+"""Controls of circuit heads, and QIREN beside a linear map."""
+
+import math
+
+import pytest
+import torch
+
+from qnerf.heads import HEADS
+from tests.helpers.configs import composed
+
+
+def test_siren_starts_as_published():
+    head = HEADS.build("siren", 5, 2, layers=3, width=64, omega=10.0)
+    bounds = [1 / 5, math.sqrt(6 / 64) / 10, math.sqrt(6 / 64) / 10]
+    for layer, bound in zip(head.layers, bounds, strict=True):
+        assert 0.7 * bound < float(layer.weight.detach().abs().max()) <= bound
+    x = torch.randn(7, 5)
+    hidden = torch.sin(10 * head.layers[1](torch.sin(10 * head.layers[0](x))))
+    torch.testing.assert_close(head(x), head.layers[2](hidden))
+
+
+def test_a_surrogate_has_the_frequencies_of_its_circuit_and_no_others():
+    head = HEADS.build("surrogate", 2, 1, qubits=2, spectral=3, features=200, input_scale=1.0).double().eval()
+    with torch.no_grad():
+        head.linear.weight.copy_(torch.eye(2))
+        head.linear.bias.zero_()
+    size = 16
+    angles = torch.arange(size, dtype=torch.float64) * (2 * math.pi / size) * math.sqrt(1 + head.norm.eps)
+    values = head(torch.stack([angles, torch.zeros(size, dtype=torch.float64)], 1))[:, 0].detach()
+    powers = torch.fft.rfft(values).abs()
+    assert float(powers[1:4].min()) > 1e-3
+    assert float(powers[4:].max()) < 1e-9
+    assert float(head(torch.zeros(1, 2, dtype=torch.float64)).detach().abs()) < 1e-5
+
+
+def test_a_bypass_is_all_there_is_at_the_start():
+    head = HEADS.build("qiren_bypass", 5, 2, qubits=3, spectral=1, center=True)
+    x = torch.randn(9, 5)
+    torch.testing.assert_close(head(x), head.bypass(x))
+    head(x).sum().backward()
+    assert float(head.readout.weight.grad.abs().max()) > 0
+
+
+def test_a_wire_for_each_feature_and_pairs_of_observables():
+    head = HEADS.build("qiren_bypass", 4, 2, spectral=1, wire_per_feature=True, pairs=True, from_zero=False).double()
+    layer = head.hybrid[0].circuit
+    assert (layer.wires, layer.outputs) == (4, 10)
+    single = HEADS.build("qiren", 4, 2, spectral=1, qubits=4).double().hybrid[0].circuit
+    single.load_state_dict(layer.state_dict())
+    x = torch.randn(3, 4, dtype=torch.float64)
+    torch.testing.assert_close(layer(x)[:, :4], single(x))
+    plain = HEADS.build("qiren_bypass", 4, 2, spectral=1, qubits=3, bypass=False, from_zero=False)
+    assert plain.bypass is None
+
+
+@pytest.mark.parametrize("name", ["siren", "surrogate", "qiren_bypass"])
+def test_gradients(name):
+    torch.manual_seed(0)
+    head = HEADS.build(name, 3, 2, **({"qubits": 2} if name != "siren" else {"width": 4})).double().eval()
+    if name == "qiren_bypass":
+        torch.nn.init.normal_(head.readout.weight)
+    assert torch.autograd.gradcheck(head, torch.randn(2, 3, dtype=torch.float64, requires_grad=True), fast_mode=True)
+
+
+@pytest.mark.parametrize(
+    ("head", "rate", "initial"),
+    [("amplitude", 1.0, 1.0), ("siren", 1.0, 1.0), ("surrogate", 0.33, 0.1), ("qiren_bypass", 0.33, 0.1)],
+)
+def test_a_head_gets_the_recipe_that_its_class_names(head, rate, initial):
+    """Without an entry of its own in conf/."""
+    quick, paper = composed(f"density={head}"), composed(f"density={head}", "train=paper")
+    assert (quick["train"]["rates"]["density"], quick["density"]["initial"]) == (rate, initial)
+    assert (paper["train"]["rates"]["density"], paper["density"]["initial"]) == (1.0, 1.0)
+    assert head not in quick["density"]["rates"]
+    assert composed(f"color={head}", "train=paper")["color"]["activation"] == ("linear" if rate < 1 else "sigmoid")
