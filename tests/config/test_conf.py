@@ -1,5 +1,6 @@
 """Every choice of every group composes, builds and takes two steps; conf/ and the registries name the same things."""
 
+import functools
 import itertools
 import json
 import re
@@ -37,6 +38,7 @@ VALUES = {
 """Option -> the registry that its value names a component of."""
 
 
+@functools.cache
 def node_of(group: str, name: str) -> dict:
     """The part of the configuration that `group=name` sets."""
     path = ["scene.path=x"] if group == "scene" else []

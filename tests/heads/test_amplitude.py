@@ -18,7 +18,7 @@ VARIANTS = [
     {"amplitudes": "complex", "values": "probabilities"},
     {"amplitudes": "complex", "rotations": "Rot", "hidden": 4},
     {"encoding": "softmax", "readout": False},
-    {"encoding": "softmax", "amplitudes": "complex", "unitary": "product", "values": "Z"},
+    {"encoding": "softmax", "amplitudes": "complex", "unitary": "local", "values": "Z"},
     {"unitary": "identity"},
     {"unitary": "dense"},
     {"unitary": "random", "rotations": "Rot"},
@@ -79,7 +79,7 @@ def test_the_linear_map_that_makes_the_amplitudes_can_take_the_place_of_any_unit
 
 def test_a_circuit_acts_on_a_product_state_as_no_linear_map_of_one_register_can():
     """Without a circuit <Z_i Z_j> = <Z_i> <Z_j>; with one the state is entangled."""
-    for unitary, entangled in (("identity", False), ("product", False), ("circuit", True)):
+    for unitary, entangled in (("identity", False), ("local", False), ("circuit", True)):
         head, x = built({"registers": [1, 1, 1], "unitary": unitary, "readout": False, "gain": 1.0})
         head.out_dim = 6
         z, pairs = head(x).split(3, 1)

@@ -132,7 +132,7 @@ class System(nn.Module):
         circuit = unitaries.circuit
         cut = [i for i, operation in enumerate(circuit.operations) if hasattr(operation, "scales")]
         for index in range(unitaries.count):
-            if unitaries.kind in ("circuit", "product"):
+            if unitaries.kind in ("circuit", "local"):
                 first, last = [-1, *cut, len(circuit.operations)][index : index + 2]
                 block = circuit.operations[first + 1 : last]
                 state = apply(circuit, state, unitaries.angles, operations=block)

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from qnerf.quantum.circuit import Circuit, EntanglingGate
 from qnerf.quantum.unitary import blocks, layered
 
-Kind = Literal["circuit", "product", "identity", "dense", "random"]
+Kind = Literal["circuit", "local", "identity", "dense", "random"]
 
 
 class Unitaries(nn.Module):
@@ -17,7 +17,7 @@ class Unitaries(nn.Module):
     Args:
         kind: where the matrices come from.
             `circuit`: layers of a rotation on every wire and a ring of entanglers, with trained angles;
-            `product`: the same without entanglers;
+            `local`: the same without entanglers;
             `identity`: none at all;
             `dense`: any rotation, trained as exp(A - A^T), or any unitary, as exp(A - A^T + i (A + A^T));
             `random`: one drawn by Haar's measure at the start and kept.
@@ -33,10 +33,10 @@ class Unitaries(nn.Module):
         self.kind = kind
         self.count = count
         self.is_complex = rotations == "Rot"
-        groups = (1,) * wires if kind == "product" else None
+        groups = (1,) * wires if kind == "local" else None
         self.circuit: Circuit = layered(wires, layers, uploads=count - 1, entangler=entangler, groups=groups)
         size = 2**wires
-        if kind in ("circuit", "product"):
+        if kind in ("circuit", "local"):
             self.angles = nn.Parameter(torch.rand(count * layers, wires, 3 if self.is_complex else 1) * (2 * torch.pi))
         elif kind == "dense":
             self.generator = nn.Parameter(torch.randn(count, size, size) / size**0.5)
