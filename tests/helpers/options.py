@@ -55,9 +55,12 @@ def group_row(path: Path, files: list[Path]) -> tuple[str, str, str]:
 
 
 def group_tables(group: str, files: list[Path]) -> list[str]:
-    """One table for the choices that have the same options; of a group with a base.yaml only one, of that."""
+    """One table for the choices that have the same options; of a group with a base.yaml one of that, and one for each
+    choice that names its own component and adds options."""
     alike: dict[tuple[str, ...], list[Path]] = {}
-    for file in [file for file in files if file.stem == "base"] or files:
+    bases = [file for file in files if file.stem == "base"]
+    own = [file for file in files if len(rows := option_rows(file, "")) > 1 and rows[0][0] == "`name`"]
+    for file in bases + own if bases else files:
         alike.setdefault(tuple(key for key, _, _ in option_rows(file, "")), []).append(file)
     parts = []
     for same in alike.values():
@@ -67,14 +70,13 @@ def group_tables(group: str, files: list[Path]) -> list[str]:
         rows = [
             (row[0][0], *(value for _, value, _ in row), next((comment for _, _, comment in row if comment), ""))
             for row in zip(*columns, strict=True)
-            if row[0][0] != f"`{group}.name`"
+            if row[0][0] != f"`{MOUNTED.get(group, group)}.name`"
         ]
         if rows:
             parts.append(table(("option", *(f"`{file.stem}`" for file in same), "what it is"), rows))
         if same[0].stem == "base":
-            parts.append(
-                "\n".join(f"- {name(group, file)}: {head(file)}" for file in files if head(file) and file not in same)
-            )
+            rest = [file for file in files if head(file) and file not in [*same, *own]]
+            parts.append("\n".join(f"- {name(group, file)}: {head(file)}" for file in rest))
     return [part for part in parts if part]
 
 
