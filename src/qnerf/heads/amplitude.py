@@ -8,7 +8,7 @@ import torch
 from annotated_types import Interval, MaxLen, MinLen
 from torch import Tensor, nn
 
-from qnerf.config.bounds import Factor, NonNegativeFactor
+from qnerf.config.bounds import Factor, PositiveFactor
 from qnerf.heads.base import HEADS, Head
 from qnerf.heads.registers import AmplitudeRegister, BlochRegister, Encoding, product
 from qnerf.heads.unitaries import Kind, Unitaries
@@ -22,30 +22,32 @@ Values = Literal["Z", "ZZ", "probabilities"]
 
 
 class NormalisedForms(torch.autograd.Function):
-    """`normalised_forms` with its own backward pass, which goes over u half as often as autograd's."""
+    """(N, k) and (m, k) -> (N, m): sum_k weights_mk u_nk^2 / sum_k u_nk^2.
+
+    The same as autograd's derivatives of `normalised_forms`, with fewer passes over u.
+    """
 
     @staticmethod
     def forward(ctx: Any, u: Tensor, weights: Tensor) -> Tensor:
-        squares = u * u
-        total = squares.sum(1, keepdim=True)
-        out = (squares @ weights.T) / total
-        ctx.save_for_backward(u, weights, squares, total, out)
-        return out
+        parts = normalised_forms(u, weights)
+        ctx.save_for_backward(u, weights, *parts)
+        return parts[-1]
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, ...]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
         u, weights, squares, total, out = ctx.saved_tensors
-        if torch.is_grad_enabled():  # second derivatives
-            return torch.autograd.grad(normalised_forms(u, weights), (u, weights), gradient, create_graph=True)
+        if torch.is_grad_enabled():  # second derivatives need them as functions of u and weights
+            squares, total, out = normalised_forms(u, weights)
         share = gradient / total
         of_u = torch.addmm((share * out).sum(1, keepdim=True), share, weights, beta=-2, alpha=2).mul_(u)
         return of_u, share.T @ squares
 
 
-def normalised_forms(u: Tensor, weights: Tensor) -> Tensor:
-    """(N, k) and (m, k) -> (N, m): sum_k weights_mk u_nk^2 / sum_k u_nk^2."""
+def normalised_forms(u: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """u^2, its sums (N, 1), and the result of `NormalisedForms`."""
     squares = u * u
-    return squares @ weights.T / squares.sum(1, keepdim=True)
+    total = squares.sum(1, keepdim=True)
+    return squares, total, squares @ weights.T / total
 
 
 class System(nn.Module):
@@ -57,6 +59,7 @@ class System(nn.Module):
 
     frequencies: Tensor
     measured: Tensor
+    signs: Tensor
 
     def __init__(
         self,
@@ -74,6 +77,7 @@ class System(nn.Module):
         self.unitaries = unitaries
         self.uploads = unitaries.count - 1
         if self.uploads:
+            self.register_buffer("signs", eigenvalues(wires, "Z"), persistent=False)
             self.upload = nn.Linear(in_dim, wires)
             powers = 3.0 ** torch.arange(self.uploads)[:, None].expand(-1, wires)
             if frequencies == "ternary":
@@ -114,13 +118,12 @@ class System(nn.Module):
     def _state(self, parts: list[Tensor], features: Tensor, weights: Tensor) -> Tensor:
         state = self.prepared(parts, features)
         angles = self.upload(features) if self.uploads else None
-        signs = eigenvalues(self.wires, "Z").to(features).T if self.uploads else None
         for index, unitary in enumerate(self.unitaries()):
             if unitary is not None:
                 dtype = torch.promote_types(unitary.dtype, state.dtype)
                 state = state.to(dtype) @ unitary.to(dtype).T
-            if angles is not None and signs is not None and index < self.uploads:
-                half = (angles * self.frequencies[index]) @ signs.T / 2
+            if angles is not None and index < self.uploads:
+                half = (angles * self.frequencies[index]) @ self.signs / 2
                 state = state * torch.complex(half.cos(), -half.sin())
         return probabilities(state) @ weights.T
 
@@ -219,7 +222,7 @@ class AmplitudeHead(Head):
         encoding: Encoding = "normalised",
         amplitudes: Literal["real", "complex"] = "real",
         hidden: Annotated[int, Interval(ge=0, le=2**16)] = 0,
-        bias: NonNegativeFactor = 0.3,
+        bias: PositiveFactor = 0.3,
         branch: Literal["joint", "amplitude", "bloch"] = "joint",
         direction_features: Annotated[int, Interval(ge=1, le=2**16)] = 3,
         joint: bool = True,
