@@ -126,6 +126,7 @@ def test_a_label_names_what_is_not_the_default(options, label):
         ({"registers": [0]}, r"registers\[0\]"),
         ({"registers": []}, "registers"),
         ({"branch": "amplitude"}, "expects two registers"),
+        ({"encoding": "none"}, "uploads of at least 1"),
         ({"registers": [2, 1], "branch": "bloch", "direction_features": 2}, "3 coordinates"),
         ({"readout": False, "values": "Z", "registers": [1]}, "expects at least 2 values, got 1"),
     ],

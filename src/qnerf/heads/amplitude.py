@@ -147,10 +147,10 @@ class System(nn.Module):
         return probabilities(state) @ self.measured.T @ weights.T
 
     def prepared(self, parts: list[Tensor], features: Tensor) -> Tensor:
-        """The state (N, 2^n) before the first unitary; without registers |0...0>."""
+        """The state (N, 2^n) before the first unitary; without registers |0...0> (1, 2^n), the same for all samples."""
         if self.registers:
             return product([register(part) for register, part in zip(self.registers, parts, strict=True)])
-        return nn.functional.pad(torch.ones_like(features[:, :1]), (0, 2**self.wires - 1))
+        return nn.functional.pad(torch.ones_like(features[:1, :1]), (0, 2**self.wires - 1))
 
 
 def probabilities(state: Tensor) -> Tensor:
@@ -241,6 +241,8 @@ class AmplitudeHead(Head):
             raise ValueError(
                 f"registers must have at most {MAX_QUBITS} qubits together, got {list(registers)}; or set joint=false"
             )
+        if encoding == "none" and not uploads:
+            raise ValueError("encoding=none expects uploads of at least 1: else the state holds no features")
         self.gain = gain
         self.out_dim = out_dim
         self.last = len(registers) - 1  # the register that sees the direction, where one does
