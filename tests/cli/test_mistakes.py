@@ -67,7 +67,7 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, tmp_pat
         (["plugins=['']"], "plugins: expected names of modules such as my_module or package.module, got ''"),
         (["hash=null"], "hash=null: expected the name of a choice; known: C1, C2"),
         (["needs=5"], "needs=5: expected the name of a choice; known: auto, full, none"),
-        (["density=null"], "head@density=null: expected the name of a choice; known: mlp, qfgn, qiren"),
+        (["density=null"], "head@density=null: expected the name of a choice; known: amplitude, bloch, "),
         (["experiment=[qiren]"], "experiment=qiren: unknown"),
         (["hash=???"], "You must specify 'hash'"),
         (["run=null"], "run must be a group of options, got None"),
