@@ -173,7 +173,7 @@ class AmplitudeHead(Head):
 
         psi = U a(x),   a = (W x + b) / |W x + b|,   values <Z_i>, <Z_i Z_j>,   out = gain R values + c
 
-    c starts so that x = 0 gives 0. Where the state is one normalised register, U (W x + b) = (U W) x + U b: the unitary
+    R starts by He's rule, and c so that x = 0 gives 0. Where the state is one normalised register, U (W x + b) = (U W) x + U b: the unitary
     is multiplied into W once a step and costs nothing per sample. For the same reason W can take the place of any U.
     The defaults are the best form that we found; heads after publications are choices of conf/head.
 
@@ -281,6 +281,7 @@ class AmplitudeHead(Head):
                 f"readout=false expects at least {out_dim} values, got {count}; take values=ZZ or more qubits"
             )
         if self.readout is not None and not self.readout.weight.is_meta:
+            nn.init.kaiming_normal_(self.readout.weight, nonlinearity="relu")
             with torch.no_grad():
                 self.readout.bias.zero_()
                 self.readout.bias.copy_(-self(torch.zeros(1, in_dim))[0])
