@@ -173,9 +173,10 @@ class AmplitudeHead(Head):
 
         psi = U a(x),   a = (W x + b) / |W x + b|,   values <Z_i>, <Z_i Z_j>,   out = gain R values + c
 
-    R starts by He's rule, and c so that x = 0 gives 0. Where the state is one normalised register, U (W x + b) = (U W) x + U b: the unitary
-    is multiplied into W once a step and costs nothing per sample. For the same reason W can take the place of any U.
-    The defaults are the best form that we found; heads after publications are choices of conf/head.
+    R starts by He's rule, and c so that x = 0 gives 0. Where the state is one normalised register, U (W x + b) =
+    (U W) x + U b: the unitary is multiplied into W once a step and costs nothing per sample. For the same reason W can
+    take the place of any U. The defaults are the best form that we found; heads after publications are choices of
+    conf/head.
 
     Args:
         registers: qubits of each register; the state is their tensor product. One circuit has at most 10 qubits.
