@@ -28,8 +28,8 @@ class SurrogateHead(Head):
         input_scale: factor on the normalised angles, radians.
         statistics: `batch` or `first`, see `Normalisation`.
 
-    Each component of k is S where as many encodings +1, 0 or -1 add up to it: the distribution of a sum of S of them,
-    which is how often a frequency arises in the circuit.
+    A frequency is drawn as often as it arises in the circuit: each encoding adds a difference of two bits to each
+    component of k.
     """
 
     recipe = "qiren"
@@ -55,8 +55,8 @@ class SurrogateHead(Head):
         self.linear = nn.Linear(in_dim, qubits)
         self.norm = Normalisation(qubits, statistics=statistics)
         self.input_scale = input_scale
-        drawn = torch.randint(-1, 2, (spectral, features, qubits)).sum(0)
-        self.register_buffer("frequencies", drawn.to(torch.get_default_dtype()))
+        first, second = torch.randint(2, (2, spectral, features, qubits)).sum(1)
+        self.register_buffer("frequencies", (first - second).to(torch.get_default_dtype()))
         self.readout = nn.Linear(2 * features, out_dim)
         if not self.readout.weight.is_meta:
             with torch.no_grad():  # angles of 0 give 0
