@@ -45,7 +45,7 @@ class Photograph(Signal):
         self,
         *,
         path: str = "astronaut",
-        size: Annotated[int, Interval(ge=3, le=4096)] | None = 32,
+        size: Annotated[int, Interval(ge=3, le=1024)] | None = 32,
         gray: bool = False,
         held_out: Annotated[float, Interval(ge=0, le=0.9)] = 0.0,
     ) -> None:

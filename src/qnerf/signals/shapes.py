@@ -47,7 +47,8 @@ def horse(points: NDArray) -> NDArray:
 
 @functools.cache
 def outline() -> NDArray:
-    """Corners (M, 2) of a closed polygon: the outline of scikit-image's silhouette of a horse, in the unit square."""
+    """Corners (M, 2) of a closed polygon: scikit-image's silhouette of a horse, without its hole of 6 pixels, in
+    the unit square."""
     silhouette = np.pad(~skimage.data.horse(), 1)
     longest = max(find_contours(silhouette.astype(float), 0.5), key=len)
     corners = approximate_polygon(longest, TOLERANCE)[:, ::-1]  # x, y
