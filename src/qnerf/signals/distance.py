@@ -14,7 +14,7 @@ from qnerf.signals.shapes import SHAPES
 from qnerf.training.evaluation import colormap
 
 VERSION = "1"  # raise it whenever the shapes change
-EVALUATED = {2: 128, 3: 40}  # points along each axis of the grid on which a fit is measured
+EVALUATED = {2: 128, 3: 32}  # points along each axis of the grid on which a fit is measured
 PICTURE = 128  # points along each axis of the picture, which shows the middle plane z = 0.5 of a solid
 FURTHEST = 0.3  # distance with the full colour in the picture
 
