@@ -16,7 +16,6 @@ from qnerf.cli.display import print_outcome
 from qnerf.cli.upgrade_config import stored
 from qnerf.config.settings import only_acting
 from qnerf.experiment import SignalTask, prepare, run
-from qnerf.heads import HEADS
 from qnerf.probes import load as load_trained
 from qnerf.records import details
 from tests.helpers.configs import composed
@@ -26,8 +25,8 @@ SCENES = {"scene=photograph": ("psnr", "ssim"), "scene=distance": ("distance_err
 
 
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("head", HEADS.names())
-def test_every_head_fits_every_signal(fit, scene, head):
+@pytest.mark.parametrize("head", ["mlp", "qfgn", "qiren"])
+def test_a_head_fits_a_signal(fit, scene, head):
     config = fit(scene, f"head={head}")
     outcome = run(config)
     assert outcome.state == "finished"
