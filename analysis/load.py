@@ -9,6 +9,7 @@ import pandas as pd
 
 from qnerf.config.compatibility import ADDED, Same
 from qnerf.config.identity import flatten
+from qnerf.metrics import HEAD_PARAMETERS
 from qnerf.records import filters, index
 from qnerf.records.deletion import holds_runs
 
@@ -17,7 +18,7 @@ from .settings import LABELS
 
 _HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NEEDED = (
-    "seed", "train.steps", "psnr", "ssim", "params.density", "params.color", "params.encoder", "params.total",
+    "seed", "train.steps", "psnr", "ssim", *HEAD_PARAMETERS, "params.encoder", "params.total",
     "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
 )  # fmt: skip
 """Columns that tables and figures read; in runs that lack them they are empty."""

@@ -6,8 +6,8 @@ over circuits therefore trains the same classical field several times; such runs
 
 import pandas as pd
 
-LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
-QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth")}
+LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
+QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head": ("quantum",)}
 """Head -> the fields in which it is a circuit."""
 
 _SCALARS = ("experiment", "geo_features", "appearance")

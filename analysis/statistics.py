@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.optimize import brentq
 from scipy.special import stdtrit
 
-from qnerf.metrics import image_metrics, metric_of
+from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import StoreError
 
 from . import packed
@@ -43,8 +43,8 @@ def evaluations(runs: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     A run whose eval.parquet is absent, damaged or without the metric has no rows. ValueError for a metric that is not
     measured on each view.
     """
-    if metric_of(metric).kind != "image":
-        known = ", ".join(item.key for item in image_metrics())
+    if metric_of(metric) not in quality_metrics():
+        known = ", ".join(item.key for item in quality_metrics())
         raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
     views = [_views(path, metric) for path in runs["path"]]
     counts = [len(images) for images, _ in views]

@@ -36,6 +36,7 @@ FIELDS = {
     "qcolor": ("#0072B2", "o"),
     "qdensity": ("#CC79A7", "^"),
     "qboth": ("#009E73", "D"),
+    "quantum": ("#D55E00", "o"),
 }
 """Colour and marker of each field, the same in every figure."""
 HEADS = {"color": "colour head", "density": "density head"}

@@ -68,7 +68,7 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4, "sign": -1}
     logged = curves.gather(frame, [0], advance=lambda: None)[0]
     assert logged["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
-    assert data["curve_names"]["eval/toy_error"] == "held-out mean absolute error"
+    assert data["curve_names"]["eval/toy_error"] == "evaluation mean absolute error"
     figure = figures.speed_vs_error(frame, metric="toy_error")
     assert figure.axes[0].get_ylabel() == "mean absolute error"
 
@@ -86,7 +86,7 @@ def test_a_key_is_declared_once():
     ("key", "heading", "text"),
     [
         ("psnr", "PSNR, dB", "21.50"),
-        ("eval/psnr", "held-out PSNR, dB", "21.50"),
+        ("eval/psnr", "evaluation PSNR, dB", "21.50"),
         ("train/loss", "training loss", "21.50000"),
         ("time/step_ms", "time of a step, ms", "21.5"),
         ("params.total", "parameters", "22"),

@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 
 import qnerf
-from qnerf.metrics import METRICS, image_metrics, metric_of
+from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 
 from .. import style
 from ..figures import points
@@ -43,7 +43,7 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
     frame["version"] = versions(frame["path"])
     for name in ("tags", "note"):
         frame[name] = [value or None for value in frame.get(name, [None] * len(frame))]
-    frame["params.heads"] = frame["params.density"] + frame["params.color"]
+    frame["params.heads"] = frame[list(HEAD_PARAMETERS)].sum(axis=1, min_count=1)
     frame["repeats"] = first_of_each(frame)
     frame["configuration"] = None
     try:
@@ -75,11 +75,14 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "settings": settings,
         "shown": [
             name
-            for name in (*LABEL_COLUMNS, *(metric.key for metric in image_metrics()), *COST_COLUMNS)
+            for name in (*LABEL_COLUMNS, *(metric.key for metric in quality_metrics()), *COST_COLUMNS)
             if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
         ],
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
-        "kinds": {kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("image", "size", "time")},
+        "kinds": {
+            "image": [metric.key for metric in quality_metrics()],
+            **{kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("size", "time")},
+        },
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "curves": logged,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qnerf.metrics import image_metrics
+from qnerf.metrics import quality_metrics
 
 from ..load import metrics
 from .columns import rounded_all
@@ -17,7 +17,7 @@ POINTS = 80
 
 def logged_keys() -> list[str]:
     """Keys of metrics.parquet whose curves the page shows."""
-    held_out = [f"eval/{metric.key}" for metric in image_metrics()]
+    held_out = [f"eval/{metric.key}" for metric in quality_metrics()]
     return [*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms"]
 
 

@@ -6,7 +6,7 @@ from math import isinf
 import numpy as np
 import pandas as pd
 
-from qnerf.metrics import image_metrics, metric_of
+from qnerf.metrics import metric_of, quality_metrics
 
 from .. import statistics
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
@@ -33,8 +33,8 @@ def smallest(
     """
     if not tolerance >= 0:
         raise ValueError(f"tolerance must be at least 0, got {tolerance}")
-    if metric_of(metric).kind != "image":
-        known = ", ".join(item.key for item in image_metrics())
+    if metric_of(metric) not in quality_metrics():
+        known = ", ".join(item.key for item in quality_metrics())
         raise ValueError(f"{metric} does not tell how good a run is; expected {known}")
     check_keys(frame, rows)
     scenes = [key for key in rows if key in SCENES] or ["scene_name"]

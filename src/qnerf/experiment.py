@@ -8,15 +8,26 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 import torch
 
 from qnerf import auto
 from qnerf.config.identity import picture_names, run_id
 from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry, check_options, options_of
-from qnerf.config.settings import Settings, check_settings, declared, require, settings_from
+from qnerf.config.settings import (
+    Settings,
+    SignalSettings,
+    check_settings,
+    declared,
+    only_acting,
+    require,
+    schema,
+    settings_from,
+    signal_settings_from,
+)
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
 from qnerf.geometry.hull import visual_hull
@@ -27,7 +38,7 @@ from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.heads.qiren import Normalisation, check_samples
-from qnerf.metrics import image_metrics, metric_of
+from qnerf.metrics import metric_of, quality_metrics
 from qnerf.model.field import Field
 from qnerf.model.labels import LABELLED, labels, slug
 from qnerf.model.memory import planned, require_memory, samples_per_ray
@@ -40,6 +51,7 @@ from qnerf.records.filters import is_number
 from qnerf.rendering.samplers import SAMPLERS, Sampler
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
+from qnerf.signals import Signal, SignalEvaluator, SignalModel, SignalTrainer, build_signal_model, is_signal
 from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
@@ -58,6 +70,16 @@ class Outcome:
     state: str
     summary: dict[str, Any]
     message: str
+
+
+class ViewEvaluator(Protocol):
+    """Measures and draws views of its scene."""
+
+    scene: Any
+
+    def views(self, views: list[int], step: int) -> Iterator[tuple[Any, "Measures"]]: ...
+
+    def picture(self, rendered: Any) -> np.ndarray: ...
 
 
 Measures = dict[str, float | str | None]
@@ -82,14 +104,24 @@ def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
     return registry.build(node["name"], *wiring, **options)
 
 
+def prepare_signal(config: Mapping[str, Any]) -> tuple[SignalSettings, Signal]:
+    """The settings of a configuration that fits a signal with one head, and the signal; ValueError as `prepare`."""
+    check_settings(config)
+    import_plugins(config["plugins"])
+    check_components(config)
+    return signal_settings_from(config), component(SCENES, config["scene"])
+
+
 def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str, Any], Settings, Scene]:
     """The configuration with every `auto` resolved for its scene, its settings, and the scene.
 
     begun: if the run exists in its store, reuse its stored `auto` decisions.
 
     Raises:
-        ValueError: an option with a value that it cannot have, or a scene that cannot be read.
+        ValueError: an option with a value that it cannot have, a scene that cannot be read, or a signal.
     """
+    if schema(config) is not Settings:
+        raise ValueError("expected a radiance field; the configuration has one head, which fits a signal")
     undecided = auto.asked(config)
     check_settings(config, undecided)
     import_plugins(config["plugins"])
@@ -142,13 +174,21 @@ def check_components(config: Mapping[str, Any], undecided: Collection[str] = ())
                 owner = next((one for one in components if key in options_of(one)), components[0])
                 check_options(f"{group}.", owner, {key: value})
 
+    if is_signal(config["scene"]) != ("head" in config):
+        heads = "density and color" if "head" in config else "head"
+        name = config["scene"]["name"]
+        raise ValueError(f"scene={name} needs the group {heads}; choose it with scene={name}, not by scene.name")
     for group, registry in COMPONENTS.items():
+        if group not in config:
+            continue
         names = registry.names() if f"{group}.name" in undecided else [config[group]["name"]]
         check(group, config[group], *map(registry.get, names))
     for group, (registry, name) in SHARED.items():
+        if group not in config:
+            continue
         require(group, config[group], LABELLED.get(group, ()))
         check(group, config[group], registry.get(name))
-    for group in ("density", "color"):
+    for group in filter(config.__contains__, ("density", "color", "head")):
         node = config[group]
         HEADS.get(node["name"])
         for key in [key for key in node if key not in declared(group)]:
@@ -167,7 +207,7 @@ def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     return dict(stored.get("needs") or {})
 
 
-def id_of(config: Mapping[str, Any], scene: Scene) -> str:
+def id_of(config: Mapping[str, Any], scene: Scene | Signal) -> str:
     """The id of the configuration's run; if the store has only a run under the scene's older fingerprint, its id."""
     ids = [run_id(slug(config), config, fingerprint) for fingerprint in scene.fingerprints]
     return next((name for name in ids if os.path.isdir(os.path.join(config["store"], name))), ids[0])
@@ -276,9 +316,10 @@ def ray_table(settings: Settings, scene: Scene) -> RayTable:
     )
 
 
-def parameter_counts(model: Model) -> dict[str, int]:
+def parameter_counts(model: Model | SignalModel) -> dict[str, int]:
     counts = {f"params.{name}": sum(p.numel() for p in parameters) for name, parameters in model.parts.items()}
-    counts.setdefault("params.appearance", 0)
+    if isinstance(model, Model):
+        counts.setdefault("params.appearance", 0)
     return counts | {"params.total": sum(counts.values())}
 
 
@@ -318,6 +359,61 @@ def stop_requests() -> Iterator[list[int]]:
                 signal.raise_signal(kind)
 
 
+class FieldTask:
+    """Trains a radiance field on posed images. ValueError as `run`."""
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.config, self.settings, self.scene = prepare(config, begun=True)
+        if self.settings.threads is not None:
+            torch.set_num_threads(self.settings.threads)
+        self.model = build_model(self.settings, self.scene)
+        check_samples_of_a_step(self.settings, self.model)
+        self.table = ray_table(self.settings, self.scene)
+        self.curve_views = self.settings.train.eval_views
+        # Files that cannot be used are reported now, not at the first evaluation.
+        lpips.weights()
+        colormap()
+
+    def trainer(self, watch: Stopwatch, store: Run) -> Trainer:
+        if not self.settings.numerics.finite_checks:
+            return Trainer(self.model, self.table, self.settings, watch)
+        context = RunContext(self.scene.names, store.config, store.dir / NONFINITE)
+        return CheckedTrainer(self.model, self.table, self.settings, watch, context)
+
+    def evaluator(self, watch: Stopwatch) -> Evaluator:
+        background, chunk = self.settings.render.background, self.settings.train.chunk
+        return Evaluator(self.scene, self.table, self.model, background=background, chunk=chunk, watch=watch)
+
+
+class SignalTask:
+    """Trains one head on a signal. ValueError as `run`."""
+
+    curve_views = 0
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.config = config
+        self.settings, self.scene = prepare_signal(config)
+        if self.settings.threads is not None:
+            torch.set_num_threads(self.settings.threads)
+        self.model = build_signal_model(self.settings, self.scene)
+        colormap()
+
+    def trainer(self, watch: Stopwatch, store: Run) -> SignalTrainer:
+        return SignalTrainer(self.model, self.scene, self.settings, watch)
+
+    def evaluator(self, watch: Stopwatch) -> SignalEvaluator:
+        return SignalEvaluator(self.model, self.scene, self.settings, watch)
+
+
+Task = FieldTask | SignalTask
+"""What a run trains on, what it trains, how a step's loss is computed, and how the result is judged."""
+
+
+def scene_of(config: Mapping[str, Any]) -> Scene | Signal:
+    """The scene of a configuration; ValueError as `prepare`."""
+    return prepare_signal(config)[1] if schema(config) is SignalSettings else prepare(config)[2]
+
+
 def run(
     config: Mapping[str, Any],
     overrides: Sequence[str] = (),
@@ -336,21 +432,16 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
-    resolved, settings, scene = prepare(config, begun=True)
-    if settings.threads is not None:
-        torch.set_num_threads(settings.threads)
-    model = build_model(settings, scene)
-    check_samples_of_a_step(settings, model)
-    table = ray_table(settings, scene)
-    # Files that cannot be used are reported now, not at the first evaluation.
-    lpips.weights()
-    colormap()
+    config = only_acting(config, overrides)
+    task: Task = SignalTask(config) if schema(config) is SignalSettings else FieldTask(config)
+    settings, scene = task.settings, task.scene
 
     name = name or id_of(config, scene)
-    config = dict(config) | {"needs": resolved["needs"]}
+    decisions = task.config["needs"]
+    config = config | {"needs": decisions}
     # The older fingerprint connects this run with older runs of the scene.
     fingerprints = {"scene.fingerprint": scene.fingerprint, "scene.older_fingerprint": scene.older_fingerprint}
-    columns = labels(resolved) | parameter_counts(model) | fingerprints | {"steps": 0}
+    columns = labels(task.config) | parameter_counts(task.model) | fingerprints | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
         summary = read_summary(claim.dir)
@@ -362,32 +453,18 @@ def run(
     with claim.run as store, stop_requests() as stops:
         if claim.outcome == "resumed":
             display.note(claim.message)
-        decided = [f"{key}={node['value']}" for key, node in resolved["needs"].items() if isinstance(node, Mapping)]
+        decided = [f"{key}={node['value']}" for key, node in decisions.items() if isinstance(node, Mapping)]
         if decided:
             display.note(f"the scene needs {', '.join(decided)}")
         store.write_environment(capture(settings.seed), dirty_diff())
-        return _execute(settings, scene, model, table, store, display, lambda: bool(stops) or stopping())
+        return _execute(task, store, display, lambda: bool(stops) or stopping())
 
 
-def _execute(
-    settings: Settings,
-    scene: Scene,
-    model: Model,
-    table: RayTable,
-    store: Run,
-    display: Display,
-    stopping: Callable[[], bool],
-) -> Outcome:
-    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    if settings.numerics.finite_checks:
-        context = RunContext(scene.names, store.config, store.dir / NONFINITE)
-        trainer: Trainer = CheckedTrainer(model, table, settings, watch, context)
-    else:
-        trainer = Trainer(model, table, settings, watch)
-    evaluator = Evaluator(
-        scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch
-    )
-    max_bytes = largest_state(model, settings.train.steps)
+def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bool]) -> Outcome:
+    settings, scene = task.settings, task.scene
+    watch = Stopwatch(settings.torch_device, task.model, QuantumLayer)
+    trainer, evaluator = task.trainer(watch, store), task.evaluator(watch)
+    max_bytes = largest_state(task.model, settings.train.steps)
     checkpoint = store.load_checkpoint(trainer.check, max_bytes) if store.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
@@ -399,13 +476,14 @@ def _execute(
 
     def assess() -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
-        views = scene.eval if trainer.done else scene.eval[: train.eval_views or None]
+        views = scene.eval if trainer.done else scene.eval[: task.curve_views or None]
         rows, result = evaluate(evaluator, store, views, trainer.step, stopping)
         if result is not None:
             # Every point of the curve is a mean over the same views.
-            curve = means(rows[: train.eval_views or None])
+            curve = means(rows[: task.curve_views or None])
             store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-            display.note(f"step {trainer.step}: held-out PSNR {metric_of('psnr').with_unit(result['psnr'])}")
+            shown = metric_of(scene.headline)
+            display.note(f"step {trainer.step}: {shown.label} {shown.with_unit(result[shown.key])}")
         return result
 
     def is_due() -> bool:
@@ -449,7 +527,7 @@ def was_evaluated(path: Path, step: int) -> bool:
 
 
 def evaluate(
-    evaluator: Evaluator, store: Run, views: Sequence[int], step: int, stopping: Callable[[], bool]
+    evaluator: ViewEvaluator, store: Run, views: Sequence[int], step: int, stopping: Callable[[], bool]
 ) -> tuple[list[Measures], Measures | None]:
     """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means.
 
@@ -472,9 +550,9 @@ def evaluate(
 
 
 def means(rows: Sequence[Measures]) -> Measures:
-    """Mean of each image metric over the views that have it, else None, and the first `<metric>_reason` of each."""
+    """Mean of each metric over the views that have it, else None, and the first `<metric>_reason` of each."""
     result: Measures = {}
-    for key in [item.key for item in image_metrics()]:
+    for key in [item.key for item in quality_metrics() if any(item.key in row for row in rows)]:
         values = [value for row in rows if is_number(value := row[key])]
         result[key] = sum(values) / len(values) if values else None
     reasons = dict.fromkeys(key for row in rows for key in row if key.endswith("_reason"))

@@ -7,7 +7,7 @@ Tables, figures, the report and the command line read `METRICS`. A metric of hel
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-__all__ = ["METRICS", "Metric", "declare", "image_metrics", "metric_of"]
+__all__ = ["HEAD_PARAMETERS", "METRICS", "Metric", "declare", "image_metrics", "metric_of", "quality_metrics"]
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Metric:
     digits: int | None = None
     """Decimals; None: four significant digits."""
     better: Literal["higher", "lower"] | None = None
-    kind: Literal["image", "size", "time", "loss", ""] = ""
-    """`image` metrics are measured on each held-out view."""
+    kind: Literal["image", "signal", "size", "time", "loss", ""] = ""
+    """`image` metrics are measured on each held-out view, `signal` metrics on a signal that one head fits."""
     explanation: str = ""
     on_request: bool = False
     """Whether tables leave it out unless it is asked for."""
@@ -50,6 +50,9 @@ class Metric:
         return f"{self.text(value)} {self.unit}".rstrip()
 
 
+HEAD_PARAMETERS = ("params.density", "params.color", "params.head")
+"""Columns with the parameters of a run's heads: two of a radiance field, one of a signal."""
+
 METRICS: dict[str, Metric] = {}
 """Column -> metric, in the order in which tables show them."""
 
@@ -67,8 +70,13 @@ def image_metrics() -> list[Metric]:
     return [metric for metric in METRICS.values() if metric.kind == "image"]
 
 
+def quality_metrics() -> list[Metric]:
+    """The metrics that an evaluation measures, on held-out views or on a signal."""
+    return [metric for metric in METRICS.values() if metric.kind in ("image", "signal")]
+
+
 def metric_of(key: str) -> Metric:
-    """The metric of a column, or of a key of metrics.parquet: `eval/psnr` is the held-out PSNR.
+    """The metric of a column, or of a key of metrics.parquet: `eval/psnr` is the PSNR of an evaluation.
 
     A column that is not declared is shown under its own name.
     """
@@ -80,7 +88,7 @@ def metric_of(key: str) -> Metric:
     return replace(METRICS[name], key=key, label=f"{_LOGGED[group]} {METRICS[name].label}".strip())
 
 
-_LOGGED = {"train": "training", "eval": "held-out", "time": ""}
+_LOGGED = {"train": "training", "eval": "evaluation", "time": ""}
 
 for _metric in (
     Metric("psnr", "PSNR", "dB", 2, "higher", "image"),
@@ -88,10 +96,17 @@ for _metric in (
     Metric("lpips", "LPIPS", "", 4, "lower", "image"),
     Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger"),
     Metric("depth_error_median", "median depth error", "world units", 3, "lower", "image", "median of |depth - truth|"),
+    Metric("psnr_unseen", "PSNR of unseen pixels", "dB", 2, "higher", "signal", "pixels kept out of training"),
+    Metric(
+        "distance_error", "distance error", "", 4, "lower", "signal", "mean of |distance - truth|, in sides of the cube"
+    ),
+    Metric("iou", "IoU", "", 3, "higher", "signal", "intersection over union of the inside"),
+    Metric("eikonal_error", "eikonal error", "", 3, "lower", "signal", "mean of | |gradient| - 1 |"),
     Metric("params.heads", "head parameters", "", 0, kind="size", on_request=True),
     Metric("params.encoder", "encoder parameters", "", 0, kind="size"),
     Metric("params.density", "density parameters", "", 0, kind="size"),
     Metric("params.color", "colour parameters", "", 0, kind="size"),
+    Metric("params.head", "parameters of the head", "", 0, kind="size"),
     Metric("params.sampler", "proposal parameters", "", 0, kind="size"),
     Metric("params.cameras", "camera parameters", "", 0, kind="size"),
     Metric("params.appearance", "appearance parameters", "", 0, kind="size"),

@@ -5,6 +5,7 @@
 
 import copy
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from functools import cache
@@ -19,7 +20,7 @@ from qnerf import experiment
 from qnerf.config import memory
 from qnerf.config.identity import run_id
 from qnerf.config.registry import options_of
-from qnerf.config.settings import Settings, declared
+from qnerf.config.settings import declared, only_acting, schema
 from qnerf.heads import HEADS
 from qnerf.model.labels import labels, slug
 from qnerf.scenes import SCENES
@@ -43,17 +44,14 @@ for _ in range(100):
     HOSTILE[-1] = [HOSTILE[-1]]  # deeper than any parser likes
 
 Keys = tuple[str, ...]
+HEAD_GROUPS = ("density", "color", "head")
 
 
 @cache
 def base(*overrides: str) -> dict[str, Any]:
-    return composed(
-        "hash=C7",
-        "device=cpu",
-        "visibility.resolution=16",
-        *overrides,
-        *(() if "sampler" in "".join(overrides) else TINY),
-    )
+    sampler = () if {"sampler", "photograph", "distance"} & set(re.split(r"\W", "".join(overrides))) else TINY
+    config = composed("hash=C7", "device=cpu", "visibility.resolution=16", *overrides, *sampler)
+    return only_acting(config)
 
 
 def choices() -> list[tuple[str, ...]]:
@@ -62,34 +60,38 @@ def choices() -> list[tuple[str, ...]]:
         ("field=qboth", "qiren.qubits=3"),
         ("needs=auto", "scene=nerfstudio", f"scene.path={TINY_SCENE}"),
         ("needs=full", "train=paper", "scene=blender", f"scene.path={TINY_SCENE}"),
+        ("scene=photograph",),
+        ("scene=distance",),
     ]
     groups = [path for path in sorted(CONF.iterdir()) if path.is_dir() and path.name not in ("hydra", "head", "scene")]
     every = [(f"{group.name}={file.stem}",) for group in groups for file in sorted(group.glob("*.yaml"))]
-    return few + [one for one in every if not one[0].endswith("=base")] if LONG else few
+    return few + [one for one in every if not one[0].endswith(("=base", "train=fit"))] if LONG else few
 
 
 def declarations(config: dict[str, Any]) -> list[tuple[Keys, Any]]:
     """Path and annotation of each option that the configuration holds."""
-    return [*settings_declarations(), *component_declarations(config)]
+    return [*settings_declarations(config), *component_declarations(config)]
 
 
-def settings_declarations() -> Iterator[tuple[Keys, Any]]:
-    for group, hint in get_type_hints(Settings, include_extras=True).items():
+def settings_declarations(config: dict[str, Any]) -> Iterator[tuple[Keys, Any]]:
+    for group, hint in get_type_hints(schema(config), include_extras=True).items():
         if is_dataclass(hint):
             for name, inner in get_type_hints(hint, include_extras=True).items():
                 yield (group, name), inner
         else:
             yield (group,), hint
-    for group in ("density", "color"):
+    for group in filter(config.__contains__, HEAD_GROUPS):
         for name, hint in declared(group).items():
             yield (group, name), hint
 
 
 def component_declarations(config: dict[str, Any]) -> Iterator[tuple[Keys, Any]]:
-    chosen = [(group, registry, config[group]["name"]) for group, registry in experiment.COMPONENTS.items()]
-    shared = [(group, registry, name) for group, (registry, name) in experiment.SHARED.items()]
+    components = [item for item in experiment.COMPONENTS.items() if item[0] in config]
+    chosen = [(group, registry, config[group]["name"]) for group, registry in components]
+    shared = [(group, *of) for group, of in experiment.SHARED.items() if group in config]
     parts = [((group,), registry.get(name)) for group, registry, name in chosen + shared if name in registry.names()]
-    parts += [((group, head), HEADS.get(head)) for group in ("density", "color") for head in HEADS.names()]
+    heads = [(group, head) for group in HEAD_GROUPS if group in config for head in HEADS.names()]
+    parts += [(path, HEADS.get(path[1])) for path in heads]
     for path, component in parts:
         for name, (_, hint) in options_of(component).items():
             yield (*path, name), hint
@@ -108,14 +110,14 @@ def configurations(draw: st.DrawFn) -> dict[str, Any]:
     """A configuration, some of whose components and options were replaced."""
     config = copy.deepcopy(base(*draw(st.sampled_from(choices()))))
     for group, registry in experiment.COMPONENTS.items():
-        if group != "scene" and draw(st.integers(0, 3)) == 0:
+        if group != "scene" and group in config and draw(st.integers(0, 3)) == 0:
             name = draw(st.sampled_from(registry.names()))
             config[group] = {"name": name} | {
                 option: copy.copy(parameter.default)
                 for option, parameter in registry.options(name).items()
                 if parameter.default is not parameter.empty
             }
-    for group in ("density", "color"):
+    for group in filter(config.__contains__, HEAD_GROUPS):
         if draw(st.booleans()):
             config[group]["name"] = draw(st.sampled_from(HEADS.names()))
     options = declarations(config)
@@ -143,7 +145,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     component = experiment.component
 
     def build(registry: Any, node: Any, *wiring: Any) -> Any:
-        if registry is SCENES and node["name"] != "nerfstudio":
+        if registry is SCENES and node["name"] not in ("nerfstudio", "photograph", "distance"):
             SCENES.check(node["name"], {key: value for key, value in node.items() if key != "name"})
             node = {"name": "nerfstudio", "path": TINY_SCENE}
         return component(registry, node, *wiring)
@@ -157,6 +159,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def built(config: dict[str, Any]) -> None:
     """All that a run does before it writes."""
+    if "head" in config:
+        task = experiment.SignalTask(config)
+        run_id(slug(config), config, task.scene.fingerprint)
+        labels(config)
+        return
     resolved, options, scene = experiment.prepare(config, begun=True)
     grids = options.visibility.cameras or options.visibility.alpha or options.occupancy.every
     if grids and options.visibility.resolution > MAX_CELLS:

@@ -229,7 +229,7 @@ def test_dimensions():
         assert ENCODERS.build(name, 2)(torch.zeros(4, 2)).shape[0] == 4
         with pytest.raises(ValueError, match="in_dim must be at least 1"):
             ENCODERS.build(name, 0)
-    with pytest.raises(ValueError, match="points must have 3 coordinates, got 2"):
+    with pytest.raises(ValueError, match="points must have at most 3 coordinates, got 4"):
         ENCODERS.build("hash", 2)
     with pytest.raises(ValueError, match="directions must have 3 coordinates"):
         DIRECTIONS.build("sh", 2)

@@ -18,11 +18,11 @@ PURPOSE = {
     "experiment": "named changes of the whole configuration",
     "field": "which heads are circuits",
     "hash": "table sizes of the hash grid",
-    "head": "the kind of head, mounted as `head@density` and `head@color`",
+    "head": "the kind of head, mounted as `head@density` and `head@color`; of a signal, `head`",
     "needs": "options that the scene decides",
     "qiren": "layers (L) and re-uploadings (S) of circuits",
     "sampler": "where rays are sampled",
-    "scene": "the images",
+    "scene": "the images, or the signal",
     "shading": "where along a ray colours are computed",
     "train": "the recipe",
 }

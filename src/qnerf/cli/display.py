@@ -9,7 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from qnerf.experiment import Display, Outcome
-from qnerf.metrics import image_metrics, metric_of
+from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records.filters import is_number
 from qnerf.records.printable import printable
 
@@ -40,7 +40,9 @@ class LiveDisplay(Display):
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
         values = [
-            f"{metric_of(key).label} {metric_of(key).with_unit(metrics[f'train/{key}'])}" for key in ("loss", "psnr")
+            f"{metric_of(key).label} {metric_of(key).with_unit(metrics[f'train/{key}'])}"
+            for key in ("loss", "psnr")
+            if f"train/{key}" in metrics
         ]
         status = "  ".join([*values, f"{1e3 / metrics['time/step_ms']:.1f} steps/s"])
         self.progress.update(self.task, completed=step, status=status)
@@ -72,11 +74,13 @@ def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
     ]:
         console.print(f"no number for {', '.join(missing)} in its summary", highlight=False, markup=False)
         return
-    views = f"{summary['eval_views']:.0f} held-out views"
-    for item in image_metrics():
+    fitted = "head" in summary  # a signal
+    views = "the whole picture" if fitted else f"{summary['eval_views']:.0f} held-out views"
+    for item in quality_metrics():
         if (value := summary.get(item.key)) is not None:
             table.add_row(item.label, item.with_unit(value), views if item.key == "psnr" else item.explanation)
-    parts = {key.removeprefix("params."): int(value) for key, value in summary.items() if key.startswith("params.")}
+    counts = {key.removeprefix("params."): value for key, value in summary.items() if key.startswith("params.")}
+    parts = {name: int(value) for name, value in counts.items() if value is not None}
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
     table.add_row("parameters", f"{parts['total']:,}", listed)
     table.add_row(
@@ -85,6 +89,7 @@ def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
         f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median",
     )
     console.print(table)
-    for name, path, content in (("run", "", ""), ("pictures", "images", "truth | render | error | depth")):
+    panels = "truth | fit | error" if fitted else "truth | render | error | depth"
+    for name, path, content in (("run", "", ""), ("pictures", "images", panels)):
         line = f"  {name:<13} {outcome.path / path}  {content}".rstrip()
         console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -246,11 +246,12 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.auto import asked
     from qnerf.cli.display import LiveDisplay, print_outcome
     from qnerf.cli.text import tree
-    from qnerf.config.settings import check_settings
+    from qnerf.config.settings import check_settings, only_acting
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     overrides = list(HydraConfig.get().overrides.task)
+    config = only_acting(config, overrides)
     log = logging.getLogger("qnerf")  # Hydra has turned it off; its warnings go to standard error
     log.disabled = False
     log.setLevel(logging.WARNING)

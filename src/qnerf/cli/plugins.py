@@ -21,7 +21,7 @@ def groups() -> Mapping[str, Registry[Any]]:
     from qnerf.quantum.circuit import ANSATZE
     from qnerf.rendering.samplers import SAMPLERS
     from qnerf.rendering.shading import SHADINGS
-    from qnerf.scenes import SCENES
+    from qnerf.signals import SCENES
 
     return {
         "head": HEADS,

@@ -20,11 +20,13 @@ from qnerf.config.compatibility import fill_added, today_noted
 from qnerf.config.folders import CONF
 from qnerf.config.identity import identity
 from qnerf.config.plugins import check_plugins
+from qnerf.config.settings import only_acting
 from qnerf.records import StoreError, read_config, read_status
 
 if TYPE_CHECKING:
     from qnerf.experiment import Outcome
     from qnerf.scenes import Scene
+    from qnerf.signals import Signal
 
 CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.finite_checks", "scene.path")
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
@@ -32,6 +34,7 @@ GROUPS = {
     **{group: group for group in ("encoder", "scene", "sampler", "shading", "cameras", "train")},
     "density": "head@density",
     "color": "head@color",
+    "head": "head",
 }
 """Part of the configuration whose `name` decides its options -> the config group that offers it."""
 OPAQUE = "ansatz_options"  # its options depend on the names in it
@@ -72,6 +75,8 @@ def fill(config: dict[str, Any], file: Path, overrides: Sequence[str]) -> list[s
     if isinstance(config.get("numerics"), str):  # from before it was a group
         config["numerics"] = {"dtype": config["numerics"]}
     fill_added(config)
+    for group in config.keys() - only_acting(config).keys():
+        del config[group]
     return complete(config, todays_defaults(config), str(file))
 
 
@@ -87,7 +92,7 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
     from qnerf.cli.display import LiveDisplay
     from qnerf.training.trainer import Diverged
 
-    check_identity(run, experiment.prepare(config)[2], config["scene"].get("path"))
+    check_identity(run, experiment.scene_of(config), config["scene"].get("path"))
     display = LiveDisplay(console(), live=config["run"]["progress"])
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")
@@ -97,7 +102,7 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
         raise ValueError(str(error)) from error
 
 
-def check_identity(run: Path, scene: "Scene", path: str | Path | None) -> None:
+def check_identity(run: Path, scene: "Scene | Signal", path: str | Path | None) -> None:
     """ValueError if the stored configuration or the scene's contents have changed since the run was started.
 
     path: from which the scene was read, for the message.
@@ -167,7 +172,7 @@ def todays_defaults(config: Mapping[str, Any]) -> dict[str, Any]:
     known = [f"{group}={name}" for group, name in choices.items() if plugins.is_choice(group.partition("@")[0], name)]
     with initialize_config_dir(str(CONF), version_base="1.3"):
         defaults: dict[str, Any] = OmegaConf.to_container(compose("config", known), resolve=True)  # type: ignore[assignment]
-    return defaults
+    return only_acting(defaults)
 
 
 def _value(override: str, text: str) -> Any:

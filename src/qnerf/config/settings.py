@@ -1,9 +1,10 @@
 """Options that belong to no component: budgets, bounds, device. Components declare their own (see registry.py)."""
 
 import math
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypedDict, TypeVar, get_args, get_type_hints
 
 import torch
 from annotated_types import Interval, MinLen
@@ -12,7 +13,6 @@ from qnerf.config import bounds
 from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, PositiveFactor, PositiveInt, Seed
 from qnerf.config.registry import check_options
 
-MODEL_PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")
 MAX_DEPTH = 20  # levels of groups and lists in a configuration
 
 # Float32, in which most runs compute, has no larger or smaller numbers than about 1e38 and 1e-38.
@@ -21,30 +21,50 @@ Length = Annotated[float, Interval(ge=0, le=1e9)]  # world units
 Name = Annotated[str, MinLen(1)]
 Background = Literal["last_sample", "white", "black", "random"]
 BACKGROUNDS: tuple[str, ...] = get_args(Background)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train:
-    """Budget and schedule of the training."""
+class Schedule:
+    """Budget and schedule of any training."""
+
+    PARTS: ClassVar[tuple[str, ...]]  # of the model, which `rates` names
 
     name: Name
     steps: PositiveInt
-    rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
     lr: Rate
     lr_final: Rate  # reached at the last step by exponential decay
     rates: dict[str, NonNegativeFactor]  # part of the model -> factor on the learning rate
     eps: Rate  # of Adam
-    interlevel: NonNegativeFactor  # weight of the interlevel loss
-    distortion: NonNegativeFactor  # weight of the distortion loss
     eval_every: NonNegativeInt  # steps; 0: only at the end
-    eval_views: NonNegativeInt  # views evaluated during training; 0: all
     log_every: PositiveInt  # steps
     checkpoint_every: Annotated[float, Interval(ge=0, le=1e9)]  # seconds
-    chunk: Annotated[int, Interval(ge=1, le=2**24)]  # rays rendered at once in evaluation
 
     def __post_init__(self) -> None:
-        if sorted(self.rates) != sorted(MODEL_PARTS):
-            raise ValueError(f"train.rates must give a number for each of {', '.join(MODEL_PARTS)}, got {self.rates}")
+        if sorted(self.rates) != sorted(self.PARTS):
+            raise ValueError(f"train.rates must give a number for each of {', '.join(self.PARTS)}, got {self.rates}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(Schedule):
+    """Training of a radiance field."""
+
+    PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")
+
+    rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
+    interlevel: NonNegativeFactor  # weight of the interlevel loss
+    distortion: NonNegativeFactor  # weight of the distortion loss
+    eval_views: NonNegativeInt  # views evaluated during training; 0: all
+    chunk: Annotated[int, Interval(ge=1, le=2**24)]  # rays rendered at once in evaluation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit(Schedule):
+    """Training of one head on a signal."""
+
+    PARTS = ("encoder", "head")
+
+    points: Annotated[int, Interval(ge=1, le=2**24)]  # per step; all of them where the signal has no more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,15 +162,21 @@ class Color(Component):
     rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.color
 
 
+class OneHead(Component):
+    """What the group head holds, besides one group of options per kind of head."""
+
+    activation: Name
+
+
 COMPONENTS: dict[str, type] = dict.fromkeys(
     ("contraction", "encoder", "scene", "sampler", "shading", "cameras"), Component
-) | {"density": Density, "color": Color}
+) | {"density": Density, "color": Color, "head": OneHead}
 """Group that chooses a component -> what it holds besides the component's options."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
-    """The whole configuration: checked scalars, and one mapping per component."""
+class Common:
+    """The part of the configuration that every run has: checked scalars, and one mapping per component."""
 
     plugins: list[str]
     experiment: Name | None
@@ -158,29 +184,14 @@ class Settings:
     device: Literal["auto", "cpu", "cuda"]
     threads: Annotated[int, Interval(ge=1, le=1024)] | None
     store: Name
-    geo_features: Annotated[int, Interval(ge=0, le=2**16)]
-    appearance: Annotated[int, Interval(ge=0, le=2**16)]
     run: Run
     numerics: Numerics
-    train: Train
-    render: Render
-    pose_noise: PoseNoise
-    visibility: Visibility
-    occupancy: Occupancy
-    stop: Stop
     needs: dict[str, Any]
-    contraction: dict[str, Any]
-    density: dict[str, Any]
-    color: dict[str, Any]
     qiren: dict[str, Any]
     qfgn: dict[str, Any]
     hash: dict[str, Any]
-    proposal: dict[str, Any]
     encoder: dict[str, Any]
     scene: dict[str, Any]
-    sampler: dict[str, Any]
-    shading: dict[str, Any]
-    cameras: dict[str, Any]
 
     def __post_init__(self) -> None:
         if self.device == "cuda" and not torch.cuda.is_available():
@@ -197,10 +208,80 @@ class Settings:
         return torch.float64 if self.numerics.dtype == "float64" else torch.float32
 
 
+@dataclass(frozen=True, kw_only=True)
+class Settings(Common):
+    """The configuration of a radiance field."""
+
+    geo_features: Annotated[int, Interval(ge=0, le=2**16)]
+    appearance: Annotated[int, Interval(ge=0, le=2**16)]
+    train: Train
+    render: Render
+    pose_noise: PoseNoise
+    visibility: Visibility
+    occupancy: Occupancy
+    stop: Stop
+    contraction: dict[str, Any]
+    density: dict[str, Any]
+    color: dict[str, Any]
+    proposal: dict[str, Any]
+    sampler: dict[str, Any]
+    shading: dict[str, Any]
+    cameras: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalSettings(Common):
+    """The configuration of one head that fits a signal."""
+
+    train: Fit
+    head: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.numerics.finite_checks:
+            raise ValueError("numerics.finite_checks=true names rays and pixels: it acts on radiance fields only")
+
+
+def schema(config: Mapping[str, Any]) -> type[Settings] | type[SignalSettings]:
+    """The settings that the configuration has: with the group `head` it is a signal's."""
+    return SignalSettings if "head" in config else Settings
+
+
+def only_acting(config: Mapping[str, Any], overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The configuration without the groups that do not act: where one head fits a signal, those of a radiance field.
+
+    overrides: what the user typed. ValueError if one of them is for a group that does not act.
+    """
+    if schema(config) is Settings:
+        return dict(config)
+    idle = _names(Settings) - _names(SignalSettings)
+    for override in overrides:
+        group = re.match(r"[~+]*(?:head@)?(\w*)", override)
+        if group and group[1] in {*idle, "field", "needs"}:
+            acting = ", ".join(sorted(_names(SignalSettings) - {"needs"} | {"budget", "ansatz"}))
+            scene = config["scene"].get("name") if isinstance(config.get("scene"), Mapping) else None
+            raise ValueError(f"{override}: does not act with scene={scene}, which has one head; acting: {acting}")
+    return {name: node for name, node in config.items() if name not in idle}
+
+
+def _names(settings: type) -> set[str]:
+    return {field.name for field in fields(settings)}
+
+
 def settings_from(config: Mapping[str, Any]) -> Settings:
     """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
+    return _built(Settings, config)
+
+
+def signal_settings_from(config: Mapping[str, Any]) -> SignalSettings:
+    """As `settings_from`, for the configuration of one head that fits a signal."""
+    return _built(SignalSettings, config)
+
+
+def _built(kind: type[T], config: Mapping[str, Any]) -> T:
     check_settings(config)
-    return Settings(**{name: _GROUPS[name](**node) if name in _GROUPS else node for name, node in config.items()})
+    groups = _groups(kind)
+    return kind(**{name: groups[name](**node) if name in groups else node for name, node in config.items()})
 
 
 def check_settings(config: Mapping[str, Any], undecided: Collection[str] = ()) -> None:
@@ -209,20 +290,22 @@ def check_settings(config: Mapping[str, Any], undecided: Collection[str] = ()) -
     undecided: dotted names of options whose value is not known yet, such as those that are `auto`.
     """
     _check_plain("config", config)
-    _check_group("", Settings, config, undecided)
-    for group, component in _GROUPS.items():
+    kind = schema(config)
+    _check_group("", kind, config, undecided)
+    for group, component in _groups(kind).items():
         _check_group(f"{group}.", component, config[group], undecided)
-    for group in COMPONENTS:
+    for group in filter(config.__contains__, COMPONENTS):
         require(group, config[group], declared(group))
         for key, hint in declared(group).items():
             if f"{group}.{key}" not in undecided:
                 bounds.check(f"{group}.{key}", config[group][key], hint)
 
 
-_GROUPS: dict[str, type] = {
-    field.name: field.type for field in fields(Settings) if isinstance(field.type, type) and is_dataclass(field.type)
-}
-"""Group -> the dataclass that declares its options."""
+def _groups(kind: type) -> dict[str, type]:
+    """Group -> the dataclass that declares its options."""
+    return {
+        field.name: field.type for field in fields(kind) if isinstance(field.type, type) and is_dataclass(field.type)
+    }
 
 
 def declared(group: str) -> dict[str, Any]:
@@ -232,7 +315,8 @@ def declared(group: str) -> dict[str, Any]:
 
 def _check_group(prefix: str, component: type, node: Mapping[str, Any], undecided: Collection[str]) -> None:
     require(prefix.rstrip(".") or "config", node, [field.name for field in fields(component)])
-    decided = {key: value for key, value in node.items() if f"{prefix}{key}" not in undecided and key not in _GROUPS}
+    groups = _groups(component)
+    decided = {key: value for key, value in node.items() if f"{prefix}{key}" not in undecided and key not in groups}
     check_options(prefix, component, decided)
 
 

@@ -42,6 +42,8 @@ def level_resolutions(levels: int, min_resolution: int, max_resolution: int) -> 
 class HashEncoder(Encoder):
     """Features interpolated from grids of growing resolution: (..., levels x features).
 
+    Points with fewer than 3 coordinates lie on the planes where the others are 0, so their grids have fewer dimensions.
+
     Args:
         levels: number of grids.
         min_resolution, max_resolution: cells along a side of the coarsest and of the finest grid.
@@ -70,8 +72,8 @@ class HashEncoder(Encoder):
         frequency_window: Share = 0.0,
     ) -> None:
         super().__init__(in_dim)
-        if in_dim != 3:
-            raise ValueError(f"encoder=hash: points must have 3 coordinates, got {in_dim}")
+        if in_dim > 3:
+            raise ValueError(f"encoder=hash: points must have at most 3 coordinates, got {in_dim}")
         if min_resolution > max_resolution:
             raise ValueError(f"max_resolution must be at least min_resolution={min_resolution}, got {max_resolution}")
         self.out_dim = levels * features
@@ -83,7 +85,10 @@ class HashEncoder(Encoder):
         nn.init.uniform_(self.table, -1e-3, 1e-3, generator=generator)
 
     def forward(self, points: Tensor) -> Tensor:
-        encoded = hash_encode(points.reshape(-1, 3), self.table, self.resolutions, self.dense)
+        flat = points.reshape(-1, self.in_dim)
+        if self.in_dim < 3:
+            flat = nn.functional.pad(flat, (0, 3 - self.in_dim))
+        encoded = hash_encode(flat, self.table, self.resolutions, self.dense)
         weights = window_weights(len(self.table), self.progress, self.frequency_window)
         if weights is not None:
             encoded = encoded * weights.to(encoded).repeat_interleave(self.table.shape[-1])

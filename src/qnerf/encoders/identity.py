@@ -1,4 +1,4 @@
-"""No encoding."""
+"""No encoding: the coordinates themselves, or moved to [-1, 1]."""
 
 from torch import Tensor
 
@@ -15,3 +15,11 @@ class Identity(Encoder):
 
     def forward(self, points: Tensor) -> Tensor:
         return points
+
+
+@ENCODERS.register("signed")
+class Signed(Identity):
+    """Points of the unit cube moved to [-1, 1]: 2 x - 1, (..., in_dim)."""
+
+    def forward(self, points: Tensor) -> Tensor:
+        return 2 * points - 1

@@ -43,21 +43,19 @@ def hash_label(table: Mapping[str, Any]) -> str:
 
 
 def labels(config: Mapping[str, Any]) -> dict[str, str]:
-    """One label per config group and head."""
-    density, color = config["density"], config["color"]
-    return {
-        "field": FIELDS[chosen(density).quantum, chosen(color).quantum],
-        "encoder": config["encoder"]["name"],
+    """One label per config group and head. With one head, which fits a signal, `field` is classical or quantum."""
+    groups = ("encoder", "scene", "sampler", "shading", "cameras", "train")
+    common = {
         "qiren": f"{config['qiren']['layers']}L{config['qiren']['spectral']}S",
         "hash": hash_label(config["hash"]),
-        "scene": config["scene"]["name"],
-        "sampler": config["sampler"]["name"],
-        "shading": config["shading"]["name"],
-        "cameras": config["cameras"]["name"],
-        "train": config["train"]["name"],
-        "density": head_label(density),
-        "color": head_label(color),
+        **{group: config[group]["name"] for group in groups if group in config},
     }
+    if "head" in config:
+        head = config["head"]
+        return common | {"field": "quantum" if chosen(head).quantum else "classical", "head": head_label(head)}
+    density, color = config["density"], config["color"]
+    field = FIELDS[chosen(density).quantum, chosen(color).quantum]
+    return common | {"field": field, "density": head_label(density), "color": head_label(color)}
 
 
 def slug(config: Mapping[str, Any]) -> str:
@@ -66,5 +64,6 @@ def slug(config: Mapping[str, Any]) -> str:
     path = config["scene"].get("path")
     scene = Path(path).name if path else names["scene"]
     encoder = f"hash{names['hash']}" if names["encoder"] == "hash" else names["encoder"]
-    parts = [scene, config["experiment"], names["field"], encoder, names["density"], names["color"]]
+    heads = [names[group] for group in ("density", "color", "head") if group in names]
+    parts = [scene, config["experiment"], names["field"], encoder, *heads]
     return "-".join([*filter(None, parts), f"s{config['seed']}"])

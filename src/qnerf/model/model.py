@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor, nn
 
+from qnerf.encoders import Encoder
 from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.model.field import Field
 from qnerf.rendering.render import color_shares, render, volume_weights
@@ -21,6 +22,10 @@ class Model(nn.Module):
         self.sampler = sampler
         self.cameras = cameras
         self.shading = shading
+
+    @property
+    def encoder(self) -> Encoder:
+        return self.field.encoder
 
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:

@@ -12,7 +12,7 @@ import pyarrow as pa
 import yaml  # type: ignore[import-untyped]
 
 from qnerf.config.compatibility import upgrade_config
-from qnerf.metrics import image_metrics
+from qnerf.metrics import quality_metrics
 from qnerf.records import owner, summary_row
 from qnerf.records.files import StoreError, folders_in, one_line, read_bytes, read_json, reporting
 from qnerf.records.numbered import PARTS
@@ -153,7 +153,7 @@ def read_probe(run_dir: str | Path, name: str) -> pd.DataFrame:
 
 def checked_table(table: pa.Table, name: str, label: object) -> pa.Table:
     """The table with the columns of `schemas.TABLES[name]`, and image metrics as numbers; StoreError if it differs."""
-    metrics = {item.key: "float" for item in image_metrics() if item.key in table.schema.names}
+    metrics = {item.key: "float" for item in quality_metrics() if item.key in table.schema.names}
     return with_kinds(table, metrics | TABLES[name], label)
 
 

@@ -39,7 +39,7 @@ SUMMARY_COLUMNS = {
 }
 
 _HEAD_NUMBERS = ("mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
-_LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "sampler", "cameras", "train")
+_LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
 _KNOWN_KINDS = {
     **{name: "float" for name, metric in METRICS.items() if metric.kind},
     **dict.fromkeys(("seed", "train.steps"), "int"),

@@ -3,6 +3,7 @@
 import hashlib
 import math
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -63,6 +64,7 @@ class Scene:
     near: float | None = None  # world units; None: the scene defines no bounds
     far: float | None = None
     older_fingerprint: str | None = None  # of the same contents, in the ids of older runs; None: the same
+    headline: ClassVar[str] = "psnr"  # key of the metric that is shown during training
 
     @property
     def fingerprints(self) -> list[str]:
@@ -92,7 +94,8 @@ def composite(pixels: Tensor, background: float | Tensor | None) -> Tensor:
     return pixels[..., :3] * alpha + background * (1 - alpha)
 
 
-SCENES: Registry[Scene] = Registry("scene")
+SCENES: Registry[Any] = Registry("scene")
+"""Name -> what makes a `Scene`, or a signal (`qnerf.signals`)."""
 
 
 def split_views(views: int) -> tuple[list[int], list[int]]:

@@ -85,12 +85,16 @@ class Evaluator:
         """
         truth = self.truth(rendered.view)
         error = ((rendered.color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
-        panels = [truth, rendered.color, error, shade(rendered.depth)]
-        picture = torch.cat([panel.to(torch.float32) for panel in panels], dim=1)
-        height, width, _ = picture.shape
-        factor = max(1, min(-(-min_height // height), MAX_WIDTH // width))
-        picture = picture.repeat_interleave(factor, 0).repeat_interleave(factor, 1)
-        return (picture * 255).round().to(torch.uint8).numpy()
+        return beside([truth, rendered.color, error, shade(rendered.depth)], min_height)
+
+
+def beside(panels: list[Tensor], min_height: int = 240) -> np.ndarray:
+    """Panels (H, W, 3) in [0, 1] side by side as one image uint8, enlarged as `Evaluator.picture` says."""
+    picture = torch.cat([panel.to(torch.float32) for panel in panels], dim=1)
+    height, width, _ = picture.shape
+    factor = max(1, min(-(-min_height // height), MAX_WIDTH // width))
+    picture = picture.repeat_interleave(factor, 0).repeat_interleave(factor, 1)
+    return (picture * 255).round().to(torch.uint8).numpy()
 
 
 def colormap() -> Any:

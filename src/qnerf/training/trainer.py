@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from qnerf.config.settings import Settings, Train
+from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.geometry.rays import RayTable
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
@@ -54,34 +54,33 @@ def decibels(mean_squared_error: float) -> float:
     return -10 * math.log10(max(mean_squared_error, 1e-12))
 
 
-def learning_rate(step: int, train: Train) -> float:
+def learning_rate(step: int, train: Schedule) -> float:
     """Exponential decay: lr (lr_final / lr)^(step / steps)."""
     return train.lr * (train.lr_final / train.lr) ** (step / train.steps)
 
 
-class Trainer:
+class Loop:
     """Takes training steps. `state()` holds everything that they depend on, so a resumed run repeats an uninterrupted
-    one.
+    one. What a step computes is up to `terms`.
 
     Args:
         model: on its device, in its dtype.
-        table: the training pixels and their rays.
-        settings: training budget and schedule, early stopping, background.
+        settings: training budget and schedule.
         watch: times the stages of a step.
+        plateau: when to stop early.
     """
 
-    def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
+    advice = ADVICE
+    train: Schedule
+
+    def __init__(self, model: Any, settings: Settings | SignalSettings, watch: Stopwatch, plateau: Plateau) -> None:
         self.model = model
-        self.table = table
         self.train = settings.train
-        self.background = settings.render.background
         self.watch = watch
         self._set_step(0)
         self.step_seconds: list[float] = []
         self.seconds = 0.0  # of training so far, over all resumptions
-        stop = settings.stop
-        self.plateau = Plateau(stop.every, stop.patience, stop.min_gain_db)
-        self.validation_rays = stop.rays
+        self.plateau = plateau
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
@@ -93,7 +92,14 @@ class Trainer:
 
     def _set_step(self, step: int) -> None:
         self.step = step
-        self.model.field.encoder.progress = step / self.train.steps
+        self.model.encoder.progress = step / self.train.steps
+
+    def prepare_step(self) -> None:
+        """What happens before a batch is drawn."""
+
+    def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+        """Draws a batch from the streams; the weighted terms whose sum is minimised."""
+        raise NotImplementedError
 
     def take_step(self, measure: bool) -> dict[str, float]:
         """One optimisation step.
@@ -110,19 +116,13 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = rate * self.train.rates[group["name"]]
         with self.watch.stage("sampling"):
-            mask = self.model.field.mask
-            if isinstance(mask, Occupancy) and mask.due(self.step):
-                mask.look(self.model.field, self.streams["samples"])
-            rays, pixels = self.table.batch(self.train.rays, self.streams["pixels"], self.model.cameras)
-        rendering, sampled, behind = self.model(
-            rays, background=self.background, step=self.step, watch=self.watch, generator=self.streams["samples"]
-        )
+            self.prepare_step()
+        terms = self.terms(self.streams, self.step)
         with self.watch.stage("render"):
-            terms = self.loss_terms(rendering, sampled, composite(pixels, behind))
             loss = torch.stack(list(terms.values())).sum()
             value = float(loss.detach())
         if not math.isfinite(value):
-            raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
+            raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {self.advice}")
         with self.watch.stage("backward"):
             self.optimiser.zero_grad(set_to_none=True)
             loss.backward()
@@ -136,26 +136,12 @@ class Trainer:
             return {}
         return {
             "train/loss": value,
-            "train/psnr": decibels(float(terms["mse"].detach())),
+            **({"train/psnr": decibels(float(terms["mse"].detach()))} if "mse" in terms else {}),
             **{f"train/{name}": float(term.detach()) for name, term in terms.items()},
             "train/lr": rate,
             "time/step_ms": seconds * 1e3,
             **{f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES},
         }
-
-    def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
-        """The weighted terms whose sum is minimised; `target` are the true colours (R, 3)."""
-        terms = {"mse": mse(rendering.color, target)}
-        if self.train.distortion:
-            terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
-        if self.train.interlevel and sampled.proposals:
-            terms["interlevel"] = self.train.interlevel * interlevel(
-                sampled.samples, rendering.weights, sampled.proposals
-            )
-        penalty = self.model.cameras.penalty()
-        if penalty is not None:
-            terms["poses"] = penalty
-        return terms
 
     def _culprit(self, terms: dict[str, Tensor]) -> str:
         """The first parameters or loss term with a value that is not finite, in words."""
@@ -201,16 +187,8 @@ class Trainer:
         """The parameters that the loss depends on, found in a step that is not taken."""
         self.watch.begin(measure=False)
         buffers = {name: buffer.clone() for name, buffer in self.model.named_buffers()}
-        device = self.streams["samples"].device
-        rays, pixels = self.table.batch(self.train.rays, torch.Generator().manual_seed(0), self.model.cameras)
-        rendering, sampled, behind = self.model(
-            rays,
-            background=self.background,
-            step=0,
-            watch=self.watch,
-            generator=torch.Generator(device).manual_seed(0),
-        )
-        torch.stack(list(self.loss_terms(rendering, sampled, composite(pixels, behind)).values())).sum().backward()
+        streams = {name: torch.Generator(stream.device).manual_seed(0) for name, stream in self.streams.items()}
+        torch.stack(list(self.terms(streams, 0).values())).sum().backward()
         found: set[Tensor] = {parameter for parameter in self.model.parameters() if parameter.grad is not None}
         self.optimiser.zero_grad(set_to_none=True)
         for name, buffer in self.model.named_buffers():
@@ -248,29 +226,14 @@ class Trainer:
         self.step_seconds = state["step_seconds"].tolist()
         self.seconds = sum(self.step_seconds)
 
+    def validate(self) -> float:
+        """PSNR in dB of data that is held out for validation; called if the plateau asks for it."""
+        raise NotImplementedError
+
     @property
     def done(self) -> bool:
         """Whether the last step was taken, or the PSNR of the validation rays has reached a plateau."""
         return self.step >= self.train.steps or self.plateau.reached
-
-    @torch.no_grad()
-    def validate(self) -> float:
-        """PSNR in dB of the training rays that are held out for validation, rendered as in evaluation."""
-        start = self.watch.now()
-        background = evaluation_background(self.background)
-        rays, pixels = self.table.validation(self.validation_rays, self.model.cameras)
-        self.model.eval()
-        self.watch.begin(measure=False)
-        errors = []
-        for first in range(0, len(rays), self.train.chunk):
-            chunk = slice(first, first + self.train.chunk)
-            rendering, _, behind = self.model(rays[chunk], background=background, step=self.step, watch=self.watch)
-            errors.append((rendering.color - composite(pixels[chunk], behind)).square())
-        self.model.train()
-        seconds = self.watch.now() - start
-        self.step_seconds[-1] += seconds
-        self.seconds += seconds
-        return decibels(float(torch.cat(errors).mean()))
 
     def steps(self, store: Checkpoints, stopping: Callable[[], bool]) -> Iterator[dict[str, float]]:
         """Trains until `done` or `stopping()`, and yields each step's metrics.
@@ -299,6 +262,75 @@ class Trainer:
         if name := first_non_finite(self.model, self.optimiser):
             raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
         store.save_checkpoint(self.state())
+
+
+class Trainer(Loop):
+    """Trains a radiance field on batches of rays.
+
+    Args:
+        model: on its device, in its dtype.
+        table: the training pixels and their rays.
+        settings: training budget and schedule, early stopping, background.
+        watch: times the stages of a step.
+    """
+
+    model: Model
+    train: Train
+
+    def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
+        stop = settings.stop
+        super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
+        self.table = table
+        self.background = settings.render.background
+        self.validation_rays = stop.rays
+
+    def prepare_step(self) -> None:
+        """Updates the occupancy, if that is due."""
+        mask = self.model.field.mask
+        if isinstance(mask, Occupancy) and mask.due(self.step):
+            mask.look(self.model.field, self.streams["samples"])
+
+    def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+        with self.watch.stage("sampling"):
+            rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras)
+        rendering, sampled, behind = self.model(
+            rays, background=self.background, step=step, watch=self.watch, generator=streams["samples"]
+        )
+        with self.watch.stage("render"):
+            return self.loss_terms(rendering, sampled, composite(pixels, behind))
+
+    def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
+        """The weighted terms whose sum is minimised; `target` are the true colours (R, 3)."""
+        terms = {"mse": mse(rendering.color, target)}
+        if self.train.distortion:
+            terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
+        if self.train.interlevel and sampled.proposals:
+            terms["interlevel"] = self.train.interlevel * interlevel(
+                sampled.samples, rendering.weights, sampled.proposals
+            )
+        penalty = self.model.cameras.penalty()
+        if penalty is not None:
+            terms["poses"] = penalty
+        return terms
+
+    @torch.no_grad()
+    def validate(self) -> float:
+        """PSNR in dB of the training rays that are held out for validation, rendered as in evaluation."""
+        start = self.watch.now()
+        background = evaluation_background(self.background)
+        rays, pixels = self.table.validation(self.validation_rays, self.model.cameras)
+        self.model.eval()
+        self.watch.begin(measure=False)
+        errors = []
+        for first in range(0, len(rays), self.train.chunk):
+            chunk = slice(first, first + self.train.chunk)
+            rendering, _, behind = self.model(rays[chunk], background=background, step=self.step, watch=self.watch)
+            errors.append((rendering.color - composite(pixels[chunk], behind)).square())
+        self.model.train()
+        seconds = self.watch.now() - start
+        self.step_seconds[-1] += seconds
+        self.seconds += seconds
+        return decibels(float(torch.cat(errors).mean()))
 
 
 def all_finite(parameters: Iterable[Tensor]) -> bool:

@@ -12,7 +12,7 @@ from qnerf.cli.commands import add_store
 from qnerf.cli.numbers import count as count_argument
 from qnerf.cli.table import Column, Row, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing
-from qnerf.metrics import METRICS
+from qnerf.metrics import HEAD_PARAMETERS, METRICS
 from qnerf.records import filters, index
 from qnerf.records.location import RUN_ID
 from qnerf.records.printable import ELLIPSIS, printable
@@ -193,8 +193,8 @@ def _extra(name: str, rows: Sequence[Row]) -> Column:
 
 
 def _heads(row: Row) -> str:
-    heads = [row.get("params.density"), row.get("params.color")]
-    return count(sum(heads)) if all(isinstance(n, (int, float)) for n in heads) else "-"
+    heads = [row[name] for name in HEAD_PARAMETERS if not missing(row.get(name))]
+    return count(sum(heads)) if heads else "-"
 
 
 COLUMNS = (
@@ -212,9 +212,9 @@ COLUMNS = (
     Column("time", lambda row: duration(row.get("train_s")), rank=4, right=True),
     Column("age", lambda row: age(row.get("created")), rank=3, right=True),
 )
-"""`heads`: parameters of the density and colour heads, in which fields differ."""
+"""`heads`: parameters of the heads, in which fields differ."""
 
 NEEDED = (
-    "run_id", "state", "error", "field", "encoder", "qiren", "params.total", "params.density", "params.color",
+    "run_id", "state", "error", "field", "encoder", "qiren", "params.total", *HEAD_PARAMETERS,
     "psnr", "ssim", "scene", "scene.path", "step", "train.steps", "train_s", "created", "tags", "path",
 )  # fmt: skip

@@ -12,7 +12,7 @@ from rich.text import Text
 from qnerf.cli.commands import add_run
 from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, size, styled, tree
-from qnerf.metrics import image_metrics, metric_of
+from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.details import Details
@@ -98,7 +98,7 @@ def state_line(run: Details) -> Text:
 
 def _results(out: Console, run: Details) -> None:
     values = run.results
-    metrics = [item for item in image_metrics() if not missing(values.get(item.key))]
+    metrics = [item for item in quality_metrics() if not missing(values.get(item.key))]
     parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
     if not metrics and not parts:
         return
@@ -123,7 +123,7 @@ def _views(out: Console, run: Details) -> None:
     if not len(views) or "image" not in views:
         return
     _section(out, f"held-out views after step {count(views['step'].iloc[0])}" if "step" in views else "held-out views")
-    metrics = [item for item in image_metrics() if item.key in views and views[item.key].notna().any()]
+    metrics = [item for item in quality_metrics() if item.key in views and views[item.key].notna().any()]
     columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, metrics)]
     print_table(out, columns, views.to_dict("records"))  # type: ignore[arg-type]
 

@@ -1,0 +1,26 @@
+"""Signals: functions of coordinates that one head learns by itself, in a minute, beside radiance fields.
+
+    scene -> points -> model (encoder, head, activation) -> loss -> metrics
+
+A photograph is a function from pixel coordinates to colour, a shape one from points to the distance of its surface.
+"""
+
+from qnerf.scenes import SCENES
+from qnerf.signals.base import Fitted, Signal, is_signal
+from qnerf.signals.distance import Distance  # each registers its entry
+from qnerf.signals.model import SignalModel, build_signal_model
+from qnerf.signals.photograph import Photograph
+from qnerf.signals.training import SignalEvaluator, SignalTrainer
+
+__all__ = [
+    "SCENES",
+    "Distance",
+    "Fitted",
+    "Photograph",
+    "Signal",
+    "SignalEvaluator",
+    "SignalModel",
+    "SignalTrainer",
+    "build_signal_model",
+    "is_signal",
+]

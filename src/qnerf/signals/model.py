@@ -1,0 +1,62 @@
+"""The model of a signal: coordinates -> encoder -> one head -> activation -> values."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from qnerf.config import memory
+from qnerf.config.settings import SignalSettings
+from qnerf.encoders import ENCODERS, Encoder
+from qnerf.heads import HEADS, head_options
+from qnerf.heads.activations import COLOR_ACTIVATIONS
+from qnerf.model.memory import COPIES, activations, planned
+from qnerf.signals.base import Signal
+
+
+class SignalModel(nn.Module):
+    """Points (N, D) in the unit cube -> values (N, C)."""
+
+    def __init__(self, encoder: Encoder, head: nn.Module, activation: Callable[[Tensor], Tensor]) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.head = head
+        self.activation = activation
+
+    @property
+    def parts(self) -> dict[str, list[nn.Parameter]]:
+        """The parameters, grouped as they are counted and optimised (see `train.rates`)."""
+        return {"encoder": list(self.encoder.parameters()), "head": list(self.head.parameters())}
+
+    def forward(self, points: Tensor) -> Tensor:
+        return self.activation(self.head(self.encoder(points)))
+
+
+def build_signal_model(settings: SignalSettings, signal: Signal) -> SignalModel:
+    """Encoder, head and activation for the signal, in the run's dtype, on its device.
+
+    Raises:
+        ValueError: an encoder that does not take as many coordinates, or more memory than there is.
+    """
+
+    def build() -> SignalModel:
+        options = {key: value for key, value in settings.encoder.items() if key != "name"}
+        encoder = ENCODERS.build(settings.encoder["name"], signal.points.shape[-1], **options)
+        head = HEADS.build(
+            settings.head["name"], encoder.out_dim, signal.targets.shape[-1], **head_options(settings.head)
+        )
+        return SignalModel(encoder, head, COLOR_ACTIVATIONS.get(settings.head["activation"]))
+
+    previous = torch.get_default_dtype()
+    torch.set_default_dtype(settings.dtype)
+    try:
+        if (plan := planned(build)) is not None:
+            size = torch.finfo(settings.dtype).bits // 8
+            width = plan.encoder.out_dim + activations(plan.head, size)
+            points = min(settings.train.points, len(signal.points))
+            parameters = sum(parameter.numel() for parameter in plan.parameters())
+            memory.require("training", (COPIES * parameters + points * width) * size, hint="reduce the encoder or head")
+        torch.manual_seed(settings.seed)
+        return build().to(settings.torch_device)
+    finally:
+        torch.set_default_dtype(previous)

@@ -1,0 +1,88 @@
+"""Training and evaluation of one head on a signal."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.config.settings import Fit, SignalSettings
+from qnerf.signals.base import Signal
+from qnerf.signals.model import SignalModel
+from qnerf.timing import Stopwatch
+from qnerf.training.evaluation import beside
+from qnerf.training.stopping import Plateau
+from qnerf.training.trainer import Loop
+
+CHUNK = 4096  # points evaluated at once
+
+
+class SignalTrainer(Loop):
+    """Trains on batches of the signal's points: on all of them in every step where there are no more than a batch."""
+
+    advice = "a smaller train.lr may help"
+    model: SignalModel
+    train: Fit
+
+    def __init__(self, model: SignalModel, signal: Signal, settings: SignalSettings, watch: Stopwatch) -> None:
+        super().__init__(model, settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))
+        self.signal = signal
+        self.points, self.targets = (
+            values.to(settings.torch_device, settings.dtype) for values in (signal.points, signal.targets)
+        )
+
+    def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+        with self.watch.stage("sampling"):
+            points, targets = self.points, self.targets
+            if len(points) > self.train.points:
+                index = torch.randint(len(points), (self.train.points,), generator=streams["pixels"]).to(points.device)
+                points, targets = points[index], targets[index]
+        with self.watch.stage("field"):
+            predicted = self.model(points)
+        with self.watch.stage("render"):
+            return self.signal.terms(predicted, targets)
+
+
+@dataclass(frozen=True)
+class FittedView:
+    """What an evaluation drew: panels (H, W, 3) in [0, 1]."""
+
+    view: int
+    panels: list[Tensor]
+
+
+class SignalEvaluator:
+    """Measures and draws a fit, deterministically and without touching any random state. See `Fitted`."""
+
+    def __init__(self, model: SignalModel, signal: Signal, settings: SignalSettings, watch: Stopwatch) -> None:
+        self.model = model
+        self.scene = signal
+        self.device, self.dtype = settings.torch_device, settings.dtype
+        self.watch = watch
+
+    @torch.no_grad()
+    def values(self, points: Tensor) -> Tensor:
+        parts = [self.model(part.to(self.device, self.dtype)) for part in points.split(CHUNK)]
+        return torch.cat(parts).double().cpu()
+
+    def gradients(self, points: Tensor) -> Tensor:
+        parts = []
+        for part in points.split(CHUNK):
+            leaf = part.to(self.device, self.dtype).requires_grad_()
+            (gradient,) = torch.autograd.grad(self.model(leaf)[:, 0].sum(), leaf)
+            parts.append(gradient.double().cpu())
+        return torch.cat(parts)
+
+    def views(self, views: list[int], step: int) -> Iterator[tuple[FittedView, dict[str, float | str | None]]]:
+        """The one view of a signal, with its name under `image` and its metrics."""
+        training = self.model.training
+        self.model.eval()
+        self.watch.begin(measure=False)
+        measured, panels = self.scene.evaluate(self)
+        self.model.train(training)
+        yield FittedView(0, panels), {"image": self.scene.name, **measured}
+
+    def picture(self, view: FittedView) -> np.ndarray:
+        """truth | fit | error as one image (h, w, 3) uint8."""
+        return beside(view.panels)

@@ -1,0 +1,141 @@
+"""Runs that fit a signal: the same runner, ids, store, resumption and tables as radiance fields."""
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+from rich.console import Console
+
+from analysis import load
+from analysis.tables import ablation
+from qnerf.cli.commands import runs, show
+from qnerf.cli.display import print_outcome
+from qnerf.cli.upgrade_config import stored
+from qnerf.config.settings import only_acting
+from qnerf.experiment import SignalTask, prepare, run
+from qnerf.probes import load as load_trained
+from qnerf.records import details
+from tests.helpers.configs import composed
+from tests.helpers.scenes import write_scene
+
+SCENES = {"scene=photograph": ("psnr", "ssim"), "scene=distance": ("distance_error", "iou", "eikonal_error")}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("head", ["mlp", "qfgn", "qiren"])
+def test_a_head_fits_a_signal(fit, scene, head):
+    config = fit(scene, f"head={head}")
+    outcome = run(config)
+    assert outcome.state == "finished"
+    assert outcome.summary["params.head"] > 0
+    for key in SCENES[scene]:
+        assert np.isfinite(outcome.summary[key])
+    rows = pd.read_parquet(outcome.path / "eval.parquet")
+    assert rows[SCENES[scene][0]].tolist() == [outcome.summary[SCENES[scene][0]]]
+    (picture,) = (outcome.path / "images").glob("*.png")
+    with Image.open(picture) as panels:
+        assert panels.width == 3 * panels.height
+    assert run(config).message  # skipped
+
+
+@pytest.mark.parametrize("encoder", ["hash", "pe", "none", "rff", "signed"])
+def test_every_encoder_takes_pixels_and_points(fit, encoder):
+    for scene in SCENES:
+        assert run(fit(scene, f"encoder={encoder}")).state == "finished"
+
+
+def test_the_hash_grid_of_pixels_is_the_plane_z_0_of_one_of_points():
+    flat, solid = (SignalTask(only_acting(composed(*names, "encoder=hash", "device=cpu"))).model.encoder for names in
+                   (["scene=photograph"], ["scene=distance", "scene.shape=ellipsoid"]))  # fmt: skip
+    solid.table.data.copy_(flat.table)
+    points = torch.rand(50, 2)
+    assert torch.equal(flat(points), solid(torch.nn.functional.pad(points, (0, 1))))
+
+
+def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
+    config = fit("scene=photograph", "head=qiren", "train.points=50")
+    whole = run(config | {"store": str(tmp_path / "whole")}).summary
+    left = iter([False, False, True])
+    assert run(config, stopping=lambda: next(left)).state == "interrupted"
+    filled, added = stored(tmp_path / "runs" / run_name(tmp_path / "runs"))
+    assert (filled.keys(), added) == (config.keys(), [])
+    resumed = run(config)
+    assert resumed.state == "finished"
+    assert resumed.summary["psnr"] == whole["psnr"]
+
+
+def run_name(store) -> str:
+    (name,) = (path.name for path in store.iterdir() if not path.name.startswith("."))
+    return name
+
+
+def test_the_eikonal_error_is_that_of_the_gradient(fit):
+    """A head that returns the sum of the coordinates, 2 x - 1 each, has a gradient of 2 sqrt(2) everywhere."""
+    task = SignalTask(fit("scene=distance", "head.mlp.layers=1"))
+    with torch.no_grad():
+        task.model.head.net[0].weight.fill_(1.0)
+    [(_, row)] = task.evaluator(task_watch(task)).views([0], 0)
+    assert row["eikonal_error"] == pytest.approx(2 * 2**0.5 - 1, rel=1e-5)
+
+
+def task_watch(task):
+    from qnerf.quantum import QuantumLayer
+    from qnerf.timing import Stopwatch
+
+    return Stopwatch(torch.device("cpu"), task.model, QuantumLayer)
+
+
+def test_what_does_not_act_is_refused_where_it_is_typed_and_left_out_of_the_id(fit):
+    config = fit("scene=photograph")
+    for override in ("color=qiren", "head@density=qiren", "field=qcolor", "sampler=uniform", "++visibility.cameras=0"):
+        with pytest.raises(ValueError, match=r"does not act with scene=photograph.*head"):
+            run(config, [override])
+    outcome = run(config, ["head=mlp", "seed=0", "train.steps=4"])
+    assert run(fit("scene=photograph", "render.near=1", "geo_features=3")).run_id == outcome.run_id
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["scene.name=photograph"], "scene=photograph needs the group head; choose it with scene=photograph"),
+        (["scene=photograph", "scene.name=poster"], "scene=poster needs the group density and color"),
+        (["scene=photograph", "numerics.finite_checks=true"], "acts on radiance fields only"),
+        (["scene=photograph", "train=quick", "sampler=proposal"], "train: "),
+        (["scene=photograph", "head.activation=relu"], "activation: unknown name 'relu'"),
+        (["scene=distance", "encoder=hash", "hash=auto"], "expects int"),
+    ],
+)
+def test_mistakes_are_one_line(overrides, message):
+    with pytest.raises(ValueError, match=message):
+        run(composed(*overrides))
+
+
+def test_a_probe_and_prepare_refuse_a_signal_in_one_line(fit):
+    outcome = run(fit("scene=distance"))
+    with pytest.raises(ValueError, match="expected a radiance field"):
+        load_trained(outcome.path)
+    with pytest.raises(ValueError, match="expected a radiance field"):
+        prepare(fit("scene=distance"))
+
+
+def test_tables_and_commands_show_fits_beside_fields(fit, tiny, tmp_path):
+    fits = [run(fit(scene, f"head={head}")) for scene, head in zip(SCENES, ("mlp", "qiren"), strict=True)]
+    run(tiny(f"scene.path={write_scene(tmp_path / 'ring')}", "scene=nerfstudio"))
+    frame = load.runs(tmp_path / "runs")
+    assert len(frame) == 3
+    pictures = frame[frame["scene"] == "photograph"]
+    assert ablation(pictures, ["head"], values=["psnr", "params.head"]).text["PSNR, dB"].tolist()
+    shapes = frame[frame["scene"] == "distance"]
+    table = ablation(shapes, ["head"], metric="distance_error", values=["distance_error", "iou"])
+    assert {"distance error", "IoU"} <= set(table.text)
+    out = Console(file=io.StringIO(), width=200)
+    for outcome in fits:
+        print_outcome(out, outcome)
+        show.show(out, details.read(outcome.path))
+    runs.print_runs(out, runs.load(str(tmp_path / "runs")), 0)
+    text = out.file.getvalue()
+    assert "eikonal error" in text
+    assert "held-out views" not in text.partition("results")[0]
