@@ -267,9 +267,8 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
     stride = round(1 / settings.stop.share) if settings.stop.every else 0
-    while (
-        stride and math.gcd(stride, scene.cameras.width) > 1
-    ):  # otherwise it would hold out the same few columns of every image
+    widths = math.prod(set(scene.cameras.all_sizes[:, 0].tolist()))
+    while stride and math.gcd(stride, widths) > 1:  # otherwise it would hold out the same few columns of every image
         stride += 1
     return RayTable(
         scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, validation_stride=stride

@@ -8,6 +8,7 @@ from typing import Any
 
 from qnerf.auto import detail, exposure, poses, space
 from qnerf.geometry.contraction import CONTRACTIONS, Box
+from qnerf.geometry.rays import TrainingPixels
 from qnerf.scenes import Scene
 
 Config = dict[str, Any]
@@ -50,8 +51,7 @@ class Measured:
     @cached_property
     def observed(self) -> int:
         """Colour values in the training images."""
-        cameras = self.scene.cameras
-        return 3 * len(self.scene.train) * cameras.width * cameras.height
+        return 3 * len(TrainingPixels(self.scene))
 
 
 Rule = Callable[[Measured, Config], Decision]
