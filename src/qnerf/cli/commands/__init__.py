@@ -8,6 +8,9 @@ PyTorch.
 import argparse
 
 GROUPS = {
+    "bring a scene": {
+        "capture": "photographs or a video to a folder with camera poses",
+    },
     "train": {
         "run": "train and evaluate one configuration, or a sweep of many",
         "resume": "continue an interrupted run, or repeat a failed one",
