@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from qnerf import auto
+from qnerf.auto import poses
 from qnerf.config.identity import picture_names, run_id
 from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry, check_options, options_of
@@ -364,6 +365,8 @@ def run(
         decided = [f"{key}={node['value']}" for key, node in resolved["needs"].items() if isinstance(node, Mapping)]
         if decided:
             display.note(f"the scene needs {', '.join(decided)}")
+        if not store.resumed and config["scene"].get("path") and (doubt := poses.warning(scene)):
+            display.note(f"warning: {doubt}")
         store.write_environment(capture(settings.seed), dirty_diff())
         return _execute(settings, scene, model, table, store, display, lambda: bool(stops) or stopping())
 

@@ -8,8 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qnerf.auto.poses import distances, epipolar_error, fundamental, matched
-from qnerf.auto.rules import OFF
+from qnerf.auto.poses import OFF, distances, epipolar_error, fundamental, matched
 from qnerf.geometry.rays import project
 from tests.helpers.worlds import ball, constant, floor, turned
 

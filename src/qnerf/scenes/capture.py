@@ -24,6 +24,7 @@ from qnerf.scenes.video import extract_frames
 
 MIN_FEATURES = 40  # an image with fewer cannot be posed
 MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
+ENOUGH = 0.9  # share of the photographs that must have a pose, else more pairs are compared
 POLL = 0.2  # seconds between looks at COLMAP's database
 JPEG_QUALITY = 95
 ORIENTATION = 0x0112  # EXIF
@@ -64,7 +65,7 @@ def capture(
         lens: shared: one camera and zoom took all photographs; each: every photograph has its own intrinsics; auto:
             shared if all have one size.
         order: sequence: a photograph is compared with its neighbours only, in the order of names; any: with all others;
-            auto: sequence for a video.
+            auto: for a video sequence, and any if that leaves more than a tenth without a pose; else any.
 
     Raises:
         ValueError: pycolmap is missing, `out` is not empty, or the photographs cannot be read or posed. Then nothing
@@ -90,9 +91,11 @@ def capture(
             raise ValueError(f"{source}: expected at least {MIN_VIEWS} photographs, got {len(names)}")
         one_size = len({_size(taken / name) for name in names}) == 1
         shared = lens == "shared" or (lens == "auto" and one_size)
-        in_sequence = order == "sequence" or (order == "auto" and video)
+        matchings = {"sequence": ["sequential"], "any": ["exhaustive"]}.get(order, ["exhaustive"])
+        if order == "auto" and video:
+            matchings = ["sequential", "exhaustive"]
         with _quiet(sfm):
-            models = _reconstruct(sfm, taken, names, work, shared, in_sequence, progress)
+            models = _reconstruct(sfm, taken, names, work, shared, matchings, progress)
             captured = _report(models, names)
             progress("undistort", 0, 1)
             model = work / "model"
@@ -171,11 +174,8 @@ def _size(path: Path) -> tuple[int, int]:
         return image.size
 
 
-def _reconstruct(
-    sfm: Any, folder: Path, names: list[str], work: Path, shared: bool, in_sequence: bool, progress: Progress
-) -> list[Any]:
-    """COLMAP's reconstructions, the one with most photographs first; ValueError if there is none."""
-    database = work / "database.db"
+def _extract(sfm: Any, folder: Path, names: list[str], database: Path, shared: bool, progress: Progress) -> None:
+    """Finds the features of all photographs. ValueError if too few have any."""
     mode = sfm.CameraMode.SINGLE if shared else sfm.CameraMode.PER_IMAGE
     reading = sfm.ImageReaderOptions(camera_model="OPENCV" if shared else "SIMPLE_RADIAL")
     extraction = sfm.FeatureExtractionOptions(max_image_size=MAX_SIDE)
@@ -188,32 +188,60 @@ def _reconstruct(
             f"{rich} of {len(names)} photographs have {MIN_FEATURES} features or more, {MIN_VIEWS} are needed: blank "
             "walls, blur and darkness show none"
         )
-    overlap = 2 * sfm.SequentialPairingOptions().overlap  # with the quadratic ones
-    pairs = len(names) * overlap if in_sequence else len(names) * (len(names) - 1) // 2
-    match = sfm.match_sequential if in_sequence else sfm.match_exhaustive
-    _follow(partial(match, str(database)), progress, "matches", pairs, lambda: _count(database, "two_view_geometries"))
-    if not _count(database, "two_view_geometries", "rows > 0"):
-        raise ValueError("no two photographs show the same things: neighbours must overlap by half or more")
-    found: dict[int, Any] = {}
-    placed: list[None] = []  # one for each photograph that COLMAP has posed
-    for relaxed in ({}, RELAXED):
-        pipeline = sfm.IncrementalPipelineOptions(min_model_size=MIN_VIEWS, random_seed=0)
-        for key, value in relaxed.items():
-            setattr(pipeline.mapper, key, value)
-        models = work / f"models{len(relaxed)}"
-        models.mkdir()
-        callback = {"next_image_callback": lambda: placed.append(None)}
-        run = partial(sfm.incremental_mapping, str(database), str(folder), str(models), options=pipeline, **callback)
-        found = _follow(run, progress, "poses", len(names), lambda: len(placed))
-        if found:
+
+
+def _reconstruct(
+    sfm: Any, folder: Path, names: list[str], work: Path, shared: bool, matchings: list[str], progress: Progress
+) -> list[Any]:
+    """COLMAP's reconstructions, the one with most photographs first; ValueError if there is none.
+
+    matchings: "sequential" or "exhaustive". The next is tried where one leaves more than a tenth without a pose.
+    """
+    database = work / "database.db"
+    _extract(sfm, folder, names, database, shared, progress)
+    models: list[Any] = []
+    for matching in matchings:
+        _match(sfm, database, len(names), matching, progress)
+        options: tuple[dict[str, float], ...] = ({}, RELAXED)
+        found = (
+            _map(sfm, folder, work / f"{matching}{len(each)}", database, len(names), each, progress) for each in options
+        )
+        models = next((some for some in found if some), models)
+        if models and models[0].num_reg_images() >= ENOUGH * len(names):
             break
-    ranked = sorted(found.values(), key=lambda model: -model.num_reg_images())
-    if not ranked or ranked[0].num_reg_images() < MIN_VIEWS:
+    if not models:
         raise ValueError(
             f"the poses of fewer than {MIN_VIEWS} of {len(names)} photographs can be found: they share too few "
             "features, or the camera only turned; walk around the scene, and let neighbours overlap by half or more"
         )
-    return ranked
+    return models
+
+
+def _match(sfm: Any, database: Path, photographs: int, matching: str, progress: Progress) -> None:
+    """Compares pairs of photographs. ValueError if none show the same things."""
+    pairs = photographs * (photographs - 1) // 2
+    if matching == "sequential":  # with those at distances of 2, 4, 8, ...
+        pairs = min(pairs, 2 * photographs * sfm.SequentialPairingOptions().overlap)
+    run = partial(getattr(sfm, f"match_{matching}"), str(database))
+    _follow(run, progress, "matches", pairs, lambda: _count(database, "two_view_geometries"))
+    if not _count(database, "two_view_geometries", "rows > 0"):
+        raise ValueError("no two photographs show the same things: neighbours must overlap by half or more")
+
+
+def _map(
+    sfm: Any, folder: Path, place: Path, database: Path, total: int, options: dict[str, float], progress: Progress
+) -> list[Any]:
+    """Reconstructions of at least `MIN_VIEWS` photographs, the largest first."""
+    pipeline = sfm.IncrementalPipelineOptions(min_model_size=MIN_VIEWS, random_seed=0)
+    for key, value in options.items():
+        setattr(pipeline.mapper, key, value)
+    place.mkdir()
+    placed: list[None] = []  # one for each photograph that COLMAP has posed
+    callback = {"next_image_callback": lambda: placed.append(None)}
+    run = partial(sfm.incremental_mapping, str(database), str(folder), str(place), options=pipeline, **callback)
+    found = _follow(run, progress, "poses", total, lambda: len(placed))
+    models = [model for model in found.values() if model.num_reg_images() >= MIN_VIEWS]
+    return sorted(models, key=lambda model: -model.num_reg_images())
 
 
 def _report(models: list[Any], names: list[str]) -> Captured:

@@ -39,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         choices=["auto", "any", "sequence"],
         default="auto",
         help="sequence: compare neighbours in the order of names only; any: all pairs; "
-        "auto (default): sequence for a video",
+        "auto (default): for a video sequence first",
     )
 
 
