@@ -1,36 +1,37 @@
 """Photographs or a video -> a scene with poses: structure from motion by COLMAP, through its package pycolmap."""
 
 import contextlib
+import importlib.util
 import json
 import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures import TimeoutError as Unfinished
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
 from PIL import Image, ImageOps
 
+from qnerf.scenes import colmap_steps as steps
 from qnerf.scenes.base import MIN_VIEWS
 from qnerf.scenes.colmap import read_model
+from qnerf.scenes.colmap_steps import Model
 from qnerf.scenes.folders import PHOTOGRAPHS, photographs
 from qnerf.scenes.images import open_header
 from qnerf.scenes.video import extract_frames
 
 MIN_FEATURES = 40  # an image with fewer cannot be posed
-MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
 ENOUGH = 0.9  # share of the photographs that must have a pose, else more pairs are compared
 POLL = 0.2  # seconds between looks at COLMAP's database
 JPEG_QUALITY = 95
 ORIENTATION = 0x0112  # EXIF
-# For small or few photographs, where COLMAP's own limits leave no pair to begin with.
-RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": 4.0, "abs_pose_min_num_inliers": 15}
-
 Progress = Callable[[str, int, int], None]
 """Receives what is being done, how much of it is done, and how much there is."""
 
@@ -71,7 +72,8 @@ def capture(
         ValueError: pycolmap is missing, `out` is not empty, or the photographs cannot be read or posed. Then nothing
             has been written.
     """
-    sfm = _pycolmap()
+    if importlib.util.find_spec("pycolmap") is None:
+        raise ValueError('pycolmap is not installed here: pip install "qnerf[capture]"')
     if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
         raise ValueError(f"{out} exists already; choose a new folder")
     video = source.is_file() and source.suffix.lower() not in PHOTOGRAPHS
@@ -94,14 +96,13 @@ def capture(
         matchings = {"sequence": ["sequential"], "any": ["exhaustive"]}.get(order, ["exhaustive"])
         if order == "auto" and video:
             matchings = ["sequential", "exhaustive"]
-        with _quiet(sfm):
-            models = _reconstruct(sfm, taken, names, work, shared, matchings, progress)
-            captured = _report(models, names)
-            progress("undistort", 0, 1)
-            model = work / "model"
-            model.mkdir()
-            models[0].write(str(model))
-            sfm.undistort_images(str(work / "scene"), str(model), str(taken), jpeg_quality=JPEG_QUALITY)
+        # Another process, because COLMAP ends its own where it fails, and because a second copy of SQLite must not read
+        # a database in the process that writes it.
+        with ProcessPoolExecutor(1, get_context("spawn"), steps.begin, (work / "log.txt",)) as colmap:
+            models = _reconstruct(colmap, taken, names, work, shared, matchings, progress)
+            running = colmap.submit(steps.undistort, models[0].folder, taken, work / "scene", JPEG_QUALITY)
+            _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
+        posed = set(models[0].posed)
         scene = work / "written"
         scene.mkdir()
         os.replace(work / "scene" / "images", scene / "images")
@@ -111,10 +112,14 @@ def capture(
         if out.is_dir():
             out.rmdir()
         os.replace(scene, out)
-        progress("undistort", 1, 1)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    return captured
+    return Captured(
+        posed=sorted(posed),
+        others=[name for name in names if name not in posed],
+        groups=[len(model.posed) for model in models],
+        error=models[0].error,
+    )
 
 
 def transforms(content: dict[str, Any]) -> dict[str, Any]:
@@ -132,14 +137,6 @@ def transforms(content: dict[str, Any]) -> dict[str, Any]:
         for frame in frames
     ]
     return {**shared, "frames": listed}
-
-
-def _pycolmap() -> Any:
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise ValueError('pycolmap is not installed here: pip install "qnerf[capture]"') from error
-    return pycolmap
 
 
 def _check_photographs(source: Path) -> None:
@@ -169,105 +166,77 @@ def _collect(found: list[Path], folder: Path) -> None:
             raise ValueError(f"{path} does not decode: {error}") from error
 
 
+def _files(folder: Path) -> int:
+    return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
+
+
 def _size(path: Path) -> tuple[int, int]:
     with Image.open(path) as image:
         return image.size
 
 
-def _extract(sfm: Any, folder: Path, names: list[str], database: Path, shared: bool, progress: Progress) -> None:
-    """Finds the features of all photographs. ValueError if too few have any."""
-    mode = sfm.CameraMode.SINGLE if shared else sfm.CameraMode.PER_IMAGE
-    reading = sfm.ImageReaderOptions(camera_model="OPENCV" if shared else "SIMPLE_RADIAL")
-    extraction = sfm.FeatureExtractionOptions(max_image_size=MAX_SIDE)
-    options = {"camera_mode": mode, "reader_options": reading, "extraction_options": extraction}
-    extract = partial(sfm.extract_features, str(database), str(folder), names, **options)
-    _follow(extract, progress, "features", len(names), lambda: _count(database, "keypoints"))
-    rich = _count(database, "keypoints", f"rows >= {MIN_FEATURES}")
-    if rich < MIN_VIEWS:
-        raise ValueError(
-            f"{rich} of {len(names)} photographs have {MIN_FEATURES} features or more, {MIN_VIEWS} are needed: blank "
-            "walls, blur and darkness show none"
-        )
-
-
 def _reconstruct(
-    sfm: Any, folder: Path, names: list[str], work: Path, shared: bool, matchings: list[str], progress: Progress
-) -> list[Any]:
-    """COLMAP's reconstructions, the one with most photographs first; ValueError if there is none.
+    colmap: ProcessPoolExecutor,
+    folder: Path,
+    names: list[str],
+    work: Path,
+    shared: bool,
+    matchings: list[str],
+    progress: Progress,
+) -> list[Model]:
+    """COLMAP's models, the one with most photographs first; ValueError if there is none.
 
     matchings: "sequential" or "exhaustive". The next is tried where one leaves more than a tenth without a pose.
     """
-    database = work / "database.db"
-    _extract(sfm, folder, names, database, shared, progress)
-    models: list[Any] = []
-    for matching in matchings:
-        _match(sfm, database, len(names), matching, progress)
-        options: tuple[dict[str, float], ...] = ({}, RELAXED)
-        found = (
-            _map(sfm, folder, work / f"{matching}{len(each)}", database, len(names), each, progress) for each in options
+    database, total = work / "database.db", len(names)
+    running = colmap.submit(steps.extract, database, folder, names, shared)
+    _follow(running, progress, "features", total, lambda: _count(database, "keypoints"))
+    rich = _count(database, "keypoints", f"rows >= {MIN_FEATURES}")
+    if rich < MIN_VIEWS:
+        raise ValueError(
+            f"{rich} of {total} photographs have {MIN_FEATURES} features or more, {MIN_VIEWS} are needed: blank walls, "
+            "blur and darkness show none"
         )
-        models = next((some for some in found if some), models)
-        if models and models[0].num_reg_images() >= ENOUGH * len(names):
+    models: list[Model] = []
+    for matching in matchings:
+        pairs = total * (total - 1) // 2
+        if matching == "sequential":
+            pairs = min(pairs, total * steps.NEIGHBOURS)
+        compared = colmap.submit(steps.match, database, matching)
+        _follow(compared, progress, "matches", pairs, lambda: _count(database, "two_view_geometries"))
+        if not _count(database, "two_view_geometries", "rows > 0"):
+            raise ValueError("no two photographs show the same things: neighbours must overlap by half or more")
+        for relaxed in (False, True):
+            place = work / f"{matching}-{relaxed}"
+            place.mkdir()
+            mapped = colmap.submit(steps.reconstruct, database, folder, place, MIN_VIEWS, relaxed)
+            found = _follow(mapped, progress, "poses", total, partial(steps.placed, place))
+            if found:
+                models = found
+                break
+        if models and len(models[0].posed) >= ENOUGH * total:
             break
     if not models:
         raise ValueError(
-            f"the poses of fewer than {MIN_VIEWS} of {len(names)} photographs can be found: they share too few "
-            "features, or the camera only turned; walk around the scene, and let neighbours overlap by half or more"
+            f"the poses of fewer than {MIN_VIEWS} of {total} photographs can be found: they share too few features, or "
+            "the camera only turned; walk around the scene, and let neighbours overlap by half or more"
         )
     return models
 
 
-def _match(sfm: Any, database: Path, photographs: int, matching: str, progress: Progress) -> None:
-    """Compares pairs of photographs. ValueError if none show the same things."""
-    pairs = photographs * (photographs - 1) // 2
-    if matching == "sequential":  # with those at distances of 2, 4, 8, ...
-        pairs = min(pairs, 2 * photographs * sfm.SequentialPairingOptions().overlap)
-    run = partial(getattr(sfm, f"match_{matching}"), str(database))
-    _follow(run, progress, "matches", pairs, lambda: _count(database, "two_view_geometries"))
-    if not _count(database, "two_view_geometries", "rows > 0"):
-        raise ValueError("no two photographs show the same things: neighbours must overlap by half or more")
-
-
-def _map(
-    sfm: Any, folder: Path, place: Path, database: Path, total: int, options: dict[str, float], progress: Progress
-) -> list[Any]:
-    """Reconstructions of at least `MIN_VIEWS` photographs, the largest first."""
-    pipeline = sfm.IncrementalPipelineOptions(min_model_size=MIN_VIEWS, random_seed=0)
-    for key, value in options.items():
-        setattr(pipeline.mapper, key, value)
-    place.mkdir()
-    placed: list[None] = []  # one for each photograph that COLMAP has posed
-    callback = {"next_image_callback": lambda: placed.append(None)}
-    run = partial(sfm.incremental_mapping, str(database), str(folder), str(place), options=pipeline, **callback)
-    found = _follow(run, progress, "poses", total, lambda: len(placed))
-    models = [model for model in found.values() if model.num_reg_images() >= MIN_VIEWS]
-    return sorted(models, key=lambda model: -model.num_reg_images())
-
-
-def _report(models: list[Any], names: list[str]) -> Captured:
-    posed = {image.name for image in models[0].images.values() if image.has_pose}
-    return Captured(
-        posed=sorted(posed),
-        others=[name for name in names if name not in posed],
-        groups=[model.num_reg_images() for model in models],
-        error=float(models[0].compute_mean_reprojection_error()),
-    )
-
-
-def _follow(call: Callable[[], Any], progress: Progress, what: str, total: int, done: Callable[[], int]) -> Any:
-    """The result of `call`, which runs in a thread while `done` is reported."""
+def _follow(running: Future[Any], progress: Progress, what: str, total: int, done: Callable[[], int]) -> Any:
+    """The result of a step; `done` is reported until it is there. ValueError if COLMAP fails."""
     progress(what, 0, total)
-    with ThreadPoolExecutor(1) as pool:
-        running = pool.submit(call)
-        while True:
-            try:
-                result = running.result(timeout=POLL)
-                break
-            except Unfinished:
-                pass
-            except (RuntimeError, ValueError) as error:
-                raise ValueError(f"COLMAP cannot go on: {str(error).splitlines()[0]}") from error
+    while True:
+        try:
+            result = running.result(timeout=POLL)
+            break
+        except Unfinished:
             progress(what, min(done(), total), total)
+        except BrokenProcessPool as error:
+            raise ValueError(f"COLMAP crashed while it was at {what}; are there enough memory and disk?") from error
+        except (RuntimeError, ValueError, ImportError) as error:
+            raise ValueError(f"COLMAP cannot go on: {str(error).splitlines()[0]}") from error
     progress(what, total, total)
     return result
 
@@ -279,17 +248,6 @@ def _count(database: Path, table: str, where: str = "1") -> int:
             return int(opened.execute(f"SELECT COUNT(*) FROM {table} WHERE {where}").fetchone()[0])
     except sqlite3.Error:
         return 0
-
-
-@contextlib.contextmanager
-def _quiet(sfm: Any) -> Iterator[None]:
-    """COLMAP tells of every step on standard error; here only what ends the process."""
-    before = sfm.logging.minloglevel
-    sfm.logging.minloglevel = 3
-    try:
-        yield
-    finally:
-        sfm.logging.minloglevel = before
 
 
 def _umask() -> int:
