@@ -19,13 +19,13 @@ from typing import Any, Literal
 
 from PIL import Image, ImageOps
 
-from qnerf.scenes import colmap_steps as steps
+from qnerf.capture import steps
+from qnerf.capture.steps import Model
+from qnerf.capture.video import extract_frames
 from qnerf.scenes.base import MIN_VIEWS
 from qnerf.scenes.colmap import read_model
-from qnerf.scenes.colmap_steps import Model
 from qnerf.scenes.folders import PHOTOGRAPHS, photographs
 from qnerf.scenes.images import open_header
-from qnerf.scenes.video import extract_frames
 
 MIN_FEATURES = 40  # an image with fewer cannot be posed
 ENOUGH = 0.9  # share of the photographs that must have a pose, else more pairs are compared
