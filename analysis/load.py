@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qnerf.config.compatibility import ADDED, Same
+from qnerf.config.compatibility import ADDED, Of, Same
 from qnerf.config.identity import flatten
 from qnerf.metrics import HEAD_PARAMETERS
 from qnerf.records import filters, index
@@ -88,7 +88,7 @@ def _fill_added(frame: pd.DataFrame) -> None:
     for option, usual in ADDED.items():
         if option in frame and set(frame[option].dropna()) <= {"{}"}:  # an empty group is the same as none
             del frame[option]
-        values = {} if isinstance(usual, Same) else flatten({option: usual})
+        values = {} if isinstance(usual, (Same, Of)) else flatten({option: usual})
         for name in frame.columns[frame.columns.str.startswith(option)]:
             value = frame.get(usual.option + name[len(option) :]) if isinstance(usual, Same) else values.get(name)
             if value is not None:

@@ -73,9 +73,9 @@ def overrides_of(case: str, seed: int, options: argparse.Namespace) -> str:
 def batches(table: RayTable, rays: int, seed: int, steps: int) -> torch.Tensor:
     """The pixels that our trainer draws in each step (steps, R), numbered view by view among all views."""
     generator = torch.Generator().manual_seed(seed)
-    total = len(table.train) * table.pixels
-    numbers = torch.stack([torch.randint(total, (rays,), generator=generator) for _ in range(steps)])
-    return table.train[torch.div(numbers, table.pixels, rounding_mode="floor")] * table.pixels + numbers % table.pixels
+    numbers = torch.stack([torch.randint(len(table.training), (rays,), generator=generator) for _ in range(steps)])
+    views, pixels = table.training.locate(numbers)
+    return table.first[views] + pixels
 
 
 def table_of(trainer: Trainer, evaluator: Evaluator, seed: int, steps: int) -> dict[str, np.ndarray]:
@@ -109,7 +109,7 @@ def settings_of(case: str, trainer: Trainer, seed: int, threads: int) -> dict[st
     nets: Any = sampler.networks
     return {
         "table": [levels, int(grid.resolutions[0]), int(grid.resolutions[-1]), size.bit_length() - 1, features],
-        "views": len(trainer.table.train),
+        "views": len(trainer.table.training.views),
         "geo_features": field.density_head.net[-1].out_features - 1,
         "samples": list(sampler.samples),  # type: ignore[call-overload]
         "final": sampler.final,

@@ -197,7 +197,7 @@ def evaluation(overrides: str, rounds: int) -> dict[str, object]:
         rounds=max(rounds // 4, 3),
         warm=1,
     )
-    above, below = 1e6 * median(rendered) / trainer.table.pixels, 1e6 * median(stepped) / trainer.train.rays
+    above, below = 1e6 * median(rendered) / len(trainer.table.view(view)), 1e6 * median(stepped) / trainer.train.rays
     name = f"evaluation / training, microseconds a ray, {overrides}"
     row = {"kind": "ratio", "name": name, "above_ms": above / 1e3, "below_ms": below / 1e3}
     return row | {"ratio": above / below, "promised": "at most 1"}

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from qnerf import auto
+from qnerf.auto import poses
 from qnerf.config.identity import picture_names, run_id
 from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry, check_options, options_of
@@ -307,9 +308,8 @@ def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> Sp
 def ray_table(settings: Settings, scene: Scene) -> RayTable:
     near, far = settings.render.near, settings.render.far
     stride = round(1 / settings.stop.share) if settings.stop.every else 0
-    while (
-        stride and math.gcd(stride, scene.cameras.width) > 1
-    ):  # otherwise it would hold out the same few columns of every image
+    widths = math.prod(set(scene.cameras.all_sizes[:, 0].tolist()))
+    while stride and math.gcd(stride, widths) > 1:  # otherwise it would hold out the same few columns of every image
         stride += 1
     return RayTable(
         scene, near=near, far=far, device=settings.torch_device, dtype=settings.dtype, validation_stride=stride
@@ -456,6 +456,8 @@ def run(
         decided = [f"{key}={node['value']}" for key, node in decisions.items() if isinstance(node, Mapping)]
         if decided:
             display.note(f"the scene needs {', '.join(decided)}")
+        if not store.resumed and config["scene"].get("path") and (doubt := poses.warning(scene)):
+            display.note(f"warning: {doubt}")
         store.write_environment(capture(settings.seed), dirty_diff())
         return _execute(task, store, display, lambda: bool(stops) or stopping())
 

@@ -8,8 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qnerf.auto.poses import distances, epipolar_error, fundamental, matched
-from qnerf.auto.rules import OFF
+from qnerf.auto.poses import OFF, distances, epipolar_error, fundamental, matched, warning
 from qnerf.geometry.rays import project
 from tests.helpers.worlds import ball, constant, floor, turned
 
@@ -27,6 +26,17 @@ def test_true_poses_of_the_poster_explain_its_matches(poster):
 def test_a_degree_or_two_shows_on_the_poster(poster, degrees):
     error = epipolar_error(turned(poster, degrees))
     assert error.given - error.best > OFF
+
+
+def test_wrong_axes_and_poses_of_the_wrong_direction_are_told(poster):
+    assert warning(poster) is None
+    assert warning(turned(poster, 1.0)) is None  # which pose refinement corrects
+    poses = poster.cameras.poses
+    turned_axes = poses * torch.tensor([1.0, -1, -1, 1])
+    inverse = torch.linalg.inv(torch.nn.functional.pad(poses, (0, 0, 0, 1)) + torch.diag(torch.tensor([0.0, 0, 0, 1])))
+    for given_poses, text in ((turned_axes, "OpenCV's axes"), (inverse[:, :3], "do not fit the images")):
+        changed = dataclasses.replace(poster.cameras, poses=given_poses)
+        assert text in str(warning(dataclasses.replace(poster, cameras=changed)))
 
 
 @given(seed=st.integers(0, 2**20))

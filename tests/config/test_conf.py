@@ -86,10 +86,13 @@ def test_a_comment_in_conf_lists_the_names_that_a_value_may_have(option):
 
 def test_added_options_change_nothing_by_default():
     """Else today's runs would have other ids than the runs of the same command before."""
-    config = composed()
-    values = neutral(config)
-    assert set(values) == set(ADDED)
-    assert {option: value_at(config, option) for option in ADDED} == values
+    seen = set()
+    for scene in ("poster", "nerfstudio", "blender"):
+        config = composed(f"scene={scene}", *(["scene.path=x"] if scene != "poster" else []))
+        values = neutral(config)
+        assert {option: value_at(config, option) for option in values} == values
+        seen |= set(values)
+    assert seen == set(ADDED)
 
 
 def value_at(config: dict, option: str) -> object:

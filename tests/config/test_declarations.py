@@ -24,8 +24,8 @@ REGISTRIES: tuple[Registry[Any], ...] = (
     ANSATZE, CAMERAS, COLOR_ACTIVATIONS, CONTRACTIONS, DENSITY_ACTIVATIONS, DIRECTIONS, ENCODERS, HEADS, IMAGE_METRICS,
     INITS, SAMPLERS, qnerf.scenes.SCENES, SHADINGS, SPACINGS,
 )  # fmt: skip
-NAMES = {"ansatz", "init", "spacing", "path", "device"}
-"""Options whose text is checked elsewhere: names in a registry, a folder, a device of PennyLane."""
+NAMES = {"ansatz", "init", "spacing", "path", "images", "model", "device"}
+"""Options whose text is checked elsewhere: names in a registry, folders, a device of PennyLane."""
 COMPONENTS = {
     f"{registry.group}={name}": registry.get(name)
     for registry in REGISTRIES

@@ -194,7 +194,7 @@ def test_the_cost_on_hardware_counts_what_is_evaluated(tiny, monkeypatch, capsys
     trained = load(run(tiny("field=qboth", *SMALL, "qiren.layers=2", "visibility.cameras=0")).path)
     table = PROBES["cost"](trained)
     assert table[["head", "circuit"]].values.tolist() == [[head, n] for head in ("density", "color") for n in range(3)]
-    pixels = trained.ray_table().width * trained.ray_table().height
+    pixels = len(trained.ray_table().view(0))
     samples = trained.settings.sampler["final"]
     angles = 9 * 2 * (2 + 1) + 3 * 2  # of 3 wires, 2 sublayers and 2 re-uploadings
     density = table.query("head == 'density'")

@@ -234,9 +234,10 @@ def frame(**keys):
         (frame(k1=-5.0), ("'images/002.png'", "k1=-5", "folds the image")),
         (frame(k2=float("inf")), ("k2 must be a finite number",)),
         (frame(w=9), ("w=9 but the image has 8 x 6",)),
-        (lambda t: t.update(camera_model="OPENCV_FISHEYE"), ("'OPENCV_FISHEYE' is not supported", "PINHOLE")),
+        (lambda t: t.update(camera_model="FOV"), ("'FOV' is not supported", "OPENCV_FISHEYE", "qnerf capture")),
         (lambda t: t.update(camera_model=["OPENCV"]), ("is not supported",)),
-        (lambda t: t.update(is_fisheye=True), ("fisheye is not supported",)),
+        (lambda t: t.update(is_fisheye=True, p1=0.1), ("p1=0.1 of a fisheye", "k1, k2, k3, k4")),
+        (lambda t: t.update(camera_model="OPENCV_FISHEYE", k1=-1.0), ("k1=-1 k2=0 k3=0 k4=0 folds",)),
         (lambda t: [t.pop(key) for key in ("fl_x", "fl_y")] and None, ("no intrinsics", "fl_x", "camera_angle_x")),
         (lambda t: t.update(frames=t["frames"][:2]), ("at least 3 images, got 2",)),
         (
@@ -275,7 +276,7 @@ def test_names_that_no_file_can_have(tiny_scene, name):
 
 def test_images_of_differing_size(tiny_scene):
     Image.new("RGB", (8, 5)).save(tiny_scene / "images" / "003.png")
-    refused(tiny_scene, "'images/000.png' has 8 x 6", "'images/003.png' has 8 x 5")
+    refused(tiny_scene, "'images/003.png': h=6 but the image has 8 x 5 pixels")
 
 
 def png(width: int, height: int, data: bytes = b"") -> bytes:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from qnerf.training import lpips as lpips_module
-from qnerf.training.image_metrics import depth_error, lpips, psnr, ssim
+from qnerf.training.image_metrics import Comparison, depth_error, lpips, measure, psnr, ssim
 from qnerf.training.lpips import BACKBONE, HEADS, LPIPS
 
 
@@ -165,3 +165,21 @@ def test_lpips_refuses_what_is_not_its_weights(nowhere: Path) -> None:
     (nowhere / HEADS).write_bytes(b"nothing")
     with pytest.raises(ValueError, match="not the linear heads"):
         lpips(*images(), str(nowhere))
+
+
+def test_masked_pixels_are_not_counted() -> None:
+    """Whatever stands behind the mask changes nothing; what is left is measured as if it were the image."""
+    image, truth = (part.double() for part in images())
+    depth, mask = torch.rand(36, 64), torch.ones(36, 64, dtype=torch.bool)
+    mask[:, :20] = False
+    measured = []
+    for behind in (0.0, 1.0):
+        spoiled = torch.where(mask[..., None], image, behind)
+        measured.append(measure(Comparison(spoiled, truth, depth, 2 * depth, mask)))
+    assert measured[0] == measured[1]
+    assert measured[0]["psnr"] == pytest.approx(psnr(image[:, 20:], truth[:, 20:]))
+    assert measured[0]["ssim"] == pytest.approx(ssim(image[:, 20:], truth[:, 20:]))
+    assert measured[0]["depth_error"] == pytest.approx(0.5)
+    assert (measured[0]["lpips"], measured[0]["lpips_reason"]) == (None, "masked pixels cannot be left out of it")
+    nothing = measure(Comparison(image, truth, depth, None, torch.zeros_like(mask)))
+    assert nothing["psnr"] is nothing["ssim"] is None

@@ -15,16 +15,18 @@ def finest_frequency(scene: Scene) -> float:
 
     The power spectrum is the mean over images under a Hann window, corrected for the power that the window removes.
     """
-    height, width = scene.cameras.height, scene.cameras.width
-    window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
-    power = np.zeros((height, width))
-    views = np.linspace(0, len(scene.train) - 1, min(VIEWS, len(scene.train))).astype(int)
+    views = [scene.train[i] for i in np.linspace(0, len(scene.train) - 1, min(VIEWS, len(scene.train))).astype(int)]
+    powers: dict[tuple[int, int], NDArray[np.float64]] = {}  # of views of one size (H, W), summed
     for view in views:
-        image = np.nan_to_num(grey(scene, scene.train[view]), nan=1.0)
+        image = grey(scene, view)
+        image = np.nan_to_num(image, nan=1.0 if scene.mask is None else float(np.nan_to_num(np.nanmean(image))))
+        height, width = image.shape
+        window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1])
         flat = (image - np.average(image, weights=window)) * window
-        power += np.abs(np.fft.fft2(flat)) ** 2 / (window**2).sum() / (height * width) / len(views)
-    radius = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :])
-    return float(above(radius.ravel(), power.ravel()))
+        power = np.abs(np.fft.fft2(flat)) ** 2 / (window**2).sum() / (height * width) / len(views)
+        powers[height, width] = powers.get((height, width), 0.0) + power
+    radii = [np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :]) for height, width in powers]
+    return above(*(np.concatenate([part.ravel() for part in parts]) for parts in (radii, powers.values())))
 
 
 def above(radius: NDArray[np.float64], power: NDArray[np.float64]) -> float:

@@ -18,7 +18,9 @@ def exposure_spread(scene: Scene) -> float:
     Neighbouring views are aligned by the shift that correlates them best, which a gain does not change. The gain of a
     pair is the median over pixels of the ratio of their values. Gains of pairs spread sqrt(2) times as much as views.
     """
-    gains = [gain(coarse(grey(scene, a)), coarse(grey(scene, b))) for a, b in subset(neighbours(scene), PAIRS)]
+    size = scene.cameras.size
+    pairs = [(a, b) for a, b in neighbours(scene) if size(a) == size(b)]
+    gains = [gain(coarse(grey(scene, a)), coarse(grey(scene, b))) for a, b in subset(pairs, PAIRS)]
     known = np.array([value for value in gains if np.isfinite(value)])
     if len(known) < 3:
         return float("nan")

@@ -1,5 +1,6 @@
 """Whether the given poses are off, judged by matching features in pairs of images."""
 
+import math
 import warnings
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ PAIRS = 8  # most pairs of views to compare
 MIN_MATCHES = 20  # pairs of views with fewer consistent matches are left out
 WITHIN = 1.0  # pixels: a match this close to its epipolar line is consistent
 OUTLINE = 2.0  # features this close to a transparent pixel are left out
+OFF = 0.15  # pixels: poses whose matches fit worse than the best by more are off; true poses stay below 0.06
+WRONG = 1.0  # pixels: poses that are off by more are not merely imprecise
 SMALL = 256  # pixels: smaller images are enlarged to this height before matching, at most four times
 
 
@@ -26,6 +29,7 @@ class Epipolar:
 
     given: float  # median distance under the given poses
     best: float  # under the fundamental matrix that fits each pair of views best
+    as_opencv: float  # under the given poses if their axes were OpenCV's: y down, z forward
     pairs: int  # pairs of views with enough matches
 
 
@@ -35,15 +39,33 @@ def epipolar_error(scene: Scene) -> Epipolar:
     Lens distortion is not removed; it adds to both distances alike.
     """
     errors = [pair_error(scene, a, b) for a, b in subset(neighbours(scene), PAIRS)]
-    known = np.array([pair for pair in errors if pair is not None]).reshape(-1, 2)
+    known = np.array([pair for pair in errors if pair is not None]).reshape(-1, 3)
     if len(known) == 0:
-        return Epipolar(float("nan"), float("nan"), 0)
-    given, best = np.median(known, axis=0)
-    return Epipolar(float(given), float(best), len(known))
+        return Epipolar(math.nan, math.nan, math.nan, 0)
+    given, best, as_opencv = np.median(known, axis=0).tolist()
+    return Epipolar(given, best, as_opencv, len(known))
 
 
-def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
-    """Median distances from epipolar lines: under the given poses, and under the best fundamental matrix; or None."""
+def warning(scene: Scene) -> str | None:
+    """One line if the images contradict the given poses, such as those with OpenCV's axes; else None."""
+    error = epipolar_error(scene)
+    off = error.given - error.best
+    told = f"matched features lie {error.given:.2g} pixels from where the poses put them, {error.best:.2g} at best"
+    if off > OFF and error.as_opencv - error.best < off / 2:
+        return (
+            f"the poses seem to have OpenCV's axes: {told}, {error.as_opencv:.2g} with y and z turned; camera-to-world "
+            "poses with OpenGL's axes are expected, so multiply columns 2 and 3 of each transform_matrix by -1"
+        )
+    if off > WRONG:
+        return (
+            f"the poses do not fit the images: {told}; camera-to-world poses with OpenGL's axes are expected (+x "
+            "right, +y up, the camera looks along -z); cameras=so3xr3 corrects small errors"
+        )
+    return None
+
+
+def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float, float] | None:
+    """Median distances from epipolar lines, `given`, `best` and `as_opencv` of `Epipolar`; or None."""
     points = matched(grey(scene, a), grey(scene, b))
     if len(points) < MIN_MATCHES:
         return None
@@ -59,8 +81,9 @@ def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float] | None:
     if not model or explained.sum() < MIN_MATCHES:
         return None
     points = points[explained]
-    given, best = distances(fundamental(scene, a, b), points), distances(model.params, points)
-    return float(np.median(given)), float(np.median(best))
+    matrices = fundamental(scene, a, b), model.params, fundamental(scene, a, b, opencv=True)
+    given, best, as_opencv = (float(np.median(distances(matrix, points))) for matrix in matrices)
+    return given, best, as_opencv
 
 
 def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -94,10 +117,13 @@ def off_outline(image: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     return inside
 
 
-def fundamental(scene: Scene, a: int, b: int) -> NDArray[np.float64]:
-    """The matrix (3, 3) for which x_b^T F x_a = 0 at pixels of the same point, under the given poses."""
+def fundamental(scene: Scene, a: int, b: int, *, opencv: bool = False) -> NDArray[np.float64]:
+    """The matrix (3, 3) for which x_b^T F x_a = 0 at pixels of the same point, under the given poses.
+
+    opencv: take the poses' axes for OpenCV's.
+    """
     poses, intrinsics = scene.cameras.poses.numpy(), scene.cameras.intrinsics.numpy()
-    flip = np.diag([1.0, -1.0, -1.0])  # OpenGL's axes -> x right, y down, z forward
+    flip = np.eye(3) if opencv else np.diag([1.0, -1.0, -1.0])  # OpenGL's axes -> x right, y down, z forward
     inverse = []
     for view in (a, b):
         fx, fy, cx, cy = intrinsics[view, :4]

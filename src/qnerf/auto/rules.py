@@ -8,6 +8,7 @@ from typing import Any
 
 from qnerf.auto import detail, exposure, poses, space
 from qnerf.geometry.contraction import CONTRACTIONS, Box
+from qnerf.geometry.rays import TrainingPixels
 from qnerf.scenes import Scene
 
 Config = dict[str, Any]
@@ -50,8 +51,7 @@ class Measured:
     @cached_property
     def observed(self) -> int:
         """Colour values in the training images."""
-        cameras = self.scene.cameras
-        return 3 * len(self.scene.train) * cameras.width * cameras.height
+        return 3 * len(TrainingPixels(self.scene))
 
 
 Rule = Callable[[Measured, Config], Decision]
@@ -125,14 +125,11 @@ def appearance(data: Measured, config: Config) -> Decision:
     return Decision(EMBEDDING if data.exposure > EXPOSURE else 0, {"exposure_spread": data.exposure, "limit": EXPOSURE})
 
 
-OFF = 0.15  # pixels: poses whose matches fit worse than the best by more are off; true poses stay below 0.06
-
-
 @rule("cameras.name")
 def refinement(data: Measured, config: Config) -> Decision:
     error = data.epipolar
-    because = {"epipolar_px": error.given, "best_px": error.best, "pairs": float(error.pairs), "limit_px": OFF}
-    return Decision("so3xr3" if error.given - error.best > OFF else "fixed", because)
+    because = {"epipolar_px": error.given, "best_px": error.best, "pairs": float(error.pairs), "limit_px": poses.OFF}
+    return Decision("so3xr3" if error.given - error.best > poses.OFF else "fixed", because)
 
 
 GROWTH = 1.5  # largest ratio of the resolutions of neighbouring levels

@@ -7,7 +7,7 @@ import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.hull import bounding_spheres, carve, project_spheres
-from qnerf.geometry.rays import camera_rays
+from qnerf.geometry.rays import TrainingPixels, camera_rays
 from qnerf.geometry.visibility import count_cameras
 from qnerf.scenes import Scene
 
@@ -25,7 +25,7 @@ def box_half_extent(scene: Scene) -> float | None:
     without alpha, with lens distortion, if nothing remains, or if the object reaches the border of [-2, 2]^3, twice the
     cube of the cameras.
     """
-    if not scene.has_alpha or bool(scene.cameras.distortion.any()):
+    if not scene.has_alpha or not scene.cameras.straight:
         return None
     box = CONTRACTIONS.build("box", half_extent=2.0)
     points, radius = bounding_spheres(box, CELLS)
@@ -44,12 +44,11 @@ class Followed:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         cameras = scene.cameras
-        total = len(scene.train) * cameras.width * cameras.height
-        chosen = torch.from_numpy(np.linspace(0, total - 1, min(RAYS, total)).astype(np.int64))
-        pixels = cameras.width * cameras.height
-        views = torch.tensor(scene.train)[chosen // pixels]
-        pixel = chosen % pixels
-        centres = torch.stack([pixel % cameras.width, pixel // cameras.width], dim=-1) + 0.5
+        training = TrainingPixels(scene)
+        chosen = np.linspace(0, len(training) - 1, min(RAYS, len(training))).astype(np.int64)
+        views, pixel = training.locate(torch.from_numpy(chosen))
+        widths = cameras.all_sizes[views, 0]
+        centres = torch.stack([pixel % widths, pixel // widths], dim=-1) + 0.5
         rays = camera_rays(cameras, views, centres, 0.0, 1.0, torch.float64)
         self.distances = torch.logspace(-3, 1, 160, dtype=torch.float64)  # world units
         points = rays.origins[:, None] + rays.directions[:, None] * self.distances[:, None]

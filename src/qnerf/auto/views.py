@@ -27,10 +27,14 @@ def neighbours(scene: Scene) -> list[tuple[int, int]]:
 
 
 def grey(scene: Scene, view: int) -> NDArray[np.float64]:
-    """The view (H, W) in [0, 1], its three channels averaged; NaN where it is transparent."""
-    pixels = scene.images[view].numpy().astype(np.float64) / 255
+    """The view (H, W) in [0, 1], its three channels averaged; NaN where it is transparent or masked."""
+    pixels = scene.image(view).numpy().astype(np.float64) / 255
     mean: NDArray[np.float64] = pixels[..., :3].mean(-1)
-    return mean if pixels.shape[-1] == 3 else np.where(pixels[..., 3] > 0.5, mean, np.nan)
+    if pixels.shape[-1] == 4:
+        mean[pixels[..., 3] <= 0.5] = np.nan
+    if (valid := scene.valid(view)) is not None:
+        mean[~valid.numpy()] = np.nan
+    return mean
 
 
 def subset(items: list[tuple[int, int]], limit: int) -> list[tuple[int, int]]:

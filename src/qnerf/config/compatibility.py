@@ -31,6 +31,14 @@ class Same:
     option: str
 
 
+@dataclass(frozen=True)
+class Of:
+    """Stands for a value where the group has one of these components. Others lack the option, or have it otherwise."""
+
+    names: tuple[str, ...]
+    value: Any
+
+
 _HEADS = ("density", "color")
 
 ADDED: dict[str, Any] = {
@@ -50,6 +58,7 @@ ADDED: dict[str, Any] = {
             "observable": "Z",
         }
     },
+    "scene.width": Of(("nerfstudio", "blender"), None),
     **{f"{head}.qiren.ansatz_options": Same("qiren.ansatz_options") for head in _HEADS},
     **{f"{head}.qfgn.{key}": Same(f"qfgn.{key}") for head in _HEADS for key in ("features", "scale", "gamma")},
 }
@@ -109,6 +118,10 @@ def neutral(config: Mapping[str, Any]) -> dict[str, Any]:
     """Each option in `ADDED` -> the value with which `config` does what it did before the option existed."""
     values: dict[str, Any] = {}
     for option, value in ADDED.items():
+        if isinstance(value, Of):
+            if value_of(config, f"{option.rpartition('.')[0]}.name") in value.names:
+                values[option] = value.value
+            continue
         values[option] = value_of(config, value.option, values.get(value.option)) if isinstance(value, Same) else value
     return values
 

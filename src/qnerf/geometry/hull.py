@@ -27,7 +27,7 @@ def visual_hull(contraction: Contraction, scene: Scene, resolution: int) -> Tens
         raise ValueError(
             f"visibility.alpha: the images of scene {scene.name} have no alpha; use visibility.alpha=false"
         )
-    if bool(scene.cameras.distortion.any()):
+    if not scene.cameras.straight:
         raise ValueError(
             f"visibility.alpha: the images of scene {scene.name} have lens distortion, which silhouettes do not "
             "support; undistort them, or use visibility.alpha=false"
@@ -68,6 +68,7 @@ def project_spheres(scene: Scene, view: int, points: Tensor, radius: Tensor) -> 
         x, y and radius in pixels, and whether the sphere is in front of the camera and inside the image; each (N,).
     """
     cameras = scene.cameras
+    width, height = cameras.size(view)
     pose, focal = cameras.poses[view], torch.maximum(cameras.fx[view], cameras.fy[view])
     local = (points - pose[:, 3]) @ pose[:, :3]
     depth = -local[:, 2]
@@ -76,13 +77,16 @@ def project_spheres(scene: Scene, view: int, points: Tensor, radius: Tensor) -> 
     # An upper bound on the image of the radius: off the axis, a sphere projects to an ellipse.
     slant = torch.linalg.vector_norm(local, dim=-1) / depth
     size = focal * slant * radius / (depth - radius)
-    inside = (x >= size) & (x <= cameras.width - size) & (y >= size) & (y <= cameras.height - size)
+    inside = (x >= size) & (x <= width - size) & (y >= size) & (y <= height - size)
     return x, y, size, inside & (depth > radius)
 
 
 def sees_through(scene: Scene, view: int, points: Tensor, radius: Tensor) -> Tensor:
     """Whether all pixels of the view that show a sphere (N, 3), (N,), world units, are transparent: (N,) bool."""
-    solid = scene.images[view, :, :, 3].numpy() > 0
+    solid = scene.image(view)[:, :, 3].numpy() > 0
+    valid = scene.valid(view)
+    if valid is not None:  # behind a mask may be anything
+        solid |= ~valid.numpy()
     if solid.all():
         return torch.zeros(len(points), dtype=torch.bool)
     x, y, size, inside = project_spheres(scene, view, points, radius)

@@ -10,7 +10,7 @@ from torch import Tensor
 from qnerf.config import memory
 from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.scenes.base import Cameras, Scene
-from qnerf.scenes.lens import distort, undistort
+from qnerf.scenes.lens import directions, image_points
 from qnerf.types import Rays
 
 MAX_TABLE_SIZE = 2**24  # directions in memory; beyond that, they are computed for each batch
@@ -32,14 +32,20 @@ def camera_directions(cameras: Cameras, views: Tensor, pixels: Tensor) -> Tensor
         views: (R,) int64.
         pixels: (R, 2) continuous x and y in pixels; the centre of the first pixel is (0.5, 0.5).
     """
-    return _directions(cameras.intrinsics[views.to(cameras.poses.device)], pixels)
+    views = views.to(cameras.poses.device)
+    return _directions(cameras.intrinsics[views], pixels, None if cameras.fisheye is None else cameras.fisheye[views])
 
 
-def _directions(intrinsics: Tensor, pixels: Tensor) -> Tensor:
+def _directions(intrinsics: Tensor, pixels: Tensor, fisheye: Tensor | None) -> Tensor:
     points = (pixels.to(intrinsics) - intrinsics[..., 2:4]) / intrinsics[..., :2]
-    points = undistort(points, intrinsics[..., 4:])
-    directions = torch.cat([points[..., :1], -points[..., 1:], -torch.ones_like(points[..., :1])], dim=-1)
-    return directions / torch.linalg.vector_norm(directions, dim=-1, keepdim=True)
+    return directions(points, intrinsics[..., 4:], fisheye)
+
+
+def _directions_of_pixels(lens: Tensor, pixels: Tensor) -> Tensor:
+    """Of row-major pixel numbers (R,). lens: (11,) or (R, 11), a row of `RayTable.lenses`."""
+    width = lens[..., 8].long()
+    x, y = pixels % width, torch.div(pixels, width, rounding_mode="floor")
+    return _directions(lens[..., :8], torch.stack([x, y], dim=-1).to(torch.float64) + 0.5, lens[..., 10] > 0)
 
 
 def project(cameras: Cameras, views: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -48,10 +54,10 @@ def project(cameras: Cameras, views: Tensor, points: Tensor) -> tuple[Tensor, Te
     Pixels are valid only where the depth is above 0.
     """
     poses, intrinsics = cameras.poses[views], cameras.intrinsics[views]
+    fisheye = None if cameras.fisheye is None else cameras.fisheye[views]
     local = ((points.to(poses) - poses[:, :, 3])[:, :, None] * poses[:, :, :3]).sum(1)
-    depth = -local[:, 2]
-    plane = torch.stack([local[:, 0], -local[:, 1]], dim=1) / depth[:, None]
-    return distort(plane, intrinsics[:, 4:]) * intrinsics[:, :2] + intrinsics[:, 2:4], depth
+    plane = image_points(local, intrinsics[:, 4:], fisheye)
+    return plane * intrinsics[:, :2] + intrinsics[:, 2:4], -local[:, 2]
 
 
 def rays_from(directions: Tensor, poses: Tensor, views: Tensor, near: float, far: float) -> Rays:
@@ -74,6 +80,31 @@ def camera_rays(
     """Rays through the continuous pixels (R, 2) of the views (R,) int64; near and far in world units."""
     directions = camera_directions(cameras, views, pixels)
     return rays_from(directions.to(dtype), cameras.poses[views].to(dtype), views, near, far)
+
+
+class TrainingPixels:
+    """The pixels of the training views, numbered view by view and row by row. Masked ones are left out."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.views = torch.tensor(scene.train, dtype=torch.int64)
+        masks = [scene.valid(view) for view in scene.train]
+        counts = [
+            size.prod() if mask is None else mask.sum()
+            for size, mask in zip(scene.cameras.all_sizes[scene.train], masks, strict=True)
+        ]
+        self.ends = torch.stack(counts).cumsum(0)  # where the numbers of each view end
+        unmasked = [mask.flatten().nonzero()[:, 0].to(torch.int32) for mask in masks if mask is not None]
+        self.unmasked = torch.cat(unmasked) if unmasked else None  # the pixels that the numbers stand for
+
+    def __len__(self) -> int:
+        return int(self.ends[-1])
+
+    def locate(self, numbers: Tensor) -> tuple[Tensor, Tensor]:
+        """Numbers (R,) -> views (R,) and row-major pixel numbers within them (R,); all int64."""
+        rank = torch.searchsorted(self.ends, numbers, right=True)
+        if self.unmasked is not None:
+            return self.views[rank], self.unmasked[numbers].long()
+        return self.views[rank], numbers - torch.nn.functional.pad(self.ends, (1, 0))[rank]
 
 
 class RayTable:
@@ -104,7 +135,10 @@ class RayTable:
         self.near = near if scene.near is None else max(near, scene.near)
         self.far = far if scene.far is None else min(far, scene.far)
         self.validation_stride = validation_stride
-        if validation_stride > len(scene.train) * cameras.width * cameras.height:
+        self.training = TrainingPixels(scene)
+        if not len(self.training):
+            raise ValueError(f"scene {scene.name}: the masks leave no pixel to train on")
+        if validation_stride > len(self.training):
             raise ValueError(
                 f"stop.share holds out one training pixel in {validation_stride}, which is none here; make it larger"
             )
@@ -112,43 +146,40 @@ class RayTable:
             raise ValueError(
                 f"scene {scene.name}: near must be at least 0 and below far, got {self.near:g} and {self.far:g}"
             )
-        self.device, self.dtype = torch.device(device), dtype
-        self.width, self.height = cameras.width, cameras.height
-        self.pixels = cameras.width * cameras.height  # of one view
+        self.device, self.dtype, self.cameras = torch.device(device), dtype, cameras
         self.poses = cameras.poses.to(self.device, dtype)
         self.colors = scene.images.reshape(-1, scene.images.shape[-1]).to(self.device)
-        self.train = torch.tensor(scene.train, dtype=torch.int64)
-        lenses, self.lens = torch.unique(cameras.intrinsics, dim=0, return_inverse=True)
-        self.lens, self.lenses = self.lens.to(self.device), lenses.to(self.device)
-        self.table: Tensor | None = None  # (lenses * H * W, 3)
-        if len(lenses) * self.pixels <= MAX_TABLE_SIZE:
-            self.table = self._directions_of_all_pixels(scene.name)
+        counts = cameras.all_sizes.prod(1)
+        self.first = (counts.cumsum(0) - counts).to(self.device)  # of each view's pixels in `colors`
+        fisheye = torch.zeros(len(cameras)) if cameras.fisheye is None else cameras.fisheye
+        kinds = torch.cat([cameras.intrinsics, cameras.all_sizes, fisheye[:, None]], dim=1)
+        lenses, lens = torch.unique(kinds, dim=0, return_inverse=True)
+        self.lens, self.lenses = lens.to(self.device), lenses.to(self.device)
+        sizes = lenses[:, 8:10].long().prod(1)
+        self.first_direction = (sizes.cumsum(0) - sizes).to(self.device)  # of each lens in `table`
+        self.table: Tensor | None = None  # (pixels of all lenses, 3)
+        if int(sizes.sum()) <= MAX_TABLE_SIZE:
+            self.table = self._directions_of_all_pixels(scene.name, sizes.tolist())
 
-    def _directions_of_all_pixels(self, scene: str) -> Tensor:
-        """(lenses * H * W, 3), lens by lens, computed in parts so that intermediate values stay small."""
-        size = len(self.lenses) * self.pixels
+    def _directions_of_all_pixels(self, scene: str, sizes: list[int]) -> Tensor:
+        """Directions (N, 3), lens by lens, computed in parts so that intermediate values stay small."""
+        size = sum(sizes)
         if self.device.type == "cpu":
             memory.require(f"scene {scene}: the table of {size:,} rays", 3 * self.dtype.itemsize * size)
         table = torch.empty(size, 3, device=self.device, dtype=self.dtype)
-        for lens, rows in zip(self.lenses, table.split(self.pixels), strict=True):
-            for first in range(0, self.pixels, PART):
+        for lens, rows in zip(self.lenses, table.split(sizes), strict=True):
+            for first in range(0, len(rows), PART):
                 part = rows[first : first + PART]
-                numbers = torch.arange(first, first + len(part), device=self.device)
-                part.copy_(_directions(lens, self._centres(numbers)))
+                part.copy_(_directions_of_pixels(lens, torch.arange(first, first + len(part), device=self.device)))
         return table
-
-    def _centres(self, pixels: Tensor) -> Tensor:
-        """Row-major pixel numbers (R,) -> centres (R, 2), float64."""
-        x, y = pixels % self.width, torch.div(pixels, self.width, rounding_mode="floor")
-        return torch.stack([x, y], dim=-1).to(torch.float64) + 0.5
 
     def rays(self, views: Tensor, pixels: Tensor, refinement: PoseRefinement | None = None) -> Rays:
         """Rays through pixel centres: views (R,) and row-major pixel numbers (R,), both int64."""
         lens = self.lens[views]
         if self.table is None:
-            directions = _directions(self.lenses[lens], self._centres(pixels)).to(self.dtype)
+            directions = _directions_of_pixels(self.lenses[lens], pixels).to(self.dtype)
         else:
-            directions = self.table[lens * self.pixels + pixels]
+            directions = self.table[self.first_direction[lens] + pixels]
         poses = self.poses[views]
         if refinement is not None:
             poses = refinement.poses(views, poses)
@@ -161,7 +192,7 @@ class RayTable:
 
         `generator` is on the CPU, so that all devices see the same batches.
         """
-        stride, total = self.validation_stride, len(self.train) * self.pixels
+        stride, total = self.validation_stride, len(self.training)
         if not stride:
             numbers = torch.randint(total, (rays,), generator=generator)
         else:  # skip every `stride`-th pixel
@@ -173,18 +204,18 @@ class RayTable:
         """Rays and colours of at most `rays` of the held-out training pixels, evenly spread."""
         stride = self.validation_stride
         assert stride, "no pixels are held out"
-        held_out = len(self.train) * self.pixels // stride  # their number
+        held_out = len(self.training) // stride  # their number
         index = torch.linspace(0, held_out - 1, min(rays, held_out), dtype=torch.float64).long()
         return self._training_rays(stride - 1 + index * stride, refinement)
 
     def _training_rays(self, numbers: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
         """Rays and colours of training pixels (R,), numbered view by view and row by row."""
-        views = self.train[torch.div(numbers, self.pixels, rounding_mode="floor")].to(self.device)
-        pixels = (numbers % self.pixels).to(self.device)
-        colors = self.colors[views * self.pixels + pixels].to(self.dtype) / 255
+        views, pixels = (index.to(self.device) for index in self.training.locate(numbers))
+        colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
 
     def view(self, view: int, refinement: PoseRefinement | None = None) -> Rays:
         """All H * W rays of a view, row by row."""
-        pixels = torch.arange(self.pixels, device=self.device)
+        width, height = self.cameras.size(view)
+        pixels = torch.arange(width * height, device=self.device)
         return self.rays(torch.full_like(pixels, view), pixels, refinement)

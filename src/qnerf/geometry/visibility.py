@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.geometry.contraction import Contraction
+from qnerf.geometry.rays import project
 from qnerf.kernels.projection import count_views
 from qnerf.scenes import Cameras
 
@@ -64,11 +65,25 @@ def cell_centres(resolution: int) -> Tensor:
 def count_cameras(points: Tensor, cameras: Cameras, views: list[int], limit: int | None = None) -> Tensor:
     """In how many of the views each world point (N, 3) is visible: (N,), counted up to `limit`.
 
-    Visible means in front of the camera and inside the image; occlusion and lens distortion are ignored.
+    Visible means in front of the camera and inside the image; occlusion and the distortion of a perspective lens are
+    ignored.
     """
+    limit = len(views) if limit is None else limit
+    bent = [view for view in views if cameras.fisheye is not None and cameras.fisheye[view]]
+    counts = torch.zeros(len(points), dtype=torch.int64)
+    for view in bent:
+        pixels, depth = project(cameras, torch.full((len(points),), view), points)
+        counts += (depth > 0) & (pixels >= 0).all(1) & (pixels <= cameras.all_sizes[view]).all(1)
+    straight = torch.tensor(sorted(set(views) - set(bent)), dtype=torch.int64)
+    for width, height in dict.fromkeys(map(tuple, cameras.all_sizes[straight].tolist())):
+        alike = straight[(cameras.all_sizes[straight] == torch.tensor([width, height])).all(1)]
+        counts += count_views(points.to(torch.float64), projections(cameras, alike), width, height, limit)
+    return counts.clamp_(max=limit)
+
+
+def projections(cameras: Cameras, views: Tensor) -> Tensor:
+    """(V, 3, 4) of pinholes: world -> (x depth, y depth, depth), with x, y in pixels and depth in world units."""
     poses, (fx, fy, cx, cy) = cameras.poses[views], (cameras.intrinsics[views, i, None] for i in range(4))
     right, up, backward = poses[:, :, 0], poses[:, :, 1], poses[:, :, 2]
     rotations = torch.stack([fx * right - cx * backward, -fy * up - cy * backward, -backward], dim=1)
-    matrices = torch.cat([rotations, -(rotations @ poses[:, :, 3:])], dim=-1)
-    limit = len(views) if limit is None else limit
-    return count_views(points.to(torch.float64), matrices, cameras.width, cameras.height, limit)
+    return torch.cat([rotations, -(rotations @ poses[:, :, 3:])], dim=-1)

@@ -41,7 +41,7 @@ def table(trained: Trained) -> pd.DataFrame:
     rows: list[dict[str, Any]] = []
     for (name, place), layer in layers.items():
         one, two, depth = gate_counts(layer.circuit)
-        view = round(in_view[name, place] * rays.width * rays.height / RAYS)
+        view = round(in_view[name, place] * rays.cameras.width * rays.cameras.height / RAYS)
         step = round(in_step[name, place] * trained.settings.train.rays / RAYS) * shifts(layer.circuit)
         rows.append(
             {

@@ -29,7 +29,7 @@ def table(trained: Trained) -> pd.DataFrame:
     """
     view = trained.scene.eval[0]
     all_rays = trained.ray_table()
-    width, height = all_rays.width, all_rays.height
+    width, height = all_rays.cameras.size(view)
     columns = torch.tensor([int(x * (width - 1)) for x, _ in PIXELS], device=all_rays.device)
     rows = torch.tensor([int(y * (height - 1)) for _, y in PIXELS], device=all_rays.device)
     rays = all_rays.rays(torch.full_like(rows, view), rows * width + columns)

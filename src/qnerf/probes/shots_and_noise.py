@@ -68,12 +68,13 @@ def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
     def record(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
         work.append(len(inputs[0]) * layer.wires * 4.0**layer.wires)
 
-    rays = evaluator.table.view(evaluator.scene.eval[0])[:RAYS]
+    pixels = evaluator.table.view(evaluator.scene.eval[0])
+    rays = pixels[:RAYS]
     with ExitStack() as hooks, torch.no_grad():
         for layer in layers:
             hooks.callback(layer.register_forward_pre_hook(record).remove)
         evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
-    hours = sum(work) / len(rays) * views * evaluator.table.pixels * DENSITY_SECONDS / 3600
+    hours = sum(work) / len(rays) * views * len(pixels) * DENSITY_SECONDS / 3600
     if hours > 1:
         raise ValueError(
             f"noise: circuits with spectral > 1 need a density matrix a sample: about {hours:,.0f} hours "

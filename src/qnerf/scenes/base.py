@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,10 +17,10 @@ MIN_VIEWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """V calibrated views of one image size.
+    """V calibrated views.
 
     Axes are OpenGL's: +x right, +y up, the camera looks along -z. Pixel coordinates have x to the right and y down;
-    the centre of the first pixel is (0.5, 0.5). The lens is OpenCV's with `k1 k2 p1 p2` (`qnerf.scenes.lens`).
+    the centre of the first pixel is (0.5, 0.5). The lens is OpenCV's, perspective or fisheye (`qnerf.scenes.lens`).
     """
 
     poses: Tensor  # (V, 3, 4) float64, camera-to-world: rotation | centre in world units
@@ -28,24 +28,51 @@ class Cameras:
     fy: Tensor
     cx: Tensor  # (V,) float64, principal point in pixels; so is cy
     cy: Tensor
-    distortion: Tensor  # (V, 4) float64: k1 k2 p1 p2, no unit
-    width: int  # pixels
-    height: int
+    distortion: Tensor  # (V, 4) float64, no unit: k1 k2 p1 p2; of a fisheye k1 k2 k3 k4
+    width: int  # pixels; of the widest view if sizes differ
+    height: int  # of the highest view if sizes differ
+    sizes: Tensor | None = None  # (V, 2) int64, width and height of each view; None: all have one size
+    fisheye: Tensor | None = None  # (V,) bool: whether the lens is a fisheye; None: none is
 
     def __len__(self) -> int:
         return self.poses.shape[0]
 
     @classmethod
-    def from_arrays(cls, poses: NDArray, intrinsics: NDArray, width: int, height: int) -> "Cameras":
-        """From poses (V, 3, 4) and intrinsics (V, 8): fx fy cx cy k1 k2 p1 p2."""
+    def from_arrays(
+        cls, poses: NDArray, intrinsics: NDArray, sizes: NDArray, fisheye: NDArray[np.bool_] | None = None
+    ) -> "Cameras":
+        """From poses (V, 3, 4), intrinsics (V, 8) as `intrinsics` below, and sizes (V, 2) or (2,), width and height."""
         columns = torch.from_numpy(intrinsics.astype(np.float64))
         fx, fy, cx, cy = (column.clone() for column in columns[:, :4].unbind(1))
-        return cls(torch.from_numpy(poses), fx, fy, cx, cy, columns[:, 4:].clone(), width, height)
+        each = np.broadcast_to(sizes, (len(poses), 2)).astype(np.int64)
+        differ, bent = bool((each != each[0]).any()), fisheye is not None and bool(fisheye.any())
+        width, height = each.max(axis=0).tolist()
+        cameras = cls(torch.from_numpy(poses), fx, fy, cx, cy, columns[:, 4:].clone(), width, height)
+        return replace(
+            cameras,
+            sizes=torch.from_numpy(each) if differ else None,
+            fisheye=torch.from_numpy(fisheye) if bent else None,
+        )
 
     @property
     def intrinsics(self) -> Tensor:
-        """(V, 8): fx fy cx cy k1 k2 p1 p2."""
+        """(V, 8): fx fy cx cy, and the four numbers of the distortion."""
         return torch.cat([torch.stack([self.fx, self.fy, self.cx, self.cy], dim=1), self.distortion], dim=1)
+
+    @property
+    def all_sizes(self) -> Tensor:
+        """(V, 2) int64: width and height of each view, pixels."""
+        return torch.tensor([[self.width, self.height]]).expand(len(self), 2) if self.sizes is None else self.sizes
+
+    def size(self, view: int) -> tuple[int, int]:
+        """Width and height of the view, pixels."""
+        width, height = self.all_sizes[view].tolist()
+        return width, height
+
+    @property
+    def straight(self) -> bool:
+        """Whether all lenses are pinholes: straight lines stay straight."""
+        return self.fisheye is None and not bool(self.distortion.any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +80,9 @@ class Scene:
     """Images, their cameras, and the split into training views and held-out views."""
 
     name: str
-    images: Tensor  # (V, H, W, 3 or 4) uint8, sRGB; a fourth channel is straight alpha
+    # (V, H, W, 3 or 4) uint8, sRGB; a fourth channel is straight alpha. Where sizes differ, (P, 3 or 4): all pixels,
+    # view after view and row by row.
+    images: Tensor
     cameras: Cameras
     train: list[int]  # indices of views
     eval: list[int]
@@ -65,6 +94,7 @@ class Scene:
     far: float | None = None
     older_fingerprint: str | None = None  # of the same contents, in the ids of older runs; None: the same
     headline: ClassVar[str] = "psnr"  # key of the metric that is shown during training
+    mask: Tensor | None = None  # bool, of the images' shape without channels: False is neither trained on nor measured
 
     @property
     def fingerprints(self) -> list[str]:
@@ -77,7 +107,22 @@ class Scene:
 
     def colors(self, view: int, background: float | Tensor) -> Tensor:
         """The view (H, W, 3) float32 in [0, 1], composited over a grey value or a colour (3,) in [0, 1]."""
-        return composite(self.images[view].to(torch.float32) / 255, background)
+        return composite(self.image(view).to(torch.float32) / 255, background)
+
+    def image(self, view: int) -> Tensor:
+        """The view's pixels, (H, W, 3 or 4) uint8."""
+        return self._of_view(self.images, view)
+
+    def valid(self, view: int) -> Tensor | None:
+        """(H, W) bool: the pixels of the view that are not masked; None: the scene has no masks."""
+        return None if self.mask is None else self._of_view(self.mask, view)
+
+    def _of_view(self, values: Tensor, view: int) -> Tensor:
+        if self.cameras.sizes is None:
+            return values[view]
+        width, height = self.cameras.size(view)
+        first = int(self.cameras.sizes[:view].prod(1).sum())
+        return values[first : first + width * height].unflatten(0, (height, width))
 
 
 def composite(pixels: Tensor, background: float | Tensor | None) -> Tensor:
@@ -98,14 +143,20 @@ SCENES: Registry[Any] = Registry("scene")
 """Name -> what makes a `Scene`, or a signal (`qnerf.signals`)."""
 
 
-def split_views(views: int) -> tuple[list[int], list[int]]:
+def split_views(views: int, every: int | None = None) -> tuple[list[int], list[int]]:
     """Indices of training and evaluation views: 90 % train, evenly spread, and at least one view evaluates.
 
     Training views are int(linspace(0, V - 1, ceil(0.9 V))), as in nerfstudio.
 
+    every: instead, one of `every` views evaluates, beginning with the first, as in LLFF.
+
     >>> split_views(10)
     ([0, 1, 2, 3, 4, 5, 6, 7, 9], [8])
+    >>> split_views(7, every=3)
+    ([1, 2, 4, 5], [0, 3, 6])
     """
+    if every is not None:
+        return [view for view in range(views) if view % every], list(range(0, views, every))
     count = min(math.ceil(0.9 * views), views - 1)
     train = [int(index) for index in np.linspace(0, views - 1, count)]
     return train, sorted(set(range(views)) - set(train))

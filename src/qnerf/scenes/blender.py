@@ -5,7 +5,9 @@ from typing import Literal
 
 from qnerf.config.bounds import Count, PositiveInt
 from qnerf.scenes.base import SCENES, Scene
-from qnerf.scenes.transforms import find_transforms, load_scene, read_frames, with_images
+from qnerf.scenes.folders import find_file
+from qnerf.scenes.loading import load_scene
+from qnerf.scenes.transforms import read_frames, with_images
 
 BOUNDS = (2.0, 6.0)  # near and far by convention, in the source's units
 
@@ -15,6 +17,7 @@ def blender(
     *,
     path: str | Path,
     downscale: Count = 1,
+    width: Count | None = None,
     eval_split: Literal["test", "val"] = "test",
     eval_views: PositiveInt | None = None,
     skip_missing: bool = False,
@@ -27,6 +30,7 @@ def blender(
     Args:
         path: the folder.
         downscale: integer factor by which images are reduced, with an area filter.
+        width: that of images which are wider, in pixels; the area filter reduces them to it.
         eval_split: test or val.
         eval_views: number of evaluation views, evenly spread over the split; None for all.
         skip_missing: leave out frames whose image is missing.
@@ -34,17 +38,14 @@ def blender(
     Raises:
         ValueError: one line that names the mistake and the file or frame.
     """
-    files = [
-        find_transforms(path, f"transforms_{split}.json", ("transforms.json", "nerfstudio"))
-        for split in ("train", eval_split)
-    ]
+    files = [find_file(path, f"transforms_{split}.json") for split in ("train", eval_split)]
     folder = files[0].parent
     train, held_out = (read_frames(folder, file) for file in files)
     frames = with_images(folder, [*train, *held_out], skip_missing)
     count = sum(frame.file is not None for frame in train)
     evaluated = [count + index for index in even_subset(len(frames) - count, eval_views)]
     return load_scene(
-        "blender", folder, frames, list(range(count)), evaluated, downscale, recentre=False, bounds=BOUNDS
+        "blender", folder, frames, list(range(count)), evaluated, downscale, width, recentre=False, bounds=BOUNDS
     )
 
 

@@ -6,30 +6,39 @@ from pathlib import Path
 
 from qnerf.config.bounds import Count
 from qnerf.scenes.base import SCENES, Scene, split_views
-from qnerf.scenes.transforms import Frame, find_transforms, load_scene, read_frames, with_images
+from qnerf.scenes.folders import find_file
+from qnerf.scenes.loading import load_scene
+from qnerf.scenes.transforms import Frame, read_frames, with_images
 
 
 @SCENES.register("nerfstudio")
-def nerfstudio(*, path: str | Path, downscale: Count = 1, skip_missing: bool = False) -> Scene:
+def nerfstudio(
+    *, path: str | Path, downscale: Count = 1, width: Count | None = None, skip_missing: bool = False
+) -> Scene:
     """Reads `path`/transforms.json. Views are in the order of their file names.
 
-    Intrinsics are fl_x fl_y cx cy k1 k2 p1 p2, or camera_angle_x, shared or per frame. The split is the file's
-    train_filenames and test_filenames (else val_filenames); without them 90 % of the views train. The world is
-    oriented, centred and scaled over all frames, used or not. Masks and depth files are ignored.
+    Intrinsics are fl_x fl_y cx cy k1 k2 p1 p2, or camera_angle_x, shared or per frame; those of OPENCV_FISHEYE are
+    fl_x fl_y cx cy k1 k2 k3 k4. The split is the file's train_filenames and test_filenames (else val_filenames);
+    without them 90 % of the views train. The world is oriented, centred and scaled over all frames, used or not. Black
+    pixels of a frame's mask_path are neither trained on nor measured. Depth files are ignored.
+
+    Where images/NAME is missing, images_2/NAME, images_4/NAME or images_8/NAME is read. If w and h are those of larger
+    images of the same shape, the intrinsics are scaled.
 
     Args:
         path: the folder.
         downscale: integer factor by which images are reduced, with an area filter.
+        width: that of images which are wider, in pixels; the area filter reduces them to it.
         skip_missing: leave out frames whose image is missing.
 
     Raises:
         ValueError: one line that names the mistake and the file or frame.
     """
-    file = find_transforms(path, "transforms.json", ("transforms_train.json", "blender"))
+    file = find_file(path, "transforms.json")
     listed = read_frames(file.parent, file)
     frames = sorted(with_images(file.parent, listed, skip_missing), key=lambda frame: frame.name)
     train, held_out = _split(file, listed, frames)
-    return load_scene("nerfstudio", file.parent, frames, train, held_out, downscale, recentre=True)
+    return load_scene("nerfstudio", file.parent, frames, train, held_out, downscale, width, recentre=True)
 
 
 def _split(file: Path, listed: Sequence[Frame], frames: Sequence[Frame]) -> tuple[list[int], list[int]]:

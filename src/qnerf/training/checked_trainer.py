@@ -139,9 +139,10 @@ class CheckedTrainer(Trainer):
         assert self.table.last is not None
         rays, colors = self.table.last
         if error.ray is not None:
-            y, x = divmod(int(self.table.last_pixels[error.ray]), self.table.width)
-            view = self.context.view_names[int(rays.cameras[error.ray])]
-            message += f", ray {error.ray} of the batch, camera {view}, pixel x={x} y={y}"
+            view = int(rays.cameras[error.ray])
+            y, x = divmod(int(self.table.last_pixels[error.ray]), self.table.cameras.size(view)[0])
+            name = self.context.view_names[view]
+            message += f", ray {error.ray} of the batch, camera {name}, pixel x={x} y={y}"
         error.message, error.args = message, (message,)
         file = self.context.file
         if file is not None:

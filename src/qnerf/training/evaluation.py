@@ -57,7 +57,7 @@ class Evaluator:
             pieces.append((rendering.color.clamp(0, 1), rendering.depth_median, rendering.accumulation))
         self.model.train(training)
         color, depth, accumulation = (torch.cat(column).cpu() for column in zip(*pieces, strict=True))
-        height, width = self.scene.cameras.height, self.scene.cameras.width
+        width, height = self.scene.cameras.size(view)
         return RenderedView(
             view, color.view(height, width, 3), depth.view(height, width), accumulation.view(height, width)
         )
@@ -70,7 +70,8 @@ class Evaluator:
         """The view's name under `image`, and every image metric; see `qnerf.training.image_metrics.measure`."""
         view = rendered.view
         true_depth = None if self.scene.depth is None else self.scene.depth[view]
-        compared = Comparison(rendered.color.double(), self.truth(view).double(), rendered.depth, true_depth)
+        colors = rendered.color.double(), self.truth(view).double()
+        compared = Comparison(*colors, rendered.depth, true_depth, self.scene.valid(view))
         return {"image": self.scene.names[view]} | measure(compared)
 
     def views(self, views: list[int], step: int) -> Iterator[tuple[RenderedView, dict[str, float | str | None]]]:
@@ -79,12 +80,14 @@ class Evaluator:
             yield rendered, self.measure(rendered)
 
     def picture(self, rendered: RenderedView, min_height: int = 240) -> np.ndarray:
-        """truth | render | error (x 4) | depth (near is bright) as one image (h, w, 3) uint8.
+        """truth | render | error (x 4, black where masked) | depth (near is bright) as one image (h, w, 3) uint8.
 
         A view lower than `min_height` pixels is enlarged by a whole factor, unless the picture would become too wide.
         """
         truth = self.truth(rendered.view)
         error = ((rendered.color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
+        if (valid := self.scene.valid(rendered.view)) is not None:
+            error = error * valid[..., None]
         return beside([truth, rendered.color, error, shade(rendered.depth)], min_height)
 
 

@@ -7,7 +7,9 @@ then measures it, and tables, figures, the report and the command line show it.
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from scipy.ndimage import binary_erosion
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
@@ -32,6 +34,7 @@ class Comparison:
     truth: Tensor  # (H, W, 3) in [0, 1], float64
     depth: Tensor  # (H, W), world units
     true_depth: Tensor | None  # (H, W), world units; None where the scene has no depth
+    mask: Tensor | None = None  # (H, W) bool: False is not counted; None: everything is
 
 
 def measure(view: Comparison) -> dict[str, float | str | None]:
@@ -61,20 +64,22 @@ def psnr(image: Tensor, truth: Tensor) -> float:
     return -10 * math.log10(error) if error != 0 else math.inf
 
 
-def ssim(image: Tensor, truth: Tensor) -> float | None:
+def ssim(image: Tensor, truth: Tensor, mask: Tensor | None = None) -> float | None:
     """Structural similarity in [-1, 1], 1 for identical images (scikit-image).
 
     Gaussian window of sigma 1.5 and 11 x 11 pixels, K1 = 0.01, K2 = 0.03, data range 1, biased covariances, mean over
     the pixels whose window lies inside the image and over the channels: the settings of Wang et al. 2004 and of
     torchmetrics with data_range=1. Where a side is below 11 pixels, the window is the largest odd one that fits and its
     sigma is its radius / 3.5; None below 3 pixels.
+
+    mask: (H, W) bool; the mean is then over the windows without a masked pixel, and None if there are none.
     """
     _check(image, truth)
     side = min(image.shape[:2])
     if side < 3:
         return None
     radius = min(_RADIUS, (side - 1) // 2)
-    value = structural_similarity(
+    value, values = structural_similarity(
         image.detach().double().cpu().numpy(),
         truth.detach().double().cpu().numpy(),
         channel_axis=-1,
@@ -82,8 +87,12 @@ def ssim(image: Tensor, truth: Tensor) -> float | None:
         gaussian_weights=True,
         sigma=1.5 if radius == _RADIUS else radius / 3.5,
         use_sample_covariance=False,
+        full=True,
     )
-    return float(value)
+    if mask is None:
+        return float(value)
+    inside = binary_erosion(mask.cpu().numpy(), np.ones((2 * radius + 1,) * 2), border_value=0)
+    return float(values[inside].mean()) if inside.any() else None
 
 
 def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
@@ -108,24 +117,34 @@ def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
 
 @IMAGE_METRICS.register("psnr")
 def _psnr(view: Comparison) -> Measured:
-    return psnr(view.color, view.truth)
+    if view.mask is None:
+        return psnr(view.color, view.truth)
+    return psnr(view.color[view.mask][None], view.truth[view.mask][None]) if bool(view.mask.any()) else None
 
 
 @IMAGE_METRICS.register("ssim")
 def _ssim(view: Comparison) -> Measured:
-    return ssim(view.color, view.truth)
+    return ssim(view.color, view.truth, view.mask)
 
 
 @IMAGE_METRICS.register("lpips")
 def _lpips(view: Comparison) -> Measured:
+    if view.mask is not None and not bool(view.mask.all()):
+        return None, "masked pixels cannot be left out of it"
     return lpips(view.color, view.truth)
 
 
 @IMAGE_METRICS.register("depth_error")
 def _depth_error(view: Comparison) -> Measured:
-    return None if view.true_depth is None else depth_error(view.depth, view.true_depth)[0]
+    return None if view.true_depth is None else _depth_errors(view)[0]
 
 
 @IMAGE_METRICS.register("depth_error_median")
 def _depth_error_median(view: Comparison) -> Measured:
-    return None if view.true_depth is None else depth_error(view.depth, view.true_depth)[1]
+    return None if view.true_depth is None else _depth_errors(view)[1]
+
+
+def _depth_errors(view: Comparison) -> tuple[float, float]:
+    assert view.true_depth is not None
+    counted = view.true_depth if view.mask is None else view.true_depth.where(view.mask, torch.inf)
+    return depth_error(view.depth, counted)

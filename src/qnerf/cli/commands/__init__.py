@@ -14,6 +14,9 @@ GROUPS = {
         "reproduce": "train a finished run again and compare every number",
         "replay": "repeat the training step that produced a NaN or an infinity",
     },
+    "bring a scene": {
+        "capture": "photographs or a video to a folder with camera poses",
+    },
     "look at runs": {
         "runs": "list the runs of a store",
         "show": "everything about one run",

@@ -63,13 +63,11 @@ def poster(
     options = {"views": views, "width": width, "height": height, "supersample": supersample, "seed": seed}
     check_downscale("scene=poster", downscale, width, height)
     width, height = width // downscale, height // downscale
-    check_memory("scene=poster", views, width, height, BYTES_PER_PIXEL, views * BYTES_PER_VIEW)
+    what = f"scene=poster: {views} images of {width} x {height} pixels"
+    check_memory(what, views * width * height, BYTES_PER_PIXEL, views * BYTES_PER_VIEW)
     rays = views * width * height * supersample**2
     if rays > MAX_RAYS:
-        raise ValueError(
-            f"scene=poster: {views} images of {width} x {height} pixels with supersample={supersample} need {rays:,} "
-            f"rays; the limit is {MAX_RAYS:,}"
-        )
+        raise ValueError(f"{what} with supersample={supersample} need {rays:,} rays; the limit is {MAX_RAYS:,}")
 
     with out_of_memory("scene=poster"):
         arrays = _cached(options | {"width": width, "height": height})
@@ -81,7 +79,7 @@ def poster(
     return Scene(
         name="poster",
         images=torch.from_numpy(arrays["images"]),
-        cameras=Cameras.from_arrays(poses, lens, width, height),
+        cameras=Cameras.from_arrays(poses, lens, np.array([width, height])),
         train=train,
         eval=held_out,
         names=[f"{view:0{len(str(views - 1))}d}" for view in range(views)],

@@ -1,0 +1,88 @@
+"""What `qnerf capture` asks of COLMAP, through pycolmap, step by step, each in the process that `begin` prepared."""
+
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
+NEIGHBOURS = 20  # with which an image of a sequence is compared: the next ten, and those 2, 4, 8, ... on
+# For small or few photographs, where COLMAP's own limits leave no pair to begin with.
+RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": 4.0, "abs_pose_min_num_inliers": 15}
+PLACED = "placed"  # a file with a byte for each photograph that has been posed so far
+
+
+@dataclass(frozen=True)
+class Model:
+    """Photographs that COLMAP has posed together."""
+
+    folder: Path  # of the model, binary
+    posed: list[str]  # names
+    error: float  # mean distance of features from their projected points, pixels
+
+
+def begin(log: Path) -> None:
+    """Ctrl-C ends the process at once, also inside COLMAP; what COLMAP tells goes to a file."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    os.dup2(os.open(log, os.O_CREAT | os.O_WRONLY), 2)
+
+
+def extract(database: Path, folder: Path, names: list[str], shared: bool) -> None:
+    """Finds the features of the photographs. shared: all have one camera."""
+    import pycolmap as sfm
+
+    sfm.extract_features(
+        str(database),
+        str(folder),
+        names,
+        camera_mode=sfm.CameraMode.SINGLE if shared else sfm.CameraMode.PER_IMAGE,
+        reader_options=sfm.ImageReaderOptions(camera_model="OPENCV" if shared else "SIMPLE_RADIAL"),
+        extraction_options=sfm.FeatureExtractionOptions(max_image_size=MAX_SIDE),
+    )
+
+
+def match(database: Path, matching: str) -> None:
+    """Compares pairs of photographs, of all ("exhaustive") or of neighbours in the order of names ("sequential")."""
+    import pycolmap as sfm
+
+    getattr(sfm, f"match_{matching}")(str(database))
+
+
+def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relaxed: bool) -> list[Model]:
+    """Poses the photographs, and writes models of at least `min_views` of them into `place`; the largest first."""
+    import pycolmap as sfm
+
+    pipeline = sfm.IncrementalPipelineOptions(min_model_size=min_views, random_seed=0)
+    for key, value in (RELAXED if relaxed else {}).items():
+        setattr(pipeline.mapper, key, value)
+    with (place / PLACED).open("wb", buffering=0) as counted:
+
+        def one_more() -> None:
+            counted.write(b".")
+
+        found = sfm.incremental_mapping(
+            str(database), str(folder), str(place), options=pipeline, next_image_callback=one_more
+        )
+    models = [_written(model, place / f"model{number}") for number, model in found.items()]
+    return sorted((model for model in models if len(model.posed) >= min_views), key=lambda model: -len(model.posed))
+
+
+def _written(model: Any, folder: Path) -> Model:
+    folder.mkdir()
+    model.write(str(folder))
+    posed = [image.name for image in model.images.values() if image.has_pose]
+    return Model(folder, posed, float(model.compute_mean_reprojection_error()))
+
+
+def placed(place: Path) -> int:
+    """How many photographs `reconstruct` has posed so far."""
+    file = place / PLACED
+    return file.stat().st_size if file.exists() else 0
+
+
+def undistort(model: Path, folder: Path, out: Path, jpeg_quality: int) -> None:
+    """Writes the posed photographs without lens distortion, and their model, to `out`/images and `out`/sparse."""
+    import pycolmap as sfm
+
+    sfm.undistort_images(str(out), str(model), str(folder), jpeg_quality=jpeg_quality)

@@ -1,0 +1,143 @@
+"""`qnerf capture`: what it refuses, what it leaves behind, and that it finds the poses of a scene that is known."""
+
+import json
+import multiprocessing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from qnerf.capture.photographs import capture, transforms
+from qnerf.capture.video import extract_frames, sharpness
+from qnerf.cli import main
+from qnerf.scenes import SCENES, folders
+from tests.helpers import worlds
+
+pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+
+
+def write(folder: Path, *images: np.ndarray) -> Path:
+    folder.mkdir()
+    for number, image in enumerate(images):
+        Image.fromarray(image).save(folder / f"{number:02d}.png")
+    return folder
+
+
+def wall(views: int = 4) -> list[np.ndarray]:
+    return [np.full((60, 80, 3), 200, np.uint8)] * views
+
+
+def unlike(views: int = 3) -> list[np.ndarray]:
+    random = np.random.default_rng(0)
+    return [np.kron(random.integers(0, 255, (30, 40, 3), np.uint8), np.ones((4, 4, 1), np.uint8)) for _ in range(views)]
+
+
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        (wall(), "0 of 4 photographs have 40 features or more, 3 are needed"),
+        (unlike(), "no two photographs show the same things"),
+        (unlike(1) * 3, "the poses of fewer than 3 of 3 photographs can be found"),
+        (wall(1), "expected a folder of at least 3 photographs .*, got 1"),
+        ([], "expected a folder of at least 3 photographs .*, got 0"),
+    ],
+    ids=["wall", "nothing in common", "one place", "one image", "no image"],
+)
+def test_photographs_that_cannot_be_posed_are_one_line_and_leave_nothing(
+    tmp_path: Path, images: list[np.ndarray], message: str
+) -> None:
+    source = write(tmp_path / "images", *images)
+    with pytest.raises(ValueError, match=message) as error:
+        capture(source, tmp_path / "out")
+    assert "\n" not in str(error.value)
+    assert list(tmp_path.iterdir()) == [source]
+    assert not multiprocessing.active_children()
+
+
+def test_sources_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
+    source = write(tmp_path / "images", *unlike())
+    (source / "01.png").write_bytes((source / "01.png").read_bytes()[:800])
+    for bad, message in (
+        (source, r"01.png does not decode"),
+        (tmp_path / "none", "none does not exist"),
+        (source / "00.png", "00.png is no video or folder"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            capture(bad, tmp_path / "out")
+    with pytest.raises(ValueError, match=r"images exists already; choose a new folder"):
+        capture(source, source)
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_a_video_that_does_not_decode_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    (tmp_path / "walk.mp4").write_bytes(b"no video" * 99)
+    with pytest.raises(ValueError, match=r"walk.mp4 does not decode as a video: .") as error:
+        capture(tmp_path / "walk.mp4", tmp_path / "out")
+    assert "\n" not in str(error.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["walk.mp4"]
+
+
+def test_the_sharpest_frame_of_each_part_of_a_video_is_taken(tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    sharp = unlike(1)[0]
+    blurred = np.repeat(np.repeat(sharp[8::16, 8::16], 16, axis=0), 16, axis=1)[:120, :160]
+    video = ffmpeg.write_frames(str(tmp_path / "walk.mp4"), (160, 112), fps=10)
+    video.send(None)
+    for number in range(12):  # sharp: frames 1, 4, 7, 10
+        frame = sharp if number % 3 == 1 else np.pad(blurred, ((0, 120 - blurred.shape[0]), (0, 0), (0, 0)))
+        video.send(np.ascontiguousarray(frame[:112]))
+    video.close()
+    (tmp_path / "frames").mkdir()
+    extract_frames(tmp_path / "walk.mp4", tmp_path / "frames", 4, lambda what, done, total: None)
+    found = folders.photographs(tmp_path / "frames")
+    assert [path.name for path in found] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    assert min(sharpness(np.asarray(Image.open(path).copy())) for path in found) > 2 * sharpness(blurred)
+
+
+def test_what_all_frames_share_is_written_once() -> None:
+    frames = [
+        {"file_path": name, "transform_matrix": [], "w": 8, "fl_x": focal} for name, focal in (("b", 2), ("a", 1))
+    ]
+    content = transforms({"frames": frames})
+    assert content == {
+        "w": 8,
+        "frames": [
+            {"file_path": "images/a", "transform_matrix": [], "fl_x": 1},
+            {"file_path": "images/b", "transform_matrix": [], "fl_x": 2},
+        ],
+    }
+
+
+def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Cameras above a textured floor and around it; one photograph shows something else, one was taken sideways."""
+    angles = np.linspace(0, 1.2, 7)
+    centres = [
+        (0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.8 + 0.1 * (number % 3)) for number, angle in enumerate(angles)
+    ]
+    of = worlds.cameras(np.stack([worlds.look_at(centre, np.zeros(3)) for centre in centres]), 160, 120, 150.0)
+    source = tmp_path / "images"
+    source.mkdir()
+    for view in range(len(of)):
+        origins, directions = worlds.pixel_rays(of, view)
+        hit = (origins - directions * (origins[..., 2:] / directions[..., 2:])).numpy()
+        bump = worlds.texture(hit[..., 0], hit[..., 1], 30.0)
+        image = Image.fromarray(np.repeat((255 * bump).round().astype(np.uint8)[..., None], 3, axis=2))
+        exif = image.getexif()
+        if view == 3:
+            image, exif[0x0112] = image.transpose(Image.Transpose.ROTATE_90), 6
+        image.save(source / f"{view}.png", exif=exif)
+    Image.fromarray(unlike(1)[0]).save(source / "9.png")
+    assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "7 of 8 photographs were posed" in told
+    assert "not posed: 9.png" in told
+    scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))
+    assert "k1" not in json.loads((tmp_path / "out" / "transforms.json").read_text())
+    turns = scene.cameras.poses[:, :, :3].numpy()
+    truth = of.poses[:, :, :3].numpy()
+    for view in range(6):  # rotations between neighbours do not depend on the world's axes
+        found, expected = (of_all[view].T @ of_all[view + 1] for of_all in (turns, truth))
+        assert np.degrees(np.arccos(np.clip((np.trace(found.T @ expected) - 1) / 2, -1, 1))) < 0.5
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "out"]

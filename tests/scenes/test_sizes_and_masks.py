@@ -1,0 +1,312 @@
+"""Images of differing size, masks, fisheyes, and images reduced to any width."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from qnerf import experiment
+from qnerf.geometry.hull import sees_through
+from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
+from qnerf.geometry.visibility import count_cameras
+from qnerf.scenes import SCENES, Scene
+from qnerf.scenes.area import area_resize
+from tests.helpers.configs import composed
+from tests.helpers.scenes import write_scene
+
+SIZES = [(8, 6), (6, 8), (8, 6), (12, 9), (8, 6), (6, 8)]
+BLACK = 2  # columns of each mask
+
+
+def change(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text())
+    edit(content)
+    file.write_text(json.dumps(content))
+
+
+def build(folder: Path, **options: Any) -> Scene:
+    return SCENES.build("nerfstudio", path=str(folder), **options)
+
+
+@pytest.fixture
+def mixed(tmp_path: Path) -> Path:
+    """Six views of three sizes, each with its own intrinsics."""
+    folder = write_scene(tmp_path / "scene")
+    random = np.random.default_rng(0)
+
+    def own(content: dict[str, Any]) -> None:
+        for frame, (width, height) in zip(content["frames"], SIZES, strict=True):
+            pixels = random.integers(0, 255, (height, width, 3), dtype=np.uint8)
+            Image.fromarray(pixels).save(folder / frame["file_path"])
+            frame.update(w=width, h=height, cx=width / 2, cy=height / 2, fl_x=float(width), fl_y=float(width))
+
+    change(folder, own)
+    return folder
+
+
+def mask(folder: Path, views: range = range(6)) -> None:
+    """Adds masks whose left columns are black."""
+    (folder / "masks").mkdir()
+
+    def add(content: dict[str, Any]) -> None:
+        for view in views:
+            frame = content["frames"][view]
+            with Image.open(folder / frame["file_path"]) as image:
+                width, height = image.size
+            values = np.full((height, width), 255, np.uint8)
+            values[:, :BLACK] = 0
+            Image.fromarray(values).save(folder / "masks" / f"{view}.png")
+            frame["mask_path"] = f"masks/{view}.png"
+
+    change(folder, add)
+
+
+def test_each_view_keeps_its_size_its_rays_and_its_colours(mixed: Path) -> None:
+    scene = build(mixed)
+    table = RayTable(scene, dtype=torch.float64)
+    for view, (width, height) in enumerate(SIZES):
+        truth = np.asarray(Image.open(mixed / scene.names[view]))
+        np.testing.assert_array_equal(scene.image(view), truth)
+        assert table.view(view).directions.shape == (width * height, 3)
+    rays, colors = table.batch(500, torch.Generator().manual_seed(0))
+    assert set(rays.cameras.tolist()) == set(scene.train)
+    for view in scene.train:
+        of_view = rays.cameras == view
+        pixels, depth = project(scene.cameras, rays.cameras[of_view], (rays.origins + rays.directions)[of_view])
+        x, y = (pixels - 0.5).round().long().T
+        assert bool((depth > 0).all())
+        assert torch.equal(colors[of_view], scene.image(view)[y, x].double() / 255)
+    # without the table of directions, too
+    again = RayTable.rays(table, torch.tensor([1, 3]), torch.tensor([7, 100]))
+    table.table = None
+    torch.testing.assert_close(table.rays(torch.tensor([1, 3]), torch.tensor([7, 100])).directions, again.directions)
+
+
+def test_pixels_are_drawn_evenly_over_views_of_differing_size(mixed: Path) -> None:
+    table = RayTable(build(mixed))
+    views, pixels = table.training.locate(torch.arange(len(table.training)))
+    counted = {view: int((views == view).sum()) for view in views.unique().tolist()}
+    assert counted == {view: SIZES[view][0] * SIZES[view][1] for view in table.training.views.tolist()}
+    assert len(set(zip(views.tolist(), pixels.tolist(), strict=True))) == len(views)
+
+
+def test_a_point_is_seen_inside_each_view_s_own_image(mixed: Path) -> None:
+    cameras = build(mixed).cameras
+    points = torch.randn(300, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    expected = torch.zeros(300, dtype=torch.int64)
+    for view, (width, height) in enumerate(SIZES):
+        pixels, depth = project(cameras, torch.full((300,), view), points)
+        x, y = pixels.T
+        expected += (depth > 0) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+    assert len(expected.unique()) > 3
+    assert torch.equal(count_cameras(points, cameras, list(range(6))), expected)
+
+
+def test_masked_pixels_are_not_trained_on_and_a_mask_decides_the_fingerprint(mixed: Path) -> None:
+    before = build(mixed)
+    mask(mixed, range(5))
+    scene = build(mixed)
+    table = RayTable(scene)
+    views, pixels = table.training.locate(torch.arange(len(table.training)))
+    widths = scene.cameras.all_sizes[views, 0]
+    assert int((pixels % widths)[views < 5].min()) == BLACK
+    assert int(pixels[views == 5].min()) == 0  # it has no mask
+    assert len(table.training) == sum(SIZES[view][1] * (SIZES[view][0] - BLACK * (view < 5)) for view in scene.train)
+    seen = {before.fingerprint, scene.fingerprint}
+    Image.new("L", SIZES[0], 255).save(mixed / "masks" / "0.png")
+    seen.add(build(mixed).fingerprint)
+    assert len(seen) == 3
+    assert scene.older_fingerprint is None
+
+
+@pytest.mark.parametrize(("options", "columns"), [({"downscale": 2}, 1), ({"width": 4}, 1), ({"width": 5}, 2)])
+def test_a_reduced_pixel_counts_if_no_black_pixel_is_in_it(tmp_path: Path, options: Any, columns: int) -> None:
+    folder = write_scene(tmp_path / "scene")
+    mask(folder)
+    reduced = build(folder, **options).mask
+    assert reduced is not None
+    assert bool((~reduced[..., :columns]).all())
+    assert bool(reduced[..., columns:].all())
+
+
+def test_bad_masks_are_one_line(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene")
+    mask(folder)
+    Image.new("L", (4, 4)).save(folder / "masks" / "2.png")
+    with pytest.raises(ValueError, match=r"mask 'masks/2.png' has 4 x 4 pixels, its image 'images/002.png' 8 x 6$"):
+        build(folder)
+    (folder / "masks" / "2.png").unlink()
+    with pytest.raises(ValueError, match=r"frame 'images/002.png': mask 'masks/2.png' does not exist$"):
+        build(folder)
+    change(folder, lambda t: t["frames"][2].update(mask_path=5))
+    with pytest.raises(ValueError, match="mask_path must be a file name, got 5"):
+        build(folder)
+    for view in range(6):
+        Image.new("L", (8, 6)).save(folder / "masks" / f"{view}.png")
+    change(folder, lambda t: t["frames"][2].update(mask_path="masks/2.png"))
+    with pytest.raises(ValueError, match="the masks leave no pixel to train on"):
+        RayTable(build(folder))
+
+
+def test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size(mixed: Path, tmp_path: Path) -> None:
+    mask(mixed)
+    change(mixed, lambda t: t["frames"][1].update(camera_model="OPENCV_FISHEYE", k1=0.02))
+    options = [
+        "scene=nerfstudio",
+        f"scene.path={mixed}",
+        f"store={tmp_path / 'runs'}",
+        "budget=smoke",
+        "field=classical",
+    ]
+    config = composed(
+        *options, "train.steps=2", "train.rays=16", "hash=C1", "stop.every=1", "stop.share=0.1", "visibility.cameras=1"
+    )
+    outcome = experiment.run(config)
+    assert outcome.state == "finished"
+    assert np.isfinite(outcome.summary["psnr"])
+    scene = build(mixed)
+    (held_out,) = scene.eval
+    with Image.open(next((outcome.path / "images").glob("*.png"))) as picture:
+        assert picture.size[0] * SIZES[held_out][1] == 4 * picture.size[1] * SIZES[held_out][0]
+
+
+def test_silhouettes_say_nothing_behind_a_mask(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene", channels=4)
+    for file in (folder / "images").iterdir():
+        Image.new("RGBA", (8, 6), (0, 0, 0, 0)).save(file)
+    pose = build(folder).cameras.poses[0]
+    point, radius = (pose[:, 3] - pose[:, 2])[None], torch.tensor([1e-6])  # in the middle of the image
+    assert bool(sees_through(build(folder), 0, point, radius))
+    (folder / "masks").mkdir()
+    Image.new("L", (8, 6), 0).save(folder / "masks" / "0.png")
+    change(folder, lambda t: t["frames"][0].update(mask_path="masks/0.png"))
+    assert not bool(sees_through(build(folder), 0, point, radius))
+
+
+# --- width
+
+
+def test_a_width_of_a_whole_factor_is_that_factor(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene", width=12, height=9, channels=4)
+    narrow, factor = build(folder, width=4), build(folder, downscale=3)
+    assert torch.equal(narrow.images, factor.images)
+    torch.testing.assert_close(narrow.cameras.intrinsics, factor.cameras.intrinsics)
+    assert narrow.fingerprint != factor.fingerprint
+
+
+def test_any_width_keeps_what_is_seen(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene", width=11, height=7)
+    full, small = build(folder), build(folder, width=5)
+    assert small.images.shape == (6, 3, 5, 3)
+    # corners of the image stay corners
+    for point in ((0.0, 0.0), (1.0, 1.0)):
+        rays = [
+            camera_directions(of, torch.tensor([2]), torch.tensor([[point[0] * of.width, point[1] * of.height]]))
+            for of in (full.cameras, small.cameras)
+        ]
+        torch.testing.assert_close(rays[0], rays[1])
+    # by definition: each pixel is cut into 5 x 3 parts, and 11 x 7 parts are averaged
+    image = full.images[0].double().repeat_interleave(5, 1).repeat_interleave(3, 0)
+    means = image.reshape(3, 7, 5, 11, 3).mean(dim=(1, 3))
+    assert float((small.images[0] - means).abs().max()) <= 0.5 + 1e-4
+
+
+def test_transparent_pixels_do_not_colour_their_neighbours() -> None:
+    image = np.zeros((1, 3, 4), np.uint8)
+    image[0, :, :] = [(200, 0, 0, 255), (0, 200, 0, 0), (0, 0, 200, 255)]
+    assert area_resize(image, 2, 1).tolist() == [[[200, 0, 0, 170], [0, 0, 200, 170]]]
+
+
+def test_wider_images_are_reduced_and_the_others_stay(mixed: Path) -> None:
+    scene = build(mixed, width=7)
+    assert [scene.cameras.size(view) for view in range(6)] == [(7, 5), (6, 8), (7, 5), (7, 5), (7, 5), (6, 8)]
+    with pytest.raises(ValueError, match="width=13 is more than the images have, 12 pixels"):
+        build(mixed, width=13)
+    with pytest.raises(ValueError, match="set downscale or width, not both"):
+        build(mixed, width=4, downscale=2)
+
+
+# --- smaller images than the file says
+
+
+def test_a_file_of_the_full_size_goes_with_smaller_images(tmp_path: Path) -> None:
+    small = write_scene(tmp_path / "small")
+    expected = build(small)
+    full = {"w": 32, "h": 24, "fl_x": 32.0, "fl_y": 32.0, "cx": 16.0, "cy": 12.0}
+    change(small, lambda t: t.update(full))
+    torch.testing.assert_close(build(small).cameras.intrinsics, expected.cameras.intrinsics)
+    change(small, lambda t: t.update(h=20))
+    with pytest.raises(ValueError, match=r"w=32 but the image has 8 x 6 pixels.*larger images of the same shape"):
+        build(small)
+
+
+def test_missing_images_are_looked_for_in_the_folders_of_smaller_ones(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene")
+    mask(folder)
+    expected = build(folder)
+    (folder / "images").rename(folder / "images_4")
+    (folder / "masks").rename(folder / "masks_4")
+    change(folder, lambda t: t.update(w=32, h=24, fl_x=32.0, fl_y=32.0, cx=16.0, cy=12.0))
+    found = build(folder)
+    assert found.names[0] == "images_4/000.png"
+    assert torch.equal(found.images, expected.images)
+    assert found.mask is not None
+    torch.testing.assert_close(found.cameras.intrinsics, expected.cameras.intrinsics)
+
+
+# --- fisheyes
+
+
+def fisheye(folder: Path) -> Scene:
+    lens = {
+        "camera_model": "OPENCV_FISHEYE",
+        "k1": 0.05,
+        "k2": -0.01,
+        "k3": 0.004,
+        "k4": -0.001,
+        "fl_x": 3.0,
+        "fl_y": 3.1,
+    }
+    change(folder, lambda t: t.update(lens))
+    return build(folder)
+
+
+def test_a_fisheye_s_pixels_are_angles(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene")
+    change(folder, lambda t: t.update(camera_model="OPENCV_FISHEYE", fl_x=3.0, fl_y=3.0))
+    pixel = torch.tensor([[4 + 3 * np.pi / 4, 3.0]])  # a focal length a radian, from the centre at (4, 3)
+    direction = camera_directions(build(folder).cameras, torch.tensor([0]), pixel)
+    torch.testing.assert_close(direction, torch.tensor([[0.5**0.5, 0, -(0.5**0.5)]], dtype=torch.float64))
+
+
+def test_projection_inverts_a_fisheye_s_rays(tmp_path: Path) -> None:
+    cameras = fisheye(write_scene(tmp_path / "scene")).cameras
+    views, pixels = torch.arange(6).repeat(30), torch.rand(180, 2, dtype=torch.float64) * torch.tensor([8, 6])
+    rays = camera_rays(cameras, views, pixels, 0.0, 1.0, torch.float64)
+    back, _ = project(cameras, views, rays.along(torch.full((180, 1), 2.5, dtype=torch.float64))[:, 0])
+    torch.testing.assert_close(back, pixels)
+
+
+def test_lenses_are_those_of_colmap(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    folder = write_scene(tmp_path / "scene")
+    pixels = torch.rand(50, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * torch.tensor([8, 6])
+    bent = {"camera_model": "OPENCV", "k1": 0.05, "k2": -0.01, "p1": 0.002, "p2": -0.001}
+    for model, keys in (("OPENCV_FISHEYE", "k1 k2 k3 k4"), ("OPENCV", "k1 k2 p1 p2")):
+        if model == "OPENCV":
+            change(folder, lambda t: [t.pop(key) for key in ("k3", "k4")] and t.update(bent))
+        scene = fisheye(folder) if model == "OPENCV_FISHEYE" else build(folder)
+        content = json.loads((folder / "transforms.json").read_text())
+        params = [content[key] for key in ["fl_x", "fl_y", "cx", "cy", *keys.split()]]
+        camera = pycolmap.Camera(model=model, width=8, height=6, params=params)
+        x, y = camera.cam_from_img(pixels.numpy()).T
+        expected = torch.from_numpy(np.stack([x, -y, -np.ones(50)], axis=1))
+        expected /= torch.linalg.vector_norm(expected, dim=1, keepdim=True)
+        directions = camera_directions(scene.cameras, torch.zeros(50, dtype=torch.int64), pixels)
+        torch.testing.assert_close(directions, expected, atol=1e-6, rtol=0)
