@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from qnerf.geometry.camera_paths import PATHS, Camera, focal_within, focus, look_at, path_json, read_path
+from qnerf.geometry.camera_paths import PATHS, Camera, focal_as, focus, look_at, path_json, read_path
 from qnerf.geometry.rays import camera_rays
 from qnerf.scenes.base import Cameras
 
@@ -78,8 +78,8 @@ def test_pinhole_rays_are_those_of_the_scene_s_cameras():
     for name in ("origins", "directions", "near", "far"):
         torch.testing.assert_close(getattr(mine, name), getattr(theirs, name))
     assert torch.equal(Camera(pose, 5.0, 6, 4).rays(slice(7, 11), 0.1, 3.0).directions, mine.directions[7:11])
-    assert focal_within(cameras, 0, 12, 8) == pytest.approx(10)
-    assert focal_within(cameras, 0, 12, 12) == pytest.approx(15)
+    assert focal_as(cameras, 0, 12, 8) == pytest.approx(10)
+    assert focal_as(cameras, 0, 4, 6) == pytest.approx(5)
 
 
 def test_a_camera_path_is_read_back_in_either_world(tmp_path):

@@ -229,8 +229,7 @@ def path_json(cameras: list[Camera]) -> dict[str, Any]:
     }
 
 
-def focal_within(cameras: Cameras, view: int, width: int, height: int) -> float:
-    """The focal length in pixels with which a picture shows no more than the view does, in width and in height."""
-    fx, fy = float(cameras.fx[view]), float(cameras.fy[view])
-    cx, cy = float(cameras.cx[view]), float(cameras.cy[view])
-    return max(fx * width / (2 * cx), fy * height / (2 * cy))
+def focal_as(cameras: Cameras, view: int, width: int, height: int) -> float:
+    """The focal length in pixels with which a picture covers as much of the image plane as the view."""
+    fx, fy, cx, cy = (float(values[view]) for values in (cameras.fx, cameras.fy, cameras.cx, cameras.cy))
+    return math.sqrt(fx * fy * width * height / (2 * cx * 2 * cy))

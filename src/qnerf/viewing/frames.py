@@ -1,5 +1,6 @@
 """Pictures of a trained model from any camera, rendered in tiles."""
 
+import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,10 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from qnerf.geometry.camera_paths import Camera, focal_within
+from qnerf.geometry.camera_paths import Camera, focal_as
 from qnerf.probes.trained import Trained
 from qnerf.rendering.background import evaluation_background
-from qnerf.training.evaluation import depth_range, shade, tiles_of
+from qnerf.training.evaluation import Evaluator, RenderedView, depth_range, shade, tiles_of
+from qnerf.types import Rays
 
 TILE = 4096  # rays rendered at once, unless the run's train.chunk is smaller
 SHADED_WIDTH = 32  # pixels of the pictures from which the range of a video's depth is taken
@@ -38,6 +40,15 @@ class Renderer:
         self.chunk = min(TILE, max(settings.train.chunk, 1))
         self.watch = trained.stopwatch(trained.model)
         self.watch.begin(measure=False)
+        background = settings.render.background
+        self.evaluator = Evaluator(
+            trained.scene, self.table, trained.model, background=background, chunk=self.chunk, watch=self.watch
+        )
+
+    def view(self, view: int, max_rays: int | None = None) -> RenderedView:
+        """A view of the scene; with `max_rays` every second, third, ... row and column, so that there are no more."""
+        stride = 1 if max_rays is None else math.ceil(math.sqrt(max(len(self.table.view(view)) / max_rays, 1)))
+        return self.evaluator.render(view, self.trained.step, stride)
 
     def frame(self, camera: Camera, stopping: Callable[[], bool] = lambda: False) -> Frame | None:
         """What the camera sees.
@@ -46,7 +57,7 @@ class Renderer:
         """
         trained, table = self.trained, self.table
 
-        def rays(part: slice):  # type: ignore[no-untyped-def]
+        def rays(part: slice) -> Rays:
             return camera.rays(part, table.near, table.far, device=table.device, dtype=table.dtype)
 
         count = camera.width * camera.height
@@ -60,9 +71,9 @@ class Renderer:
         return Frame(color.view(*shape, 3), depth.view(shape), accumulation.view(shape))
 
     def focal(self, width: int, height: int) -> float:
-        """The focal length in pixels with which a picture shows no more than the training views do."""
+        """The focal length in pixels with which a picture shows as much as the training views do."""
         scene = self.trained.scene
-        return statistics.median(focal_within(scene.cameras, view, width, height) for view in scene.train)
+        return statistics.median(focal_as(scene.cameras, view, width, height) for view in scene.train)
 
     def depth_range(self, cameras: Sequence[Camera]) -> tuple[float, float]:
         """The range of inverse depth that a few of the cameras see, for `shade`."""
