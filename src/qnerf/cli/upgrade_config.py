@@ -27,7 +27,15 @@ if TYPE_CHECKING:
     from qnerf.probes import Trained
     from qnerf.scenes import Scene
 
-CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.finite_checks", "scene.path")
+CHANGEABLE = (
+    "threads",
+    "device",
+    "run.progress",
+    "run.preview_seconds",
+    "run.debug",
+    "numerics.finite_checks",
+    "scene.path",
+)
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
 GROUPS = {
     **{group: group for group in ("encoder", "scene", "sampler", "shading", "cameras", "train")},
