@@ -9,25 +9,7 @@ import torch
 from qnerf.cli import main
 from qnerf.viewing import ply, surfaces
 from qnerf.viewing.frames import Renderer
-
-CENTRE, RADIUS = torch.tensor([0.1, -0.05, 0.0]), 0.4
-
-
-@pytest.fixture
-def ball(trained, monkeypatch) -> Renderer:
-    """The tiny run's renderer with a field that is a coloured ball, dense inside."""
-    field = trained.model.field
-
-    def geometry(points, *, last=True):
-        density = 4000 * torch.sigmoid(60 * (RADIUS - (points - CENTRE).norm(dim=-1)))
-        return density, points, None
-
-    monkeypatch.setattr(field, "geometry", geometry)
-    monkeypatch.setattr(field, "color", lambda points, *_: (points + 1) / 2)
-    settings = dataclasses.replace(
-        trained.settings, render=dataclasses.replace(trained.settings.render, background="white")
-    )
-    return Renderer(dataclasses.replace(trained, settings=settings))
+from tests.viewing.conftest import CENTRE, RADIUS
 
 
 def test_the_mesh_of_a_ball_is_that_ball(ball):
