@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import nn
 
+from qnerf.config.compatibility import fill_added
 from qnerf.config.plugins import check_plugins
 from qnerf.config.settings import Settings
 from qnerf.experiment import build_model, prepare, ray_table
@@ -100,6 +101,7 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None, *, unfinished
     require_loadable(folder, unfinished=unfinished)
     if config is None:
         config = read_config(folder)
+        fill_added(config)
         check_plugins(folder, config.get("plugins", []), ())
     _, settings, scene = prepare(config)
     trained = Trained(folder, settings, scene, build_model(settings, scene).eval(), 0)

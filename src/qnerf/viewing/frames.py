@@ -37,7 +37,7 @@ class Renderer:
         settings = trained.settings
         self.table = trained.ray_table()
         self.background = evaluation_background(settings.render.background)
-        self.chunk = min(TILE, max(settings.train.chunk, 1))
+        self.chunk = min(TILE, settings.train.chunk)
         self.watch = trained.stopwatch(trained.model)
         self.watch.begin(measure=False)
         background = settings.render.background
