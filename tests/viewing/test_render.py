@@ -9,7 +9,8 @@ import torch
 from PIL import Image
 
 from qnerf.cli import main
-from qnerf.geometry.camera_paths import Camera
+from qnerf.cli.commands import render
+from qnerf.geometry.camera_paths import PATHS, Camera
 from qnerf.training.evaluation import Evaluator
 from qnerf.viewing import video
 from qnerf.viewing.frames import Renderer
@@ -135,6 +136,10 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tiny_run, tmp_path, monkey
     assert (code, err.count("\n")) == (2, 1)
     assert message in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_knows_every_path():
+    assert set(render.NAMES) == set(PATHS)
 
 
 def test_a_run_without_a_checkpoint_is_one_line(tiny_run, tmp_path, capsys):

@@ -20,7 +20,8 @@ from qnerf.geometry.camera_paths import Camera
 from qnerf.probes import load
 from qnerf.training.evaluation import shade_error
 from qnerf.viewing.frames import Renderer, as_bytes
-from qnerf.viewing.viewer import Painter, Shown, Viewer, camera_of, quaternion, require_free, sharpen
+from qnerf.viewing.painter import Painter, Shown
+from qnerf.viewing.viewer import Viewer, camera_of, quaternion, require_free, sharpen
 
 DEADLINE = 60.0  # seconds, for a busy machine
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
