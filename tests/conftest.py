@@ -60,6 +60,7 @@ SLOW = (
     "test_experiment.py",
     "training/test_finite_checks.py",
     "training/test_trainer.py",
+    "viewing/",
 )
 """Beginnings of the ids, below tests/, of tests that take seconds, setup included, or that are many and train."""
 

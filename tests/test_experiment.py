@@ -1,6 +1,7 @@
 """A run from start to end: what it leaves, how it resumes, how it stops."""
 
 import contextlib
+import json
 import math
 from pathlib import Path
 
@@ -66,6 +67,57 @@ def test_there_are_pictures_after_the_first_evaluation(tiny, run_until):
     run_until(3, config)
     (folder,) = (path for path in Path(config["store"]).iterdir() if not path.name.startswith("."))
     assert len(list((folder / "images").glob("*.png"))) == 1
+
+
+def test_the_curve_is_of_the_same_evenly_spread_views_throughout(tiny, tmp_path):
+    said = []
+
+    class Heard(experiment.Display):
+        def phase(self, name):
+            said.append(name)
+
+        def held_out(self, step, metric, psnr, views):
+            said.append((step, psnr, views))
+
+    scene = write_scene(tmp_path / "views", views=60)
+    options = ["train.steps=4", "train.eval_every=2", "train.eval_views=2", f"scene.path={scene}"]
+    path = run(tiny(*options), display=Heard()).path
+    curve = read_metrics(path).query("key == 'eval/psnr'")["value"].tolist()
+    final = pd.read_parquet(path / "eval.parquet")["psnr"]
+    assert len(final) == 6
+    assert curve[-1] == pytest.approx(final.iloc[[1, 4]].mean())
+    assert [item for item in said if isinstance(item, tuple)] == [
+        (2, curve[0], "2 of 6 views"),
+        (4, curve[1], "2 of 6 views"),
+    ]
+    phases = [item for item in said if isinstance(item, str)]
+    assert phases[:4] == ["train", "train", "evaluate 1 of 2 views", "evaluate 2 of 2 views"]
+    assert phases[-1] == "evaluate 6 of 6 views"
+
+
+def test_an_interrupted_run_has_a_preview_which_changes_no_number(tiny, tmp_path):
+    options = ["field=qboth", "cameras=so3xr3", "appearance=2", "train.steps=6", "train.eval_every=2"]
+    seldom = run(tiny(*options, f"store={tmp_path / 'seldom'}", "run.preview_seconds=0"))
+    assert not (seldom.path / "preview.png").exists()
+    always = tiny(*options, f"store={tmp_path / 'always'}", "run.preview_seconds=1e-9")
+    steps = iter(range(100))
+    stopped = run(always, stopping=lambda: next(steps) > 2)
+    assert stopped.state == "interrupted"
+    assert np.asarray(Image.open(stopped.path / "preview.png")).shape == (240, 4 * 320, 3)
+    often = run(always)
+    assert often.run_id == seldom.run_id
+    mine, others = parameters(often.path), parameters(seldom.path)
+    assert all(torch.equal(mine[name], others[name]) for name in mine)
+    pd.testing.assert_frame_equal(logged(often.path), logged(seldom.path))
+
+
+def test_a_run_says_where_its_world_is(tiny):
+    outcome = run(tiny())
+    content = json.loads((outcome.path / "dataparser_transforms.json").read_text())
+    stored = torch.tensor(content["transform"], dtype=torch.float64)
+    scene = experiment.build_scene(experiment.settings_from(tiny()))
+    torch.testing.assert_close(content["scale"] * stored, scene.transform[:3])
+    torch.testing.assert_close(stored[:, :3] @ stored[:, :3].T, torch.eye(3, dtype=torch.float64))
 
 
 def test_a_finished_run_is_skipped_and_force_does_it_over(tiny):

@@ -54,7 +54,7 @@ def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
     for ax in axes:
         ax.set(xlabel="optimisation step", yscale="log")
     axes[0].set_ylabel("mean squared colour error")
-    lines = "solid: training; dashed: held out, 10^(-PSNR/10), of the first train.eval_views views"
+    lines = "solid: training; dashed: held out, 10^(-PSNR/10), of train.eval_views of the held-out views"
     style.footnote(figure, lines, note)
     return figure
 
@@ -70,7 +70,7 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
     for ax in axes:
         ax.set_xlabel(metric_of("train_s").heading)
     axes[0].set_ylabel(metric_of("eval/psnr").heading)
-    style.footnote(figure, "of the first train.eval_views views", note)
+    style.footnote(figure, "of train.eval_views of the held-out views", note)
     return figure
 
 

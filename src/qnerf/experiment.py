@@ -39,7 +39,7 @@ from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.heads.qiren import Normalisation, check_samples
-from qnerf.metrics import metric_of, quality_metrics
+from qnerf.metrics import quality_metrics
 from qnerf.model.field import Field
 from qnerf.model.labels import LABELLED, labels, slug
 from qnerf.model.memory import planned, require_memory, samples_per_ray
@@ -52,12 +52,14 @@ from qnerf.records.filters import is_number
 from qnerf.rendering.samplers import SAMPLERS, Sampler
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES, Scene
+from qnerf.scenes.base import even_subset
 from qnerf.signals import Signal, SignalEvaluator, SignalModel, SignalTrainer, build_signal_model, is_signal
 from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator, colormap
+from qnerf.training.preview import Preview
 from qnerf.training.state_checks import largest_state
 from qnerf.training.trainer import Trainer
 
@@ -80,6 +82,8 @@ class ViewEvaluator(Protocol):
 
     def views(self, views: list[int], step: int) -> Iterator[tuple[Any, "Measures"]]: ...
 
+    def preview(self, step: int) -> np.ndarray: ...
+
     def picture(self, rendered: Any) -> np.ndarray: ...
 
 
@@ -92,7 +96,16 @@ class Display:
 
     def begin(self, path: Path, step: int, steps: int) -> None: ...
 
+    def phase(self, name: str) -> None:
+        """What goes on from now on: train, or evaluate; from `begin` to the first step it is compile."""
+
     def step(self, step: int, metrics: Mapping[str, float]) -> None: ...
+
+    def held_out(self, step: int, metric: str, value: float | str | None, views: str) -> None:
+        """The mean of a metric over held-out views; `views` says which, `4 of 22 views`, the same ones throughout.
+
+        A signal, which has no views, has an empty text.
+        """
 
     def note(self, text: str) -> None: ...
 
@@ -456,9 +469,11 @@ def run(
         decided = [f"{key}={node['value']}" for key, node in decisions.items() if isinstance(node, Mapping)]
         if decided:
             display.note(f"the scene needs {', '.join(decided)}")
-        if not store.resumed and config["scene"].get("path") and (doubt := poses.warning(scene)):
-            display.note(f"warning: {doubt}")
         store.write_environment(capture(settings.seed), dirty_diff())
+        if isinstance(scene, Scene):
+            store.write_transform(scene.transform.numpy())
+            if not store.resumed and config["scene"].get("path") and (doubt := poses.warning(scene)):
+                display.note(f"warning: {doubt}")
         return _execute(task, store, display, lambda: bool(stops) or stopping())
 
 
@@ -475,17 +490,19 @@ def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bo
 
     train = settings.train
     measured = None
+    preview = Preview(settings.run.preview_seconds, evaluator.preview, store.save_preview)
+    curve_views = [scene.eval[index] for index in even_subset(len(scene.eval), task.curve_views or None)]
 
     def assess() -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
-        views = scene.eval if trainer.done else scene.eval[: task.curve_views or None]
-        rows, result = evaluate(evaluator, store, views, trainer.step, stopping)
+        views = scene.eval if trainer.done else curve_views
+        rows, result = evaluate(evaluator, store, views, trainer.step, stopping, display.phase)
         if result is not None:
             # Every point of the curve is a mean over the same views.
-            curve = means(rows[: task.curve_views or None])
+            curve = means([row for view, row in zip(views, rows, strict=True) if view in curve_views])
             store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-            shown = metric_of(scene.headline)
-            display.note(f"step {trainer.step}: {shown.label} {shown.with_unit(result[shown.key])}")
+            measured_on = f"{len(curve_views)} of {len(scene.eval)} views" if isinstance(scene, Scene) else ""
+            display.held_out(trainer.step, scene.headline, curve[scene.headline], measured_on)
         return result
 
     def is_due() -> bool:
@@ -497,15 +514,18 @@ def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bo
             measured = assess()
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
         for metrics in trainer.steps(store, stopping):
+            display.phase("train")
             if metrics:
                 store.log(trainer.step, trainer.seconds, metrics)
                 display.step(trainer.step, metrics)
+            preview.refresh(trainer.step)
             if is_due():
                 measured = assess()
+        preview.refresh(trainer.step, now=True)
+        if trainer.done and measured is None and not stopping():  # killed between the last checkpoint and the end
+            _, measured = evaluate(evaluator, store, scene.eval, trainer.step, stopping, display.phase)
     finally:
         display.end()
-    if trainer.done and measured is None and not stopping():  # killed between the last checkpoint and the end
-        _, measured = evaluate(evaluator, store, scene.eval, trainer.step, stopping)
     if not trainer.done or measured is None:
         store.interrupt()
         message = f"stopped at step {trainer.step} of {train.steps}; the same command continues from there"
@@ -529,18 +549,26 @@ def was_evaluated(path: Path, step: int) -> bool:
 
 
 def evaluate(
-    evaluator: ViewEvaluator, store: Run, views: Sequence[int], step: int, stopping: Callable[[], bool]
+    evaluator: ViewEvaluator,
+    store: Run,
+    views: Sequence[int],
+    step: int,
+    stopping: Callable[[], bool],
+    tell: Callable[[str], None] = lambda phase: None,
 ) -> tuple[list[Measures], Measures | None]:
     """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means.
 
     stopping: called after each view but the last. Once it is true, there are no means, and no table is written.
+    tell: called with the phase before each view, `evaluate 3 of 22 views`.
     """
     start = time.perf_counter()
     rows = []
     scene = evaluator.scene
     names = dict(zip(scene.eval, picture_names([scene.names[view] for view in scene.eval]), strict=True))
+    tell(f"evaluate 1 of {len(views)} views")
     for rendered, row in evaluator.views(list(views), step):
         rows.append(row)
+        tell(f"evaluate {min(len(rows) + 1, len(views))} of {len(views)} views")
         store.save_image(names[rendered.view], evaluator.picture(rendered))
         if len(rows) < len(views) and stopping():
             return rows, None

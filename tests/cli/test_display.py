@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from qnerf.cli.display import print_outcome
+from qnerf.cli.display import LiveDisplay, print_outcome
 from qnerf.cli.text import console, tree
 from qnerf.experiment import Outcome
 
@@ -16,6 +17,27 @@ def test_a_configuration_is_shown_as_it_is(value: Any, capsys: pytest.CaptureFix
     shown = capsys.readouterr().out
     assert f"path: {value}".replace("\n", r"\n").replace("\x1b", r"\x1b") in shown
     assert "\x1b" not in shown
+
+
+def test_progress_lines_say_phase_time_and_which_views(capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = {"train/loss": 0.01, "train/psnr": 20.0, "time/step_ms": 50.0}
+    for terminal in (False, True):
+        shown = Console(width=160, force_terminal=terminal, color_system=None)
+        display = LiveDisplay(shown)
+        display.begin(Path("runs/a"), 0, 10)
+        start = capsys.readouterr().out
+        assert "PSNR" not in start
+        assert ("compile" in start) == terminal
+        display.phase("train")
+        display.step(1, metrics)
+        display.phase("evaluate 2 of 4 views")
+        display.held_out(1, "psnr", 19.0, "4 of 22 views")
+        display.step(2, metrics)
+        display.end()
+        shown_text = capsys.readouterr().out
+        assert "step 1: held-out PSNR 19.00 dB, 4 of 22 views" in shown_text
+        assert "PSNR 20.00 dB  20.0 steps/s  held out 19.00 dB (4 of 22 views)" in shown_text
+        assert ("evaluate 2 of 4 views" in shown_text) == terminal
 
 
 def test_views_too_small_for_an_ssim_have_none(capsys: pytest.CaptureFixture[str]) -> None:

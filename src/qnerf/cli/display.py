@@ -1,42 +1,54 @@
 """Terminal output of a training: a progress bar and a closing table."""
 
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from qnerf.cli.text import duration, measured
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records.filters import is_number
 from qnerf.records.printable import printable
 
+BESIDE = 118  # characters beside a bar
+
 
 class LiveDisplay(Display):
-    """A progress bar with step, loss, PSNR, steps per second and time left; plain lines without a terminal."""
+    """A progress bar with phase, step, elapsed time, loss, PSNR, rate, the last held-out PSNR and time left;
+    plain lines without a terminal."""
 
     def __init__(self, console: Console, live: bool = True) -> None:
         self.console = console
         self.progress = Progress(
-            TextColumn("training"),
-            BarColumn(),
+            TextColumn("{task.fields[phase]}"),
+            BarColumn(max(8, min(40, console.width - BESIDE))),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[status]}  left"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[status]}"),
             TimeRemainingColumn(),
+            TextColumn("left"),
             console=console,
             disable=not live or not console.is_terminal,
         )
         self.every = 0
+        self.held_out_text = ""
 
     def begin(self, path: Path, step: int, steps: int) -> None:
         line = f"run {path}" + (f", resuming at step {step}" if step else "")
         self.console.print(line, highlight=False, markup=False, soft_wrap=True)
         self.every = max(1, steps // 10)
         self.steps = steps
-        self.task = self.progress.add_task("training", total=steps, completed=step, status="")
+        self.started = time.monotonic()
+        self.task = self.progress.add_task("training", total=steps, completed=step, status="", phase="compile")
         self.progress.start()
+
+    def phase(self, name: str) -> None:
+        self.progress.update(self.task, phase=name)
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
         values = [
@@ -44,10 +56,20 @@ class LiveDisplay(Display):
             for key in ("loss", "psnr")
             if f"train/{key}" in metrics
         ]
-        status = "  ".join([*values, f"{1e3 / metrics['time/step_ms']:.1f} steps/s"])
+        parts = [*values, f"{1e3 / metrics['time/step_ms']:.1f} steps/s", self.held_out_text]
+        status = "  ".join(filter(None, parts))
         self.progress.update(self.task, completed=step, status=status)
         if self.progress.disable and step % self.every == 0:
-            self.console.print(f"step {step}/{self.steps}  {status}", highlight=False)
+            elapsed = duration(time.monotonic() - self.started)
+            self.console.print(f"step {step}/{self.steps}  {elapsed}  {status}", highlight=False, soft_wrap=True)
+
+    def held_out(self, step: int, metric: str, value: float | str | None, views: str) -> None:
+        item = metric_of(metric)
+        text = measured(value, item, unit=True)
+        self.held_out_text = f"held out {text} ({views})" if views else text
+        self.note(
+            f"step {step}: held-out {item.label} {text}, {views}" if views else f"step {step}: {item.label} {text}"
+        )
 
     def note(self, text: str) -> None:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)

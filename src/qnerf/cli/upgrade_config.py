@@ -25,10 +25,19 @@ from qnerf.records import StoreError, read_config, read_status
 
 if TYPE_CHECKING:
     from qnerf.experiment import Outcome
+    from qnerf.probes import Trained
     from qnerf.scenes import Scene
     from qnerf.signals import Signal
 
-CHANGEABLE = ("threads", "device", "run.progress", "run.debug", "numerics.finite_checks", "scene.path")
+CHANGEABLE = (
+    "threads",
+    "device",
+    "run.progress",
+    "run.preview_seconds",
+    "run.debug",
+    "numerics.finite_checks",
+    "scene.path",
+)
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
 GROUPS = {
     **{group: group for group in ("encoder", "scene", "sampler", "shading", "cameras", "train")},
@@ -100,6 +109,22 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
         return experiment.run(config, (), display, output_lost, name=name)
     except Diverged as error:
         raise ValueError(str(error)) from error
+
+
+def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = True) -> "Trained":
+    """The model of a run's last checkpoint, with its scene.
+
+    unfinished: also of a run that is being trained or was interrupted.
+
+    Raises:
+        ValueError: as for `stored`, `check_identity` and `qnerf.probes.load`.
+    """
+    from qnerf.probes import load, require_loadable
+
+    require_loadable(run, unfinished=unfinished)
+    trained = load(run, stored(run, overrides)[0], unfinished=unfinished)
+    check_identity(run, trained.scene, trained.settings.scene.get("path"))
+    return trained
 
 
 def check_identity(run: Path, scene: "Scene | Signal", path: str | Path | None) -> None:

@@ -132,6 +132,7 @@ class Run:
 
     force: bool
     progress: bool
+    preview_seconds: Annotated[float, Interval(ge=0, le=1e9)]  # between two preview pictures; 0: none
     debug: bool
 
 

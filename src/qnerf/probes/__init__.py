@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from qnerf.probes import cost, encoding, rays, spectrum, units
-from qnerf.probes.trained import Trained, load
+from qnerf.probes.trained import Trained, load, require_loadable
 from qnerf.records.files import replace
 
 PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
@@ -31,4 +31,4 @@ def probe(trained: Trained, name: str) -> Path:
     return path
 
 
-__all__ = ["PROBES", "Trained", "load", "probe"]
+__all__ = ["PROBES", "Trained", "load", "probe", "require_loadable"]

@@ -1,12 +1,13 @@
-"""A finished run's scene and model, as training left them."""
+"""A run's scene and model, as its last checkpoint has them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
+from qnerf.config.compatibility import fill_added
 from qnerf.config.plugins import check_plugins
 from qnerf.config.settings import Settings
 from qnerf.experiment import build_model, prepare, ray_table
@@ -15,7 +16,7 @@ from qnerf.model.model import Model
 from qnerf.quantum import QuantumLayer
 from qnerf.records import read_config, state
 from qnerf.records.checkpoints import load_archive
-from qnerf.records.files import reporting
+from qnerf.records.files import exists, reporting
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.state_checks import check_integer, check_model, largest_state
@@ -23,13 +24,35 @@ from qnerf.training.state_checks import check_integer, check_model, largest_stat
 
 @dataclass(frozen=True)
 class Trained:
-    """A finished run. The model is in evaluation mode, on the run's device and in its dtype."""
+    """A run. The model is in evaluation mode, on the run's device and in its dtype."""
 
     folder: Path
     settings: Settings
     scene: Scene
     model: Model
     step: int
+
+    def reloaded(self) -> "Trained":
+        """The same run with what its checkpoint holds now; the model is changed in place.
+
+        Raises:
+            ValueError: the checkpoint cannot be read or is not of this run. The model stays as it is.
+        """
+        path, model, steps = self.folder / "checkpoint.pt", self.model, self.settings.train.steps
+        with reporting(path, "read"):
+            try:
+                checkpoint = load_archive(path, largest_state(model, steps))
+                step = checkpoint["step"]
+                check_integer("step", step, 0, steps)
+                check_model(checkpoint["model"], model.state_dict(), finite=True)
+            except (OSError, MemoryError):
+                raise
+            except Exception as error:  # a damaged archive can raise anything
+                reason = error if isinstance(error, ValueError) else type(error).__name__
+                raise ValueError(f"{path}: expected the checkpoint of this run, got another: {reason}") from error
+        model.load_state_dict(checkpoint["model"])
+        model.field.encoder.progress = step / steps
+        return replace(self, step=step)
 
     @property
     def heads(self) -> dict[str, nn.Module]:
@@ -53,38 +76,33 @@ def circuits_of(head: nn.Module) -> dict[str, QuantumLayer]:
     return {name: module for name, module in head.named_modules() if isinstance(module, QuantumLayer)}
 
 
-def load(run: str | Path, config: Mapping[str, Any] | None = None) -> Trained:
+def require_loadable(folder: Path, *, unfinished: bool = False) -> None:
+    """ValueError unless the folder is a finished run; unfinished: a run with a checkpoint."""
+    if not (folder / "config.yaml").is_file():
+        raise ValueError(f"{folder} is not a run: it has no config.yaml")
+    if not unfinished and state(folder) != "finished":
+        raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
+    if unfinished and not exists(folder / "checkpoint.pt"):
+        raise ValueError(f"{folder}: this run is {state(folder)} and has no checkpoint")
+
+
+def load(run: str | Path, config: Mapping[str, Any] | None = None, *, unfinished: bool = False) -> Trained:
     """Builds the run's scene and model and loads its last checkpoint.
 
     Args:
         run: the run's folder.
         config: the configuration to use if the stored one is from an older version; None for the stored one.
+        unfinished: take also the checkpoint of a run that is being trained, or was interrupted.
 
     Raises:
-        ValueError: not a finished run, or its scene or checkpoint cannot be read.
+        ValueError: not a finished run, one without a checkpoint, or its scene or checkpoint cannot be read.
     """
     folder = Path(run)
-    if not (folder / "config.yaml").is_file():
-        raise ValueError(f"{folder} is not a run: it has no config.yaml")
-    if state(folder) != "finished":
-        raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
+    require_loadable(folder, unfinished=unfinished)
     if config is None:
         config = read_config(folder)
+        fill_added(config)
         check_plugins(folder, config.get("plugins", []), ())
     _, settings, scene = prepare(config)
-    model = build_model(settings, scene)
-    path = folder / "checkpoint.pt"
-    with reporting(path, "read"):
-        try:
-            checkpoint = load_archive(path, largest_state(model, settings.train.steps))
-            step = checkpoint["step"]
-            check_integer("step", step, 0, settings.train.steps)
-            check_model(checkpoint["model"], model.state_dict(), finite=True)
-        except (OSError, MemoryError):
-            raise
-        except Exception as error:  # a damaged archive can raise anything
-            reason = error if isinstance(error, ValueError) else type(error).__name__
-            raise ValueError(f"{path}: expected the checkpoint of this run, got another: {reason}") from error
-    model.load_state_dict(checkpoint["model"])
-    model.field.encoder.progress = step / settings.train.steps
-    return Trained(folder, settings, scene, model.eval(), step)
+    trained = Trained(folder, settings, scene, build_model(settings, scene).eval(), 0)
+    return trained.reloaded()

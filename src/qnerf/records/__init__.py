@@ -9,6 +9,8 @@
       eval.parquet         one row per evaluated image
       summary.parquet      one row: final metrics, parameter counts, timings, the flat configuration
       images/  log.txt     pictures and messages
+      preview.png          truth, rendering, error and depth of one view, from while it trains
+      dataparser_transforms.json  from the scene's own world to the normalised one, as nerfstudio writes it
       checkpoint.pt        and the one before it, checkpoint.prev.pt
       annotations.json     tags and note
       owner/               who may write (`owner.py`)

@@ -236,22 +236,34 @@ class Run:
             if read_bytes(path, MAX_FILE_BYTES) == data and known_diff == diff.encode():
                 return
 
+    def write_transform(self, similarity: np.ndarray) -> None:
+        """dataparser_transforms.json, as nerfstudio writes it: how the source's world became the normalised one.
+
+        `transform` is a rigid motion (3, 4), which comes first, and `scale` the factor after it.
+        similarity: (4, 4).
+        """
+        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+        content = {"transform": (similarity[:3] / scale).tolist(), "scale": scale}
+        self._write("dataparser_transforms.json", (json.dumps(content, indent=1) + "\n").encode())
+
     def save_image(self, name: str, image: np.ndarray) -> None:
         """images/<name>.png from (H, W), (H, W, 3) or (H, W, 4) uint8."""
-        from PIL import Image
-
         if not name or Path(name).name != name or name.startswith("."):
             raise ValueError(f"save_image: expected a plain file name, got {name!r}")
-        if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (3, 4))):
-            raise ValueError(f"save_image: expected (H, W[, 3 or 4]) uint8, got {image.shape} {image.dtype}")
         file = name if name.endswith(".png") else f"{name}.png"
-        data = io.BytesIO()
-        Image.fromarray(image).save(data, format="PNG")
+        data = _png(image)
         with self._io:
             self._ownership.check()
             with reporting(self.dir / "images"):
                 make_folder(self.dir / "images")
-            self._replace(self.dir / "images" / file, data.getvalue(), temporary_folder=self.dir, durable=False)
+            self._replace(self.dir / "images" / file, data, temporary_folder=self.dir, durable=False)
+
+    def save_preview(self, image: np.ndarray) -> None:
+        """preview.png, the state of a view while the run trains."""
+        data = _png(image)
+        with self._io:
+            self._ownership.check()
+            self._replace(self.dir / "preview.png", data, durable=False)
 
     def text_log(self, line: str) -> None:
         """Appends the local time and the line to log.txt."""
@@ -393,6 +405,16 @@ class Run:
             self._status |= {"run_id": self.run_id, "step": self._step, "heartbeat": time.time()}
             data = (json.dumps(self._status, indent=1) + "\n").encode()
             self._replace(self.dir / "status.json", data, durable=durable)
+
+
+def _png(image: np.ndarray) -> bytes:
+    from PIL import Image
+
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (3, 4))):
+        raise ValueError(f"save_image: expected (H, W[, 3 or 4]) uint8, got {image.shape} {image.dtype}")
+    data = io.BytesIO()
+    Image.fromarray(image).save(data, format="PNG")
+    return data.getvalue()
 
 
 def _metrics_table(keys: Sequence[str], steps: array, times: array, key_numbers: array, values: array) -> pa.Table:

@@ -143,6 +143,17 @@ SCENES: Registry[Any] = Registry("scene")
 """Name -> what makes a `Scene`, or a signal (`qnerf.signals`)."""
 
 
+def even_subset(items: int, limit: int | None) -> list[int]:
+    """At most `limit` of range(items), evenly spread; None: all.
+
+    >>> even_subset(9, 3)
+    [1, 4, 7]
+    """
+    if limit is None or limit >= items:
+        return list(range(items))
+    return [int((2 * index + 1) * items / (2 * limit)) for index in range(limit)]
+
+
 def split_views(views: int, every: int | None = None) -> tuple[list[int], list[int]]:
     """Indices of training and evaluation views: 90 % train, evenly spread, and at least one view evaluates.
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 from qnerf.config.bounds import Count, PositiveInt
-from qnerf.scenes.base import SCENES, Scene
+from qnerf.scenes.base import SCENES, Scene, even_subset
 from qnerf.scenes.folders import find_file
 from qnerf.scenes.loading import load_scene
 from qnerf.scenes.transforms import read_frames, with_images
@@ -47,14 +47,3 @@ def blender(
     return load_scene(
         "blender", folder, frames, list(range(count)), evaluated, downscale, width, recentre=False, bounds=BOUNDS
     )
-
-
-def even_subset(items: int, limit: int | None) -> list[int]:
-    """At most `limit` of range(items), evenly spread; None: all.
-
-    >>> even_subset(9, 3)
-    [1, 4, 7]
-    """
-    if limit is None or limit >= items:
-        return list(range(items))
-    return [int((2 * index + 1) * items / (2 * limit)) for index in range(limit)]

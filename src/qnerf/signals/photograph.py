@@ -50,7 +50,8 @@ class Photograph(Signal):
         held_out: Annotated[float, Interval(ge=0, le=0.9)] = 0.0,
     ) -> None:
         file = picture_file(path)
-        images, hashes = read_images(file.parent, [open_header(file.parent, file.name, file)], 1)
+        header = open_header(file.parent, file.name, file)
+        images, hashes = read_images(file.parent, [header], [(header.width, header.height)], 1)
         image = Image.fromarray(images[0, ..., :3])
         self.name = Path(path).name
         self.fingerprint = hashes[0]

@@ -83,6 +83,10 @@ class SignalEvaluator:
         self.model.train(training)
         yield FittedView(0, panels), {"image": self.scene.name, **measured}
 
+    def preview(self, step: int) -> np.ndarray:
+        ((view, _),) = self.views([0], step)
+        return self.picture(view)
+
     def picture(self, view: FittedView) -> np.ndarray:
         """truth | fit | error as one image (h, w, 3) uint8."""
         return beside(view.panels)

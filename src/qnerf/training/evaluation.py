@@ -1,6 +1,7 @@
 """Held-out views of a model: rendered, measured, drawn."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,8 +15,10 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.image_metrics import Comparison, measure
+from qnerf.types import Rays
 
 MAX_PIXELS = 2**22  # of a depth map, evenly spread, from which its percentiles are computed
+MAX_PREVIEW = 2**14  # rays; a larger view is rendered in every second, third, ... row and column
 MAX_WIDTH = 2**13  # pixels; a picture is not enlarged beyond it
 
 
@@ -27,6 +30,35 @@ class RenderedView:
     color: Tensor  # (H, W, 3) in [0, 1]
     depth: Tensor  # (H, W) median distance, world units
     accumulation: Tensor  # (H, W)
+    stride: int = 1  # of the rows and columns that were rendered: H and W count these
+
+
+Tile = tuple[Tensor, Tensor, Tensor]
+"""Of R rays: colours (R, 3) in [0, 1], median depth (R,) in world units, accumulation (R,). On the CPU."""
+
+
+@torch.no_grad()
+def tiles_of(
+    model: Model,
+    rays: Callable[[slice], Rays],
+    count: int,
+    chunk: int,
+    background: str,
+    step: int,
+    watch: Stopwatch,
+) -> Iterator[Tile]:
+    """Renders `count` rays, `chunk` at a time, so that memory does not grow with the picture.
+
+    Args:
+        model: in evaluation mode.
+        rays: returns a part of the rays.
+        background: of evaluation, see `evaluation_background`.
+        step: of the schedules.
+    """
+    for start in range(0, count, chunk):
+        part = rays(slice(start, min(start + chunk, count)))
+        rendering, _, _ = model(part, background=background, step=step, watch=watch)
+        yield rendering.color.clamp(0, 1).cpu(), rendering.depth_median.cpu(), rendering.accumulation.cpu()
 
 
 class Evaluator:
@@ -41,8 +73,8 @@ class Evaluator:
         self.watch = watch
 
     @torch.no_grad()
-    def render(self, view: int, step: int) -> RenderedView:
-        """The view at full resolution, `chunk` rays at a time."""
+    def render(self, view: int, step: int, stride: int = 1) -> RenderedView:
+        """The view, `chunk` rays at a time; every `stride`-th row and column of it."""
         training = self.model.training
         self.model.eval()
         self.watch.begin(measure=False)
@@ -50,16 +82,15 @@ class Evaluator:
         rays = self.table.view(view, refinement)
         if refinement is None:  # a held-out view has no appearance vector
             rays = replace(rays, cameras=torch.full_like(rays.cameras, -1))
-        pieces = []
-        for start in range(0, len(rays), self.chunk):
-            part = rays[start : start + self.chunk]
-            rendering, _, _ = self.model(part, background=self.background, step=step, watch=self.watch)
-            pieces.append((rendering.color.clamp(0, 1), rendering.depth_median, rendering.accumulation))
-        self.model.train(training)
-        color, depth, accumulation = (torch.cat(column).cpu() for column in zip(*pieces, strict=True))
         width, height = self.scene.cameras.size(view)
+        if stride > 1:
+            numbers = torch.arange(len(rays), device=rays.origins.device).view(height, width)[::stride, ::stride]
+            (height, width), rays = numbers.shape, rays[numbers.flatten()]
+        tiles = tiles_of(self.model, rays.__getitem__, len(rays), self.chunk, self.background, step, self.watch)
+        color, depth, accumulation = (torch.cat(column) for column in zip(*tiles, strict=True))
+        self.model.train(training)
         return RenderedView(
-            view, color.view(height, width, 3), depth.view(height, width), accumulation.view(height, width)
+            view, color.view(height, width, 3), depth.view(height, width), accumulation.view(height, width), stride
         )
 
     def truth(self, view: int) -> Tensor:
@@ -84,11 +115,18 @@ class Evaluator:
 
         A view lower than `min_height` pixels is enlarged by a whole factor, unless the picture would become too wide.
         """
-        truth = self.truth(rendered.view)
-        error = ((rendered.color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
+        truth = self.truth(rendered.view)[:: rendered.stride, :: rendered.stride]
+        error = shade_error(rendered.color, truth)
         if (valid := self.scene.valid(rendered.view)) is not None:
-            error = error * valid[..., None]
+            error = error * valid[:: rendered.stride, :: rendered.stride, None]
         return beside([truth, rendered.color, error, shade(rendered.depth)], min_height)
+
+    def preview(self, step: int) -> np.ndarray:
+        """The picture of the middle one of the held-out views, of at most `MAX_PREVIEW` rays."""
+        view = self.scene.eval[len(self.scene.eval) // 2]
+        width, height = self.scene.cameras.size(view)
+        stride = math.ceil(math.sqrt(max(height * width / MAX_PREVIEW, 1)))
+        return self.picture(self.render(view, step, stride))
 
 
 def beside(panels: list[Tensor], min_height: int = 240) -> np.ndarray:
@@ -107,10 +145,21 @@ def colormap() -> Any:
     return matplotlib.colormaps["magma"]
 
 
-def shade(depth: Tensor) -> Tensor:
-    """Depth (H, W) -> (H, W, 3) in [0, 1]: inverse depth between its 2nd and 98th percentile, near bright."""
+def shade_error(color: Tensor, truth: Tensor) -> Tensor:
+    """Four times the mean absolute error of the channels as a grey picture (H, W, 3) in [0, 1]."""
+    return ((color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
+
+
+def depth_range(depth: Tensor) -> tuple[float, float]:
+    """The 2nd and the 98th percentile of the inverse depth, 1 / world units."""
     inverse = 1 / depth.clamp(min=1e-3)
     sample = inverse.flatten()[:: -(-inverse.numel() // MAX_PIXELS)]
-    low, high = torch.quantile(sample, torch.tensor([0.02, 0.98], dtype=inverse.dtype))
-    scaled = ((inverse - low) / (high - low).clamp(min=1e-6)).clamp(0, 1)
+    low, high = torch.quantile(sample, torch.tensor([0.02, 0.98], dtype=inverse.dtype)).tolist()
+    return low, high
+
+
+def shade(depth: Tensor, between: tuple[float, float] | None = None) -> Tensor:
+    """Depth (H, W) -> (H, W, 3) in [0, 1]: inverse depth between two values, near bright; by default `depth_range`."""
+    low, high = depth_range(depth) if between is None else between
+    scaled = ((1 / depth.clamp(min=1e-3) - low) / max(high - low, 1e-6)).clamp(0, 1)
     return torch.from_numpy(colormap()(scaled.numpy())[..., :3])

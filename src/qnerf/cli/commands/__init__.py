@@ -23,11 +23,15 @@ GROUPS = {
         "diff": "what differs between two runs: configuration, environment, metrics",
         "watch": "a run, or the whole store, refreshed while it trains",
     },
+    "look at a trained model": {
+        "render": "a video along a path of the camera",
+        "view": "look around in the browser, also while it trains",
+    },
     "organise runs": {
         "tag": "add or remove a run's tags",
         "note": "read or write a run's note",
         "rm": "delete runs",
-        "export": "copy runs to MLflow, TensorBoard or CSV",
+        "export": "copy runs to MLflow, TensorBoard or CSV; points or a mesh of a model",
     },
     "measure a trained model": {
         "probe": "finite shots, noisy gates, spectra, encodings, ray samples, dead units",

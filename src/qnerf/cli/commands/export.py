@@ -1,4 +1,4 @@
-"""`qnerf export RUN... --to mlflow|tensorboard|csv`."""
+"""`qnerf export RUN... --to mlflow|tensorboard|csv|points|mesh`."""
 
 import argparse
 import importlib
@@ -7,21 +7,45 @@ from types import ModuleType
 
 from qnerf.cli.commands import add_many_runs
 from qnerf.cli.errors import report
+from qnerf.cli.numbers import count, number
 from qnerf.records import StoreError, find
 from qnerf.records.printable import printable
 
-TARGETS = ("mlflow", "tensorboard", "csv")
+TARGETS = ("mlflow", "tensorboard", "csv", "points", "mesh")
+GEOMETRY = ("points", "mesh")
+OF_GEOMETRY = {"points": GEOMETRY, "within": GEOMETRY, "cells": ("mesh",), "level": ("mesh",)}
+"""Option -> the targets that take it."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Copies runs to MLflow, TensorBoard or CSV files; a second export updates the copies."
+    parser.description = (
+        "Copies runs to MLflow, TensorBoard or CSV files; a second export updates the copies. Or writes the "
+        "geometry of their models as PLY files in the coordinates of transforms.json: points where the training rays "
+        "end, or a mesh."
+    )
     add_many_runs(parser)
     parser.add_argument("--to", required=True, choices=TARGETS, help="where the copies go")
-    parser.add_argument(
-        "--out", metavar="DIR", help="tensorboard, csv: a folder (default: exports/tensorboard, .../csv)"
-    )
+    parser.add_argument("--out", metavar="DIR", help="a folder, but for mlflow (default: exports/csv, ...)")
     parser.add_argument("--uri", help="mlflow: tracking server or database (default: MLflow's own)")
     parser.add_argument("--experiment", metavar="NAME", help="mlflow: experiment to put the runs into (default: qnerf)")
+    parser.add_argument("--points", type=count, metavar="N", help="points, mesh: training rays (default: 1,000,000)")
+    parser.add_argument(
+        "--within", type=number(0, 1e6, above=True), metavar="R",
+        help="points, mesh: largest coordinate in normalised world units, of which the cameras fill 1 (default: 4)",
+    )  # fmt: skip
+    parser.add_argument("--cells", type=cells, metavar="N", help="mesh: of the grid's longest side (default: 192)")
+    parser.add_argument(
+        "--level", type=number(0, 1e9, above=True), metavar="DENSITY",
+        help="mesh: density of its surface (default: half of the light is absorbed within 5 %% of the longest side)",
+    )  # fmt: skip
+
+
+def cells(text: str) -> int:
+    """A grid's size along one side."""
+    value = count(text)
+    if not 2 <= value <= 4096:
+        raise argparse.ArgumentTypeError(f"expected a number of cells from 2 to 4096, got {text!r:.60}")
+    return value
 
 
 def main(options: argparse.Namespace) -> int:
@@ -30,7 +54,12 @@ def main(options: argparse.Namespace) -> int:
         raise ValueError("--out is for tensorboard and csv; mlflow takes --uri")
     if target != "mlflow" and (options.uri or options.experiment) is not None:
         raise ValueError(f"--uri and --experiment are for mlflow; {target} takes --out")
-    folders = [find(name, options.store) for name in options.runs]
+    for name, targets in OF_GEOMETRY.items():
+        if getattr(options, name) is not None and target not in targets:
+            raise ValueError(f"--{name} is for {' and '.join(targets)}")
+    folders = [find(name, options.store) for name in options.runs if not name.startswith("plugins=")]
+    if target in GEOMETRY:
+        return _geometry(folders, options)
     exporter = _exporter(target)
     from qnerf.export.content import read
 
@@ -49,6 +78,28 @@ def main(options: argparse.Namespace) -> int:
     if target == "tensorboard":
         print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
     return code
+
+
+def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
+    """Writes `<out>/<run id>.ply` of each run."""
+    from qnerf.cli.upgrade_config import load_stored
+    from qnerf.viewing import ply, surfaces
+    from qnerf.viewing.frames import Renderer
+
+    out = Path(options.out or f"exports/{options.to}")
+    for folder in folders:
+        trained = load_stored(folder, [name for name in options.runs if name.startswith("plugins=")])
+        renderer = Renderer(trained)
+        hits = surfaces.ray_ends(renderer, options.points or surfaces.RAYS, options.within or surfaces.WITHIN)
+        if options.to == "points":
+            surface = surfaces.cloud(hits)
+        else:
+            surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level)
+        file = out / f"{folder.name}.ply"
+        ply.write(file, surfaces.world(trained, surface))
+        triangles = "" if surface.faces is None else f", {len(surface.faces):,} triangles"
+        print(f"{folder.name}: step {trained.step:,}, {len(surface.points):,} points{triangles} -> {printable(file)}")
+    return 0
 
 
 def _exporter(target: str) -> ModuleType:

@@ -4,9 +4,9 @@ import argparse
 from typing import Any
 
 from qnerf.cli.commands import add_run
-from qnerf.cli.upgrade_config import check_identity, stored
+from qnerf.cli.upgrade_config import load_stored
 from qnerf.config.bounds import NonNegativeInt, PositiveInt, Share, check
-from qnerf.records import find, state
+from qnerf.records import find
 
 PROBES = ("spectrum", "encoding", "rays", "units", "cost")
 DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
@@ -37,13 +37,12 @@ def main(options: argparse.Namespace) -> None:
     _check(names, settings)
     conditions, views = _conditions(settings) if settings or not names else (None, 0)
 
-    from qnerf.probes import load, probe
+    from qnerf.probes import probe
     from qnerf.probes.cost import RATE, SHOTS
     from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
     from qnerf.records.read import read_probe
 
-    trained = load(run, stored(run, repeated)[0] if state(run) == "finished" else None)
-    check_identity(run, trained.scene, trained.settings.scene.get("path"))
+    trained = load_stored(run, repeated, unfinished=False)
     for name in names:
         path = probe(trained, name)
         print(path)

@@ -1,0 +1,112 @@
+"""`qnerf render RUN --path orbit|spiral|interpolate|FILE`."""
+
+import argparse
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.progress import track
+
+from qnerf.cli.commands import add_plugins, add_run
+from qnerf.cli.numbers import number
+from qnerf.cli.text import console, count, duration
+from qnerf.records import find
+from qnerf.records.printable import printable
+
+if TYPE_CHECKING:
+    from qnerf.geometry.camera_paths import Camera
+    from qnerf.probes import Trained
+    from qnerf.viewing.frames import Renderer
+
+NAMES = ("orbit", "spiral", "interpolate")
+LONGER_SIDE = 256  # pixels
+MAX_SIDE, MAX_FRAMES = 16_384, 100_000
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Renders a video of a run's model: of its last checkpoint, if the run is not finished. The name of --out "
+        "decides the format: .webp, .mp4 (needs the extra view), or without an ending a folder of PNG files."
+    )
+    add_run(parser)
+    add_plugins(parser)
+    parser.add_argument(
+        "--path", default="interpolate", metavar="PATH",
+        help="orbit (around what the cameras look at), spiral (around one camera), interpolate (through the training "
+        "cameras), or a file: a camera path of nerfstudio (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--coordinates", choices=("model", "world"),
+        help="of the file: the normalised world, as viewers write it, or that of transforms.json (default: model)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--size", type=size, metavar="WxH", help="pixels (default: as the photographs, longer side 256)"
+    )
+    parser.add_argument("--frames", type=frames, metavar="N", help="number of pictures of a path (default: 120)")
+    parser.add_argument("--fps", type=number(1, 240), default=24.0, metavar="N", help="frames a second (default: 24)")
+    parser.add_argument(
+        "--what", choices=("color", "depth"), default="color", help="default: %(default)s; near is bright"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="default: renders/RUN-PATH.webp")
+
+
+def size(text: str) -> tuple[int, int]:
+    """`128x72` -> (128, 72)."""
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if match is None or max(map(int, match.groups())) > MAX_SIDE:
+        raise argparse.ArgumentTypeError(f"expected a size such as 128x72, at most {MAX_SIDE} a side, got {text!r:.60}")
+    return int(match[1]), int(match[2])
+
+
+def frames(text: str) -> int:
+    """A number of frames."""
+    if not re.fullmatch(r"[1-9]\d{0,5}", text) or int(text) > MAX_FRAMES:
+        raise argparse.ArgumentTypeError(f"expected a number of frames from 1 to {MAX_FRAMES:,}, got {text!r:.60}")
+    return int(text)
+
+
+def main(options: argparse.Namespace) -> None:
+    run = find(options.run, options.store)
+    is_file = options.path not in NAMES
+    if is_file and not Path(options.path).is_file():
+        raise ValueError(f"--path: expected {', '.join(NAMES)} or a file, got {options.path!r:.200}, which is no file")
+    if is_file and options.frames:
+        raise ValueError("--frames: a file says how many frames there are")
+    if options.coordinates and not is_file:
+        raise ValueError("--coordinates is for a path from a file")
+
+    from qnerf.cli.upgrade_config import load_stored
+    from qnerf.viewing import video
+    from qnerf.viewing.frames import Renderer
+
+    name = Path(options.path).stem if is_file else options.path
+    out = options.out or Path("renders") / f"{run.name}-{name}{'-depth' * (options.what == 'depth')}.webp"
+    trained = load_stored(run, options.plugins)
+    renderer = Renderer(trained)
+    cameras = cameras_of(trained, renderer, options)
+    width, height = cameras[0].width, cameras[0].height
+    video.check(out, width, height, len(cameras))
+    start, screen = time.monotonic(), console()
+    pictures = renderer.pictures(cameras, options.what)
+    shown = track(pictures, "rendering", len(cameras), console=screen, disable=not screen.is_terminal)
+    video.write(out, shown, options.fps)
+    frame_text = f"{count(len(cameras))} frames of {width} x {height}, {len(cameras) / options.fps:.1f} s of video"
+    took = f"step {count(trained.step)}, rendered in {duration(time.monotonic() - start)}"
+    print(f"{frame_text}, {took} -> {printable(out)}")
+
+
+def cameras_of(trained: "Trained", renderer: "Renderer", options: argparse.Namespace) -> "list[Camera]":
+    """The cameras of the path that the user asked for."""
+    from qnerf.geometry.camera_paths import PATHS, Camera, read_path
+
+    scene = trained.scene
+    wide, high = (2 * float(side[scene.train].median()) for side in (scene.cameras.cx, scene.cameras.cy))
+    usual = (round(length * LONGER_SIDE / max(wide, high) / 2) * 2 for length in (wide, high))
+    width, height = options.size or tuple(max(2, side) for side in usual)
+    focal = renderer.focal(width, height)
+    if options.path not in NAMES:
+        transform = scene.transform.numpy() if options.coordinates == "world" else None
+        return read_path(Path(options.path), width, height, focal, transform)
+    poses = PATHS[options.path](scene.cameras.poses.numpy()[scene.train], options.frames or 120)
+    return [Camera(pose, focal, width, height) for pose in poses]

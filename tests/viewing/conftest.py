@@ -1,0 +1,52 @@
+"""One small finished run, shared by the tests of this folder."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+
+from qnerf.experiment import run
+from qnerf.probes import Trained, load
+from qnerf.viewing.frames import Renderer
+from tests.helpers.configs import TINY, composed
+from tests.helpers.scenes import write_scene
+
+CENTRE, RADIUS = torch.tensor([0.1, -0.05, 0.0]), 0.4
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("viewing")
+    scene = write_scene(folder / "scene", width=12, height=8)
+    options = [
+        "hash=C7",
+        "train.steps=3",
+        "train.rays=8",
+        "train.eval_every=0",
+        "device=cpu",
+        f"store={folder / 'runs'}",
+    ]
+    return run(composed("scene=nerfstudio", f"scene.path={scene}", *TINY, *options)).path
+
+
+@pytest.fixture(scope="session")
+def trained(tiny_run: Path) -> Trained:
+    return load(tiny_run)
+
+
+@pytest.fixture
+def ball(trained, monkeypatch) -> Renderer:
+    """The tiny run's renderer with a field that is a coloured ball, dense inside."""
+    field = trained.model.field
+
+    def geometry(points, *, last=True):
+        density = 4000 * torch.sigmoid(60 * (RADIUS - (points - CENTRE).norm(dim=-1)))
+        return density, points, None
+
+    monkeypatch.setattr(field, "geometry", geometry)
+    monkeypatch.setattr(field, "color", lambda points, *_: (points + 1) / 2)
+    settings = dataclasses.replace(
+        trained.settings, render=dataclasses.replace(trained.settings.render, background="white")
+    )
+    return Renderer(dataclasses.replace(trained, settings=settings))

@@ -1,0 +1,150 @@
+"""`qnerf render`: frames against the evaluator's, files in each format, mistakes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from qnerf.cli import main
+from qnerf.cli.commands import render
+from qnerf.geometry.camera_paths import PATHS, Camera
+from qnerf.training.evaluation import Evaluator
+from qnerf.viewing import video
+from qnerf.viewing.frames import Renderer
+
+
+def pictures(count: int = 4, width: int = 6, height: int = 4):
+    for number in range(count):
+        yield np.full((height, width, 3), 40 * number, np.uint8)
+
+
+def test_a_frame_from_a_held_out_camera_is_the_evaluator_s(trained):
+    renderer, view = Renderer(trained), trained.scene.eval[0]
+    pose = trained.scene.cameras.poses[view].numpy()
+    evaluator = Evaluator(
+        trained.scene, renderer.table, trained.model,
+        background=trained.settings.render.background, chunk=17, watch=renderer.watch,
+    )  # fmt: skip
+    theirs, mine = evaluator.render(view, trained.step), renderer.frame(Camera(pose, 8.0, 12, 8))
+    torch.testing.assert_close(mine.color, theirs.color)
+    torch.testing.assert_close(mine.depth, theirs.depth)
+    part = evaluator.render(view, trained.step, stride=3)
+    torch.testing.assert_close(part.color, theirs.color[::3, ::3])
+    assert evaluator.picture(part).shape[:2] == (3 * 80, 4 * 4 * 80)
+
+
+def test_rendering_stops_between_tiles(trained):
+    renderer = Renderer(trained)
+    renderer.chunk = 10
+    calls: list[int] = []
+    camera = Camera(trained.scene.cameras.poses[0].numpy(), 8.0, 12, 8)
+    assert renderer.frame(camera, lambda: len(calls) >= 3 or bool(calls.append(1))) is None
+    assert len(calls) == 3
+
+
+def test_all_formats_hold_all_frames(tmp_path):
+    for name in ("a.webp", "frames"):
+        video.check(tmp_path / name, 6, 4, 4)
+        video.write(tmp_path / name, pictures(), 10)
+    with Image.open(tmp_path / "a.webp") as image:
+        assert (image.n_frames, image.size) == (4, (6, 4))
+        image.seek(3)
+        assert abs(int(np.asarray(image.convert("RGB")).mean()) - 120) < 4
+        assert image.info["duration"] == 100
+    files = sorted((tmp_path / "frames").iterdir())
+    assert [file.name for file in files] == [f"{number:05}.png" for number in range(4)]
+    assert np.array_equal(np.asarray(Image.open(files[2])), list(pictures())[2])
+
+
+def test_an_mp4_holds_all_frames(tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    video.check(tmp_path / "a.mp4", 6, 4, 4)
+    video.write(tmp_path / "a.mp4", pictures(), 10)
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
+    assert (frames, seconds) == (4, pytest.approx(0.4))
+
+
+def test_sizes_that_a_format_cannot_hold_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="an even width and height, got 3 x 4"):
+        video.check(tmp_path / "a.mp4", 3, 4, 1)
+    with pytest.raises(ValueError, match="at most 16,383 pixels a side"):
+        video.check(tmp_path / "a.webp", 16_384, 4, 1)
+
+
+@pytest.mark.parametrize("name", ["a.webp", "a.mp4", "frames"])
+def test_a_rendering_that_fails_leaves_nothing(tmp_path, name):
+    if name == "a.mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+
+    def failing():
+        yield from pictures(2)
+        raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        video.write(tmp_path / name, failing(), 10)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_videos_of_colour_and_depth(tiny_run, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for what in ("color", "depth"):
+        arguments = [str(tiny_run), "--path", "orbit", "--size", "10x6", "--frames", "2", "--what", what]
+        assert main.dispatch("render", arguments) == 0
+    assert "2 frames of 10 x 6, 0.1 s of video, step 3" in capsys.readouterr().out
+    (color, depth) = sorted((tmp_path / "renders").iterdir())
+    assert (color.name, depth.name) == (f"{tiny_run.name}-orbit-depth.webp", f"{tiny_run.name}-orbit.webp")
+    with Image.open(color) as one, Image.open(depth) as other:
+        assert one.n_frames == other.n_frames == 2
+        assert not np.array_equal(np.asarray(one.convert("RGB")), np.asarray(other.convert("RGB")))
+
+
+def test_a_path_from_a_file_renders_what_it_says(tiny_run, trained, tmp_path):
+    """A frame of transforms.json, given in the world of that file, is the held-out view."""
+    scene = Path(trained.settings.scene["path"])
+    matrix = json.loads((scene / "transforms.json").read_text())["frames"][trained.scene.eval[0]]["transform_matrix"]
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps({"camera_path": [{"camera_to_world": np.ravel(matrix).tolist()}]}))
+    arguments = [str(tiny_run), "--path", str(file), "--coordinates", "world", "--size", "12x8"]
+    assert main.dispatch("render", [*arguments, "--out", str(tmp_path / "frames")]) == 0
+    mine = np.asarray(Image.open(tmp_path / "frames" / "00000.png"))
+    picture = np.asarray(Image.open(next((tiny_run / "images").iterdir())))
+    factor = picture.shape[0] // 8
+    assert np.abs(mine.astype(int) - picture[::factor, 12 * factor : 24 * factor : factor]).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--path", "circle"], "--path: expected orbit, spiral, interpolate or a file"),
+        (["--size", "0x4"], "expected a size such as 128x72"),
+        (["--size", "20000x4"], "expected a size such as 128x72"),
+        (["--frames", "0"], "expected a number of frames"),
+        (["--out", "a.gif"], "expected a name that ends in .webp or .mp4"),
+        (["--coordinates", "world"], "--coordinates is for a path from a file"),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_written(tiny_run, tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main.dispatch("render", [str(tiny_run), *arguments])
+    except SystemExit as stop:
+        code = stop.code
+    err = capsys.readouterr().err
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_knows_every_path():
+    assert set(render.NAMES) == set(PATHS)
+
+
+def test_a_run_without_a_checkpoint_is_one_line(tiny_run, tmp_path, capsys):
+    bare = tmp_path / "runs" / tiny_run.name
+    bare.mkdir(parents=True)
+    (bare / "config.yaml").write_bytes((tiny_run / "config.yaml").read_bytes())
+    assert main.dispatch("render", [str(bare)]) == 2
+    assert "this run is interrupted and has no checkpoint" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""`qnerf export --to points|mesh`: a ball of known size, the files, the coordinates."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from qnerf.cli import main
+from qnerf.viewing import ply, surfaces
+from qnerf.viewing.frames import Renderer
+from tests.viewing.conftest import CENTRE, RADIUS
+
+
+def test_the_mesh_of_a_ball_is_that_ball(ball):
+    hits = surfaces.ray_ends(ball, 10_000)
+    mesh = surfaces.mesh(ball, hits, cells=40, level=2000.0)
+    out = mesh.points - CENTRE.numpy()
+    np.testing.assert_allclose(np.linalg.norm(out, axis=1), RADIUS, atol=0.005)
+    facing = (mesh.normals * out / RADIUS).sum(1)
+    assert facing.mean() > 0.98, "normals point into empty space"
+    corners = mesh.points[mesh.faces]
+    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((turned * (corners.mean(1) - CENTRE.numpy())).sum(1) > 0).mean() > 0.99, "triangles face outwards"
+    np.testing.assert_allclose(mesh.colors, (mesh.points + 1) / 2 * 255, atol=1)
+    with pytest.raises(ValueError, match="nowhere in the scene; set another --level"):
+        surfaces.mesh(ball, hits, cells=10, level=1e6)
+
+
+def test_points_lie_where_rays_end_with_normals_towards_the_cameras(ball):
+    hits = surfaces.ray_ends(ball, 10_000)
+    assert not len(surfaces.ray_ends(ball, 10).points) > 10
+    cloud = surfaces.cloud(hits)
+    assert 0 < len(cloud.points) <= len(hits.points)
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1)
+    with pytest.raises(ValueError, match=r"no ray of a training view ends within 0\.001"):
+        surfaces.ray_ends(ball, 100, within=0.001)
+
+
+def test_normals_of_points_on_a_ball_are_its_radii():
+    points = torch.randn(2000, 3, generator=torch.Generator().manual_seed(0))
+    points = points / points.norm(dim=1, keepdim=True)
+    far = torch.tensor([[9.0, 9, 9]])
+    hits = surfaces.Hits(torch.cat([points, far]), -torch.cat([points, far]), torch.zeros(2001, 3))
+    cloud = surfaces.cloud(hits)
+    assert len(cloud.points) == 2000, "the isolated point is dropped"
+    assert (cloud.normals * cloud.points).sum(1).min() > 0.95
+
+
+def test_a_ply_file_is_read_back():
+    random = np.random.default_rng(0)
+    normals = random.normal(size=(5, 3)).astype(np.float32)
+    one = ply.Surface(normals + 1, normals, random.integers(0, 256, (5, 3), np.uint8), np.array([[0, 1, 2], [2, 3, 4]]))
+    for surface in (one, dataclasses.replace(one, faces=None)):
+        back = ply.decode(ply.encode(surface))
+        for name in ("points", "normals", "colors", "faces"):
+            np.testing.assert_array_equal(getattr(back, name), getattr(surface, name))
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    import io
+
+    theirs = trimesh.load(io.BytesIO(ply.encode(one)), file_type="ply", process=False)
+    np.testing.assert_array_equal(theirs.vertices.astype(np.float32), one.points)
+    np.testing.assert_array_equal(theirs.faces, one.faces)
+    np.testing.assert_array_equal(theirs.visual.vertex_colors[:, :3], one.colors)
+    with pytest.raises(ValueError, match="expected a PLY file"):
+        ply.decode(b"ply\nend_header\n123")
+
+
+def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_run, trained, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main.dispatch("export", [str(tiny_run), "--to", "points", "--within", "900", "--out", str(out)]) == 0
+    assert "step 3, " in capsys.readouterr().out
+    written = ply.decode((out / f"{tiny_run.name}.ply").read_bytes())
+    mine = surfaces.cloud(surfaces.ray_ends(Renderer(trained), 10**6, 900))
+    homogeneous = np.concatenate([written.points, np.ones((len(written.points), 1))], axis=1)
+    np.testing.assert_allclose(
+        homogeneous @ trained.scene.transform.numpy().T[:, :3], mine.points, rtol=1e-4, atol=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--to", "csv", "--cells", "9"], "--cells is for mesh"),
+        (["--to", "points", "--level", "9"], "--level is for mesh"),
+        (["--to", "mesh", "--cells", "1"], "expected a number of cells from 2 to 4096"),
+        (["--to", "mesh", "--uri", "x"], "are for mlflow"),
+    ],
+)
+def test_a_mistake_is_one_line(tiny_run, capsys, arguments, message):
+    try:
+        code = main.dispatch("export", [str(tiny_run), *arguments])
+    except SystemExit as stop:
+        code = stop.code
+    err = capsys.readouterr().err
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err

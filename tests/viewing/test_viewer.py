@@ -1,0 +1,231 @@
+"""The viewer: its pictures, its render loop, and its server as a browser talks to it."""
+
+import dataclasses
+import io
+import math
+import re
+import shutil
+import socket
+import sys
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from qnerf.cli import main
+from qnerf.geometry.camera_paths import Camera
+from qnerf.probes import load
+from qnerf.training.evaluation import shade_error
+from qnerf.viewing.frames import Renderer, as_bytes
+from qnerf.viewing.painter import Painter, Shown
+from qnerf.viewing.viewer import Viewer, camera_of, quaternion, require_free, sharpen
+
+DEADLINE = 60.0  # seconds, for a busy machine
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+BROWSER = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=900,700",
+)
+
+
+def camera(trained, view: int = 0, width: int = 12) -> Camera:
+    return Camera(trained.scene.cameras.poses[view].numpy(), 8.0 * width / 12, width, width * 2 // 3)
+
+
+def free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+# Pictures
+
+
+def test_a_camera_goes_to_the_browser_and_back(trained):
+    pose = trained.scene.cameras.poses[2].numpy()
+    back = camera_of(quaternion(pose), pose[:, 3], 2 * math.atan(4 / 8), 1.5, 24)
+    np.testing.assert_allclose(back.pose, pose, atol=1e-12)
+    assert (back.width, back.height, back.focal) == (24, 16, pytest.approx(16))
+
+
+def test_pictures_of_colour_halves_and_error(trained):
+    renderers = [Renderer(trained), Renderer(dataclasses.replace(trained, model=load(trained.folder).model))]
+    with torch.no_grad():
+        next(renderers[1].trained.model.field.color_head.parameters()).mul_(-3)
+    painter, here = Painter(renderers), camera(trained)
+    one, other, halves = (painter.picture(here, Shown(run=run)) for run in (0, 1, None))
+    assert not np.array_equal(one, other)
+    np.testing.assert_array_equal(one, as_bytes(renderers[0].frame(here).color))
+    np.testing.assert_array_equal(halves[:, :6], one[:, :6])
+    np.testing.assert_array_equal(halves[:, 7:], other[:, 7:])
+    assert painter.picture(here, Shown(), lambda: True) is None
+    assert painter.nearest(here) == 0
+    # From a view's own camera the error is that of the view's pixels.
+    rendered = renderers[0].view(0)
+    error = as_bytes(shade_error(rendered.color, renderers[0].evaluator.truth(0)))
+    np.testing.assert_array_equal(painter.picture(here, Shown("error")), error)
+    moved = dataclasses.replace(trained.scene, transform=2 * trained.scene.transform)
+    renderers[1].trained = dataclasses.replace(trained, scene=moved)
+    with pytest.raises(ValueError, match="are runs of different scenes"):
+        Painter(renderers)
+
+
+def test_pictures_become_sharper_until_the_view_changes():
+    shown, version, moves = [], [0], []
+
+    def draw(width, changed):
+        if width == 300 and moves.pop():
+            version[0] += 1
+        return None if changed() else np.zeros((1, width, 3))
+
+    for move, widths in ((False, [60, 200, 300]), (True, [60, 200])):
+        shown.clear()
+        moves[:] = [move]
+        complete = sharpen(lambda: version[0], draw, lambda picture: shown.append(picture.shape[1]), [60, 200, 300])
+        assert (complete, shown) == (not move, widths)
+    # The first picture is finished and shown while the camera moves.
+    shown.clear()
+    assert not sharpen(lambda: time.monotonic_ns(), draw, lambda picture: shown.append(picture.shape[1]), [60, 200])
+    assert shown == [60]
+
+
+def test_checkpoints_are_taken_as_they_come(trained, tmp_path):
+    shutil.copytree(trained.folder, tmp_path / trained.folder.name)
+    own = load(tmp_path / trained.folder.name)
+    painter = Painter([Renderer(own)])
+    assert painter.reload()
+    assert not painter.reload()
+    file = own.folder / "checkpoint.pt"
+    content = torch.load(file, weights_only=True)
+    content["step"] = 2
+    content["model"] = {name: value.clone().zero_() for name, value in content["model"].items()}
+    torch.save(content, file)
+    assert painter.reload()
+    assert painter.renderers[0].trained.step == 2
+    assert all(not bool(value.any()) for value in own.model.state_dict().values())
+    assert painter.texts() == [f"{own.folder.name}: finished, checkpoint of step 2 of 3"]
+    file.write_bytes(b"PK no checkpoint")
+    with pytest.raises(ValueError, match="expected the checkpoint of this run"):
+        painter.reload()
+
+
+# Mistakes
+
+
+def test_a_taken_port_and_a_missing_extra_are_one_line(tiny_run, capsys, monkeypatch):
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        port = listener.getsockname()[1]
+        with pytest.raises(ValueError, match=f"{port}: Address already in use; choose another with --port"):
+            require_free("127.0.0.1", port)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main.dispatch("view", [str(tiny_run)]) == 2
+    err = capsys.readouterr().err
+    assert 'the viewer needs viser: pip install "qnerf[view]"' in err
+    assert err.count("\n") == 1
+
+
+def test_three_runs_are_too_many(tiny_run, capsys):
+    assert main.dispatch("view", [str(tiny_run)] * 3) == 2
+    assert "expected one run or two, got 3" in capsys.readouterr().err
+
+
+# A real server
+
+
+@pytest.fixture
+def viewer(ball):
+    pytest.importorskip("viser", reason="viser is not installed")
+    served = Viewer([ball], port=free_port(), width=96)
+    yield served
+    served.stop()
+
+
+def looking(x: float) -> dict:
+    place = {"wxyz": (0.0, 1.0, 0.0, 0.0), "position": (x, 0.0, 1.0), "look_at": (x, 0.0, 0.0)}
+    lens = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 200, "image_width": 300}
+    return {"type": "ViewerCameraMessage", **place, **lens, "up_direction": (0.0, 1.0, 0.0)}
+
+
+def pictures(connection, widths: list[int]) -> list[np.ndarray]:
+    """The next pictures of these widths, in this order."""
+    import zstandard
+
+    found: list[np.ndarray] = []
+    while len(found) < len(widths):
+        data = connection.recv(timeout=DEADLINE)
+        length = int.from_bytes(data[8:16], "little")  # sizes unpacked and packed, a packed part, plain arrays
+        data = zstandard.ZstdDecompressor().decompress(data[16 : 16 + length]) + data[16 + length :]
+        for match in re.finditer(b"\xff\xd8\xff", data):
+            picture = np.asarray(Image.open(io.BytesIO(data[match.start() :])).convert("RGB"))
+            if len(found) < len(widths) and picture.shape[1] == widths[len(found)]:
+                found.append(picture)
+    return found
+
+
+@pytest.mark.filterwarnings("default")
+def test_the_server_sends_coarse_then_sharp_pictures_of_where_the_camera_is(viewer):
+    import msgspec
+    import viser
+    from websockets.sync.client import connect
+
+    with urllib.request.urlopen(viewer.address, timeout=DEADLINE) as answer:
+        assert answer.status == 200
+        assert b"<html" in answer.read()
+    protocol = [f"viser-v{viser.__version__}"]
+    with connect(viewer.address.replace("http", "ws"), subprotocols=protocol, max_size=None) as connection:
+        connection.send(msgspec.msgpack.encode(looking(0.0)))
+        coarse, here = pictures(connection, [64, 96])
+        assert (coarse.shape, here.shape) == ((43, 64, 3), (64, 96, 3))
+        connection.send(msgspec.msgpack.encode(looking(0.3)))
+        there = pictures(connection, [64, 96])[1]
+        assert np.abs(there.astype(int) - here).mean() > 1
+        viewer.what.value = "depth"
+        depth = pictures(connection, [64, 96])[1]
+        assert np.abs(depth.astype(int) - there).mean() > 1
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="chromium and chromedriver are not installed")
+def test_a_camera_move_changes_the_picture_in_a_browser(viewer, tmp_path):
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (*BROWSER, f"--user-data-dir={tmp_path}"):
+        options.add_argument(argument)
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        driver.get(viewer.address)
+        wait = WebDriverWait(driver, DEADLINE, 0.2)
+        canvas = wait.until(lambda _: driver.find_elements(By.TAG_NAME, "canvas"))[0]
+
+        def middle() -> np.ndarray:
+            """Of the page, below its messages and left of its controls."""
+            page = np.asarray(Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB"), int)
+            return page[-250:-20, 50:-350]
+
+        viewer.cameras.value = False
+        wait.until(lambda _: middle().std() > 3, "no picture came")
+        before = middle()
+        ActionChains(driver).move_to_element_with_offset(canvas, -150, 50).click_and_hold().move_by_offset(
+            90, 40
+        ).release().perform()
+        wait.until(lambda _: np.abs(middle() - before).mean() > 3, "the picture stayed")
+    finally:
+        driver.quit()
