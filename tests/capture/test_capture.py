@@ -67,6 +67,8 @@ def test_sources_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
             capture(bad, tmp_path / "out")
     with pytest.raises(ValueError, match=r"images exists already; choose a new folder"):
         capture(source, source)
+    with pytest.raises(ValueError, match="frames must be at least 3, got 0"):
+        capture(source, tmp_path / "out", frames=0)
     assert list(tmp_path.iterdir()) == [source]
 
 

@@ -22,6 +22,7 @@ from PIL import Image, ImageOps
 from qnerf.capture import steps
 from qnerf.capture.steps import Model
 from qnerf.capture.video import extract_frames
+from qnerf.config.checks import at_least
 from qnerf.scenes.base import MIN_VIEWS
 from qnerf.scenes.colmap import read_model
 from qnerf.scenes.folders import PHOTOGRAPHS, photographs
@@ -76,6 +77,7 @@ def capture(
         raise ValueError('pycolmap is not installed here: pip install "qnerf[capture]"')
     if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
         raise ValueError(f"{out} exists already; choose a new folder")
+    at_least("frames", frames, MIN_VIEWS)
     video = source.is_file() and source.suffix.lower() not in PHOTOGRAPHS
     if not video:
         _check_photographs(source)
