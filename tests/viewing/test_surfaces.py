@@ -85,6 +85,7 @@ def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_ru
         (["--to", "points", "--level", "9"], "--level is for mesh"),
         (["--to", "mesh", "--cells", "1"], "expected a number of cells from 2 to 4096"),
         (["--to", "mesh", "--uri", "x"], "are for mlflow"),
+        (["--to", "points", "--points", "0"], "expected a number of points from 1"),
     ],
 )
 def test_a_mistake_is_one_line(tiny_run, capsys, arguments, message):

@@ -49,6 +49,8 @@ class LiveDisplay(Display):
 
     def phase(self, name: str) -> None:
         self.progress.update(self.task, phase=name)
+        if self.progress.disable and name.startswith("evaluate 1 of "):
+            self.note(f"evaluating {name.removeprefix('evaluate 1 of ')}")
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
         values = [

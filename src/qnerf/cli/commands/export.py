@@ -28,7 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="a folder, but for mlflow (default: exports/csv, ...)")
     parser.add_argument("--uri", help="mlflow: tracking server or database (default: MLflow's own)")
     parser.add_argument("--experiment", metavar="NAME", help="mlflow: experiment to put the runs into (default: qnerf)")
-    parser.add_argument("--points", type=count, metavar="N", help="points, mesh: training rays (default: 1,000,000)")
+    parser.add_argument("--points", type=points, metavar="N", help="points, mesh: training rays (default: 1,000,000)")
     parser.add_argument(
         "--within", type=number(0, 1e6, above=True), metavar="R",
         help="points, mesh: largest coordinate in normalised world units, of which the cameras fill 1 (default: 4)",
@@ -38,6 +38,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--level", type=number(0, 1e9, above=True), metavar="DENSITY",
         help="mesh: density of its surface (default: half of the light is absorbed within 5 %% of the longest side)",
     )  # fmt: skip
+
+
+def points(text: str) -> int:
+    """A number of rays."""
+    if not (value := count(text)):
+        raise argparse.ArgumentTypeError("expected a number of points from 1, got 0")
+    return value
 
 
 def cells(text: str) -> int:
