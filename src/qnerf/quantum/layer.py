@@ -14,6 +14,7 @@ from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cost_model import Cost, choose_engine, statevector_memory
 from qnerf.quantum.initial_angles import INITS
+from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form
 
 LARGE = 2**28  # bytes of work space that are asked for only if the machine has them
@@ -75,7 +76,7 @@ class QuantumLayer(nn.Module):
         device: str = "default.qubit",
         diff_method: pennylane.DiffMethod = "backprop",
         shots: PositiveInt | None = None,
-        noise: pennylane.Noise | None = None,
+        noise: Noise | None = None,
         seed: Seed | None = None,
     ) -> None:
         super().__init__()
@@ -174,8 +175,7 @@ class QuantumLayer(nn.Module):
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
-        exact = self._exact(x, weights) if conditions.needs_exact else None
-        return measurement.measure(self.circuit, x, weights, exact, conditions)
+        return measurement.measure(self.circuit, x, weights, self._exact, conditions)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
         if self._node is not None:

@@ -5,7 +5,6 @@ is imported on first use: `import qnerf` stays quick.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
@@ -13,56 +12,9 @@ from torch import Tensor
 
 from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.noise import Noise
 
 DiffMethod = Literal["backprop", "parameter-shift", "adjoint"]
-
-CHANNELS = {
-    "depolarizing": "DepolarizingChannel",
-    "amplitude_damping": "AmplitudeDamping",
-    "phase_damping": "PhaseDamping",
-    "bit_flip": "BitFlip",
-}
-"""Field of `Noise` -> PennyLane's channel, in the order in which they follow a gate."""
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Channels after every gate, on each wire that the gate touches; probabilities in [0, 1].
-
-    >>> Noise(depolarizing=0.01, bit_flip=0.002).channels
-    [('DepolarizingChannel', 0.01), ('BitFlip', 0.002)]
-
-    Raises:
-        ValueError: a value that is no probability.
-    """
-
-    depolarizing: float = 0.0
-    amplitude_damping: float = 0.0
-    phase_damping: float = 0.0
-    bit_flip: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value <= 1:
-                raise ValueError(f"noise: {name} expects a probability in [0, 1], got {value!r}")
-
-    @property
-    def any(self) -> bool:
-        return bool(self.channels)
-
-    @property
-    def channels(self) -> list[tuple[str, float]]:
-        """PennyLane's name and the probability of each channel that is not 0."""
-        return [(channel, vars(self)[name]) for name, channel in CHANNELS.items() if vars(self)[name]]
-
-    def kraus_operators(self) -> list[list[Tensor]]:
-        """For each channel its Kraus operators (2, 2), complex128."""
-        import pennylane as qml
-
-        return [
-            [torch.from_numpy(k).to(torch.complex128) for k in getattr(qml, name).compute_kraus_matrices(p)]
-            for name, p in self.channels
-        ]
 
 
 def check_shots(shots: int | None) -> None:
@@ -77,7 +29,7 @@ def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) ->
 
     def add_noise(*wires: int) -> None:
         for wire in wires:
-            for name, probability in noise.channels if noise is not None else ():
+            for name, probability in noise.after(len(wires)) if noise is not None else ():
                 getattr(qml, name)(probability, wires=wire)
 
     for operation in circuit.operations:
