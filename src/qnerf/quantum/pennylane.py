@@ -4,7 +4,7 @@ It is built from the circuit's description gate by gate, and shares nothing with
 is imported on first use: `import qnerf` stays quick.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import torch
@@ -71,12 +71,26 @@ def _quantum_function(circuit: Circuit, noise: Noise | None) -> Callable[[Any, A
     return quantum_function
 
 
-def make_device(name: str, wires: int, seed: int | None = None) -> Any:
-    """A PennyLane device by its name. The ValueError for an unknown one lists those that are installed."""
+def make_device(device: Any, wires: int, seed: int | None = None, options: Mapping[str, Any] | None = None) -> Any:
+    """A PennyLane device by its name with its own options, or the device itself.
+
+    Raises:
+        ValueError: an unknown name (the message lists the installed ones), options that the device refuses, or a device
+            that is given as an object with options, a seed or other wires.
+    """
     import pennylane as qml
 
+    if not isinstance(device, str):
+        if not isinstance(device, qml.devices.Device | qml.devices.LegacyDevice):
+            raise ValueError(f"device expects the name of a PennyLane device or a device, got {device!r}")
+        if options or seed is not None:
+            raise ValueError(f"device {device.name} is given as an object; give it its options and its seed there")
+        if device.wires and len(device.wires) < wires:
+            raise ValueError(f"device {device.name} has {len(device.wires)} wires, the circuit needs {wires}")
+        return device
+    name = device
     try:
-        return qml.device(name, wires=wires) if seed is None else qml.device(name, wires=wires, seed=seed)
+        return qml.device(name, wires=wires, **(options or {}), **({} if seed is None else {"seed": seed}))
     except Exception as error:
         known = ", ".join(sorted(qml.plugin_devices))
         first = (str(error).splitlines() or [type(error).__name__])[0]
@@ -87,7 +101,8 @@ def make_device(name: str, wires: int, seed: int | None = None) -> Any:
 def make_node(
     circuit: Circuit,
     *,
-    device: str = "default.qubit",
+    device: Any = "default.qubit",
+    device_options: Mapping[str, Any] | None = None,
     diff_method: DiffMethod = "backprop",
     shots: PositiveInt | None = None,
     noise: Noise | None = None,
@@ -97,10 +112,12 @@ def make_node(
 
     Args:
         circuit: what is run.
-        device: any PennyLane device. Noise needs one that takes channels, such as default.mixed.
+        device: any PennyLane device, by its name or as an object. Noise needs one that takes channels, such as
+            default.mixed.
+        device_options: of a device given by its name, such as {"readout_prob": 0.02} of default.mixed.
         diff_method: backprop, parameter-shift (the only one with shots) or adjoint.
         shots: of each circuit; None for exact expectation values.
-        noise: channels after every gate.
+        noise: channels after every gate; without errors of the readout, which are an option of the device.
         seed: of the device's shots.
 
     Raises:
@@ -110,11 +127,13 @@ def make_node(
 
     if shots is not None and diff_method != "parameter-shift":
         raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
-    target = make_device(device, circuit.wires, seed)
-    if noise is not None and noise.any:
+    target = make_device(device, circuit.wires, seed, device_options)
+    if noise is not None and noise.readout_factors != (1.0, 0.0):
+        raise ValueError("noise: readout expects another method than pennylane; there it is an option of the device")
+    if noise is not None and noise.gates:
         _check_channels(target)
     # Only backprop without channels can broadcast over the batch.
-    broadcast = diff_method == "backprop" and (noise is None or not noise.any)
+    broadcast = diff_method == "backprop" and (noise is None or not noise.gates)
 
     node = qml.QNode(_quantum_function(circuit, noise), target, interface="torch", diff_method=diff_method)
     if shots is not None:

@@ -8,18 +8,20 @@ from qnerf.cli.upgrade_config import check_identity, stored
 from qnerf.config.bounds import PositiveInt, Share, check
 from qnerf.records import find, state
 
-PROBES = ("spectrum", "encoding", "rays", "units", "cost")
+DIAGNOSTICS = ("expressibility", "entangling", "fisher", "kernel", "surrogate")
+PROBES = ("spectrum", "encoding", "rays", "units", "cost", *DIAGNOSTICS)
 DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0", "patterns": "100"}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measures the trained model of a finished run; the results go into the run's folder. With shots=... or "
-        "noise=... it renders the held-out views as quantum hardware would: eval_hardware.parquet. Noise is exact where density "
-        "matrices are quick, else the mean of so many patterns of random Pauli errors. PROBE is spectrum "
-        "(Fourier power of the circuits), encoding (a slice of the encoders), rays (samples along a few rays), units "
-        "(dead units and the spread of each layer's values, before and after training) or cost (gates, evaluations and "
-        "hours of the circuits on quantum hardware): PROBE.parquet."
+        "noise=... it renders the held-out views as hardware would: eval_hardware.parquet. Noise is exact where "
+        "density matrices are quick, else the mean over patterns of Pauli errors. PROBE is spectrum (Fourier power of "
+        "the circuits), encoding (a slice of the encoders), rays (samples along a few rays), units "
+        "(dead units and the spread of each layer's values, before and after training), cost (gates, evaluations and "
+        "hours of the circuits on quantum hardware), or a diagnostic of the circuits: expressibility, entangling, "
+        "fisher (information, effective dimension), kernel (tangent) or surrogate (a classical one): PROBE.parquet."
     )
     add_run(parser)
     parser.add_argument(
@@ -52,7 +54,10 @@ def main(options: argparse.Namespace) -> None:
         print(path)
         if name == "cost":
             print(f"hours: {SHOTS:,} shots an evaluation, {RATE:,.0f} shots a second")
-            print(read_probe(trained.folder, name).to_string(index=False, float_format="%.3g"))
+        if name == "cost" or name in DIAGNOSTICS:
+            table = read_probe(trained.folder, name)
+            shown = table[table["index"] == 0] if "index" in table else table  # of a spectrum its largest eigenvalue
+            print(shown.to_string(index=False, float_format="%.3g"))
     if conditions is not None:
         evaluate_hardware(trained, conditions, **counts, tell=print)
         print(f"rows in {trained.folder / FILE}")
