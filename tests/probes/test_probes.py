@@ -193,7 +193,7 @@ def test_the_command_writes_what_is_asked_for(tiny, monkeypatch, capsys):
 
 def test_diagnostics_of_a_run_are_saved_and_shown(tiny, monkeypatch, capsys):
     trained = load(run(tiny("field=qboth", "qiren.qubits=2", "train.steps=2")).path)
-    for name, value in {"STATES": 50, "FISHER_INPUTS": 4, "KERNEL_INPUTS": 20, "FITTED": 300, "TESTED": 100}.items():
+    for name, value in {"STATES": 50, "FISHER_INPUTS": 4, "KERNEL_INPUTS": 20, "SAMPLES": 300}.items():
         monkeypatch.setattr(diagnostics, name, value)
     names = ["expressibility", "entangling", "fisher", "kernel", "surrogate"]
     assert command(monkeypatch, str(trained.folder), *names) == 0

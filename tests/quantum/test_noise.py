@@ -171,3 +171,58 @@ def test_what_cannot_be_sampled_or_read_is_said() -> None:
     layer, x = made(ENCODED_FIRST)
     with conditions(layer, noise=Noise(readout=(0.1, 0.2))), pytest.raises(ValueError, match="give one probability"):
         layer(x)
+
+
+def test_a_layer_trains_with_shots_whose_gradients_are_exact() -> None:
+    layer, x = made("qiren")
+    measured = QuantumLayer(3, 2, shots=50).double()
+    measured.load_state_dict(layer.state_dict())
+    exact = layer(x[:1]).detach()
+    draws = measured(x[:1].expand(4000, 3))
+    deviation = ((1 - exact.square()) / 50).sqrt()[0]
+    assert torch.allclose(draws.std(0), deviation, rtol=0.1)
+    assert ((draws.mean(0) - exact).abs() < 5 * deviation / 4000**0.5).all()
+    losses = (layer(x).sum(), measured(x).sum())
+    gradients = [
+        torch.autograd.grad(loss, model.weights1)[0] for loss, model in zip(losses, (layer, measured), strict=False)
+    ]
+    assert losses[0] != losses[1]
+    assert torch.allclose(gradients[0][0], gradients[1][0], atol=1e-12)
+
+
+def test_a_layer_trains_with_noise_that_is_right_on_average() -> None:
+    layer, x = made("cnot")
+    noisy = QuantumLayer(3, 2, ansatz="cnot", noise={"depolarizing": 0.02, "readout": 0.05}, patterns=5).double()
+    noisy.load_state_dict(layer.state_dict())
+    with conditions(layer, noise=Noise(depolarizing=0.02, readout=0.05), method="density"):
+        expected = layer(x).detach()
+    torch.manual_seed(0)
+    draws = torch.stack([noisy(x).detach() for _ in range(100)])
+    error = draws.std(0).square().mean().sqrt() / 10
+    assert (draws.mean(0) - expected).square().mean().sqrt() < 2 * error < 0.02
+    noisy(x).sum().backward()
+    assert noisy.weights1.grad is not None
+    assert noisy.weights1.grad.abs().max() > 0
+    with conditions(noisy):
+        assert torch.equal(noisy(x).detach(), layer(x).detach())  # exact again
+
+
+def test_a_device_with_options_or_as_an_object() -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(2, 1)
+    x = torch.randn(2, 2)
+    device = qml.device("default.qubit", wires=3)
+    other = QuantumLayer(2, 1, method="pennylane", device=device)
+    options = QuantumLayer(2, 1, method="pennylane", device="default.qubit", device_options={"max_workers": None})
+    for model in (other, options):
+        model.load_state_dict(layer.state_dict())
+        assert torch.allclose(model(x), layer(x), atol=1e-5)
+    for wrong, message in (
+        ({"device": device, "seed": 1}, "is given as an object"),
+        ({"device": qml.device("default.qubit", wires=1)}, "has 1 wires, the circuit needs 2"),
+        ({"device": 3}, "device expects str or Device, got 3"),
+        ({"device_options": {"colour": 1}}, "cannot make 'default.qubit'"),
+        ({"noise": Noise(readout=0.1)}, "an option of the device"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            QuantumLayer(2, 1, method="pennylane", **wrong)  # type: ignore[arg-type]

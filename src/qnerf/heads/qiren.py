@@ -12,6 +12,7 @@ from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer, hardware_conditions
 from qnerf.quantum.circuit import ANSATZE, Spectral, Wires
 from qnerf.quantum.layer import Method
+from qnerf.quantum.noise import Field
 
 Statistics = Literal["batch", "first"]
 
@@ -159,7 +160,7 @@ class QirenHead(Head):
         statistics: Statistics = "batch",
         center: bool = False,
         shots: PositiveInt | None = None,
-        noise: dict[str, NonNegativeFactor | list[Share] | None] | None = None,
+        noise: dict[Field, NonNegativeFactor | list[Share] | None] | None = None,
         patterns: PositiveInt = 4,
     ) -> None:
         super().__init__()

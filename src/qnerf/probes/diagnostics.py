@@ -12,12 +12,12 @@ from qnerf.probes.trained import Trained, circuits_of
 from qnerf.quantum import QuantumLayer, diagnostics
 from qnerf.rendering.background import evaluation_background
 
-RAYS = 256
+RAYS = 2048
 STATES = 2000
 FISHER_INPUTS = 32
 FISHER_POINTS = 4  # of random weights
 KERNEL_INPUTS = 128
-FITTED, TESTED = 4096, 2048
+SAMPLES = 6000  # of a surrogate, two thirds of them fitted
 WAVES = (8, 32, 128, 512)
 
 
@@ -101,9 +101,11 @@ def surrogate(trained: Trained) -> pd.DataFrame:
     Fitted to and tested on the angles that the run's samples give.
     """
     rows = []
-    for row, layer, x in _circuits(trained):
-        fitted, tested = x[:-TESTED][:FITTED], x[-TESTED:]
+    for row, layer, x in ((row, layer, x[:SAMPLES]) for row, layer, x in _circuits(trained)):
+        fitted, tested = x.split([len(x) - len(x) // 3, len(x) // 3])
         for waves in WAVES:
+            if 2 * waves > len(fitted):  # more coefficients than samples
+                break
             found = diagnostics.surrogate(layer, fitted, tested, waves)
             rows.append(row | vars(found))
             if found.covered:

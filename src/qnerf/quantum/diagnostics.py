@@ -61,9 +61,9 @@ def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
 
 
 def _sampled_states(layer: QuantumLayer, count: int, x: Tensor | None, trained: bool) -> Tensor:
-    """States (count, 2^n): of given inputs, which are repeated as needed, or of uniform ones."""
+    """States (count, 2^n): of inputs that are drawn from the given ones, or uniform."""
     n = layer.wires
-    inputs = uniform_angles(count, n) if x is None else x.double().cpu()[torch.arange(count) % len(x)]
+    inputs = uniform_angles(count, n) if x is None else x.double().cpu()[torch.randint(len(x), (count,))]
     weights = weights_of(layer) if trained else uniform_angles(count, layer.circuit.rows, 3, n)
     with torch.no_grad():
         return states(layer.circuit, inputs, weights)
@@ -80,7 +80,7 @@ def expressibility(layer: QuantumLayer, *, pairs: int = 5000, x: Tensor | None =
     Args:
         layer: its circuit.
         pairs: of states.
-        x: inputs (B, n) in radians that the states are taken at in turn; None for uniform ones.
+        x: inputs (B, n) in radians to draw from; None for uniform ones.
         trained: with the layer's own weights instead of random ones: how expressive the encoding is.
     """
     drawn = _sampled_states(layer, 2 * pairs, x, trained)

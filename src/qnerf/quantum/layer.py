@@ -1,7 +1,7 @@
 """QuantumLayer: a batched data re-uploading circuit as an nn.Module."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Literal
 
 import torch
@@ -79,11 +79,11 @@ class QuantumLayer(nn.Module):
         init: str = "uniform",
         ansatz_options: dict[str, Any] | None = None,
         backend: Literal["auto", "compiled", "torch"] = "auto",
-        device: Any = "default.qubit",
-        device_options: dict[str, Any] | None = None,
+        device: str | pennylane.Device = "default.qubit",
+        device_options: dict | None = None,
         diff_method: pennylane.DiffMethod = "backprop",
         shots: PositiveInt | None = None,
-        noise: Noise | Mapping[str, Any] | NonNegativeFactor | None = None,
+        noise: Noise | dict | NonNegativeFactor | None = None,
         patterns: PositiveInt = 4,
         seed: Seed | None = None,
     ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import exp, prod, sqrt
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -16,6 +16,10 @@ CHANNELS = {
 }
 """Field of `Noise` -> PennyLane's channel, in the order in which they follow a gate."""
 
+Field = Literal[
+    "depolarizing", "amplitude_damping", "phase_damping", "bit_flip", "two_qubit", "readout",
+    "t1", "t2", "one_qubit_time", "two_qubit_time",
+]  # fmt: skip
 TIMES = ("t1", "t2", "one_qubit_time", "two_qubit_time")
 
 
