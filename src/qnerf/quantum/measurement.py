@@ -70,7 +70,10 @@ class Conditions:
 
     @property
     def standard_error(self) -> float:
-        """Root mean square of the standard errors of all outputs so far, from sampled noise alone; 0 where exact."""
+        """Root mean square of the standard errors of all outputs so far, from sampled noise alone.
+
+        0 where noise is exact, and with gradients=True.
+        """
         return (self.squared_errors / self.outputs) ** 0.5 if self.outputs else 0.0
 
     def is_sampled(self, circuit: Circuit) -> bool:
@@ -122,8 +125,9 @@ def _expected(
         values, errors = pauli_errors.evaluate(
             exact, circuit, x, weights, noise, conditions.patterns, conditions.random
         )
-        conditions.squared_errors += float((errors * scale.to(errors)).square().sum())
-        conditions.outputs += errors.numel()
+        if not conditions.gradients:  # reading the number would make a GPU wait
+            conditions.squared_errors += float((errors * scale.to(errors)).square().sum())
+            conditions.outputs += errors.numel()
     elif noise.gates:
         values = density.evaluate(circuit, x, weights, noise, conditions.noisy_coefficients)
     else:
