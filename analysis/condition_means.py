@@ -18,6 +18,7 @@ def means(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def condition_name(shots: int, noise: str, p: float) -> str:
-    """`exact`, `100 shots`, `depolarizing 0.01` or the last two together."""
-    parts = [f"{noise} {p:g}" if noise != "none" else "", f"{shots:,} shots" if shots else ""]
+    """`exact`, `100 shots`, `depolarizing 0.01`, `depolarizing 0.01 readout=0.02`, or shots and noise together."""
+    channel, *others = noise.split() if noise != "none" else [""]
+    parts = [" ".join([channel, *([f"{p:g}"] if p else []), *others]), f"{shots:,} shots" if shots else ""]
     return ", ".join(filter(None, parts)) or "exact"

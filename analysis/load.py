@@ -54,7 +54,7 @@ def runs(
             known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
             _rename_older_fingerprints(frame)
-    _fill_added(frame)
+    frame = _with_added(frame)
     add_needed(frame)
     return frame if filter is None else filters.require(frame, filter)
 
@@ -83,16 +83,21 @@ def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
 
 
-def _fill_added(frame: pd.DataFrame) -> None:
+def _with_added(frame: pd.DataFrame) -> pd.DataFrame:
     """Options that are newer than some of the runs get the values that those runs had without them."""
+    filled: dict[str, pd.Series] = {}
     for option, usual in ADDED.items():
         if option in frame and set(frame[option].dropna()) <= {"{}"}:  # an empty group is the same as none
-            del frame[option]
+            frame = frame.drop(columns=option)
         values = {} if isinstance(usual, (Same, Of)) else flatten({option: usual})
         for name in frame.columns[frame.columns.str.startswith(option)]:
-            value = frame.get(usual.option + name[len(option) :]) if isinstance(usual, Same) else values.get(name)
+            other = usual.option + name[len(option) :] if isinstance(usual, Same) else name
+            value = filled.get(other, frame.get(other)) if isinstance(usual, Same) else values.get(name)
             if value is not None:
-                frame[name] = frame[name].where(frame[name].notna(), value)
+                filled[name] = frame[name].where(frame[name].notna(), value)
+    if not filled:
+        return frame
+    return pd.concat([frame.drop(columns=list(filled)), pd.DataFrame(filled)], axis=1)[frame.columns]
 
 
 def _rename_older_fingerprints(frame: pd.DataFrame) -> None:

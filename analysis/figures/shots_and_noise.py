@@ -47,7 +47,7 @@ def psnr_vs_noise(frame: pd.DataFrame) -> Figure:
 def _draw(frame: pd.DataFrame, x: str) -> Figure:
     table = hardware_points(frame)
     noisy = table["noise"] != "none"
-    of_kind = ~noisy & (table["shots"] > 0) if x == "shots" else noisy & (table["shots"] == 0)
+    of_kind = ~noisy & (table["shots"] > 0) if x == "shots" else (table["p"] > 0) & (table["shots"] == 0)
     shown = table[of_kind & (table["n"] == table["seeds"])]
     if shown.empty:
         options = "shots=100,1000" if x == "shots" else "noise=depolarizing p=0.001,0.01"

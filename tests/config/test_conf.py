@@ -226,6 +226,16 @@ def test_the_options_of_an_ansatz_reach_its_circuits(tiny):
     assert {op.axis for op in head.hybrid[0].circuit.circuit.operations if isinstance(op, Encoding)} == {"Y"}
 
 
+def test_a_run_trains_with_shots_and_noise_that_follow_its_seed(tiny):
+    options = ("field=qcolor", "qiren.qubits=2", "qiren.shots=100", "qiren.noise.two_qubit=0.02", "qiren.patterns=2")
+    first = finished(tiny(*options))
+    again = finished(tiny(*options, "run.force=true"))
+    assert (first["qiren.shots"], first["qiren.noise.two_qubit"]) == (100, 0.02)
+    assert first["psnr"] == again["psnr"]
+    with pytest.raises(ValueError, match="t2 expects at most 2 t1"):
+        build_head(tiny("qiren.noise.t1=1e-5", "qiren.noise.t2=1", "qiren.noise.one_qubit_time=1e-8")["color"], 4, 2)
+
+
 @pytest.mark.parametrize("background", ["white", "black", "random", "last_sample"])
 def test_every_background_trains(tiny, background):
     finished(tiny("field=classical", f"render.background={background}"))

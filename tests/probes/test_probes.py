@@ -14,11 +14,12 @@ from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import ray_table, run
-from qnerf.probes import PROBES, cost, load, probe, rays, spectrum
+from qnerf.probes import PROBES, cost, diagnostics, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.lightcone import interpolation
 from qnerf.quantum.pennylane import apply
+from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
 
 SMALL = ("qiren.qubits=3", "train.steps=3")
@@ -188,6 +189,22 @@ def test_the_command_writes_what_is_asked_for(tiny, monkeypatch, capsys):
     assert not (path / "eval_hardware.parquet").exists()
     assert command(monkeypatch, str(path), "rays", "shots=10", "views=1") == 0
     assert (path / "eval_hardware.parquet").exists()
+
+
+def test_diagnostics_of_a_run_are_saved_and_shown(tiny, monkeypatch, capsys):
+    trained = load(run(tiny("field=qcolor", "qiren.qubits=2", "train.steps=2")).path)
+    for name, value in {"STATES": 50, "FISHER_INPUTS": 4, "KERNEL_INPUTS": 20, "SAMPLES": 300}.items():
+        monkeypatch.setattr(diagnostics, name, value)
+    names = ["expressibility", "entangling", "fisher", "kernel", "surrogate"]
+    assert command(monkeypatch, str(trained.folder), *names) == 0
+    tables = {name: read_probe(trained.folder, name) for name in names}
+    assert all(set(table["head"]) == {"color"} for table in tables.values())
+    fisher = tables["fisher"].query("circuit == 0")
+    assert len(fisher) == fisher["parameters"].iloc[0] == 36
+    assert 0 < fisher["rank"].iloc[0] < 36  # the first phi and the last omega have no effect
+    assert tables["kernel"].query("circuit == -1").shape[0] == 20
+    assert tables["surrogate"].query("covered")["error"].max() < 1e-3  # 13 waves are the whole spectrum
+    assert capsys.readouterr().out.count("effective_rank") == 1
 
 
 def test_the_cost_on_hardware_counts_what_is_evaluated(tiny, monkeypatch, capsys):

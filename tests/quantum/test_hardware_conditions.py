@@ -12,8 +12,9 @@ import torch
 from qnerf.quantum import hardware_conditions, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.layer import QuantumLayer
+from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.pennylane import Noise, apply, draw, make_node, observables
+from qnerf.quantum.pennylane import apply, draw, make_node, observables
 
 
 @pytest.mark.parametrize("diff_method", ["parameter-shift", "adjoint"])

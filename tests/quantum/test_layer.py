@@ -24,17 +24,26 @@ def test_earlier_names_still_work() -> None:
     assert hardware is hardware_conditions
 
 
+def run_examples(page: str) -> tuple[str, dict[str, Any]]:
+    """A page of docs/, and the names that its Python examples define."""
+    text = (Path(__file__).parents[2] / "docs" / page).read_text()
+    names: dict[str, Any] = {}
+    for example in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        exec(example, names)
+    return text, names
+
+
 def test_the_examples_of_the_page_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(ANSATZE, "_components", dict(ANSATZE._components))  # the page registers one
-    page = (Path(__file__).parents[2] / "docs" / "quantum.md").read_text()
-    examples = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    names: dict[str, Any] = {}
-    for example in examples:
-        exec(example, names)
-    assert len(examples) == 6
-    assert names["measured"].shape == names["noisy"].shape == (6144, 3)
+    page, names = run_examples("quantum.md")
+    assert names["y"].shape == (6144, 8)
     drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if "─Rot─" in line]
     assert "\n".join(drawing) in page
+
+
+def test_the_examples_of_the_pages_on_hardware_and_diagnostics_run() -> None:
+    assert run_examples("hardware.md")[1]["noisy"].shape == (64, 8)
+    assert run_examples("diagnostics.md")[1]["matrix"].shape == (72, 72)
 
 
 @pytest.mark.parametrize("shape", [(), (7,), (2, 3), (0,), (4, 0)])
@@ -168,7 +177,7 @@ def test_trains() -> None:
             "diff_method expects one of backprop, parameter-shift, adjoint, got 'magic'",
         ),
         ((3, 1), {"method": "pennylane", "shots": 10}, "shots=10 expects diff_method=parameter-shift"),
-        ((3, 1), {"shots": 10}, "shots expects method=pennylane, got method=auto"),
+        ((3, 1), {"device_options": {"a": 1}}, "device_options expects method=pennylane, got method=auto"),
     ],
 )
 def test_wrong_arguments_say_what_is_wrong(arguments: tuple[Any, ...], options: dict[str, Any], message: str) -> None:

@@ -60,6 +60,21 @@ ADDED: dict[str, Any] = {
         }
     },
     "scene.width": Of(("nerfstudio", "blender"), None),
+    "qiren.shots": None,
+    "qiren.patterns": 4,
+    "qiren.noise": {
+        "depolarizing": 0.0,
+        "amplitude_damping": 0.0,
+        "phase_damping": 0.0,
+        "bit_flip": 0.0,
+        "two_qubit": None,
+        "readout": 0.0,
+        "t1": None,
+        "t2": None,
+        "one_qubit_time": 0.0,
+        "two_qubit_time": 0.0,
+    },
+    **{f"{head}.qiren.{key}": Same(f"qiren.{key}") for head in _HEADS for key in ("shots", "patterns", "noise")},
     **{f"{head}.qiren.ansatz_options": Same("qiren.ansatz_options") for head in _HEADS},
     **{f"{head}.qfgn.{key}": Same(f"qfgn.{key}") for head in _HEADS for key in ("features", "scale", "gamma")},
 }

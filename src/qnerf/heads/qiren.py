@@ -7,11 +7,12 @@ import torch
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.bounds import Factor
+from qnerf.config.bounds import Factor, NonNegativeFactor, PositiveInt, Share
 from qnerf.heads.base import HEADS, MIN_BATCH, Head
-from qnerf.quantum import QuantumLayer
+from qnerf.quantum import QuantumLayer, hardware_conditions
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, Wires
 from qnerf.quantum.layer import Method
+from qnerf.quantum.noise import Field
 
 Statistics = Literal["batch", "first"]
 
@@ -128,6 +129,8 @@ class QirenHead(Head):
         sum_layers: the last linear map sees the sum of all circuits' values instead of the last circuit's.
         input_scale: factor on the normalised inputs, radians.
         statistics: `batch` or `first`, see `Normalisation`.
+        shots, noise, patterns: of each circuit, in training and in rendering, see `QuantumLayer`. Noise without any
+            error and shots of None are exact.
         center: start the last bias so that angles of 0 give 0. Measured values lie around a constant, which the gain
             multiplies too: without this, a density head starts as fog or empty, and a colour head saturated.
     """
@@ -157,6 +160,9 @@ class QirenHead(Head):
         input_scale: Factor = 1.0,
         statistics: Statistics = "batch",
         center: bool = False,
+        shots: PositiveInt | None = None,
+        noise: dict[Field, NonNegativeFactor | list[Share] | None] | None = None,
+        patterns: PositiveInt = 4,
     ) -> None:
         super().__init__()
         for name, options in (ansatz_options or {}).items():
@@ -167,7 +173,7 @@ class QirenHead(Head):
         own = (ansatz_options or {}).get(ansatz)
         described = self.described(ANSATZE.build(ansatz, qubits, spectral, **(own or {})))
         for index in range(layers + 1):
-            circuit = QuantumLayer(described, method=method, init=init)
+            circuit = QuantumLayer(described, method=method, init=init, shots=shots, noise=noise, patterns=patterns)
             layer_in = in_dim if index == 0 else circuit.outputs
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(circuit.outputs, out_dim)
@@ -178,7 +184,8 @@ class QirenHead(Head):
     def center(self) -> None:
         """Sets the last bias so that angles of 0, the mean of normalised inputs, give 0."""
         circuits = [module for module in self.modules() if isinstance(module, QuantumLayer)]
-        resting = [circuit(torch.zeros(1, circuit.wires)) for circuit in circuits]
+        with hardware_conditions.conditions(self):  # exact, also where the head has shots or noise
+            resting = [circuit(torch.zeros(1, circuit.wires)) for circuit in circuits]
         values = torch.stack(resting).sum(0) if self.sum_layers else resting[-1]
         self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.probes import cost, encoding, rays, spectrum, units
+from qnerf.probes import cost, diagnostics, encoding, rays, spectrum, units
 from qnerf.probes.trained import Trained, load, require_loadable
 from qnerf.records.files import replace
 
@@ -15,6 +15,11 @@ PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
     "rays": rays.table,
     "units": units.table,
     "cost": cost.table,
+    "expressibility": diagnostics.expressibility,
+    "entangling": diagnostics.entangling,
+    "fisher": diagnostics.fisher,
+    "kernel": diagnostics.kernel,
+    "surrogate": diagnostics.surrogate,
 }
 
 

@@ -1,9 +1,11 @@
 """A trained run rendered as on hardware: with finitely many shots, or with noisy gates."""
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from typing import Any
 
 import pandas as pd
 import torch
@@ -12,16 +14,16 @@ from torch import Tensor
 from qnerf.config.checks import at_least
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.probes.trained import Trained
-from qnerf.quantum import QuantumLayer, hardware_conditions
-from qnerf.quantum.pennylane import Noise
+from qnerf.quantum import QuantumLayer, density, hardware_conditions
+from qnerf.quantum.noise import CHANNELS, Noise
 from qnerf.records.files import exists, replace
 from qnerf.records.read import read_probe
 from qnerf.training.evaluation import Evaluator
 
 FILE = "eval_hardware.parquet"
-CHANNELS = tuple(field.name for field in fields(Noise))
-DENSITY_SECONDS = 3e-7  # for each wire and entry of a density matrix, one core; within a factor of 3 at 4 to 8 wires
-RAYS = 64  # on which the samples of a view are estimated
+OTHERS = tuple(field.name for field in fields(Noise) if field.name not in CHANNELS)
+TELL = 60  # seconds of a condition, from which on its time is told before
+RAYS = 64  # on which the time of a view is estimated
 KEYS = ["shots", "noise", "p", "seed"]
 """A row is one image under one condition: shots (0: exact), channel ("none": no noise), its probability, seed."""
 
@@ -30,14 +32,18 @@ KEYS = ["shots", "noise", "p", "seed"]
 class Condition:
     """How circuits are measured: `shots` 0 is exact, `noise` "none" is without noise.
 
+    `others` are further fields of `Noise` with their values, such as ("readout", 0.02). Their text joins the channel in
+    the column noise.
+
     Raises:
-        ValueError: an unknown channel, no probability, or one without the other.
+        ValueError: an unknown channel, no probability, one without the other, or values that `Noise` refuses.
     """
 
     shots: int = 0
     noise: str = "none"
     p: float = 0.0
     seed: int = 0
+    others: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         at_least("shots", self.shots, 0)
@@ -47,39 +53,65 @@ class Condition:
             raise ValueError(f"p must be a probability in [0, 1], got {self.p}")
         if (self.noise == "none") != (self.p == 0):
             raise ValueError(f"noise and p belong together, got noise={self.noise} p={self.p}")
+        _ = self.device
+
+    @property
+    def device(self) -> Noise:
+        channel = {self.noise: self.p} if self.noise != "none" else {}
+        return Noise(**channel, **dict(self.others))
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The values of `KEYS`."""
+        channel = [self.noise] if self.noise != "none" or not self.others else []
+        text = " ".join([*channel, *(f"{name}={value:g}" for name, value in self.others)])
+        return {"shots": self.shots, "noise": text, "p": self.p, "seed": self.seed}
 
 
-def grid(shots: Sequence[int], noise: str, p: Sequence[float], seed: int) -> list[Condition]:
-    """The exact rendering, then every number of shots with every probability of the channel.
+def grid(
+    shots: Sequence[int], noise: str, p: Sequence[float], seed: int, others: Mapping[str, float] = {}
+) -> list[Condition]:
+    """The exact rendering, then every number of shots with every probability of the channel, all with the `others`.
 
     >>> [(c.shots, c.noise, c.p) for c in grid([100], "bit_flip", [0.01, 0.1], seed=0)]
     [(0, 'none', 0.0), (100, 'bit_flip', 0.01), (100, 'bit_flip', 0.1)]
+    >>> grid([], "depolarizing", [0.001], 0, {"two_qubit": 0.01})[-1].keys["noise"]
+    'depolarizing two_qubit=0.01'
     """
     pairs = itertools.product(shots or [0], p or [0.0])
-    conditions = [Condition(count, noise if chance else "none", chance, seed) for count, chance in pairs]
+    conditions = [
+        Condition(count, noise if chance else "none", chance, seed, tuple(others.items())) for count, chance in pairs
+    ]
     return list(dict.fromkeys([Condition(seed=seed), *conditions]))
 
 
-def check_noise_feasible(evaluator: Evaluator, views: int) -> None:
-    """ValueError if exact noise would take hours: with S > 1 every sample has a density matrix of 4^n entries."""
-    layers = [m for m in evaluator.model.modules() if isinstance(m, QuantumLayer) and m.spectral > 1]
-    work: list[float] = []  # wires times entries, of all samples in one call of a circuit
-
-    def record(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
-        work.append(len(inputs[0]) * layer.wires * 4.0**layer.wires)
-
+def seconds_of_noise(evaluator: Evaluator, condition: Condition, patterns: int, views: int) -> float:
+    """About how long a condition takes, from rendering a few rays without noise."""
     pixels = evaluator.table.view(evaluator.scene.eval[0])
     rays = pixels[:RAYS]
-    with ExitStack() as hooks, torch.no_grad():
-        for layer in layers:
-            hooks.callback(layer.register_forward_pre_hook(record).remove)
-        evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
-    hours = sum(work) / len(rays) * views * len(pixels) * DENSITY_SECONDS / 3600
-    if hours > 1:
-        raise ValueError(
-            f"noise: circuits with spectral > 1 need a density matrix a sample: about {hours:,.0f} hours "
-            f"for {views} views; noise is quick for runs with qiren.spectral=1 or few qubits, shots for any"
-        )
+    layers = [m for m in evaluator.model.modules() if isinstance(m, QuantumLayer)]
+    measured = hardware_conditions.Conditions(noise=condition.device, patterns=patterns)
+    seconds: list[float] = []
+    begun: list[float] = []
+
+    def start(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
+        begun.append(time.perf_counter())
+
+    def stop(layer: QuantumLayer, inputs: tuple[Tensor], out: Tensor) -> None:
+        if measured.is_sampled(layer.circuit):
+            seconds.append((time.perf_counter() - begun[-1]) * (patterns + 1))
+        elif layer.spectral > 1:  # else a polynomial
+            seconds.append(out.shape[:-1].numel() * layer.wires * 4.0**layer.wires * density.SECONDS)
+
+    with torch.no_grad():
+        for _ in range(2):  # the first time compiles
+            seconds.clear()
+            with ExitStack() as hooks:
+                for layer in layers:
+                    hooks.callback(layer.register_forward_pre_hook(start).remove)
+                    hooks.callback(layer.register_forward_hook(stop).remove)
+                evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
+    return sum(seconds) / len(rays) * views * len(pixels)
 
 
 def evaluate_hardware(
@@ -87,6 +119,7 @@ def evaluate_hardware(
     conditions: Iterable[Condition],
     *,
     views: int = 0,
+    patterns: int = 100,
     tell: Callable[[str], None] = lambda line: None,
 ) -> pd.DataFrame:
     """Renders a finished run's held-out views under each condition and adds the rows to its eval_hardware.parquet.
@@ -95,13 +128,14 @@ def evaluate_hardware(
         trained: the run.
         conditions: rows of the same condition and image that the table already has are replaced.
         views: render the first so many held-out views; 0 for all.
+        patterns: of Pauli errors for each call of a circuit, where density matrices are too slow, see `Conditions`.
         tell: takes a line of progress.
 
     Returns:
         The whole table: image, psnr, ssim, lpips, lpips_reason, depth_error, depth_error_median, and `KEYS`.
 
     Raises:
-        ValueError: the run has no circuit, the noise would take hours, or the table is damaged.
+        ValueError: the run has no circuit, or the table is damaged.
     """
     folder, scene, model = trained.folder, trained.scene, trained.model
     if not any(isinstance(module, QuantumLayer) for module in model.modules()):
@@ -115,8 +149,6 @@ def evaluate_hardware(
         watch=trained.stopwatch(model),
     )
     conditions = list(conditions)
-    if any(condition.noise != "none" for condition in conditions):
-        check_noise_feasible(evaluator, views or len(scene.eval))
     path = folder / FILE
 
     def measured() -> pd.DataFrame | None:
@@ -125,19 +157,29 @@ def evaluate_hardware(
     measured()  # a damaged table is reported now
     table = pd.DataFrame()
     for condition in conditions:
-        noise = Noise(**{condition.noise: condition.p}) if condition.noise != "none" else None
+        count = len(scene.eval[: views or None])
+        if condition.device.gates and (seconds := seconds_of_noise(evaluator, condition, patterns, count)) > TELL:
+            tell(f"{_text(condition)}: about {seconds / 60:,.0f} minutes for {count} views; views= renders fewer")
         rows = []
-        with hardware_conditions.conditions(model, shots=condition.shots or None, noise=noise, seed=condition.seed):
+        with hardware_conditions.conditions(
+            model, shots=condition.shots or None, noise=condition.device, seed=condition.seed, patterns=patterns
+        ) as measuring:
             for _, row in evaluator.views(scene.eval[: views or None], trained.step):
-                rows.append(row | vars(condition))
+                rows.append(row | condition.keys)
         new = pd.DataFrame(rows).astype({item.key: "float64" for item in image_metrics()})
         # Read and written after each condition, so that no row is lost if this stops or another command writes too.
         earlier = measured()
         table = new if earlier is None else pd.concat([earlier, new])
         table = table.drop_duplicates(["image", *KEYS], keep="last", ignore_index=True)
         replace(path, table.to_parquet())
-        shots = f"{condition.shots} shots" if condition.shots else "exact"
         shown = [(metric_of(key).label, metric_of(key).with_unit(new[key].mean())) for key in ("psnr", "ssim")]
         quality = ", ".join(map(" ".join, shown))
-        tell(f"{shots}, noise {condition.noise} {condition.p:g}: {quality}")
+        sampled = f"; standard error of a value {measuring.standard_error:.2g}" if measuring.standard_error else ""
+        tell(f"{_text(condition)}: {quality}{sampled}")
     return table
+
+
+def _text(condition: Condition) -> str:
+    shots = f"{condition.shots} shots" if condition.shots else "exact"
+    others = "".join(f" {name}={value:g}" for name, value in condition.others)
+    return f"{shots}, noise {condition.noise} {condition.p:g}{others}"

@@ -3,7 +3,8 @@
 The files, in the order in which a circuit passes through them: `circuit` (the description), `initial_angles`,
 `normal_form` (what is left after merging gates), `cones` (which inputs an output depends on), `cost_model` (which
 engine), `compiled.engine` and `lightcone` (the two engines on the CPU), `statevector` (the plain PyTorch reference),
-`density` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of everything).
+`noise`, `density`, `pauli_errors` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of
+everything). `diagnostics` says what a circuit can express and how it learns.
 """
 
 from qnerf.quantum import hardware_conditions

@@ -1,9 +1,11 @@
 """The cost model behind `method="auto"`: what each engine would cost for a batch, and which one to take.
 
-Operations are multiply-adds on one sample, counted from the normal form of the circuit. The compiled engines reach a
-fixed rate of them (RATE, measured on one core with 512-bit vectors; half of that with 256 bits), plus a fixed overhead
-a step. A light-cone polynomial needs few operations a sample, but its circuit has to be evaluated on a grid once a
-step. It is cheaper from some batch size on; with large cones it never is.
+Operations are multiply-adds on one sample, counted from the normal form of the circuit. A light-cone polynomial needs
+few operations a sample, but its circuit has to be evaluated on a grid once a step. It is cheaper from some batch size
+on; with large cones it never is.
+
+The expected time has seven constants, which `python -m benchmarks.cost_model` fits to a grid of wires, re-uploadings
+and batches. On the grid that it saved, the time of a step is within a factor of 2.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> for spectral in (1, 2):
@@ -26,9 +28,30 @@ from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import interpolation
 from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form
 
-# Bytes of multiply-add operands a second and thread: 8e10 float32 operations with 64-byte vectors.
-RATE = 5e9 * VECTOR_BYTES
-OVERHEAD = 3e-4  # seconds a step: Python, autograd, binding the weights
+
+@dataclass(frozen=True)
+class Rates:
+    """How fast the machine is.
+
+    Attributes:
+        step: seconds of every step: Python, autograd.
+        table: seconds for each amplitude and step of the normal form: what is set up once, of any batch.
+        state, cone: bytes of multiply-add operands a second, thread and byte of a vector, of either engine.
+        sample: seconds for each byte of the inputs.
+        cache: bytes of a block's state from which on the memory slows it down.
+        slowdown: by how much more time at most.
+    """
+
+    step: float = 3.42e-4
+    table: float = 4.11e-8
+    state: float = 2.78e9
+    cone: float = 1.52e9
+    sample: float = 9.22e-9
+    cache: float = 3.39e6
+    slowdown: float = 3.55
+
+
+RATES = Rates()
 
 
 @dataclass(frozen=True)
@@ -96,6 +119,22 @@ def statevector_memory(form: NormalForm, batch: int, itemsize: int = 4) -> int:
     return blocks_at_once * vectors * 2**form.wires * VECTOR_BYTES + itemsize * batch * 4 * form.wires
 
 
+def expected_seconds(
+    form: NormalForm, batch: int, itemsize: int, operations: int, operations_once: int, rates: Rates = RATES
+) -> float:
+    """Forward and backward of a compiled engine; with operations once a step, that of the light cones."""
+    lanes = VECTOR_BYTES // itemsize
+    blocks = -(-batch // lanes)  # one sample costs as much as a block
+    threads = min(torch.get_num_threads(), max(blocks, 1))
+    size = 2**form.wires
+    filled = (size * VECTOR_BYTES / rates.cache) ** 2
+    slow = 1 + rates.slowdown * filled / (filled + 1)
+    state, cone = rates.state * VECTOR_BYTES * threads / slow, rates.cone * VECTOR_BYTES * threads
+    per_sample = operations * blocks * lanes * itemsize / (cone if operations_once else state)
+    once = rates.table * len(form.steps) * size * slow + operations_once * 8 / state  # the grid is float64
+    return rates.step + once + per_sample + rates.sample * batch * form.wires * itemsize
+
+
 @lru_cache(maxsize=256)
 def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
     """Multiply-adds for each sample, forward and backward, and circuit evaluations for each step.
@@ -124,12 +163,10 @@ def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype,
     """
     form = normal_form(circuit)
     itemsize = torch.finfo(dtype).bits // 8
-    threads = torch.get_num_threads()
     backend = "compiled" if compiled else "torch"
 
     def seconds(operations: int, once: int) -> float:
-        total = operations * batch * itemsize + once * 8  # what runs once a step is float64
-        return OVERHEAD + total / (RATE * threads) if compiled else float("nan")
+        return expected_seconds(form, batch, itemsize, operations, once) if compiled else float("nan")
 
     state = statevector_operations(form)
     counted = lightcone_operations(circuit)

@@ -13,10 +13,12 @@ from torch import Tensor
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations
 from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
+from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import cnot_permutation, cz_signs
-from qnerf.quantum.pennylane import Noise
 
 CHUNK_BYTES = 2**27
+SECONDS = 3e-7  # for each wire and entry of a density matrix, one core; within a factor of 3 at 4 to 8 wires
+QUICK_GRID, QUICK_SAMPLE = 60.0, 1e-3  # seconds
 
 _PAULIS = {
     "I": torch.eye(2, dtype=torch.complex128),
@@ -44,10 +46,24 @@ def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: 
     return polynomials(circuit, x.detach(), cache[key].to(x))
 
 
+def is_quick(circuit: Circuit) -> bool:
+    """Whether it takes at most a minute once, for circuits with small light cones, or a millisecond a sample.
+
+    >>> from qnerf.quantum.circuit import ANSATZE
+    >>> [is_quick(ANSATZE.build("qiren", *size)) for size in ((8, 1), (4, 2), (8, 2), (12, 1))]
+    [True, True, False, False]
+    """
+    seconds = SECONDS * circuit.wires * 4.0**circuit.wires
+    try:
+        return len(interpolation(circuit).points) * seconds <= QUICK_GRID
+    except TooLarge:
+        return seconds <= QUICK_SAMPLE
+
+
 @torch.no_grad()
 def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
     n = circuit.wires
-    channels = [_superoperator(operators) for operators in noise.kraus_operators()]
+    channels = {size: [_superoperator(operators) for operators in noise.kraus_operators(size)] for size in (1, 2)}
     encodings = [i for i, operation in enumerate(circuit.operations) if isinstance(operation, Encoding)]
     first, last = (encodings[0], encodings[-1] + 1) if encodings else (0, 0)
 
@@ -76,23 +92,25 @@ Channel = Callable[[Tensor, bool], Tensor]
 """A map of matrices (2^n, 2^n, B); with True its adjoint, which acts on observables."""
 
 
-def _channels_of(operation: Operation, n: int, x: Tensor, weights: Tensor, noise: list[Tensor]) -> list[Channel]:
+def _channels_of(
+    operation: Operation, n: int, x: Tensor, weights: Tensor, noise: dict[int, list[Tensor]]
+) -> list[Channel]:
     """The gates of one operation and the noise after each, in the order in which they act on a state."""
     channels: list[Channel] = []
 
     def add(superoperator: Tensor, wire: int) -> None:
         channels.append(lambda matrix, adjoint: _apply(matrix, superoperator, wire, n, adjoint))
 
-    def add_noise(wire: int) -> None:
-        for superoperator in noise:
-            add(superoperator, wire)
+    def add_noise(*wires: int) -> None:
+        for wire in wires:
+            for superoperator in noise[len(wires)]:
+                add(superoperator, wire)
 
     if isinstance(operation, Entangler):
         for pair in operation.pairs:
             # CZ and CNOT are their own adjoints.
             channels.append(lambda matrix, adjoint, pair=pair: _entangle(matrix, operation.gate, pair, n))  # type: ignore[misc]
-            for wire in pair:
-                add_noise(wire)
+            add_noise(*pair)
     else:
         for wire in range(n):
             if isinstance(operation, Rotations):

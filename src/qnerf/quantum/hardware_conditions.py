@@ -12,33 +12,32 @@ True
 This is for evaluation: a backward pass through the outputs is a ValueError.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 from torch import nn
 
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.measurement import Conditions
-from qnerf.quantum.pennylane import Noise
+from qnerf.quantum.noise import Noise
 
 
 @contextmanager
 def conditions(
-    model: nn.Module, *, shots: int | None = None, noise: Noise | float | None = None, joint: bool = True, seed: int = 0
+    model: nn.Module, *, noise: Noise | Mapping[str, Any] | float | None = None, **options: Any
 ) -> Iterator[Conditions]:
     """Inside, every QuantumLayer of `model` measures under these `Conditions`.
 
     Args:
         model: any module.
-        shots: measurements of each circuit; None for exact expectation values.
-        noise: channels after every gate; a number is a depolarizing probability.
-        joint: whether a shot reads all wires at once, as a device does.
-        seed: of the shots.
+        noise: errors of the gates and of the readout: a `Noise`, its fields, or a depolarizing probability.
+        options: `shots`, `joint`, `seed`, `method`, `patterns` and `gradients` of `Conditions`.
 
     Raises:
-        ValueError: no positive number of shots, or no probability.
+        ValueError: no positive number of shots, no probability, or an unknown field.
     """
-    new = Conditions(shots, Noise(depolarizing=noise) if isinstance(noise, (int, float)) else noise, joint, seed)
+    new = Conditions(noise=Noise.of(noise), **options)
     layers = [module for module in model.modules() if isinstance(module, QuantumLayer)]
     before = [layer.conditions for layer in layers]
     for layer in layers:

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config import memory
-from qnerf.config.bounds import PositiveInt, Seed, checked
+from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
 from qnerf.quantum import lightcone, measurement, operator, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cost_model import Cost, choose_engine, statevector_memory
 from qnerf.quantum.initial_angles import INITS
+from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form
 
 LARGE = 2**28  # bytes of work space that are asked for only if the machine has them
@@ -47,7 +48,13 @@ class QuantumLayer(nn.Module):
         backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device; auto takes
             compiled wherever it can run. Second and higher derivatives (`create_graph=True`), `torch.func` and forward
             derivatives go through plain PyTorch. `torch.compile` sees the layer as one operator.
-        device, diff_method, shots, noise, seed: of method=pennylane, see `qnerf.quantum.pennylane.make_node`.
+        shots: measurements of each value; None for exact expectation values. Each output is drawn by itself.
+        noise: a `Noise`, its fields, or a depolarizing probability. Training with shots and noise has the derivatives
+            that `qnerf.quantum.measurement.Conditions` says with gradients=True.
+        patterns: of Pauli errors, drawn anew in each call of a noisy circuit and shared by its samples.
+        seed: of the shots and of the patterns; None draws from torch's global generator.
+        device, device_options, diff_method: of method=pennylane, see `qnerf.quantum.pennylane.make_node`. The device
+            then draws the shots, and `noise` becomes its channels.
 
     Parameters: `weights1` (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in
     published QIREN checkpoints. L is the number of sublayers of the ansatz, 2 by default.
@@ -72,10 +79,12 @@ class QuantumLayer(nn.Module):
         init: str = "uniform",
         ansatz_options: dict[str, Any] | None = None,
         backend: Literal["auto", "compiled", "torch"] = "auto",
-        device: str = "default.qubit",
+        device: str | pennylane.Device = "default.qubit",
+        device_options: dict | None = None,
         diff_method: pennylane.DiffMethod = "backprop",
         shots: PositiveInt | None = None,
-        noise: pennylane.Noise | None = None,
+        noise: Noise | dict | NonNegativeFactor | None = None,
+        patterns: PositiveInt = 4,
         seed: Seed | None = None,
     ) -> None:
         super().__init__()
@@ -83,15 +92,19 @@ class QuantumLayer(nn.Module):
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
         self._node: Callable[[Tensor, Tensor], Tensor] | None = None
-        options = {"device": device, "diff_method": diff_method, "shots": shots, "noise": noise, "seed": seed}
-        self._node_options: dict[str, Any] = options
+        of_device: dict[str, Any] = {"device": device, "device_options": device_options, "diff_method": diff_method}
+        measured: dict[str, Any] = {"shots": shots, "noise": Noise.of(noise), "seed": seed}
+        self._node_options = of_device | measured
         if method == "pennylane":
-            self._node = pennylane.make_node(self.circuit, **options)  # type: ignore[arg-type]
+            self._node = pennylane.make_node(self.circuit, **self._node_options)
         else:
             defaults = inspect.signature(pennylane.make_node).parameters
-            for name, value in options.items():
+            for name, value in of_device.items():
                 if value != defaults[name].default:
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
+            own = measurement.Conditions(**measured, joint=False, patterns=patterns, gradients=True)
+            if own.shots is not None or own.noisy:
+                self.conditions = own
         form = normal_form(self.circuit)
         memory.require(f"one sample of a circuit of {self.wires} wires", statevector_memory(form, 1))
         self._engine = compiled.StatevectorEngine(form)
@@ -174,8 +187,7 @@ class QuantumLayer(nn.Module):
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
-        exact = self._exact(x, weights) if conditions.needs_exact else None
-        return measurement.measure(self.circuit, x, weights, exact, conditions)
+        return measurement.measure(self.circuit, x, weights, self._exact, conditions)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
         if self._node is not None:

@@ -1,18 +1,21 @@
-"""Circuits measured as on hardware: with finitely many shots or noisy gates. The outputs carry no gradients."""
+"""Circuits measured as on hardware: with finitely many shots or noisy gates."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.quantum import density, statevector
+from qnerf.quantum import density, pauli_errors, statevector
 from qnerf.quantum.circuit import Circuit
+from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form, z_eigenvalues
-from qnerf.quantum.pennylane import Noise, check_shots
+from qnerf.quantum.pennylane import check_shots
 
 CHUNK = 4096  # samples whose probabilities are computed at once
+
+NoiseMethod = Literal["auto", "density", "sampled"]
 
 
 @dataclass
@@ -21,37 +24,63 @@ class Conditions:
 
     Args:
         shots: measurements of each circuit; None for exact expectation values.
-        noise: channels after every gate; None for none.
+        noise: errors of the gates and of the readout; None for none.
         joint: True reads all wires in every shot, as a device does. False draws each output from its own binomial,
             which is faster. Every single output has the same distribution either way; only the correlations between
             the outputs of one sample differ. Noisy shots are always drawn independently.
-        seed: of the shots.
+        seed: of the shots and of sampled noise; None draws from torch's global generator.
+        method: of noisy gates. density is exact, by density matrices; sampled draws `patterns` of Pauli errors, with a
+            standard error; auto takes density where it is quick (`density.is_quick`).
+        patterns: drawn for each call of a circuit. All its samples share them.
+        gradients: False makes a backward pass through the outputs a ValueError. With True they have the derivatives of
+            the exact values, or with noise those of the drawn patterns (never density matrices). Values of shots are
+            sampled, their derivatives are not: d loss / d value is taken at the sampled value. The parameter-shift rule
+            with shots of its own has this expectation, and more variance.
 
     Raises:
-        ValueError: `shots` is not a positive integer, or `noise` is not a `Noise`.
+        ValueError: `shots` or `patterns` is not a positive integer, `method` is unknown, or `noise` is not a `Noise`.
     """
 
     shots: int | None = None
     noise: Noise | None = None
     joint: bool = True
-    seed: int = 0
+    seed: int | None = 0
+    method: NoiseMethod = "auto"
+    patterns: int = 100
+    gradients: bool = False
     random: np.random.Generator = field(init=False, repr=False)
     noisy_coefficients: dict[bytes, Tensor] = field(init=False, repr=False, default_factory=dict)
+    squared_errors: float = field(init=False, repr=False, default=0.0)
+    outputs: int = field(init=False, repr=False, default=0)
 
     def __post_init__(self) -> None:
         check_shots(self.shots)
         if self.noise is not None and not isinstance(self.noise, Noise):
             raise ValueError(f"noise expects a Noise, a depolarizing probability or None, got {self.noise!r}")
-        self.random = np.random.default_rng(self.seed)
+        if self.method not in get_args(NoiseMethod):
+            raise ValueError(f"method: unknown {self.method!r}; known: {', '.join(get_args(NoiseMethod))}")
+        if isinstance(self.patterns, bool) or not isinstance(self.patterns, int) or self.patterns < 1:
+            raise ValueError(f"patterns expects a positive integer, got {self.patterns!r}")
+        if self.seed is not None:
+            self.random = np.random.default_rng(self.seed)
 
     @property
     def noisy(self) -> bool:
         return self.noise is not None and self.noise.any
 
     @property
-    def needs_exact(self) -> bool:
-        """Whether `measure` starts from the exact expectation values."""
-        return not self.noisy and (self.shots is None or not self.joint)
+    def standard_error(self) -> float:
+        """Root mean square of the standard errors of all outputs so far, from sampled noise alone.
+
+        0 where noise is exact, and with gradients=True.
+        """
+        return (self.squared_errors / self.outputs) ** 0.5 if self.outputs else 0.0
+
+    def is_sampled(self, circuit: Circuit) -> bool:
+        """Whether the gate noise of this circuit is sampled rather than exact."""
+        if self.noise is None or not self.noise.gates:
+            return False
+        return self.gradients or self.method == "sampled" or (self.method == "auto" and not density.is_quick(circuit))
 
 
 class _WithoutGradient(torch.autograd.Function):
@@ -64,27 +93,71 @@ class _WithoutGradient(torch.autograd.Function):
         raise ValueError("outputs under hardware conditions carry no gradients; train outside the conditions")
 
 
-def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, conditions: Conditions) -> Tensor:
-    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n). A backward pass through them is a ValueError.
+def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions) -> Tensor:
+    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n).
 
-    `exact` are the exact expectation values, which `conditions.needs_exact` asks for.
+    `exact` computes the exact expectation values. See `Conditions` for derivatives.
     """
+    if conditions.seed is None:
+        conditions.random = np.random.default_rng(int(torch.randint(2**62, ())))
+    if conditions.gradients:
+        values = _expected(circuit, x, weights, exact, conditions)
+        with torch.no_grad():
+            drawn = _drawn(circuit, x, weights, values, conditions)
+        return values if drawn is values else values + (drawn - values).detach()
     with torch.no_grad():
-        values = _measured(circuit, x, weights, exact, conditions)
-    out: Tensor = _WithoutGradient.apply(values, x, weights)
+        joint = conditions.shots is not None and conditions.joint and not conditions.noisy
+        values = x if joint else _expected(circuit, x, weights, exact, conditions)  # joint shots need no exact values
+        drawn = _drawn(circuit, x, weights, values, conditions)
+    out: Tensor = _WithoutGradient.apply(drawn, x, weights)
     return out
 
 
-def _measured(circuit: Circuit, x: Tensor, weights: Tensor, exact: Tensor | None, conditions: Conditions) -> Tensor:
-    if conditions.noise is not None and conditions.noisy:
-        exact = density.evaluate(circuit, x, weights, conditions.noise, conditions.noisy_coefficients)
+def _expected(
+    circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions
+) -> Tensor:
+    """Expectation values with the errors of gates and of the readout."""
+    noise = conditions.noise
+    if noise is None or not noise.any:
+        return exact(x, weights)
+    scale, shift = _readout(circuit, noise)
+    if conditions.is_sampled(circuit):
+        values, errors = pauli_errors.evaluate(
+            exact, circuit, x, weights, noise, conditions.patterns, conditions.random
+        )
+        if not conditions.gradients:  # reading the number would make a GPU wait
+            conditions.squared_errors += float((errors * scale.to(errors)).square().sum())
+            conditions.outputs += errors.numel()
+    elif noise.gates:
+        values = density.evaluate(circuit, x, weights, noise, conditions.noisy_coefficients)
+    else:
+        values = exact(x, weights)
+    return values * scale.to(values) + shift.to(values)
+
+
+def _readout(circuit: Circuit, noise: Noise) -> tuple[Tensor, Tensor]:
+    """What readout errors make of each output: it is multiplied by the first and shifted by the second (outputs,).
+
+    Raises:
+        ValueError: two different probabilities for a product of several wires, which mixes it with other products.
+    """
+    scale, shift = noise.readout_factors
+    wires = torch.tensor([len(word) for word in circuit.observables], dtype=torch.float64)
+    if shift and not bool((wires == 1).all()):
+        raise ValueError(
+            f"noise: two probabilities of readout={noise.readout} expect outputs of one wire each, "
+            f"ansatz {circuit.name} has products; give one probability"
+        )
+    return scale**wires, torch.full_like(wires, shift)
+
+
+def _drawn(circuit: Circuit, x: Tensor, weights: Tensor, expected: Tensor, conditions: Conditions) -> Tensor:
+    """Means of finitely many shots; `expected` itself without a number of shots."""
     if conditions.shots is None:
-        assert exact is not None
-        return exact
+        return expected
     if conditions.joint and not conditions.noisy:
         return torch.cat([_measure_all_wires(circuit, part, weights, conditions) for part in x.split(CHUNK)])
-    assert exact is not None
-    return binomial(exact, conditions.shots, conditions.random)
+    return binomial(expected, conditions.shots, conditions.random)
 
 
 def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:

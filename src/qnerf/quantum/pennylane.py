@@ -5,64 +5,27 @@ is imported on first use: `import qnerf` stays quick.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.noise import Noise
 
 DiffMethod = Literal["backprop", "parameter-shift", "adjoint"]
 
-CHANNELS = {
-    "depolarizing": "DepolarizingChannel",
-    "amplitude_damping": "AmplitudeDamping",
-    "phase_damping": "PhaseDamping",
-    "bit_flip": "BitFlip",
-}
-"""Field of `Noise` -> PennyLane's channel, in the order in which they follow a gate."""
 
-
-@dataclass(frozen=True)
-class Noise:
-    """Channels after every gate, on each wire that the gate touches; probabilities in [0, 1].
-
-    >>> Noise(depolarizing=0.01, bit_flip=0.002).channels
-    [('DepolarizingChannel', 0.01), ('BitFlip', 0.002)]
-
-    Raises:
-        ValueError: a value that is no probability.
-    """
-
-    depolarizing: float = 0.0
-    amplitude_damping: float = 0.0
-    phase_damping: float = 0.0
-    bit_flip: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value <= 1:
-                raise ValueError(f"noise: {name} expects a probability in [0, 1], got {value!r}")
+@runtime_checkable
+class Device(Protocol):
+    """A PennyLane device, without importing PennyLane."""
 
     @property
-    def any(self) -> bool:
-        return bool(self.channels)
+    def name(self) -> str: ...
 
     @property
-    def channels(self) -> list[tuple[str, float]]:
-        """PennyLane's name and the probability of each channel that is not 0."""
-        return [(channel, vars(self)[name]) for name, channel in CHANNELS.items() if vars(self)[name]]
-
-    def kraus_operators(self) -> list[list[Tensor]]:
-        """For each channel its Kraus operators (2, 2), complex128."""
-        import pennylane as qml
-
-        return [
-            [torch.from_numpy(k).to(torch.complex128) for k in getattr(qml, name).compute_kraus_matrices(p)]
-            for name, p in self.channels
-        ]
+    def wires(self) -> Any: ...
 
 
 def check_shots(shots: int | None) -> None:
@@ -77,7 +40,7 @@ def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) ->
 
     def add_noise(*wires: int) -> None:
         for wire in wires:
-            for name, probability in noise.channels if noise is not None else ():
+            for name, probability in noise.after(len(wires)) if noise is not None else ():
                 getattr(qml, name)(probability, wires=wire)
 
     for operation in circuit.operations:
@@ -119,12 +82,24 @@ def _quantum_function(circuit: Circuit, noise: Noise | None) -> Callable[[Any, A
     return quantum_function
 
 
-def make_device(name: str, wires: int, seed: int | None = None) -> Any:
-    """A PennyLane device by its name. The ValueError for an unknown one lists those that are installed."""
+def make_device(device: str | Device, wires: int, seed: int | None = None, options: dict | None = None) -> Any:
+    """A PennyLane device by its name with its own options, or the device itself.
+
+    Raises:
+        ValueError: an unknown name (the message lists the installed ones), options that the device refuses, or a device
+            that is given as an object with options, a seed or other wires.
+    """
     import pennylane as qml
 
+    if not isinstance(device, str):
+        if options or seed is not None:
+            raise ValueError(f"device {device.name} is given as an object; give it its options and its seed there")
+        if device.wires and len(device.wires) < wires:
+            raise ValueError(f"device {device.name} has {len(device.wires)} wires, the circuit needs {wires}")
+        return device
+    name = device
     try:
-        return qml.device(name, wires=wires) if seed is None else qml.device(name, wires=wires, seed=seed)
+        return qml.device(name, wires=wires, **(options or {}), **({} if seed is None else {"seed": seed}))
     except Exception as error:
         known = ", ".join(sorted(qml.plugin_devices))
         first = (str(error).splitlines() or [type(error).__name__])[0]
@@ -135,7 +110,8 @@ def make_device(name: str, wires: int, seed: int | None = None) -> Any:
 def make_node(
     circuit: Circuit,
     *,
-    device: str = "default.qubit",
+    device: str | Device = "default.qubit",
+    device_options: dict | None = None,
     diff_method: DiffMethod = "backprop",
     shots: PositiveInt | None = None,
     noise: Noise | None = None,
@@ -145,10 +121,12 @@ def make_node(
 
     Args:
         circuit: what is run.
-        device: any PennyLane device. Noise needs one that takes channels, such as default.mixed.
+        device: any PennyLane device, by its name or as an object. Noise needs one that takes channels, such as
+            default.mixed.
+        device_options: of a device given by its name, such as {"readout_prob": 0.02} of default.mixed.
         diff_method: backprop, parameter-shift (the only one with shots) or adjoint.
         shots: of each circuit; None for exact expectation values.
-        noise: channels after every gate.
+        noise: channels after every gate; without errors of the readout, which are an option of the device.
         seed: of the device's shots.
 
     Raises:
@@ -158,11 +136,13 @@ def make_node(
 
     if shots is not None and diff_method != "parameter-shift":
         raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
-    target = make_device(device, circuit.wires, seed)
-    if noise is not None and noise.any:
+    target = make_device(device, circuit.wires, seed, device_options)
+    if noise is not None and noise.readout_factors != (1.0, 0.0):
+        raise ValueError("noise: readout expects another method than pennylane; there it is an option of the device")
+    if noise is not None and noise.gates:
         _check_channels(target)
     # Only backprop without channels can broadcast over the batch.
-    broadcast = diff_method == "backprop" and (noise is None or not noise.any)
+    broadcast = diff_method == "backprop" and (noise is None or not noise.gates)
 
     node = qml.QNode(_quantum_function(circuit, noise), target, interface="torch", diff_method=diff_method)
     if shots is not None:

@@ -74,6 +74,19 @@ TABLES = {
         ),
         **dict.fromkeys(("view_hours", "step_hours"), "float"),
     },
+    **{
+        name: {"head": "text", "circuit": "int", **columns}
+        for name, columns in {
+            "expressibility": {"weights": "text", "expressibility": "float", "haar": "float", "pairs": "int"},
+            "entangling": {"weights": "text", "entanglement": "float", "standard_error": "float", "haar": "float"},
+            "fisher": {
+                **dict.fromkeys(("index", "parameters", "rank"), "int"),
+                **dict.fromkeys(("eigenvalue", "effective_dimension", "local_effective_dimension"), "float"),
+            },
+            "kernel": {"index": "int", "eigenvalue": "float", "effective_rank": "float"},
+            "surrogate": {"waves": "int", "covered": "bool", "error": "float"},
+        }.items()
+    },
     "spectrum": {
         "head": "text",
         "method": "text",

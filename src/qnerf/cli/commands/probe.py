@@ -1,31 +1,36 @@
-"""`qnerf probe RUN shots=100,1000 noise=depolarizing p=0.001,0.01 views=0 seed=0`, or `qnerf probe RUN rays`."""
+"""`qnerf probe RUN shots=100,1000 noise=depolarizing p=0.001,0.01 readout=0.02`, or `qnerf probe RUN rays`."""
 
 import argparse
 from typing import Any
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.upgrade_config import load_stored
-from qnerf.config.bounds import NonNegativeInt, PositiveInt, Share, check
+from qnerf.config.bounds import PositiveInt, Share, check
 from qnerf.records import find
 
-PROBES = ("spectrum", "encoding", "rays", "units", "cost")
-DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0"}
+DIAGNOSTICS = ("expressibility", "entangling", "fisher", "kernel", "surrogate")
+PROBES = ("spectrum", "encoding", "rays", "units", "cost", *DIAGNOSTICS)
+DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0", "patterns": "100"}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measures the trained model of a finished run; the results go into the run's folder. With shots=... or "
-        "noise=... it renders the held-out views as quantum hardware would: eval_hardware.parquet. PROBE is spectrum "
-        "(Fourier power of the circuits), encoding (a slice of the encoders), rays (samples along a few rays), units "
-        "(dead units and the spread of each layer's values, before and after training) or cost (gates, evaluations and "
-        "hours of the circuits on quantum hardware): PROBE.parquet."
+        "noise=... it renders the held-out views as hardware would: eval_hardware.parquet. Noise is exact where "
+        "density matrices are quick, else the mean over patterns of Pauli errors. PROBE is spectrum (Fourier power of "
+        "the circuits), encoding (a slice of the encoders), rays (samples along a few rays), units "
+        "(dead units and the spread of each layer's values, before and after training), cost (gates, evaluations and "
+        "hours of the circuits on quantum hardware), or a diagnostic of the circuits: expressibility, entangling, "
+        "fisher (information, effective dimension), kernel (tangent) or surrogate (a classical one): PROBE.parquet."
     )
     add_run(parser)
     parser.add_argument(
         "options",
         nargs="*",
         metavar="PROBE | KEY=VALUE",
-        help=f"{' | '.join(PROBES)} | shots=100,1000 | noise=depolarizing p=0.001,0.01 | views=0 (0: all) | seed=0",
+        help=f"{' | '.join(PROBES)} | shots=100,1000 | noise=depolarizing p=0.001,0.01 | "
+        "two_qubit=0.01 | readout=0.02 | t1=1e-4 t2=8e-5 one_qubit_time=3e-8 two_qubit_time=3e-7 | patterns=100 | "
+        "views=0 (0: all) | seed=0",
     )
 
 
@@ -35,7 +40,7 @@ def main(options: argparse.Namespace) -> None:
     repeated = [option for option in options.options if option.startswith("plugins=")]
     settings = [option for option in options.options if "=" in option and option not in repeated]
     _check(names, settings)
-    conditions, views = _conditions(settings) if settings or not names else (None, 0)
+    conditions, counts = _conditions(settings) if settings or not names else (None, {})
 
     from qnerf.probes import probe
     from qnerf.probes.cost import RATE, SHOTS
@@ -48,9 +53,12 @@ def main(options: argparse.Namespace) -> None:
         print(path)
         if name == "cost":
             print(f"hours: {SHOTS:,} shots an evaluation, {RATE:,.0f} shots a second")
-            print(read_probe(trained.folder, name).to_string(index=False, float_format="%.3g"))
+        if name == "cost" or name in DIAGNOSTICS:
+            table = read_probe(trained.folder, name)
+            shown = table[table["index"] == 0] if "index" in table else table  # of a spectrum its largest eigenvalue
+            print(shown.to_string(index=False, float_format="%.3g"))
     if conditions is not None:
-        evaluate_hardware(trained, conditions, views=views, tell=print)
+        evaluate_hardware(trained, conditions, **counts, tell=print)
         print(f"rows in {trained.folder / FILE}")
 
 
@@ -58,33 +66,36 @@ def _check(names: list[str], settings: list[str]) -> None:
     for name in names:
         if name not in PROBES:
             raise ValueError(f"unknown probe {name!r}; known: {', '.join(PROBES)}")
-    for key in (setting.partition("=")[0] for setting in settings):
-        if key not in DEFAULTS:
-            raise ValueError(f"unknown option {key!r}; known: {', '.join(DEFAULTS)}")
+    if settings:
+        from qnerf.probes.shots_and_noise import OTHERS
+
+        for key in (setting.partition("=")[0] for setting in settings):
+            if key not in (*DEFAULTS, *OTHERS):
+                raise ValueError(f"unknown option {key!r}; known: {', '.join((*DEFAULTS, *OTHERS))}")
 
 
-def _conditions(settings: list[str]) -> tuple[list[Any], int]:
-    """The conditions to measure under, and the number of views."""
+def _conditions(settings: list[str]) -> tuple[list[Any], dict[str, int]]:
+    """The conditions to measure under, and the numbers of views and patterns."""
     from qnerf.probes.shots_and_noise import grid
 
     chosen = dict(option.split("=", 1) for option in settings)
     values = DEFAULTS | chosen
     shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
-    views, seed = _one("views", values["views"]), _one("seed", values["seed"])
+    views, seed, patterns = (_one(key, values[key]) for key in ("views", "seed", "patterns"))
+    others = {key: _one(key, text, float) for key, text in chosen.items() if key not in DEFAULTS}
     if "noise" in chosen and not p:
         raise ValueError(f"noise={values['noise']} also expects probabilities, such as p=0.001,0.01")
     check("shots", shots, list[PositiveInt])
     check("p", p, list[Share])
-    check("views", views, NonNegativeInt)
-    check("seed", seed, NonNegativeInt)
-    return grid(shots, values["noise"], p, seed), views
+    check("patterns", patterns, PositiveInt)
+    return grid(shots, values["noise"], p, seed, others), {"views": views, "patterns": patterns}
 
 
-def _one(name: str, text: str) -> int:
-    numbers = _numbers(int, name, text)
-    if len(numbers) != 1 or numbers[0] < 0:
+def _one(name: str, text: str, kind: type = int) -> Any:
+    numbers = _numbers(kind, name, text)
+    if len(numbers) != 1 or not numbers[0] >= 0:
         raise ValueError(f"{name} expects one number of at least 0, got {text!r}")
-    return int(numbers[0])
+    return numbers[0]
 
 
 def _numbers(kind: type, name: str, text: str) -> list[Any]:

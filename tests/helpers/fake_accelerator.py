@@ -1,0 +1,116 @@
+"""A device that only exists in PyTorch's bookkeeping: `python -m tests.helpers.fake_accelerator qboth`.
+
+Every tensor on it has a shape, a dtype and a device and no values, and an operation that mixes it with the CPU is an
+error, as on a GPU. Whatever is not the CPU takes the same paths in this package as CUDA. PyTorch without CUDA cannot
+move fake tensors to "cuda" nor differentiate there; a device of one's own it can. It is registered for a whole process,
+so this is a program of its own. It ends with "done".
+"""
+
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.overrides import TorchFunctionMode
+from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
+
+from qnerf.experiment import build_model, prepare, ray_table
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+from qnerf.training.losses import distortion, interlevel, mse
+from tests.helpers.configs import TINY, composed
+
+DEVICE = "elsewhere"
+CASES = (("qiren", 1, None), ("qiren", 2, 0.1), ("cnot", 2, None), ("rx", 2, None))  # ansatz, re-uploadings, noise
+
+
+class OnDevice(TorchFunctionMode):
+    """`torch.tensor(values, device=...)` goes by way of the CPU, because the device has no memory."""
+
+    def __torch_function__(
+        self, function: Callable[..., Any], types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
+    ) -> Any:
+        kwargs = dict(kwargs or {})
+        if function is torch.tensor and torch.device(kwargs.get("device") or "cpu").type == DEVICE:
+            return torch.tensor(*args, **kwargs | {"device": "cpu"}).to(kwargs["device"])
+        if function is Tensor.new_tensor and args[0].device.type == DEVICE:
+            return torch.tensor(*args[1:], **{"dtype": args[0].dtype} | kwargs).to(args[0].device)
+        return function(*args, **kwargs)
+
+
+def moved(module: nn.Module) -> nn.Module:
+    """The module with its parameters and buffers on the device."""
+    for part in module.modules():
+        for name, parameter in part._parameters.items():
+            if parameter is not None:
+                part._parameters[name] = nn.Parameter(parameter.detach().to(DEVICE), parameter.requires_grad)
+        for name, buffer in part._buffers.items():
+            if buffer is not None:
+                part._buffers[name] = buffer.detach().to(DEVICE)
+    return module
+
+
+def on_device(value: Any) -> Any:
+    """A dataclass of tensors on the device."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{field.name: on_device(getattr(value, field.name)) for field in fields(value)})
+    return value.detach().to(DEVICE) if torch.is_tensor(value) else value
+
+
+def check(name: str, outputs: Iterable[Tensor], inputs: Iterable[Tensor]) -> None:
+    """Differentiates the sum of the outputs: everything is on the device."""
+    outputs, inputs = list(outputs), list(inputs)
+    gradients = torch.autograd.grad(torch.stack([out.sum() for out in outputs]).sum(), inputs, allow_unused=True)
+    found = {tensor.device.type for tensor in (*outputs, *gradients) if tensor is not None}
+    assert found == {DEVICE}, f"{name}: {found}"
+    print(name)
+
+
+def main() -> None:
+    _setup_privateuseone_for_python_backend(DEVICE)
+    getattr(torch, DEVICE).get_amp_supported_dtype = lambda: [torch.float16]  # which torch.autocast asks for
+    torch.set_num_threads(1)
+    with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():
+        with suppress(RuntimeError):
+            torch.empty(2, device=DEVICE) * torch.ones(2)
+            raise AssertionError("a mixture passed unseen")
+        for name, spectral, noise in CASES:
+            layer = moved(QuantumLayer(4, spectral, ansatz=name, noise=noise, patterns=1, seed=0))
+            x = torch.empty(5, 4, device=DEVICE, requires_grad=True)
+            check(f"{name} {spectral} {noise}", [layer(x)], [x, *layer.parameters()])
+        for method in ("lightcone", "statevector"):
+            layer = moved(QuantumLayer(4, 1, method=method))
+            check(method, [layer(torch.empty(5, 4, device=DEVICE))], layer.parameters())
+    for field in sys.argv[1:]:
+        step(field)
+    print("done")
+
+
+def step(field: str) -> None:
+    """Forward and backward pass of a training step; boolean masks need values, so nothing is left out of it."""
+    config = composed(
+        "scene=poster", *TINY, f"field={field}", "qiren.qubits=3", "hash=C7", "train.rays=8", "shading=none",
+        "visibility.cameras=0", "device=cpu",
+    )  # fmt: skip
+    _, settings, scene = prepare(config)
+    model = build_model(settings, scene).train()
+    rays, pixels = ray_table(settings, scene).batch(8, torch.Generator().manual_seed(0), model.cameras)
+    with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():
+        moved(model)
+        rays, pixels = on_device(rays), pixels.detach().to(DEVICE)
+        watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+        rendering, sampled, _ = model(rays, background="last_sample", step=0, watch=watch)
+        losses = [
+            mse(rendering.color, pixels[..., :3]),
+            distortion(sampled.samples, rendering.weights),
+            interlevel(sampled.samples, rendering.weights, sampled.proposals),
+        ]
+        check(field, losses, [p for p in model.parameters() if p.requires_grad])
+
+
+if __name__ == "__main__":
+    main()

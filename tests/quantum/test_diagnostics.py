@@ -1,0 +1,115 @@
+"""Diagnostics of circuits against closed forms."""
+
+from math import log, pi
+
+import numpy as np
+import pennylane as qml
+import pytest
+import torch
+from torch import nn
+
+from qnerf.quantum import QuantumLayer
+from qnerf.quantum import diagnostics as d
+from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.pennylane import apply
+
+IDLE = Circuit("idle", 2, 1, 1, (), (((0, "Z"),), ((1, "Z"),)))
+ROT = Circuit("rot", 1, 1, 1, (Rotations(0),), (((0, "Z"),),))
+PRODUCT = Circuit("product", 3, 1, 1, (Rotations(0), Encoding("X", (1.0,) * 3), Rotations(1)), (((0, "Z"),),))
+GHZ = Circuit("ghz", 3, 1, 1, (Encoding("Y", (1.0, 0.0, 0.0)), Entangler("CNOT", ((0, 1), (1, 2)))), (((0, "Z"),),))
+
+
+def test_states_have_all_gates_up_to_a_rotation_of_each_wire() -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(3, 2, ansatz="cnot").double()
+    x, weights = d.uniform_angles(2, 3), d.weights_of(layer)
+
+    @qml.qnode(qml.device("default.qubit", wires=3))
+    def node() -> object:
+        apply(layer.circuit, x.numpy(), weights.transpose(1, 2).numpy())
+        return qml.state()
+
+    ours, theirs = d.states(layer.circuit, x, weights), torch.from_numpy(np.array(node()))
+    assert abs((ours[0].conj() @ ours[1]).abs() - (theirs[0].conj() @ theirs[1]).abs()) < 1e-12
+    assert torch.allclose(d.meyer_wallach(ours), d.meyer_wallach(theirs), atol=1e-12)
+    each = d.states(layer.circuit, x, weights.expand(2, -1, -1, -1))
+    assert torch.allclose(each, ours, atol=1e-14)
+
+
+def test_entanglement_of_product_and_ghz_states() -> None:
+    torch.manual_seed(0)
+    product = d.entangling_capability(QuantumLayer(PRODUCT), states=20)
+    assert product.mean == pytest.approx(0, abs=1e-12)
+    quarter = torch.tensor([[pi / 2, 0.0, 0.0]])
+    assert d.entangling_capability(QuantumLayer(GHZ), states=3, x=quarter).mean == pytest.approx(1)
+    # cos(a/2) |000> + sin(a/2) |111>: every wire has purity 1 - sin(a)^2 / 2; the mean of sin^2 is 1/2.
+    uniform = d.entangling_capability(QuantumLayer(GHZ), states=4000)
+    assert abs(uniform.mean - 0.5) < 4 * uniform.standard_error < 0.03
+
+
+def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() -> None:
+    torch.manual_seed(0)
+    assert d.expressibility(QuantumLayer(IDLE), pairs=10) == pytest.approx(log(75))
+    noise = torch.randn(2, 20_000, 8, dtype=torch.complex128)
+    haar = noise / noise.norm(dim=-1, keepdim=True)
+    fidelity = (haar[0].conj() * haar[1]).sum(-1).abs().square()
+    assert 0.5 < d._divergence(fidelity, 3) / (74 / 40_000) < 1.6
+    # Rot with uniform angles: latitudes a, b and a difference c of longitudes are uniform angles.
+    a, b, c = ((torch.arange(count, dtype=torch.float64) + 0.5) * (2 * pi / count) for count in (200, 211, 101))
+    products = a.cos()[:, None] * b.cos(), a.sin()[:, None] * b.sin()
+    expected = d._divergence((1 + products[0][..., None] + products[1][..., None] * c.cos()).flatten() / 2, 1)
+    assert expected > 0.005
+    assert d.expressibility(QuantumLayer(ROT), pairs=40_000) == pytest.approx(expected, abs=0.004)
+
+
+def test_fisher_information_of_one_ry_and_of_a_product() -> None:
+    layer = QuantumLayer(ROT)
+    matrix = d.fisher(layer, torch.zeros(2, 1), torch.tensor([0.3, 0.8, 0.2]).reshape(1, 3, 1).expand(2, 3, 1))
+    expected = torch.zeros(6, 6, dtype=torch.float64)
+    expected[1, 1] = 1  # p = cos(theta / 2)^2 has (dp)^2 / (p (1 - p)) = 1 for every theta
+    assert torch.allclose(matrix, expected, atol=1e-12)
+
+
+def test_effective_dimension_counts_directions() -> None:
+    k = 1000 / (2 * pi * log(1000))
+    flat = torch.diag(torch.tensor([1.0, 1.0, 0.0, 0.0], dtype=torch.float64))
+    assert d.effective_dimension([flat], 1000) == pytest.approx(2 * log(1 + 2 * k) / log(k))
+    assert d.effective_dimension([flat, flat], 10**300) == pytest.approx(2, abs=0.01)
+    with pytest.raises(ValueError, match="more samples"):
+        d.effective_dimension([flat], 10)
+
+
+def test_the_tangent_kernel_of_a_linear_model_and_of_a_circuit() -> None:
+    torch.manual_seed(0)
+    x = torch.randn(70, 3, dtype=torch.float64)
+    linear = nn.Linear(3, 2).double()
+    assert torch.allclose(d.tangent_kernel(linear, x), 2 * (x @ x.T + 1))
+    layer = QuantumLayer(2, 1).double()
+    kernel = d.tangent_kernel(layer, x[:2, :2])
+    gradients = []
+    for sample in x[:2, :2]:
+        for output in layer(sample):
+            one, two = torch.autograd.grad(output, (layer.weights1, layer.weights2), retain_graph=True)
+            gradients.append(torch.cat([one.flatten(), two.flatten()]))
+    jacobian = torch.stack(gradients).reshape(2, 2, -1)
+    assert torch.allclose(kernel, torch.einsum("aop,bop->ab", jacobian, jacobian))
+
+
+def test_the_surrogate_is_exact_where_it_covers_the_spectrum() -> None:
+    torch.manual_seed(0)
+    layer = QuantumLayer(2, 2).double()
+    fitted, tested = torch.randn(400, 2), torch.randn(200, 2)
+    whole = d.surrogate(layer, fitted, tested, 13)  # (5^2 + 1) / 2
+    assert (whole.waves, whole.covered) == (13, True)
+    assert whole.error < 1e-6
+    some = d.surrogate(layer, fitted, tested, 5)
+    assert (some.waves, some.covered) == (5, False)
+    assert 1e-3 < some.error < 1
+    # Waves of the right spectrum: a circuit with other scales is not covered by them.
+    assert d._frequencies(QuantumLayer(1, 2, ansatz="ternary").circuit, 9)[0].flatten().tolist() == [0, 1, 2, 3, 4]
+
+
+def test_the_mean_alone_has_an_error_of_one() -> None:
+    torch.manual_seed(0)
+    x = torch.randn(4000, 2)
+    assert d.surrogate(QuantumLayer(2, 1), x, x, 1).error == pytest.approx(1)
