@@ -1,8 +1,20 @@
 """A circuit as plain data: the list of its gates and what is measured at the end.
 
-Every engine, the drawing and the PennyLane circuit are derived from this description. The circuits here are data
-re-uploading circuits: they start in |0...0>, alternate trainable rotations, entanglers and encodings of the input, and
-end with expectation values of Pauli words.
+Every engine, the drawing and the PennyLane circuit are derived from this description. Any circuit is a list of gates,
+each angle a number, a trainable weight, a feature of the input or a polynomial of them:
+
+>>> w = Weights("w", (2,))
+>>> mine = Circuit(
+...     "mine", wires=2, features=3, weights=(w,),
+...     operations=(Gate("H", (0,)), Gate("RY", (1,), (w[0] * feature(2),)), Gate("IsingXX", (0, 1), (w[1],))),
+...     observables=(((0, "X"),), Hamiltonian((0.5, -1.0), (((0, "Z"), (1, "Z")), ((0, "X"),))), Probabilities((1,))),
+... )
+>>> mine.outputs, mine.parameters
+(4, {'w': (2,)})
+
+Data re-uploading circuits have operations of their own, on all wires at once, and engines that are faster still. They
+start in |0...0>, alternate trainable rotations, entanglers and encodings of the input, and end with expectation values
+of Pauli words.
 
 `ANSATZE` holds the circuits that have a name. A new one is a function of the wires and the spectral layers that
 returns a `Circuit`; its keyword-only parameters are options that a configuration can set:
@@ -11,7 +23,7 @@ returns a `Circuit`; its keyword-only parameters are options that a configuratio
     def mine(wires: int, spectral: int, *, axis: str = "Y") -> Circuit:
         return reuploading("mine", wires, spectral, entangler="CNOT", ranges=(1, 1), axis=axis)
 
-A circuit that is not of the re-uploading family lists its operations itself:
+Operations of both kinds go together:
 
 >>> bell = Circuit(
 ...     "bell", wires=2, spectral=1, sublayers=1,
@@ -23,6 +35,7 @@ A circuit that is not of the re-uploading family lists its operations itself:
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isfinite
 from typing import Annotated, Any, Literal, get_args
 
@@ -30,6 +43,13 @@ from annotated_types import Interval
 
 from qnerf.config.bounds import Factor
 from qnerf.config.registry import Registry
+from qnerf.quantum.expressions import Expression, Weights, feature, weight
+from qnerf.quantum.gates import GATES, Amplitudes, Gate
+
+__all__ = [
+    "ANSATZE", "GATES", "Amplitudes", "Circuit", "Encoding", "Entangler", "Expression", "Gate", "Hamiltonian",
+    "Operation", "PauliWord", "Probabilities", "Rotations", "Weights", "feature", "weight",
+]  # fmt: skip
 
 MAX_WIRES = 20
 MAX_SPECTRAL = 64  # the largest scale of ternary encodings, 3^63, is still a float32
@@ -71,58 +91,92 @@ class Encoding:
     scales: tuple[float, ...]
 
 
-Operation = Rotations | Entangler | Encoding
+Operation = Rotations | Entangler | Encoding | Gate | Amplitudes
+
+
+@dataclass(frozen=True)
+class Hamiltonian:
+    """A real combination of Pauli words: the output sum_k coefficients[k] <words[k]>. The word () is the identity."""
+
+    coefficients: tuple[float, ...]
+    words: tuple[PauliWord, ...]
+
+
+@dataclass(frozen=True)
+class Probabilities:
+    """The probabilities of the 2^k bit strings of `wires`; the first wire is the most significant bit."""
+
+    wires: tuple[int, ...]
+
+
+Observable = PauliWord | Hamiltonian | Probabilities
 
 
 @dataclass(frozen=True)
 class Circuit:
-    """A circuit on n = `wires` wires with S = `spectral` encodings.
+    """A circuit on n = `wires` wires.
 
-    The S + 1 trainable blocks have L = `sublayers` sublayers each. Their angles are `weights1` (S, L, n, 3) and
-    `weights2` (L, n, 3), stacked in this order: row r = block * L + sublayer. Output k is the expectation value of
-    `observables[k]`, in [-1, 1]. Wire 0 is the most significant bit of a basis state, as in PennyLane.
+    Args:
+        name: of the circuit.
+        wires: n.
+        spectral: S, the number of encodings, where there are `Rotations`.
+        sublayers: L, the sublayers of each of the S + 1 trainable blocks, where there are `Rotations`. Their angles are
+            `weights1` (S, L, n, 3) and `weights2` (L, n, 3), stacked in this order: row r = block * L + sublayer.
+        operations: in the order in which they act on |0...0>.
+        observables: a Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities` of k wires
+            are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
+        features: length of the input; by default n.
+        weights: the trainable weights of the gates. Those of `Rotations` need no entry.
 
     Raises:
-        ValueError: an operation, row, wire, gate, axis or Pauli letter that does not exist, no observable, or one wire
-            measured in two letters. All outputs can therefore be read in the same shot.
+        ValueError: an operation, row, wire, gate, axis, weight, feature or Pauli letter that does not exist, or no
+            observable.
     """
 
     name: str
     wires: int
-    spectral: int
-    sublayers: int
-    operations: tuple[Operation, ...]
-    observables: tuple[PauliWord, ...]
+    spectral: int = 0
+    sublayers: int = 0
+    operations: tuple[Operation, ...] = ()
+    observables: tuple[Observable, ...] = ()
+    features: int | None = None
+    weights: tuple[Weights, ...] = ()
 
     def __post_init__(self) -> None:
         check_wires(self.wires)
-        for name, value in (("spectral layers", self.spectral), ("sublayers", self.sublayers)):
-            if value < 1:
-                raise self._error(f"{name} must be at least 1, got {value}")
+        if self.features is None:
+            object.__setattr__(self, "features", self.wires)
+        elif isinstance(self.features, bool) or not isinstance(self.features, int) or self.features < 0:
+            raise self._error(f"features must be an integer of at least 0, got {self.features!r}")
+        if self.sublayers or self.spectral or any(isinstance(op, Rotations) for op in self.operations):
+            for name, value in (("spectral layers", self.spectral), ("sublayers", self.sublayers)):
+                if value < 1:
+                    raise self._error(f"{name} must be at least 1, got {value}")
+        names = [weights.name for weights in self.weights]
+        if len({*names, "weights1", "weights2"}) < len(names) + 2:
+            raise self._error(f"weights need different names, other than weights1 and weights2, got {names}")
+        started: set[int] = set()
         for operation in self.operations:
-            self._check(operation)
-        measured: dict[int, str] = {}
+            self._check(operation, started)
         if not self.observables:
             raise self._error("needs at least one observable")
-        for word in self.observables:
-            if len({wire for wire, _ in word}) < len(word):
-                raise self._error(f"observable {word} has more than one letter on a wire")
-            for wire, letter in word:
-                if not 0 <= wire < self.wires or letter not in PAULIS:
-                    known = ", ".join(PAULIS)
-                    raise self._error(f"observable {word} needs wires below {self.wires}, letters {known}")
-                if measured.setdefault(wire, letter) != letter:
-                    both = f"{measured[wire]} and {letter}"
-                    raise self._error(f"wire {wire} is measured in {both}; give each wire one letter")
+        for observable in self.observables:
+            self._check_observable(observable)
 
     def _error(self, message: str) -> ValueError:
         return ValueError(f"ansatz {self.name}: {message}")
 
-    def _check(self, operation: Operation) -> None:
+    def _check(self, operation: Operation, started: set[int]) -> None:
+        """ValueError unless the operation fits; `started` are the wires that earlier ones act on."""
         n, rows = self.wires, self.rows
         if not isinstance(operation, Operation):
             known = ", ".join(kind.__name__ for kind in get_args(Operation))
             raise self._error(f"unknown operation {operation!r}; known: {known}")
+        if isinstance(operation, Gate | Amplitudes):
+            self._check_gate(operation, started)
+            started.update(operation.wires)
+            return
+        started.update(range(n))
         if isinstance(operation, Rotations) and not 0 <= operation.row < rows:
             raise self._error(f"rotations use row {operation.row}, weights have rows 0..{rows - 1}")
         if isinstance(operation, Entangler):
@@ -136,6 +190,43 @@ class Circuit:
                 raise self._error(f"unknown axis {operation.axis!r}; known: {', '.join(PAULIS)}")
             if len(operation.scales) != n or not all(isfinite(scale) for scale in operation.scales):
                 raise self._error(f"encoding needs {n} finite scales, got {operation.scales}")
+            if self.features != n:
+                raise self._error(f"encoding needs a feature for each of {n} wires, got features={self.features}")
+
+    def _check_gate(self, operation: Gate | Amplitudes, started: set[int]) -> None:
+        sizes = {weights.name: weights.size for weights in self.weights}
+        what = operation.name if isinstance(operation, Gate) else "amplitudes"
+        if not all(0 <= wire < self.wires for wire in operation.wires):
+            raise self._error(f"{what} on wires {operation.wires} needs wires below {self.wires}")
+        if isinstance(operation, Amplitudes) and started & set(operation.wires):
+            raise self._error(f"amplitudes of wires {operation.wires} must come before every gate on these wires")
+        for angle in map(Expression.of, operation.angles):
+            if any(not 0 <= index < (self.features or 0) for index in angle.features):
+                raise self._error(f"{what} takes the angle {angle}, the input has {self.features} features")
+            if any(not 0 <= index < sizes.get(name, 0) for name, index in angle.weights):
+                known = ", ".join(f"{name} with {size}" for name, size in sizes.items()) or "none"
+                raise self._error(f"{what} takes the angle {angle}; declared weights: {known}")
+
+    def _check_observable(self, observable: Observable) -> None:
+        known = f"wires below {self.wires}, letters {', '.join(PAULIS)}"
+        if isinstance(observable, Probabilities):
+            wires = observable.wires
+            if not wires or len(set(wires)) < len(wires) or not all(0 <= wire < self.wires for wire in wires):
+                raise self._error(f"probabilities of wires {wires} need different {known.split(',')[0]}")
+            return
+        if isinstance(observable, Hamiltonian):
+            if len(observable.coefficients) != len(observable.words) or not all(map(isfinite, observable.coefficients)):
+                raise self._error(f"{observable} needs one finite coefficient for each word")
+        for word in observable.words if isinstance(observable, Hamiltonian) else (observable,):
+            if len({wire for wire, _ in word}) < len(word):
+                raise self._error(f"observable {word} has more than one letter on a wire")
+            if any(not 0 <= wire < self.wires or letter not in PAULIS for wire, letter in word):
+                raise self._error(f"observable {word} needs {known}")
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return sum(2 ** len(o.wires) if isinstance(o, Probabilities) else 1 for o in self.observables)
 
     @property
     def rows(self) -> int:
@@ -146,6 +237,40 @@ class Circuit:
     def weight_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Shapes of `weights1` and `weights2`."""
         return (self.spectral, self.sublayers, self.wires, 3), (self.sublayers, self.wires, 3)
+
+    @property
+    def parameters(self) -> dict[str, tuple[int, ...]]:
+        """Name -> shape of all trainable weights, those of `Rotations` first."""
+        stacked = dict(zip(("weights1", "weights2"), self.weight_shapes, strict=True)) if self.sublayers else {}
+        return stacked | {weights.name: weights.shape for weights in self.weights}
+
+    @cached_property
+    def reuploading(self) -> bool:
+        """Whether all operations are of data re-uploading circuits, and all wires can be measured in the same shot.
+
+        The engines of `normal_form` take these circuits.
+        """
+        letters: dict[int, str] = {}
+        return (
+            self.sublayers > 0
+            and not self.weights
+            and self.features == self.wires
+            and all(isinstance(operation, Rotations | Entangler | Encoding) for operation in self.operations)
+            and all(isinstance(word, tuple) for word in self.observables)
+            and all(letters.setdefault(w, a) == a for word in self.observables if isinstance(word, tuple) for w, a in word)
+        )
+
+    @property
+    def words(self) -> tuple[PauliWord, ...]:
+        """The measured Pauli words of a circuit that measures nothing else.
+
+        Raises:
+            ValueError: the circuit measures Hamiltonians or probabilities.
+        """
+        words = tuple(word for word in self.observables if isinstance(word, tuple))
+        if len(words) < len(self.observables):
+            raise self._error("measures Hamiltonians or probabilities; this takes Pauli words alone")
+        return words
 
 
 def check_wires(wires: int) -> None:
