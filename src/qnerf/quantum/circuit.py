@@ -101,6 +101,10 @@ class Hamiltonian:
     coefficients: tuple[float, ...]
     words: tuple[PauliWord, ...]
 
+    def __post_init__(self) -> None:
+        if len(self.coefficients) != len(self.words) or not all(map(isfinite, self.coefficients)):
+            raise ValueError(f"{self} needs one finite coefficient for each word")
+
 
 @dataclass(frozen=True)
 class Probabilities:
@@ -214,9 +218,6 @@ class Circuit:
             if not wires or len(set(wires)) < len(wires) or not all(0 <= wire < self.wires for wire in wires):
                 raise self._error(f"probabilities of wires {wires} need different {known.split(',')[0]}")
             return
-        if isinstance(observable, Hamiltonian):
-            if len(observable.coefficients) != len(observable.words) or not all(map(isfinite, observable.coefficients)):
-                raise self._error(f"{observable} needs one finite coefficient for each word")
         for word in observable.words if isinstance(observable, Hamiltonian) else (observable,):
             if len({wire for wire, _ in word}) < len(word):
                 raise self._error(f"observable {word} has more than one letter on a wire")
@@ -257,7 +258,9 @@ class Circuit:
             and self.features == self.wires
             and all(isinstance(operation, Rotations | Entangler | Encoding) for operation in self.operations)
             and all(isinstance(word, tuple) for word in self.observables)
-            and all(letters.setdefault(w, a) == a for word in self.observables if isinstance(word, tuple) for w, a in word)
+            and all(
+                letters.setdefault(w, a) == a for word in self.observables if isinstance(word, tuple) for w, a in word
+            )
         )
 
     @property

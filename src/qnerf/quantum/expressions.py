@@ -17,7 +17,9 @@ from typing import Any, TypeAlias
 Term: TypeAlias = tuple[float, tuple[tuple[str, int], ...], tuple[int, ...]]
 """A coefficient, the weights (name, flat index) and the features (index) that it is multiplied by."""
 
-_FUNCTIONS = "sin cos tan arcsin arccos arctan sinh cosh tanh arctanh exp log sqrt".split()
+_FUNCTIONS = frozenset(
+    ("sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "arctanh", "exp", "log", "sqrt")
+)
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def normal_form(circuit: Circuit) -> NormalForm:
             _append(steps, Diagonal(Angles(((row, OMEGA),))))
         elif isinstance(operation, Entangler):
             _append(steps, Diagonal(pairs=operation.pairs) if operation.gate == "CZ" else CNOTs(operation.pairs))
-        else:
+        elif isinstance(operation, Encoding):
             _append_encoding(steps, operation, circuit.wires)
     letters = {wire: letter for word in circuit.words for wire, letter in word}
     quarter = tuple({"X": -pi / 2, "Y": pi / 2}.get(letters.get(wire, "Z"), 0.0) for wire in range(circuit.wires))

@@ -173,11 +173,10 @@ def pauli_form(circuit: Circuit) -> PauliForm:
             constants += [0.0] * 2 ** len(observable.wires)
             first += 2 ** len(observable.wires)
             continue
-        known = isinstance(observable, Hamiltonian)
-        pairs = zip(observable.coefficients, observable.words, strict=True) if known else ((1.0, observable),)  # type: ignore[union-attr]
+        sums = observable if isinstance(observable, Hamiltonian) else Hamiltonian((1.0,), (observable,))
         combined.append({})
         constants.append(0.0)
-        for coefficient, word in pairs:
+        for coefficient, word in zip(sums.coefficients, sums.words, strict=True):
             image = frame(_word(word, n))
             if image.x == image.z == 0:
                 constants[-1] += coefficient * image.sign
@@ -188,7 +187,9 @@ def pauli_form(circuit: Circuit) -> PauliForm:
     for row, entries in enumerate(combined):
         for column, value in entries.items():
             combination[row, column if column >= 0 else len(index) - 1 - column] = value
-    generators = [frame(Word.of("Z", (w,), n)) for o in circuit.observables if isinstance(o, Probabilities) for w in o.wires]
+    generators = [
+        frame(Word.of("Z", (w,), n)) for o in circuit.observables if isinstance(o, Probabilities) for w in o.wires
+    ]
     kept = rotations.that_matter([*index, *generators])
     return PauliForm(circuit, tuple(kept), tuple(index), tables, combination, np.array(constants))
 

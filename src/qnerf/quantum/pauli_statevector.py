@@ -5,6 +5,7 @@ the amplitudes of the start, and the outputs as combinations of the measured val
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from qnerf.quantum.expressions import Expression
 from qnerf.quantum.pauli_form import Word, pauli_form
 
 Simulate = Callable[[Tensor, Tensor, Tensor | None, int, torch.dtype], Tensor]
-"""Measured values (B, values) from angles (1, fixed) and (B, moving), the start (1 or B, 2^n) or None, B and a dtype."""
+"""Measured values (B, values) from angles (1, fixed) and (B, moving), the start (1 or B, 2^n) or None, B, a dtype."""
 
 
 class PauliCircuit:
@@ -82,7 +83,7 @@ class PauliCircuit:
         parts = zip(moving.split(step), starts, strict=False)
         if not torch.is_grad_enabled() or not any(t is not None and t.requires_grad for t in (fixed, moving, start)):
             return torch.cat([self._values(fixed, part, first, dtype) for part, first in parts])
-        options = {"use_reentrant": False, "preserve_rng_state": False}
+        options: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
         return torch.cat([checkpoint(self._values, fixed, part, first, dtype, **options) for part, first in parts])
 
     def _values(self, fixed: Tensor, moving: Tensor, start: Tensor | None, dtype: torch.dtype) -> Tensor:

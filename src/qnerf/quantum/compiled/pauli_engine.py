@@ -11,11 +11,18 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
+from qnerf.quantum import statevector
 from qnerf.quantum.compiled import pauli_sweeps
 from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
 from qnerf.quantum.compiled.simd import VECTOR_BYTES, lanes
+from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.pauli_form import PauliForm, Word
 from qnerf.quantum.pauli_statevector import PauliCircuit
+
+# Bytes of multiply-add operands a second and thread, measured on one core; less than `cost_model.RATE`, because every
+# rotation reads and writes the whole state.
+RATE = 1.5e9 * VECTOR_BYTES
+OVERHEAD = 5e-4  # seconds a step: Python, autograd, the angles
 
 
 class PauliEngine:
@@ -59,6 +66,18 @@ def memory_bytes(form: PauliForm, batch: int, itemsize: int = 4) -> int:
     return (states * 2**form.wires + blocks * values) * VECTOR_BYTES + parts
 
 
+def cost(form: PauliForm, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
+    """What a batch costs, forward and backward."""
+    itemsize = torch.finfo(dtype).bits // 8
+    count = operations(form)
+    padded = -(-batch * itemsize // VECTOR_BYTES) * VECTOR_BYTES  # whole blocks of samples
+    threads = min(torch.get_num_threads(), max(1, padded // VECTOR_BYTES))
+    seconds = OVERHEAD + count * padded / (RATE * threads) if compiled else float("nan")
+    memory = memory_bytes(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
+    reason = f"{len(form.rotations)} rotations about Pauli words"
+    return Cost("statevector", "compiled" if compiled else "torch", batch, count, 0, memory, seconds, reason)
+
+
 class _Run:
     """The arrays of one step."""
 
@@ -73,7 +92,9 @@ class _Run:
         # What runs once a step is float64: it costs nothing, and its gradients are sums over the whole batch.
         self.fixed_once = _cos_sin(fixed.detach().numpy()[0], np.float64)
         self.fixed = self.fixed_once.astype(kind)
-        self.trig = _cos_sin(to_blocks(np.broadcast_to(moving.detach().numpy(), (batch, moving.shape[1])), self.width), kind)
+        self.trig = _cos_sin(
+            to_blocks(np.broadcast_to(moving.detach().numpy(), (batch, moving.shape[1])), self.width), kind
+        )
         self.trig = np.ascontiguousarray(self.trig.swapaxes(0, 1))
         self.once = np.zeros((2, 2**n))
         self.once[0, 0] = 1

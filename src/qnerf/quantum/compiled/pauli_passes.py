@@ -149,10 +149,8 @@ def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, ou
             one = load(x, ones + (_parity((b ^ wx) & wz) ^ flip) * width)
             i, k = state + b * width, state + (b ^ wx) * width
             re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k + size)
-            if imaginary:
-                total = total + one * (im * re_ - re * im_)
-            else:
-                total = total + one * (re * re_ + im * im_)
+            product = im * re_ - re * im_ if imaginary else re * re_ + im * im_
+            total = total + one * product
     store(x, out, total + total)
 
 
