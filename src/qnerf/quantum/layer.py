@@ -217,7 +217,7 @@ class QuantumLayer(nn.Module):
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
         if self._node is not None:
             return self._node(x, weights.transpose(1, 2) if self._pauli is None else weights)
-        engine = self._cost(x.shape[0], x.device, x.dtype, _is_transformed())
+        engine = self._cost(x.shape[0], x.device, x.dtype, operator.is_transformed())
         if engine.method == "lightcone":
             if engine.backend == "torch":
                 return lightcone.evaluate_reference(self.circuit, x, weights)
@@ -262,8 +262,3 @@ def _initial_weights(circuit: Circuit, init: str) -> dict[str, Tensor]:
         drawn = torch.empty(own.shape).uniform_(0, 2 * pi)
         values[own.name] = drawn if own.initial is None else torch.full_like(drawn, own.initial)
     return values
-
-
-def _is_transformed() -> bool:
-    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
-    return torch._C._are_functorch_transforms_active() or torch.autograd.forward_ad._current_level >= 0

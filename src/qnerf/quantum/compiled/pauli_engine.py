@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
-from qnerf.quantum import statevector
+from qnerf.quantum import operator, statevector
 from qnerf.quantum.compiled import pauli_sweeps
 from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
 from qnerf.quantum.compiled.simd import VECTOR_BYTES, lanes
@@ -39,8 +39,14 @@ class PauliEngine:
         self.outcomes = np.cumsum([0, *sizes]).astype(np.int64)
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Outputs (B, outputs) for inputs x (B, features) and flat weights."""
+        """Outputs (B, outputs) for inputs x (B, features) and flat weights, compiled."""
         return self.plain.evaluate(x, weights, self._simulate)
+
+    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
+        """`evaluate` where the compiled engine can run, else the same in plain PyTorch."""
+        if x.device.type != "cpu" or operator.is_transformed():
+            return self.plain.evaluate(x, weights)
+        return self.evaluate(x, weights)
 
     def _simulate(self, fixed: Tensor, moving: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
         out: Tensor = _Simulate.apply(self, fixed, moving, start, batch, dtype)
