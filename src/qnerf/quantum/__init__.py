@@ -6,9 +6,19 @@ engine), `compiled.engine` and `lightcone` (the two engines on the CPU), `statev
 `density` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of everything).
 """
 
+from typing import Any
+
 from qnerf.quantum import hardware_conditions
 from qnerf.quantum.layer import QuantumLayer
 
 hardware = hardware_conditions  # the earlier name
 
-__all__ = ["QuantumLayer", "hardware", "hardware_conditions"]
+__all__ = ["QuantumLayer", "from_qnode", "hardware", "hardware_conditions"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "from_qnode":  # PennyLane is imported only for who asks
+        from qnerf.quantum.qnode import from_qnode
+
+        return from_qnode
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -17,17 +17,13 @@ from typing import Any, TypeAlias
 Term: TypeAlias = tuple[float, tuple[tuple[str, int], ...], tuple[int, ...]]
 """A coefficient, the weights (name, flat index) and the features (index) that it is multiplied by."""
 
-_FUNCTIONS = frozenset(
-    ("sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "arctanh", "exp", "log", "sqrt")
-)
-
 
 @dataclass(frozen=True)
 class Expression:
     """A sum of `terms`; as an angle it is in radians. Sums, differences, products and integer powers are expressions.
 
     Raises:
-        ValueError: a coefficient that is not finite, or a function that has no polynomial, such as a sine.
+        ValueError: a coefficient that is not finite, or a quotient or power that is no polynomial.
     """
 
     terms: tuple[Term, ...] = ()
@@ -99,11 +95,6 @@ class Expression:
 
     def __pos__(self) -> "Expression":
         return self
-
-    def __getattr__(self, name: str) -> Any:
-        if name in _FUNCTIONS:  # NumPy looks the function up here
-            raise ValueError(f"an angle is a polynomial of weights and features; {name} is none")
-        raise AttributeError(name)
 
     def __repr__(self) -> str:
         return " + ".join(_text(*term) for term in self.terms) or "0"

@@ -27,12 +27,12 @@ from qnerf.quantum.circuit import Operation, Weights, check_wires, feature, weig
 from qnerf.quantum.compiled.pauli_engine import PauliEngine, memory_bytes
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.pauli_statevector import PauliCircuit
-from qnerf.quantum.tapes import Measured, circuit_of, described, is_gate, is_measurement
+from qnerf.quantum.tapes import Measured, circuit_of, described, is_gate, is_measurement, places_of
 
 
 @simulator_tracking
 @single_tape_support
-class FastDevice(Device):  # type: ignore[misc]
+class FastDevice(Device):
     """Exact expectation values, variances and probabilities of circuits of qubits.
 
     Parameters of a tape that are float32 tensors are computed with in float32, all others in float64; results are
@@ -60,8 +60,8 @@ class FastDevice(Device):  # type: ignore[misc]
         """Backprop, through PyTorch."""
         if execution_config is None:
             return True
-        is_torch = execution_config.interface in (None, math.Interface.TORCH, math.Interface.AUTO)
-        return is_torch and execution_config.gradient_method in {"backprop", "best"}
+        others = (math.Interface.AUTOGRAD, math.Interface.JAX, math.Interface.JAX_JIT, math.Interface.TF)
+        return execution_config.interface not in others and execution_config.gradient_method in {"backprop", "best"}
 
     def setup_execution_config(
         self, config: ExecutionConfig | None = None, circuit: QuantumScript | None = None
@@ -88,16 +88,13 @@ class FastDevice(Device):  # type: ignore[misc]
     ) -> tuple[Any, ...]:
         """The results of each tape."""
         try:
-            return tuple(self._run(tape) for tape in circuits)
+            is_torch = execution_config is not None and execution_config.interface == math.Interface.TORCH
+            return tuple(self._run(tape, is_torch) for tape in circuits)
         except ValueError as error:
             raise DeviceError(f"qnerf.fast: {error}") from error
 
-    def _run(self, tape: QuantumScript) -> Any:
-        labels = self.wires if self.wires is not None else tape.wires
-        used = tape.wires if any(m.wires for m in tape.measurements) or not self.wires else labels
-        if any(not m.wires for m in tape.measurements):
-            used = labels  # probabilities of all wires
-        places = {wire: place for place, wire in enumerate(used)}
+    def _run(self, tape: QuantumScript, is_torch: bool) -> Any:
+        places = places_of(tape, self.wires)
         slots = _Slots()
         operations = described(tape.operations, places, slots)
         measured = Measured(tape.measurements, places)
@@ -106,9 +103,13 @@ class FastDevice(Device):  # type: ignore[misc]
         results = [value.double() for value in measured.results(engine(x, weights))]
         if tape.batch_size is None:
             results = [value[0] for value in results]
-        if not slots.is_torch:
-            results = [value.detach().numpy() for value in results]
-        return results[0] if len(results) == 1 else tuple(results)
+        if not (is_torch or slots.is_torch):
+            return _one_or_all([value.detach().numpy() for value in results])
+        return _one_or_all(results)
+
+
+def _one_or_all(results: list[Any]) -> Any:
+    return results[0] if len(results) == 1 else tuple(results)
 
 
 class _Slots:
@@ -135,11 +136,11 @@ class _Slots:
         def joined(values: list[Any], dim: int, empty: tuple[int, ...]) -> Tensor:
             if not values:
                 return torch.zeros(empty, dtype=dtype, device=device)
-            if not any(map(torch.is_tensor, values)):
-                return torch.from_numpy(np.stack([np.asarray(value, dtype=np.float64) for value in values], dim)).to(
-                    device, dtype
-                )
-            return torch.stack([torch.as_tensor(value).to(device, dtype) for value in values], dim)
+            if any(map(torch.is_tensor, values)):
+                tensors = [v if torch.is_tensor(v) else torch.as_tensor(v, dtype=torch.float64) for v in values]
+                return torch.stack([tensor.to(device, dtype) for tensor in tensors], dim)
+            together = np.stack([np.asarray(value, dtype=np.float64) for value in values], axis=dim)
+            return torch.from_numpy(together).to(dtype)
 
         return joined(self.features, -1, (batch, 0)), joined(self.weights, 0, (0,))
 

@@ -147,8 +147,7 @@ def _combined(terms: list[tuple[Any, int | None]], values: Tensor) -> Tensor:
         return values[:, terms[0][1]]
     total = values.new_zeros(values.shape[0])
     for coefficient, place in terms:
-        factor = torch.as_tensor(coefficient).to(values.device)
-        factor = (factor.real if factor.is_complex() else factor).to(values.dtype)
+        factor = coefficient.real.to(values) if torch.is_tensor(coefficient) else float(np.real(coefficient))
         total = total + (factor if place is None else factor * values[:, place])
     return total
 
@@ -160,6 +159,12 @@ def _sentence(observable: Any) -> Any:
     if not observable.has_matrix or len(observable.wires) > MAX_MATRIX_WIRES:
         raise ValueError(f"the observable {observable.name} has no Pauli words")
     return qml.pauli_decompose(qml.matrix(observable), wire_order=observable.wires, pauli=True)
+
+
+def places_of(tape: Any, labels: Any) -> dict[Any, int]:
+    """A number for each wire of a tape; `labels` are the wires of the device, or None."""
+    everything = labels is not None and any(not measurement.wires for measurement in tape.measurements)
+    return {wire: place for place, wire in enumerate(labels if everything else tape.wires)}
 
 
 def circuit_of(
