@@ -28,17 +28,21 @@ class ExpressionTable:
         first = offsets(parameters)
         terms = [(row, *term) for row, expression in enumerate(expressions) for term in expression.terms]
         self.size, self.fixed = len(expressions), fixed
-        self.rows = [row for row, *_ in terms]
-        self.in_order = self.rows == list(range(self.size))  # one term each
-        self.coefficients = [coefficient for _, coefficient, _, _ in terms]
+        rows = [row for row, *_ in terms]
+        self.in_order = rows == list(range(self.size))  # one term each
         # Factor k of every term; -1 stands for the number 1.
-        self.weights = _padded([[first[name] + index for name, index in weights] for _, _, weights, _ in terms])
-        self.features = _padded([list(features) for *_, features in terms])
-        self._cache: dict[torch.device, list[Tensor]] = {}
+        of_weights = _padded([[first[name] + index for name, index in weights] for _, _, weights, _ in terms])
+        of_features = _padded([list(features) for *_, features in terms])
+        self.tensors = [
+            torch.tensor(rows, dtype=torch.int64),
+            torch.tensor([coefficient for _, coefficient, _, _ in terms], dtype=torch.float64),
+            torch.tensor(of_weights, dtype=torch.int64),
+            torch.tensor(of_features, dtype=torch.int64),
+        ]
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """Values for inputs x (B, features) and flat weights."""
-        rows, coefficients, of_weights, of_features = self._tensors(weights.device)
+        rows, coefficients, of_weights, of_features = (tensor.to(weights.device) for tensor in self.tensors)
         values = coefficients
         padded = torch.cat([weights.double(), weights.new_ones(1, dtype=torch.float64)])
         for index in of_weights:
@@ -53,16 +57,6 @@ class ExpressionTable:
         if self.in_order:
             return values
         return values.new_zeros(values.shape[0], self.size).index_add(1, rows, values)
-
-    def _tensors(self, device: torch.device) -> list[Tensor]:
-        if device not in self._cache:
-            self._cache[device] = [
-                torch.tensor(self.rows, dtype=torch.int64, device=device),
-                torch.tensor(self.coefficients, dtype=torch.float64, device=device),
-                torch.tensor(self.weights, dtype=torch.int64, device=device),
-                torch.tensor(self.features, dtype=torch.int64, device=device),
-            ]
-        return self._cache[device]
 
 
 def _padded(rows: list[list[int]]) -> list[list[int]]:

@@ -47,9 +47,16 @@ def _(x: Tensor, weights: Tensor, number: int) -> Tensor:
     return x.new_empty(x.shape[0], _evaluators[number].outputs)
 
 
+def _recording() -> Any:
+    """Inside an operator PyTorch's own operations are not recorded for autograd; inside this context they are."""
+    keys = torch._C
+    excluded = keys._dispatch_tls_local_exclude_set() & keys._after_autograd_keyset
+    return keys._ForceDispatchKeyGuard(keys._dispatch_tls_local_include_set(), excluded)
+
+
 @torch.library.custom_op("qnerf::circuit_gradients", mutates_args=())
 def _gradients(gradient: Tensor, x: Tensor, weights: Tensor, number: int) -> tuple[Tensor, Tensor]:
-    with torch.enable_grad():
+    with torch.enable_grad(), _recording():
         inputs = x.detach().requires_grad_(), weights.detach().requires_grad_()
         out = _evaluators[number].evaluate(*inputs)
     of_x, of_weights = torch.autograd.grad(out, inputs, gradient)

@@ -47,9 +47,11 @@ class PauliCircuit:
 
     def evaluate(self, x: Tensor, weights: Tensor, simulate: Simulate | None = None) -> Tensor:
         """Outputs (B, outputs) for inputs x (B, features) and flat weights, by `simulate`."""
-        fixed, moving = self.fixed(x, weights), self.moving(x, weights)
-        values = (simulate or self.simulate)(fixed, moving, self.start(x, weights), x.shape[0], x.dtype)
-        values = statevector.clipped(values)
+        values = x.new_zeros(x.shape[0], 0)
+        if self.form.combination.shape[1]:
+            fixed, moving = self.fixed(x, weights), self.moving(x, weights)
+            values = (simulate or self.simulate)(fixed, moving, self.start(x, weights), x.shape[0], x.dtype)
+            values = statevector.clipped(values)
         if not self.takes_all:  # what has no effect has the gradient zero
             values = values + (x[:, :0].sum() + weights[:0].sum()).to(values)
         if self.is_identity:

@@ -126,7 +126,7 @@ def _apply_gates(circuit: Circuit, x: Any, weights: Any, noise: Noise | None) ->
     first = offsets(circuit.parameters)
 
     def value(expression: Expression | float) -> Any:
-        total = 0.0
+        total = weights.new_zeros(())
         for coefficient, names, features in Expression.of(expression).terms:
             factors = [weights[first[name] + index] for name, index in names] + [x[..., index] for index in features]
             total = total + prod(factors, start=coefficient)
