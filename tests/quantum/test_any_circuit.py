@@ -83,7 +83,7 @@ def expressions(draw: st.DrawFn) -> Expression:
 
 
 @st.composite
-def circuits(draw: st.DrawFn) -> Circuit:
+def circuits(draw: st.DrawFn, without: str = "") -> Circuit:
     n = draw(st.integers(1, 5))
     wires = st.permutations(range(n))
     operations: list[Any] = []
@@ -91,7 +91,8 @@ def circuits(draw: st.DrawFn) -> Circuit:
         values = tuple(draw(expressions()) + (2.0 if k == 0 else 0.0) for k in range(2))
         operations.append(Amplitudes((draw(wires)[0],), values))
     for _ in range(draw(st.integers(1, 12))):
-        name = draw(st.sampled_from([name for name, kind in GATES.items() if (kind.wires or 1) <= n]))
+        names = [name for name, kind in GATES.items() if (kind.wires or 1) <= n and name != without]
+        name = draw(st.sampled_from(names))
         where = tuple(draw(wires)[: GATES[name].wires or draw(st.integers(1, n))])
         word = draw(st.text("IXYZ", min_size=len(where), max_size=len(where))) if name == "PauliRot" else ""
         angles = tuple(draw(expressions()) for _ in range(GATES[name].angles))
@@ -132,7 +133,7 @@ def test_engines_agree_on_random_circuits(circuit: Circuit) -> None:
 
 
 @settings(max_examples=12)
-@given(circuit=circuits())
+@given(circuit=circuits(without="IsingXY"))  # PennyLane's own has no batch of angles with gradients
 def test_random_circuits_equal_pennylane(circuit: Circuit) -> None:
     fast, _ = layers(circuit)
     peer = QuantumLayer(circuit, method="pennylane").double()

@@ -35,10 +35,22 @@ def register(evaluator: Evaluator) -> int:
     return number
 
 
+def _as_outside() -> Any:
+    """Inside an operator PyTorch's own operations are not recorded for autograd, and lose complex conjugates.
+
+    In this context they are what they are outside.
+    """
+    keys = torch._C
+    return keys._ForceDispatchKeyGuard(
+        keys._dispatch_tls_local_include_set(), keys.DispatchKeySet(keys.DispatchKey.Undefined)
+    )
+
+
 @torch.library.custom_op("qnerf::circuit", mutates_args=())
 def evaluate(x: Tensor, weights: Tensor, number: int) -> Tensor:
     """`Evaluator.evaluate` of the evaluator with this number, differentiable once."""
-    out: Tensor = _evaluators[number].evaluate(x, weights)
+    with torch.no_grad(), _as_outside():
+        out: Tensor = _evaluators[number].evaluate(x, weights)
     return out
 
 
@@ -47,16 +59,9 @@ def _(x: Tensor, weights: Tensor, number: int) -> Tensor:
     return x.new_empty(x.shape[0], _evaluators[number].outputs)
 
 
-def _recording() -> Any:
-    """Inside an operator PyTorch's own operations are not recorded for autograd; inside this context they are."""
-    keys = torch._C
-    excluded = keys._dispatch_tls_local_exclude_set() & keys._after_autograd_keyset
-    return keys._ForceDispatchKeyGuard(keys._dispatch_tls_local_include_set(), excluded)
-
-
 @torch.library.custom_op("qnerf::circuit_gradients", mutates_args=())
 def _gradients(gradient: Tensor, x: Tensor, weights: Tensor, number: int) -> tuple[Tensor, Tensor]:
-    with torch.enable_grad(), _recording():
+    with torch.enable_grad(), _as_outside():
         inputs = x.detach().requires_grad_(), weights.detach().requires_grad_()
         out = _evaluators[number].evaluate(*inputs)
     of_x, of_weights = torch.autograd.grad(out, inputs, gradient)
