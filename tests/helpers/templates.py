@@ -135,5 +135,64 @@ TEMPLATES: dict[str, Template] = {
     ),
     "QROM": after_encoding(4, (), lambda w: qml.QROM([[1, 0], [0, 1]], [0], [1, 2], None)),
     "Adder": after_encoding(3, (), lambda w: qml.Adder(3, range(3))),
+    "SelectPauliRot": after_encoding(
+        3, (4,), lambda w: qml.SelectPauliRot(w, control_wires=[0, 1], target_wire=2, rot_axis="Y")
+    ),
+    "Superposition": before_encoding(
+        3, lambda: qml.Superposition(np.array([0.6, 0.8]), np.array([[0, 1], [1, 1]]), wires=[0, 1], work_wire=2)
+    ),
+    "MultiplexerStatePreparation": before_encoding(
+        2, lambda: qml.MultiplexerStatePreparation(np.array([0.5, 0.5, 0.5, 0.5]), wires=range(2))
+    ),
+    "FABLE": after_encoding(3, (), lambda w: qml.FABLE(np.array([[0.1, 0.2], [0.3, -0.2]]), wires=range(3), tol=0)),
+    "PhaseAdder": after_encoding(3, (), lambda w: qml.PhaseAdder(3, range(3))),
+    "Multiplier": after_encoding(5, (), lambda w: qml.Multiplier(3, [0, 1], mod=4, work_wires=[2, 3])),
+    "OutAdder": after_encoding(6, (), lambda w: qml.OutAdder([0, 1], [2, 3], [4, 5])),
+    "OutMultiplier": after_encoding(6, (), lambda w: qml.OutMultiplier([0, 1], [2, 3], [4, 5])),
+    "OutPoly": after_encoding(
+        4, (), lambda w: qml.OutPoly(lambda x: x**2, input_registers=[[0, 1]], output_wires=[2, 3])
+    ),
+    "SemiAdder": after_encoding(5, (), lambda w: qml.SemiAdder([0, 1], [2, 3], [4])),
+    "TemporaryAND": after_encoding(3, (), lambda w: qml.TemporaryAND(wires=range(3))),
+    "AmplitudeAmplification": after_encoding(
+        2, (), lambda w: qml.AmplitudeAmplification(qml.Hadamard(0) @ qml.Hadamard(1), qml.FlipSign(1, wires=[0, 1]), 2)
+    ),
+    "PrepSelPrep": after_encoding(
+        3, (), lambda w: qml.PrepSelPrep(qml.dot([0.3, -0.4], [qml.X(2), qml.Z(2)]), control=[0])
+    ),
+    "Qubitization": after_encoding(
+        3, (), lambda w: qml.Qubitization(qml.dot([0.3, -0.4], [qml.X(2), qml.Z(2)]), control=[0])
+    ),
+    "QDrift": after_encoding(3, (), lambda w: qml.QDrift(HAMILTONIAN, time=0.4, n=3, seed=1)),
+    "QSVT": after_encoding(
+        2,
+        (),
+        lambda w: qml.QSVT(
+            qml.BlockEncode(np.array([[0.1, 0.2], [0.3, 0.4]]), wires=[0, 1]),
+            [qml.PCPhase(angle, dim=2, wires=[0, 1]) for angle in (0.1, 0.2, 0.3)],
+        ),
+    ),
+    "MPSPrep": before_encoding(3, lambda: qml.MPSPrep(MPS_STATE, wires=[1, 2], work_wires=[0])),
+    "QuantumMonteCarlo": Template(
+        5,
+        1,
+        (),
+        lambda x, w: (
+            qml.QuantumMonteCarlo(
+                np.array([0.25, 0.75]), lambda i: 0.5 * i, target_wires=[0, 1], estimation_wires=[2, 3]
+            ),
+            qml.RX(x[..., 0], wires=4),
+        ),
+    ),
+    "QROMStatePreparation": before_encoding(
+        5,
+        lambda: qml.QROMStatePreparation(np.array([0.6, 0.8]), wires=[0], precision_wires=[1, 2], work_wires=[3, 4]),
+    ),
+    "ModExp": after_encoding(7, (), lambda w: qml.ModExp([0], [1, 2], base=3, mod=4, work_wires=[3, 4])),
+    "HilbertSchmidt": after_encoding(2, (1,), lambda w: qml.HilbertSchmidt([qml.RZ(w[0], wires=0)], [qml.Hadamard(1)])),
 }
 BASIS = [[1.0, 0.2, 0.3], [0.1, 1.0, 0.4], [0.5, 0.3, 1.0]]
+MPS_STATE = [
+    np.array([[0.0, 0.107], [0.994, 0.0]]),
+    np.array([[0.0, 1.0], [1.0, 0.0]]),
+]

@@ -1,6 +1,7 @@
 """Circuits beyond re-uploading: engine against engine, all derivatives, and what a wrong description says."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pennylane as qml
@@ -271,7 +272,13 @@ def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
     return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
 
 
-UNTRACED = {"TrotterProduct": "complex", "QuantumPhaseEstimation": "complex", "Select": "ones_like"}
+UNTRACED = {
+    "TrotterProduct": "complex",
+    "QuantumPhaseEstimation": "complex",
+    "SelectPauliRot": "not inexact",
+    "HilbertSchmidt": "array",
+}
+"""Templates whose own decompositions take numbers only, with words of the message."""
 
 
 @pytest.mark.parametrize("name", TEMPLATES)
@@ -298,6 +305,12 @@ def test_templates_of_pennylane_are_the_torch_layers_of_the_same_weights(name: s
     torch.testing.assert_close(layer(x), peer(x), rtol=0, atol=1e-12)
     used = {weight for operation in layer.circuit(len(x)).operations for a in operation.angles for weight in a.weights}
     assert len(used) == sum(value.numel() for value in layer.parameters())
+
+
+def test_the_page_lists_the_templates() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "quantum.md").read_text()
+    for name in TEMPLATES:
+        assert (f"`{name}`" in page.split("On the device alone")[0]) == (name not in UNTRACED), name
 
 
 def test_from_qnode_has_the_shapes_of_torch_layer() -> None:

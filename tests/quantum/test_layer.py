@@ -31,9 +31,9 @@ def test_the_examples_of_the_page_run(monkeypatch: pytest.MonkeyPatch, capsys: p
     names: dict[str, Any] = {}
     for example in examples:
         exec(example, names)
-    assert len(examples) == 6
+    assert len(examples) == 9
     assert names["measured"].shape == names["noisy"].shape == (6144, 3)
-    drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if "─Rot─" in line]
+    drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if line[1:5] == ": ──"]
     assert "\n".join(drawing) in page
 
 

@@ -31,10 +31,12 @@ OTHERS = {
     "FermionicSWAP": lambda p, w: qml.FermionicSWAP(p[0], wires=w[:2]),
     "OrbitalRotation": lambda p, w: qml.OrbitalRotation(p[0], wires=w[:4]),
     "SingleExcitationPlus": lambda p, w: qml.SingleExcitationPlus(p[0], wires=w[:2]),
+    "Select": lambda p, w: qml.Select([qml.RX(p[0], wires=w[1]), qml.RY(p[1], wires=w[1])], control=w[0]),
+    "PrepSelPrep": lambda p, w: qml.PrepSelPrep(qml.dot([0.3, -0.4], [qml.X(w[1]), qml.Z(w[1])]), control=[w[0]]),
     "GlobalPhase": lambda p, w: qml.GlobalPhase(0.4),
 }
 WIDTHS = {"QubitUnitary": 1, "TwoQubitUnitary": 2, "Adjoint": 2, "FermionicSWAP": 2, "SingleExcitationPlus": 2,
-          "OrbitalRotation": 4, "GlobalPhase": 1}  # fmt: skip
+          "OrbitalRotation": 4, "GlobalPhase": 1, "Select": 2, "PrepSelPrep": 2}  # fmt: skip
 Script = Callable[[Tensor, Tensor], list[Any]]
 
 
@@ -82,7 +84,7 @@ def gate(draw: st.DrawFn, name: str, wires: list[int]) -> Callable[[Tensor, Tens
         return [x[:, place] if batched and name != "IsingXY" else a[place] for batched, place in sources]
 
     if name in OTHERS:
-        return lambda a, x: OTHERS[name]([a[sources[0][1]]], wires)
+        return lambda a, x: OTHERS[name]([a[place] for _, place in sources], wires)
     if name == "PauliRot":
         word = draw(st.text("IXYZ", min_size=1, max_size=min(len(wires), 4)))
         return lambda a, x: qml.PauliRot(angles(a, x)[0], word, wires=wires[: len(word)])
@@ -168,7 +170,6 @@ def without(operation: Callable[[], Any], measure: Callable[[], Any]) -> Callabl
         (lambda: qml.DepolarizingChannel(0.1, wires=0), lambda: qml.expval(qml.Z(0)), "DepolarizingChannel"),
         (lambda: qml.measure(0), lambda: qml.expval(qml.Z(0)), "MidMeasure"),
         (lambda: qml.X(0), qml.state, "state"),
-        (lambda: (qml.X(0), qml.StatePrep([0.0, 1.0], wires=0)), lambda: qml.expval(qml.Z(0)), "amplitudes of wires"),
     ],
 )
 def test_what_it_cannot_run_it_names(operation: Any, measure: Any, message: str) -> None:

@@ -1,9 +1,12 @@
-"""Data re-uploading circuits, evaluated exactly and in batches. `QuantumLayer` is the way in.
+"""Circuits of qubits, evaluated exactly and in batches. `QuantumLayer` is the way in, `from_qnode` the one from PennyLane.
 
-The files, in the order in which a circuit passes through them: `circuit` (the description), `initial_angles`,
+The files, in the order in which a circuit passes through them: `expressions`, `gates` and `circuit` (the description),
+`pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (its engines, compiled
+and plain). Data re-uploading circuits take a faster way: `initial_angles`,
 `normal_form` (what is left after merging gates), `cones` (which inputs an output depends on), `cost_model` (which
 engine), `compiled.engine` and `lightcone` (the two engines on the CPU), `statevector` (the plain PyTorch reference),
-`density` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of everything).
+`density` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of everything). `tapes`,
+`qnode` and `pennylane_device` read PennyLane's tapes.
 """
 
 from typing import Any

@@ -16,7 +16,7 @@ import torch
 from pennylane import math
 from pennylane.devices import Device, ExecutionConfig
 from pennylane.devices.modifiers import simulator_tracking, single_tape_support
-from pennylane.devices.preprocess import decompose, no_sampling, validate_device_wires, validate_measurements
+from pennylane.devices.preprocess import no_sampling, validate_device_wires, validate_measurements
 from pennylane.exceptions import DeviceError
 from pennylane.tape import QuantumScript
 from pennylane.transforms.core import CompilePipeline
@@ -27,7 +27,7 @@ from qnerf.quantum.circuit import Operation, Weights, check_wires, feature, weig
 from qnerf.quantum.compiled.pauli_engine import PauliEngine, memory_bytes
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.pauli_statevector import PauliCircuit
-from qnerf.quantum.tapes import Measured, circuit_of, described, is_gate, is_measurement, places_of
+from qnerf.quantum.tapes import Measured, circuit_of, decomposed, described, is_measurement, places_of
 
 
 @simulator_tracking
@@ -75,12 +75,11 @@ class FastDevice(Device):
         return replace(config, gradient_method=method, use_device_gradient=backprop, convert_to_numpy=not backprop)
 
     def preprocess_transforms(self, execution_config: ExecutionConfig | None = None) -> CompilePipeline:
-        """PennyLane's own decompositions, down to gates that `tapes.is_gate` knows."""
+        """Checks of wires and measurements. `execute` decomposes the operations (`tapes.decomposed`)."""
         program = CompilePipeline()
         program.add_transform(no_sampling, name=self.name)
         program.add_transform(validate_device_wires, self.wires, name=self.name)
         program.add_transform(validate_measurements, analytic_measurements=is_measurement, name=self.name)
-        program.add_transform(decompose, stopping_condition=is_gate, skip_initial_state_prep=False, name=self.name)
         return program
 
     def execute(
@@ -96,7 +95,7 @@ class FastDevice(Device):
     def _run(self, tape: QuantumScript, is_torch: bool) -> Any:
         places = places_of(tape, self.wires)
         slots = _Slots()
-        operations = described(tape.operations, places, slots)
+        operations = described(decomposed(tape.operations), places, slots)
         measured = Measured(tape.measurements, places)
         engine = _engine(operations, _Key(measured), max(len(places), 1), len(slots.features), len(slots.weights))
         x, weights = slots.tensors(tape.batch_size or 1)

@@ -20,7 +20,7 @@ SHORT_NAMES = {"Hadamard": "H", "PauliX": "X", "PauliY": "Y", "PauliZ": "Z"}
 WITHOUT_EFFECT = frozenset({"Identity", "GlobalPhase", "Barrier", "WireCut"})
 STATES = frozenset({"StatePrep", "AmplitudeEmbedding"})
 MEASUREMENTS = (qml.measurements.ExpectationMP, qml.measurements.VarianceMP, qml.measurements.ProbabilityMP)
-MAX_MATRIX_WIRES = 6  # of an observable that is a matrix: it has 4^wires Pauli words
+MAX_MATRIX_WIRES = 6  # of an operation or an observable that is a matrix: it has 4^wires entries
 
 Read = Callable[[Any], Expression]
 
@@ -36,22 +36,41 @@ def is_measurement(measurement: Any) -> bool:
     return isinstance(measurement, MEASUREMENTS) and measurement.mv is None
 
 
-def decomposed(operations: Iterable[Any]) -> Iterator[Any]:
-    """The operations, reduced to gates.
+def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Iterator[Any]:
+    """The operations, reduced to gates; a state is prepared by gates on wires that are `used` already.
 
     Raises:
         ValueError: an operation that does not decompose into gates.
     """
+    used = set() if used is None else used
     for operation in operations:
-        if is_gate(operation):
+        if is_gate(operation) and not (operation.name in STATES and used & set(operation.wires)):
+            used.update(operation.wires)
             yield operation
             continue
         try:
-            parts = operation.decomposition()
+            parts = _controlled_rotation(operation) or _decomposition(operation)
         except Exception as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise ValueError(f"{operation.name} does not decompose into gates of qnerf: {reason}") from error
-        yield from decomposed(parts)
+        yield from decomposed(parts, used)
+
+
+def _decomposition(operation: Any) -> list[Any]:
+    if not operation.has_decomposition and operation.has_matrix and len(operation.wires) <= MAX_MATRIX_WIRES:
+        return [qml.QubitUnitary(operation.matrix(), wires=operation.wires)]
+    parts: list[Any] = operation.decomposition()
+    return parts
+
+
+def _controlled_rotation(operation: Any) -> list[Any]:
+    """A rotation with one control, which PennyLane's own decomposition takes only with numbers as angles."""
+    if not isinstance(operation, qml.ops.Controlled) or len(operation.control_wires) != 1:
+        return []
+    if operation.base.name not in {"RX", "RY", "RZ", "Rot", "PhaseShift"}:
+        return []
+    flips = [] if operation.control_values[0] else [qml.X(operation.control_wires)]
+    return [*flips, qml.ctrl(operation.base, operation.control_wires), *flips]
 
 
 def described(operations: Iterable[Any], places: dict[Any, int], read: Read) -> tuple[Operation, ...]:

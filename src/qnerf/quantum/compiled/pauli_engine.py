@@ -21,7 +21,7 @@ from qnerf.quantum.pauli_statevector import PauliCircuit
 
 # Bytes of multiply-add operands a second and thread, measured on one core; less than `cost_model.RATE`, because every
 # rotation reads and writes the whole state.
-RATE = 1.5e9 * VECTOR_BYTES
+RATE = 3e9 * VECTOR_BYTES
 OVERHEAD = 5e-4  # seconds a step: Python, autograd, the angles
 
 
