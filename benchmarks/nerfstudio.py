@@ -46,7 +46,7 @@ import pandas as pd
 import torch
 from PIL import Image
 
-from analysis.statistics import bootstrap, method, paired
+from analysis.statistics import difference, method, paired
 from benchmarks.nerfstudio_functions import STORED, differences
 from benchmarks.peers.serve import ROOT, Remote
 from benchmarks.training import build
@@ -263,7 +263,7 @@ def report(rows: pd.DataFrame) -> None:
         for name, part in quality.groupby(["scene", "overrides", "schedule", "step"]):
             for field in FIELDS:
                 sides = [part[part["case"] == f"{side} {field}"] for side in ("nerfstudio", "qnerf")]
-                result = bootstrap(paired(*(side.rename(columns={"psnr": "value"}) for side in sides)))
+                result = difference(paired(*(side.rename(columns={"psnr": "value"}) for side in sides)))
                 if result is not None:
                     bounds = f"{result.mean:+.2f} dB ({result.low:+.2f} to {result.high:+.2f})"
                     print(f"{' '.join(map(str, name))} {field}: qnerf - nerfstudio {bounds}, {result.seeds} seeds")

@@ -219,7 +219,7 @@ def differences(store: str, table: pd.DataFrame) -> pd.DataFrame:
                 statistics.evaluations(runs[runs["path"].isin(own.loc[own["rung"] == name, "run"])])
                 for name in (reference, rung)
             )
-            difference = statistics.bootstrap(statistics.paired(one, two))
+            difference = statistics.difference(statistics.paired(one, two))
             interval = {} if difference is None else {key: getattr(difference, key) for key in ("mean", "low", "high")}
             steps, sizes = (own.groupby("rung", sort=False)[key].first() for key in ("step_ms", "parameters"))
             rows.append(

@@ -56,7 +56,8 @@ def family_names(
 def names(
     table: pd.DataFrame, runs: pd.DataFrame, *, ignored: Sequence[str] = (), always: Sequence[str] = ()
 ) -> pd.Series:
-    """A short name for each row of `points`: the labels that differ, then the settings that differ if labels are equal.
+    """A short name for each row of `points`: the labels that differ, then, where labels are equal, every setting that
+    differs. A name that told one of several would claim that this one made the difference.
 
     ignored: settings that no name mentions, as in `families`; always: labels that every name mentions.
     """
@@ -67,10 +68,10 @@ def names(
     used = [key for key in _NAME_LABELS if key in always or labels[key].nunique() > 1] or ["field"]
     texts = pd.Series([" ".join(filter(None, row)) for row in labels[used].to_numpy()], index=table.index, dtype=object)
     settings = _settings(table, runs, ignored)
-    for key in settings.columns[settings.nunique() > 1]:
-        groups = pd.DataFrame({"scene": table["scene_name"], "text": texts, "value": settings[key]})
-        several = groups.groupby(["scene", "text"])["value"].transform("nunique") > 1
-        texts = texts.where(~several, texts + f", {key}=" + settings[key])
+    alike = [table["scene_name"], texts]
+    several = settings.groupby(alike).transform("nunique") > 1
+    for key in settings:
+        texts = texts.where(~several[key], texts + f", {key}=" + settings[key])
     return texts
 
 

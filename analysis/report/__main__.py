@@ -15,6 +15,7 @@ from qnerf.cli.numbers import count
 
 from .. import command, output
 from ..load import runs
+from ..packed import is_packed
 from . import content, curves, page, parts, pictures
 
 DESCRIPTION = """\
@@ -97,7 +98,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track)
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
-        "pictures": {"note": drawn.note, "absent": content.no_pictures(drawn, not most)},
+        "pictures": {"note": drawn.note, "absent": content.no_pictures(drawn, not most, is_packed(options.store))},
         "plots": {"absent": content.no_plots(frame)},
         "curves": {"absent": content.no_curves(logged)},
         "parts": sections,

@@ -15,6 +15,7 @@ from ..selection import select
 from ..settings import first_of_each
 from . import curves, pictures
 from .columns import packed
+from .figures import dark_colors
 from .versions import versions
 
 LABEL_COLUMNS = ("run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed")
@@ -83,6 +84,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "curves": logged,
         "curve_names": {key: metric_of(key).heading for key in curves.logged_keys()},
+        "dark": dark_colors(),
         "pictures": {"files": drawn.files, "runs": drawn.runs, "none": not drawn.files},
     }
 
@@ -103,12 +105,14 @@ def older(frame: pd.DataFrame) -> list[tuple[str, int]]:
     return list(others.value_counts().items())
 
 
-def no_pictures(drawn: pictures.Pictures, asked: bool) -> str:
+def no_pictures(drawn: pictures.Pictures, asked: bool, pack: bool) -> str:
     """Why there are no pictures; empty where there are some."""
     if drawn.files:
         return ""
     if asked:
         return "Left out by --no-images or --max-images 0."
+    if pack:
+        return "Packed runs have no pictures: `qnerf report` of the store that was packed shows them."
     if drawn.left_out:
         return f"The pictures of {drawn.left_out:,} runs were left out: more than --max-images allows."
     damaged = f"; {len(drawn.problems)} are damaged, the first {drawn.problems[0]}" if drawn.problems else ""

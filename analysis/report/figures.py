@@ -1,4 +1,4 @@
-"""Matplotlib's figures as data URIs, light and dark; one that cannot be drawn is a line that says why."""
+"""Matplotlib's figures as data URIs; one that cannot be drawn is a line that says why."""
 
 import base64
 import tempfile
@@ -19,11 +19,10 @@ KINDS = {"svg": "image/svg+xml", "png": "image/png"}
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure in both themes, with its size on the page in pixels."""
+    """A figure in the light theme, with its size on the page in pixels. The page's script recolours an SVG."""
 
     title: str
-    light: str
-    dark: str
+    image: str
     width: int
     height: int
 
@@ -37,19 +36,16 @@ def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
     for runs in scenes.values():
         own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
         with collecting(absent, own):
-            drawn.append(themed(own, entry.draw(runs)))
+            drawn.append(embedded(own, entry.draw(runs)))
     absent = {own: "; ".join(filter(None, [reason, entry.hint])) for own, reason in absent.items()}
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}
     return drawn, [f"{own}: {reason}" for own, reason in absent.items()]
 
 
-def themed(title: str, figure: Figure) -> Drawn:
-    """A figure of the light theme, and recoloured for the dark one."""
+def embedded(title: str, figure: Figure) -> Drawn:
     width, height = (round(inches * PIXELS_AN_INCH) for inches in figure.get_size_inches())
-    kind, light = encoded(figure)
-    dark = recoloured(light) if kind == "svg" else light
-    return Drawn(title, data_uri(kind, light), data_uri(kind, dark), width, height)
+    return Drawn(title, data_uri(*encoded(figure)), width, height)
 
 
 def encoded(figure: Figure) -> tuple[str, bytes]:
@@ -62,11 +58,10 @@ def encoded(figure: Figure) -> tuple[str, bytes]:
         return "png", png.read_bytes()
 
 
-def recoloured(svg: bytes) -> bytes:
+def dark_colors() -> dict[str, str]:
+    """Colour of the light theme -> the one that takes its place in the dark theme."""
     light, dark = (settings(theme) for theme in ("light", "dark"))
-    for key in ("text.color", "figure.facecolor"):
-        svg = svg.replace(light[key].encode(), dark[key].encode())
-    return svg
+    return {light[key]: dark[key] for key in ("text.color", "figure.facecolor")}
 
 
 def data_uri(kind: str, data: bytes) -> str:

@@ -19,7 +19,11 @@ REPEATS = (
     "repeat another: the same scene and seed, and settings that differ only where they do not act. They are among the "
     "runs above, and count nowhere below."
 )
-STEPS = len(FIGURES) + 1
+OTHER_FIGURES = tuple(
+    name for name, entry in FIGURES.items() if not entry.benchmark and name not in (*PAPER_FIGURES, *COLOURS)
+)
+"""A benchmark's figure speaks about qnerf, not about the store."""
+STEPS = len(COLOURS) + len(PAPER_FIGURES) + len(OTHER_FIGURES) + 1
 """How often `parts` reports progress."""
 
 
@@ -61,20 +65,25 @@ def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     advance()
     colours.draw(COLOURS, frame, advance)
     paper = Part("paper", "Paper", "The paper's tables and figures, with ours")
-    paper.tables = [table for title, make in PAPER_TABLES.values() for table in beside_ours(title, make, frame)]
+    without = []
+    for title, make in PAPER_TABLES.values():
+        tables = beside_ours(title, make, frame)
+        paper.tables += tables
+        without += [] if tables else [title]
+    if without:
+        paper.text = f"No run is a row of: {'; '.join(without)}."
     paper.draw(PAPER_FIGURES, frame, advance)
     more = Part("more", "Figures", "More figures")
-    more.draw([name for name in FIGURES if name not in (*PAPER_FIGURES, *COLOURS)], frame, advance)
+    more.draw(OTHER_FIGURES, frame, advance)
     return [configurations, smallest, colours, paper, more]
 
 
 def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.DataFrame) -> list[ShownTable]:
-    """A table of the paper for each scene that has runs in it; the paper's rows alone where none has."""
+    """A table of the paper for each scene that has runs in it."""
     scenes = dict(list(frame.groupby("scene_name")))
-    if len(scenes) == 1:
-        return [attempt(title, make, frame)]
-    made = [attempt(f"{title}: {scene}", make, own) for scene, own in scenes.items()]
-    return [table for table in made if _has_ours(table)] or made[:1]
+    names = [title] if len(scenes) == 1 else [f"{title}: {scene}" for scene in scenes]
+    made = [attempt(name, make, own) for name, own in zip(names, scenes.values(), strict=True)]
+    return [table for table in made if _has_ours(table)]
 
 
 def _has_ours(table: ShownTable) -> bool:

@@ -2,10 +2,10 @@
 
 function startTheme() {
   const dark = matchMedia("(prefers-color-scheme: dark)");
-  const drawn = [...document.querySelectorAll("img[data-dark]")].map((image) => [image, image.src]);
+  const drawn = [...document.querySelectorAll("img.figure")].map((image) => [image, image.src]);
   const show = (on) => {
     toggle($("theme"), on);
-    for (const [image, light] of drawn) image.src = on ? image.dataset.dark : light;
+    for (const [image, light] of drawn) image.src = on ? darkened(light) : light;
     drawPlots();
     drawCurves();
   };
@@ -16,6 +16,14 @@ function startTheme() {
   });
   dark.addEventListener("change", () => { if (!document.documentElement.dataset.theme) show(dark.matches); });
   if (dark.matches) show(true);
+}
+
+/** An SVG as a data URI in the colours of the dark theme; other images as they are. */
+function darkened(uri) {
+  const [head, body] = uri.split(",");
+  if (!head.includes("svg")) return uri;
+  const colours = Object.entries(DATA.dark);
+  return `${head},${btoa(colours.reduce((svg, [light, dark]) => svg.replaceAll(light, dark), atob(body)))}`;
 }
 
 /** Copies a table's text; where the browser refuses, shows it selected instead. */

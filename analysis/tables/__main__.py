@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--baseline",
         metavar="KEY=VALUE,...",
-        help="compare each row with this one, seed by seed and view by view: bootstrap interval of the difference",
+        help="compare each row with this one, seed by seed and view by view: the difference with its interval",
     )
     parser.add_argument(
         "--smallest", "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"

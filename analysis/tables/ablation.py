@@ -7,7 +7,7 @@ import pandas as pd
 from qnerf.metrics import metric_of
 
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
-from .differences import against, interval, pairs
+from .differences import against, effect, interval, pairs
 from .seeds import aggregate, mean_and_spread, values_of
 from .table import Table
 
@@ -24,8 +24,8 @@ def ablation(
     """Mean ± standard deviation over seeds, a row each group of `rows`; the best of each scene in bold.
 
     baseline: conditions on the row keys that exactly one row meets (one a scene, where scenes are among the rows); see
-    `qnerf.records.filters`. The other rows then show the bootstrap interval of their `metric` minus the baseline's, in
-    the metric's unit. Raises ValueError as `over_seeds` does, and for a baseline that matches no row or several.
+    `qnerf.records.filters`. The other rows then show their `metric` minus the baseline's with its interval, in the
+    metric's unit. Raises ValueError as `over_seeds` does, and for a baseline that matches no row or several.
     """
     check_keys(frame, rows)
     selection = select(frame, metric)
@@ -61,6 +61,7 @@ def compose(
     if differences is not None:
         heading = f"difference, {metric_of(metric).heading}"
         text[heading] = [interval(row, metric_of(metric).text) for row in differences.itertuples()]
+        text["effect"] = [effect(row) for row in differences.itertuples()]
         text["pairs"] = [pairs(row) for row in differences.itertuples()]
         table = table.join(pd.concat({"difference": differences.set_index(table.index)}, axis=1))
     text["seeds"] = seeds.map("{:d}".format).to_numpy()

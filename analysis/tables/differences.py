@@ -1,6 +1,8 @@
 """The difference of each row of a table from a baseline row, with its interval."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, fields
+from math import isinf
 from typing import Any
 
 import pandas as pd
@@ -11,7 +13,7 @@ from .. import statistics
 from ..selection import SCENES, label
 from ..statistics import Difference
 
-_COLUMNS = ["mean", "low", "high", "seeds", "views"]
+_COLUMNS = [field.name for field in fields(Difference)]
 
 
 def against(
@@ -19,7 +21,8 @@ def against(
 ) -> tuple[pd.DataFrame, list[str]]:
     """`Difference` of each group of `rows`, in `groupby`'s order, from the baseline of its scene; notes for under it.
 
-    keys: one row a group, its key. The baseline's own row is NaN; where nothing pairs, seeds and views are 0.
+    keys: one row a group, its key. The baseline's own row is NaN; where nothing pairs, seeds and views are 0. Two more
+    columns: `p_holm`, the p-values after `statistics.holm`, and `star`, see `statistics.stars`.
     """
     reference = references(keys, rows, baseline)
     unmatched = keys[[base is None for base in reference]]
@@ -32,8 +35,10 @@ def against(
         for number, base in enumerate(reference)
     ]
     table = pd.DataFrame(lines, columns=_COLUMNS)
+    table["p_holm"] = statistics.holm(table["p"].tolist())
+    table["star"] = statistics.stars(table["p"].tolist(), table["seeds"].tolist())
     name = ", ".join(",".join(condition.values) for condition in filters.parse(baseline))
-    notes = [f"difference from {name}: {statistics.method()}; * excludes 0"]
+    notes = [f"difference from {name}: {statistics.method()}"]
     if len(unmatched):
         scenes = dict.fromkeys(label(tuple(scene)) for scene in unmatched[_scene_keys(rows)].to_numpy())
         notes.append(f"no baseline in {', '.join(scenes)}")
@@ -70,14 +75,20 @@ def _scene_keys(rows: Sequence[str]) -> list[str]:
 
 
 def interval(row: Any, text: Callable[..., str]) -> str:
-    """`+0.52 [+0.10, +0.93] *`, the star where the interval excludes 0."""
+    """`+0.52 [+0.10, +0.93] *`, see `statistics.stars`."""
     if pd.isna(row.seeds):
         return "baseline"
     if row.seeds == 0:
         return "no pairs"
-    difference = Difference(row.mean, row.low, row.high, int(row.seeds), int(row.views))
+    if isinf(row.low):
+        return f"{text(row.mean, sign='+')} (one view)"
     mean, low, high = (text(x, sign="+") for x in (row.mean, row.low, row.high))
-    return f"{mean} [{low}, {high}]" + (" *" if difference.significant else "")
+    return f"{mean} [{low}, {high}]" + (" *" if row.star else "")
+
+
+def effect(row: Any) -> str:
+    """Mean difference / its standard deviation over seeds."""
+    return "" if pd.isna(row.effect) else f"{row.effect:+.1f}"
 
 
 def pairs(row: Any) -> str:
@@ -86,5 +97,7 @@ def pairs(row: Any) -> str:
 
 
 def _line(first: pd.DataFrame, second: pd.DataFrame) -> list[float]:
-    found = statistics.bootstrap(statistics.paired(first, second))
-    return [float("nan")] * 3 + [0, 0] if found is None else [getattr(found, name) for name in _COLUMNS]
+    found = statistics.difference(statistics.paired(first, second))
+    if found is None:
+        return [0 if name in ("seeds", "views") else float("nan") for name in _COLUMNS]
+    return list(astuple(found))

@@ -1,6 +1,7 @@
 """The smallest configuration of each scene whose metric is within a tolerance of the best one."""
 
 from collections.abc import Callable, Sequence
+from math import isinf
 
 import numpy as np
 import pandas as pd
@@ -27,8 +28,8 @@ def smallest(
 
     tolerance: how close, in the metric's unit. size: any number of a run, such as `params.total`, `params.color` or
     `step_ms`. The table shows how much worse the smallest group is than the best, with the interval of
-    `statistics.bootstrap`: it is `significant` where the interval excludes 0, and `shown` to be within the tolerance
-    where the whole interval is. Raises ValueError as `over_seeds` does, and for a tolerance below 0.
+    `statistics.difference`. The loss is `shown` to be within the tolerance where the whole interval is. Raises
+    ValueError as `over_seeds` does, and for a tolerance below 0.
     """
     if not tolerance >= 0:
         raise ValueError(f"tolerance must be at least 0, got {tolerance}")
@@ -45,7 +46,7 @@ def smallest(
     refuse_mixtures(sized.runs, rows)
     data = _scenes(sized.runs, rows, scenes, metric, size, tolerance)
     left = [part.note for part in (selection, sized) if part.note]
-    method = f"loss of the smallest against the best: {statistics.method()}; * excludes 0"
+    method = f"loss of the smallest against the best: {statistics.method()}"
     return Table(
         f"The smallest configuration of each scene within {tolerance:g} of the best, by {metric_of(size).heading}",
         text := _text(data, metric, size, tolerance),
@@ -76,21 +77,23 @@ def _scenes(
             line |= {part: names[number], **numbers, f"{part}_size": sizes[number]}
         chosen = runs[runs["path"].map(group).isin([best, smallest])]
         lines.append(line | _loss(chosen, group, best, smallest, metric, sign, tolerance))
-    return pd.DataFrame(lines)
+    data = pd.DataFrame(lines)
+    return data.assign(star=statistics.stars(data["loss_p"].tolist(), data["loss_seeds"].tolist()))
 
 
 def _loss(
     runs: pd.DataFrame, group: dict[str, int], best: int, smallest: int, metric: str, sign: int, tolerance: float
 ) -> dict[str, object]:
+    nothing = {f"loss_{name}": float("nan") for name in ("low", "high", "p", "seeds")}
     if best == smallest:
-        return {"loss": 0.0, "significant": False, "shown": True}
+        return {"loss": 0.0, **nothing, "shown": True}
     views = statistics.evaluations(runs, metric)
     number = views["path"].map(group)
-    found = statistics.bootstrap(sign * statistics.paired(views[number == smallest], views[number == best]))
+    found = statistics.difference(sign * statistics.paired(views[number == smallest], views[number == best]))
     if found is None:
-        return {"loss": float("nan"), "significant": False, "shown": False}
-    interval = {"loss": found.mean, "loss_low": found.low, "loss_high": found.high}
-    return {**interval, "significant": found.significant, "shown": found.high <= tolerance}
+        return {"loss": float("nan"), **nothing, "shown": False}
+    bounds = {"loss_low": found.low, "loss_high": found.high, "loss_p": found.p, "loss_seeds": found.seeds}
+    return {"loss": found.mean, **bounds, "shown": found.high <= tolerance}
 
 
 def _text(data: pd.DataFrame, metric: str, size: str, tolerance: float) -> pd.DataFrame:
@@ -108,7 +111,9 @@ def _text(data: pd.DataFrame, metric: str, size: str, tolerance: float) -> pd.Da
 
 
 def _interval(row: dict[str, float], text: Callable[[float], str]) -> str:
-    if pd.isna(row.get("loss_low")):
+    if pd.isna(row["loss_low"]):
         return "" if row["loss"] == 0 else "no pairs"
+    if isinf(row["loss_low"]):
+        return f"{text(row['loss'])} (one view)"
     loss, low, high = (text(row[name]) for name in ("loss", "loss_low", "loss_high"))
-    return f"{loss} [{low}, {high}]" + (" *" if row["significant"] else "")
+    return f"{loss} [{low}, {high}]" + (" *" if row["star"] else "")

@@ -6,6 +6,8 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
+from rich.text import Text
 
 from analysis import command
 from analysis.load import runs
@@ -13,6 +15,7 @@ from analysis.tables import Table, ablation, markdown, over_seeds
 from analysis.tables.__main__ import main
 from analysis.tables.ablation import best
 from analysis.tables.table import latex_escape, markdown_escape
+from analysis.tables.terminal import print_aligned
 from qnerf.experiment import run
 from tests.helpers.packed_stores import write_run
 
@@ -44,13 +47,24 @@ def test_means_spreads_and_counts_are_those_of_the_runs(store):
 def test_the_difference_from_the_baseline_is_paired_by_seed_and_view(store):
     table = ablation(runs(store), ["field"], baseline={"field": "classical"})
     difference = table.data["difference"]
-    # Every view of every seed is 1 dB better: whatever is resampled, the difference is 1.
-    assert difference.loc["qcolor"].tolist() == pytest.approx([1, 1, 1, 3, 2])
-    assert difference.loc["classical"].isna().all()
-    assert table.text["difference, PSNR, dB"].tolist() == ["baseline", "+1.00 [+1.00, +1.00] *"]
+    # Every view of every seed is 1 dB better: no seed and no view brings an error.
+    assert difference.loc["qcolor", ["mean", "low", "high", "seeds", "views"]].tolist() == pytest.approx(
+        [1, 1, 1, 3, 2]
+    )
+    assert difference.loc["classical"].drop("star").isna().all()
+    assert table.text["difference, PSNR, dB"].tolist() == ["baseline", "+1.00 [+1.00, +1.00]"]
     assert table.text["pairs"].tolist() == ["", "3 x 2"]
-    assert "95 % percentile interval" in table.notes[0]
-    assert "10,000 times" in table.notes[0]
+    assert "95 % interval of the mean difference" in table.notes[0]
+
+
+def test_a_star_needs_five_seeds(tmp_path):
+    for field, psnr in (("classical", 20.0), ("qcolor", 22.0), ("qdensity", 19.8)):
+        for seed in range(6):
+            write_run(tmp_path, field, seed, [psnr + 0.1 * seed * (field != "classical")] * 2)
+    table = ablation(runs(tmp_path), ["field"], baseline={"field": "classical"})
+    assert [cell.endswith("*") for cell in table.text["difference, PSNR, dB"]] == [False, True, False]
+    assert table.text["effect"].tolist()[0] == ""
+    assert float(table.text["effect"][1]) == pytest.approx(2.25 / np.std(0.1 * np.arange(6), ddof=1), abs=0.05)
 
 
 def test_one_seed_has_no_spread_and_says_so(store):
@@ -157,9 +171,24 @@ def test_a_table_is_the_same_in_every_format(store):
         r"\midrule",
         r"\bottomrule",
     ]
-    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} {*} & 3 x 2 & 3 \\" in latex
-    assert r"\begin{tabular}{lrrlrr}" in latex
-    assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 [+1.00, +1.00] * | 3 x 2 | 3 |" in table.markdown()
+    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} &  & 3 x 2 & 3 \\" in latex
+    assert r"\begin{tabular}{lrrlrrr}" in latex
+    assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 [+1.00, +1.00] |  | 3 x 2 | 3 |" in table.markdown()
+
+
+def test_a_terminal_gets_an_aligned_table_of_the_metrics_that_fit(store):
+    table = ablation(runs(store), ["field"], baseline={"field": "classical"})
+    wide, narrow = (Console(file=io.StringIO(), width=width, force_terminal=True) for width in (400, 90))
+    print_aligned(table, wide)
+    print_aligned(table, narrow)
+    every, some = (Text.from_ansi(console.file.getvalue()).plain.splitlines() for console in (wide, narrow))
+    assert all(name in every[0] for name in table.text.columns)
+    assert not any(line.startswith("left out, because") for line in every)
+    for name in ("field", "PSNR, dB", "difference, PSNR, dB", "effect", "pairs", "seeds"):
+        assert name in some[0]
+    assert max(map(len, some)) <= 90
+    (note,) = [line for line in some if line.startswith("left out, because the terminal is narrow: ")]
+    assert "time of a step" in " ".join(some[some.index(note) :])
 
 
 SPECIAL = st.text(alphabet="ab \\{}$&#_%~^<>|[]*`±\n", max_size=12)
