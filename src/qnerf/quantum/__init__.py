@@ -1,12 +1,17 @@
-"""Circuits of qubits, evaluated exactly and in batches. `QuantumLayer` is the way in, `from_qnode` the one from PennyLane.
+"""Circuits of qubits, evaluated exactly and in batches: `QuantumLayer`, and `from_qnode` for those of PennyLane.
 
-The files, in the order in which a circuit passes through them: `expressions`, `gates` and `circuit` (the description),
-`pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (its engines, compiled
-and plain). Data re-uploading circuits take a faster way: `initial_angles`,
-`normal_form` (what is left after merging gates), `cones` (which inputs an output depends on), `cost_model` (which
-engine), `compiled.engine` and `lightcone` (the two engines on the CPU), `statevector` (the plain PyTorch reference),
-`density` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of everything). `tapes`,
-`qnode` and `pennylane_device` read PennyLane's tapes.
+The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
+`description`, and `circuit`, which has circuits by name.
+
+Data re-uploading circuits: `initial_angles`, `normal_form` (what is left after merging gates), `cones` (which inputs an
+output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on the CPU),
+`statevector` (the plain PyTorch reference), `density` and `measurement` (noise and shots).
+
+Any other circuit: `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (the
+engine and its reference).
+
+PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
+`pennylane_device` bring its circuits here.
 """
 
 from typing import Any
