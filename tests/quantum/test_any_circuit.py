@@ -222,10 +222,19 @@ def test_float32_threads_and_blocks() -> None:
         torch.testing.assert_close(found.double(), expected, rtol=1e-4, atol=1e-5)
 
 
+def test_samples_do_not_depend_on_their_neighbours() -> None:
+    x = torch.randn(40, FEATURES, generator=torch.Generator().manual_seed(0))
+    x[3], x[20] = float("nan"), float("inf")
+    layer = QuantumLayer(MIXED)
+    assert layer(x).isnan().any(1).nonzero().flatten().tolist() == [3, 20]
+    assert torch.equal(layer(x[4:20]), layer(x)[4:20])
+
+
 def test_any_batch_shape_and_number_of_weights() -> None:
     layer = QuantumLayer(MIXED)
     assert layer.scale.item() == 1.0
-    assert layer(torch.randn(2, 0, FEATURES)).shape == (2, 0, 7)
+    for other in layers(MIXED):
+        assert other(torch.randn(2, 0, FEATURES)).shape == (2, 0, 7)
     assert layer(torch.randn(FEATURES)).shape == (7,)
     fixed = QuantumLayer(
         Circuit("fixed", 1, operations=(Gate("RX", (0,), (0.3,)),), observables=(((0, "Z"),),), features=0)

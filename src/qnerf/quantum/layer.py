@@ -20,7 +20,6 @@ from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.pauli_statevector import PauliCircuit
 
-LARGE = 2**28  # bytes of work space that are asked for only if the machine has them
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 
 
@@ -228,7 +227,7 @@ class QuantumLayer(nn.Module):
             if self._pauli is not None:
                 return self._pauli.plain.evaluate(x, weights)
             return statevector.evaluate(self._engine.form, x, weights)
-        if engine.memory > LARGE:
+        if engine.memory > memory.LARGE:
             memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.wires} wires", engine.memory)
         if self._pauli is not None:
             return self._pauli.evaluate(x, weights)

@@ -5,6 +5,7 @@ the amplitudes of the start, and the outputs as combinations of the measured val
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from qnerf.quantum.pauli_form import Word, pauli_form
 
 Simulate = Callable[[Tensor, Tensor, Tensor | None, int, torch.dtype], Tensor]
 """Measured values (B, values) from angles (1, fixed) and (B, moving), the start (1 or B, 2^n) or None, B, a dtype."""
+
+KEPT_WIRES = 10  # up to here the tables of a word are kept for the next call: 24 KiB each
 
 
 class PauliCircuit:
@@ -39,7 +42,8 @@ class PauliCircuit:
             counts[kind] += 1
         self.starts = [_Start(part, circuit) for part in self.form.start]
         used = [*angles, *(Expression.of(angle) for part in self.form.start for angle in part.angles)]
-        self.takes_all = any(angle.features for angle in used) and any(angle.weights for angle in used)
+        measures = self.form.combination.shape[1] > 0
+        self.takes_all = measures and any(a.features for a in used) and any(a.weights for a in used)
         values = len(self.form.words) + self.form.outcomes
         self.is_identity = self.form.combination.shape == (values, values) and not (
             np.any(self.form.combination != np.eye(values)) or np.any(self.form.constants)
@@ -92,7 +96,7 @@ class PauliCircuit:
         state = self._final_state(fixed, moving, start, dtype).expand(-1, moving.shape[0])
         values = []
         for word in self.form.words:
-            index, phases = self._action(word, state)
+            index, phases = _action(word, self.form.wires, state.device, state.dtype)
             product = state.conj() * state[index] * phases[:, None]
             values.append(product.real.sum(0))
         if self.form.tables:
@@ -113,17 +117,25 @@ class PauliCircuit:
         cosines = [(angles / 2).cos().to(dtype) for angles in (fixed, moving)]
         sines = [(angles / 2).sin().to(dtype) for angles in (fixed, moving)]
         for (word, _), (kind, column) in zip(self.form.rotations, self.columns, strict=True):
-            index, phases = self._action(word, state)
+            index, phases = _action(word, self.form.wires, state.device, state.dtype)
             c, s = cosines[kind][:, column], sines[kind][:, column]
             state = c * state + s * (-1j * phases[:, None] * state[index])
         return state
 
-    def _action(self, word: Word, like: Tensor) -> tuple[Tensor, Tensor]:
-        """The word on a state a as (index, phases): phases * a[index]."""
-        basis = np.arange(2**self.form.wires)
-        odd = np.bitwise_count((basis ^ word.x) & word.z) & 1
-        phases = 1j**word.phase * (1.0 - 2.0 * odd)
-        return torch.from_numpy(basis ^ word.x).to(like.device), torch.from_numpy(phases).to(like)
+
+def _action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The word on a state a as (index, phases): phases * a[index]."""
+    return (_kept_action if wires <= KEPT_WIRES else _new_action)(word, wires, device, dtype)
+
+
+def _new_action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    basis = np.arange(2**wires)
+    odd = np.bitwise_count((basis ^ word.x) & word.z) & 1
+    phases = 1j**word.phase * (1.0 - 2.0 * odd)
+    return torch.from_numpy(basis ^ word.x).to(device), torch.from_numpy(phases).to(device, dtype)
+
+
+_kept_action = lru_cache(maxsize=1024)(_new_action)
 
 
 class _Start:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.config import memory
 from qnerf.kernels.jit import run
 from qnerf.quantum import operator, statevector
 from qnerf.quantum.compiled import pauli_sweeps
@@ -46,6 +47,9 @@ class PauliEngine:
         """`evaluate` where the compiled engine can run, else the same in plain PyTorch."""
         if x.device.type != "cpu" or operator.is_transformed():
             return self.plain.evaluate(x, weights)
+        needed = memory_bytes(self.form, x.shape[0], x.element_size())
+        if needed > memory.LARGE:
+            memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.form.wires} wires", needed)
         return self.evaluate(x, weights)
 
     def _simulate(self, fixed: Tensor, moving: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
@@ -79,9 +83,9 @@ def cost(form: PauliForm, batch: int, dtype: torch.dtype, compiled: bool) -> Cos
     padded = -(-batch * itemsize // VECTOR_BYTES) * VECTOR_BYTES  # whole blocks of samples
     threads = min(torch.get_num_threads(), max(1, padded // VECTOR_BYTES))
     seconds = OVERHEAD + count * padded / (RATE * threads) if compiled else float("nan")
-    memory = memory_bytes(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
+    needed = memory_bytes(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
     reason = f"{len(form.rotations)} rotations about Pauli words"
-    return Cost("statevector", "compiled" if compiled else "torch", batch, count, 0, memory, seconds, reason)
+    return Cost("statevector", "compiled" if compiled else "torch", batch, count, 0, needed, seconds, reason)
 
 
 class _Run:
