@@ -77,7 +77,7 @@ def test_scales_without_a_common_unit_have_no_cone() -> None:
         (Entangler("CZ", ((0, 2),)), r"pair \(0, 2\) needs two different wires below 2"),
         (Encoding("W", (1.0, 1.0)), "unknown axis 'W'; known: X, Y, Z"),
         (Encoding("Z", (1.0,)), "encoding needs 2 finite scales"),
-        ("RX", "unknown operation 'RX'; known: Rotations, Entangler, Encoding"),
+        ("RX", "unknown operation 'RX'; known: Rotations, Entangler, Encoding, Gate, Amplitudes"),
     ],
 )
 def test_wrong_descriptions_say_what_is_wrong(operation: Rotations, message: str) -> None:
@@ -94,9 +94,9 @@ def test_wrong_observables_say_what_is_wrong(observables: tuple[PauliWord, ...],
         Circuit("wrong", 2, 1, 2, (), observables)
 
 
-def test_a_wire_is_measured_in_one_letter() -> None:
-    with pytest.raises(ValueError, match="wire 0 is measured in Z and X"):
-        Circuit("wrong", 2, 1, 2, (), (((0, "Z"),), ((0, "X"),)))
+def test_a_wire_measured_in_two_letters_is_not_for_the_engines_of_one_shot() -> None:
+    assert not Circuit("two", 2, 1, 2, (), (((0, "Z"),), ((0, "X"),))).reuploading
+    assert Circuit("one", 2, 1, 2, (), (((0, "Z"),), ((1, "X"),))).reuploading
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+LARGE = 2**28  # bytes of work space that are asked for only if the machine has them
+
 
 def available_bytes() -> int | None:
     """The least that the machine, the container's limit (cgroup) and `ulimit -v` leave; None if nothing tells."""

@@ -54,7 +54,7 @@ class QirenBypassHead(QirenHead):
     def described(self, circuit: Circuit) -> Circuit:
         if not self._pairs:
             return circuit
-        words = circuit.observables
+        words = circuit.words
         products: tuple[PauliWord, ...] = tuple(a + b for a, b in combinations(words, 2))
         return replace(circuit, observables=words + products)
 

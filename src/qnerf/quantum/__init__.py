@@ -1,15 +1,32 @@
-"""Data re-uploading circuits, evaluated exactly and in batches. `QuantumLayer` is the way in.
+"""Circuits of qubits, evaluated exactly and in batches: `QuantumLayer`, and `from_qnode` for those of PennyLane.
 
-The files, in the order in which a circuit passes through them: `circuit` (the description), `initial_angles`,
-`normal_form` (what is left after merging gates), `cones` (which inputs an output depends on), `cost_model` (which
-engine), `compiled.engine` and `lightcone` (the two engines on the CPU), `statevector` (the plain PyTorch reference),
-`noise`, `density`, `pauli_errors` and `measurement` (noise and shots), `pennylane` (other devices, and the reference of
-everything). `diagnostics` says what a circuit can express and how it learns.
+The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
+`description`, and `circuit`, which has circuits by name.
+
+Data re-uploading circuits: `initial_angles`, `normal_form` (what is left after merging gates), `cones` (which inputs an
+output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on the CPU),
+`statevector` (the plain PyTorch reference), `noise`, `density`, `pauli_errors` and `measurement` (noise and shots).
+
+Any other circuit: `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (the
+engine and its reference).
+
+PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
+`pennylane_device` bring its circuits here. `diagnostics` says what a circuit can express and how it learns.
 """
+
+from typing import Any
 
 from qnerf.quantum import hardware_conditions
 from qnerf.quantum.layer import QuantumLayer
 
 hardware = hardware_conditions  # the earlier name
 
-__all__ = ["QuantumLayer", "hardware", "hardware_conditions"]
+__all__ = ["QuantumLayer", "from_qnode", "hardware", "hardware_conditions"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "from_qnode":  # PennyLane is imported only for who asks
+        from qnerf.quantum.qnode import from_qnode
+
+        return from_qnode
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

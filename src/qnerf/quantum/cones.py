@@ -51,10 +51,12 @@ def find_cones(circuit: Circuit) -> Cones:
     """The cones of all outputs.
 
     Raises:
-        TooLarge: an output has more than `MAX_COEFFICIENTS` coefficients, or the encoding scales of a wire are not
-            multiples of one frequency.
+        TooLarge: an output has more than `MAX_COEFFICIENTS` coefficients, the encoding scales of a wire are not
+            multiples of one frequency, or the circuit is no data re-uploading circuit.
     """
-    met = [_encodings_met(circuit, dict(word)) for word in circuit.observables]
+    if not circuit.reuploading:
+        raise TooLarge(f"lightcone: ansatz {circuit.name} is no data re-uploading circuit; choose method=auto")
+    met = [_encodings_met(circuit, dict(word)) for word in circuit.words]
     base = tuple(_base_frequency(circuit, wire) for wire in range(circuit.wires))
     cones = []
     for output, scales in enumerate(met):

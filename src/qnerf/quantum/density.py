@@ -117,6 +117,7 @@ def _channels_of(
                 phi, theta, omega = weights[operation.row, :, wire]
                 unitary = _rotation("Z", omega) @ _rotation("Y", theta) @ _rotation("Z", phi)
             else:
+                assert isinstance(operation, Encoding), "a data re-uploading circuit"
                 unitary = _rotation(operation.axis, operation.scales[wire] * x[:, wire])
             add(_superoperator([unitary]), wire)
             add_noise(wire)
@@ -159,7 +160,7 @@ def _entangle(matrix: Tensor, gate: str, pair: tuple[int, int], n: int) -> Tenso
 def _observables(circuit: Circuit) -> Tensor:
     """The matrices of the measured Pauli words, (2^n, 2^n, outputs)."""
     matrices = []
-    for word in circuit.observables:
+    for word in circuit.words:
         matrix = torch.eye(1, dtype=torch.complex128)
         for wire in range(circuit.wires):
             matrix = torch.kron(matrix, _PAULIS[dict(word).get(wire, "I")])

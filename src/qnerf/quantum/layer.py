@@ -1,7 +1,8 @@
-"""QuantumLayer: a batched data re-uploading circuit as an nn.Module."""
+"""QuantumLayer: a batched circuit as an nn.Module."""
 
 import inspect
 from collections.abc import Callable
+from math import pi, prod
 from typing import Any, Literal
 
 import torch
@@ -12,17 +13,20 @@ from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
 from qnerf.quantum import lightcone, measurement, operator, pennylane, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
 from qnerf.quantum.compiled import engine as compiled
+from qnerf.quantum.compiled import pauli_engine
+from qnerf.quantum.cones import find_cones
 from qnerf.quantum.cost_model import Cost, choose_engine, statevector_memory
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.pauli_statevector import PauliCircuit
 
-LARGE = 2**28  # bytes of work space that are asked for only if the machine has them
+_UPLOADING = "expect a data re-uploading circuit"
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 
 
 class QuantumLayer(nn.Module):
-    """Expectation values of a trainable circuit: (..., wires) angles in radians -> (..., outputs) in [-1, 1].
+    """The outputs of a trainable circuit: (..., features) angles in radians -> (..., outputs), by default in [-1, 1].
 
     >>> layer = QuantumLayer(8, 2)  # 8 wires, the input encoded twice
     >>> x = torch.randn(64, 3, 8, requires_grad=True)
@@ -35,7 +39,14 @@ class QuantumLayer(nn.Module):
     >>> QuantumLayer(8, 1).cost(6144).method, QuantumLayer(8, 2).cost(6144).method
     ('lightcone', 'statevector')
 
-    Every circuit in `ANSATZE` has one output for each wire.
+    Every circuit in `ANSATZE` has one output and one feature for each wire. Any other circuit is a `Circuit`:
+
+    >>> from qnerf.quantum.circuit import Circuit, Gate, Weights, feature
+    >>> w = Weights("w", (2,))
+    >>> gates = Gate("RX", (0,), (feature(2),)), Gate("CRY", (0, 1), (w[0],)), Gate("RZ", (1,), (w[1] * feature(0),))
+    >>> layer = QuantumLayer(Circuit("mine", 2, operations=gates, observables=(((1, "X"),),), features=3, weights=(w,)))
+    >>> layer(torch.randn(64, 3)).shape, layer.w.shape
+    (torch.Size([64, 1]), torch.Size([2]))
 
     Args:
         wires: n, 1 to 20; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
@@ -56,8 +67,9 @@ class QuantumLayer(nn.Module):
         device, device_options, diff_method: of method=pennylane, see `qnerf.quantum.pennylane.make_node`. The device
             then draws the shots, and `noise` becomes its channels.
 
-    Parameters: `weights1` (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in
-    published QIREN checkpoints. L is the number of sublayers of the ansatz, 2 by default.
+    Parameters: those that the circuit names (`Circuit.parameters`). Of re-uploading circuits these are `weights1`
+    (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in published QIREN checkpoints. L
+    is the number of sublayers of the ansatz, 2 by default. `init` is about these two.
 
     Precision is float32 or float64; an input of another precision is converted. For angles up to 1e36 rad, float32
     outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32) and never beyond 1. Inputs that are NaN or
@@ -67,6 +79,9 @@ class QuantumLayer(nn.Module):
         ValueError: a wrong last dimension, integer inputs, wires outside 1..20 or more than memory holds, an unknown
             name, or method=lightcone for a circuit without small light cones.
     """
+
+    weights1: nn.Parameter
+    weights2: nn.Parameter
 
     @checked
     def __init__(
@@ -104,18 +119,27 @@ class QuantumLayer(nn.Module):
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
             own = measurement.Conditions(**measured, joint=False, patterns=patterns, gradients=True)
             if own.shots is not None or own.noisy:
+                if not self.circuit.reuploading:
+                    raise ValueError(f"shots and noise {_UPLOADING}, got {self.circuit.name}")
                 self.conditions = own
-        form = normal_form(self.circuit)
-        memory.require(f"one sample of a circuit of {self.wires} wires", statevector_memory(form, 1))
-        self._engine = compiled.StatevectorEngine(form)
-        self._cone = lightcone.LightConeEngine(self.circuit) if method == "lightcone" else None
+        self._pauli: pauli_engine.PauliEngine | None = None
+        self._cone: lightcone.LightConeEngine | None = None
+        if self.circuit.reuploading:
+            form = normal_form(self.circuit)
+            needed = statevector_memory(form, 1)
+            self._engine = compiled.StatevectorEngine(form)
+            self._cone = lightcone.LightConeEngine(self.circuit) if method == "lightcone" else None
+        else:
+            if method == "lightcone":
+                find_cones(self.circuit)
+            self._pauli = pauli_engine.PauliEngine(PauliCircuit(self.circuit))
+            needed = pauli_engine.memory_bytes(self._pauli.form, 1)
+        memory.require(f"one sample of a circuit of {self.wires} wires", needed)
         self._costs: dict[tuple[Any, ...], Cost] = {}
-        first, second = self.circuit.weight_shapes
-        angles = torch.empty(self.circuit.rows, self.circuit.wires, 3)
-        if not angles.is_meta:  # else only the shapes count
-            angles = INITS.get(init)(self.circuit)
-        self.weights1 = nn.Parameter(angles[: -second[0]].reshape(first))
-        self.weights2 = nn.Parameter(angles[-second[0] :].reshape(second))
+        for name, values in _initial_weights(self.circuit, init).items():
+            if hasattr(self, name):
+                raise ValueError(f"weights cannot be called {name}, which is an attribute of a layer")
+            self.register_parameter(name, nn.Parameter(values))
         self._number = operator.register(self)
 
     @property
@@ -127,20 +151,22 @@ class QuantumLayer(nn.Module):
         return self.circuit.spectral
 
     def extra_repr(self) -> str:
-        return f"wires={self.wires}, spectral={self.spectral}, ansatz={self.circuit.name}, method={self.method}"
+        shape = f"spectral={self.spectral}" if self._pauli is None else f"features={self.circuit.features}"
+        return f"wires={self.wires}, {shape}, ansatz={self.circuit.name}, method={self.method}"
 
     def cost(self, batch: int = 6144) -> Cost:
         """The engine that `forward` takes for a batch, and what a step costs.
 
         Counts for the device and the precision of the parameters and for PyTorch's present number of threads.
         """
-        return self._cost(batch, self.weights2.device, self.weights2.dtype)
+        first = next(self.parameters(), torch.empty(0))
+        return self._cost(batch, first.device, first.dtype)
 
     plan = cost  # the earlier name
 
     @property
     def outputs(self) -> int:
-        return len(self.circuit.observables)
+        return self.circuit.outputs
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_node": None}  # PennyLane's functions cannot be pickled
@@ -162,20 +188,28 @@ class QuantumLayer(nn.Module):
             if len(self._costs) > 1000:
                 self._costs.clear()
             compiled = on_cpu and self.backend != "torch" and not transformed
-            self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
+            if self._pauli is not None:
+                self._costs[key] = pauli_engine.cost(self._pauli.form, batch, dtype, compiled)
+            else:
+                self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
         return self._costs[key]
 
     def forward(self, x: Tensor) -> Tensor:
         if not torch.is_tensor(x) or not x.is_floating_point():
             kind = x.dtype if torch.is_tensor(x) else type(x).__name__
             raise ValueError(f"QuantumLayer expects a floating-point tensor of angles in radians, got {kind}")
-        if x.ndim == 0 or x.shape[-1] != self.wires:
-            raise ValueError(f"QuantumLayer expects shape (..., {self.wires}), got {tuple(x.shape)}")
-        dtype = torch.promote_types(x.dtype, self.weights2.dtype)
+        features = self.circuit.features
+        if x.ndim == 0 or x.shape[-1] != features:
+            raise ValueError(f"QuantumLayer expects shape (..., {features}), got {tuple(x.shape)}")
+        parameters = [getattr(self, name) for name in self.circuit.parameters]
+        dtype = torch.promote_types(x.dtype, parameters[-1].dtype) if parameters else x.dtype
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
-        angles = x.reshape(-1, self.wires).to(dtype)
+        angles = x.reshape(prod(x.shape[:-1]), features).to(dtype)
         with torch.autocast(x.device.type, enabled=False):
-            weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
+            if self._pauli is None:
+                weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
+            else:
+                weights = torch.cat([angles.new_zeros(0), *(parameter.flatten().to(dtype) for parameter in parameters)])
             if torch.compiler.is_compiling():
                 out = operator.evaluate(angles, weights, self._number)
             else:
@@ -183,16 +217,21 @@ class QuantumLayer(nn.Module):
         return out.reshape(*x.shape[:-1], out.shape[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Outputs (B, outputs) for inputs (B, n) in radians and stacked weights (rows, 3, n)."""
+        """Outputs (B, outputs) for inputs (B, features) in radians.
+
+        The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other.
+        """
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
+        if self._pauli is not None:
+            raise ValueError(f"hardware conditions {_UPLOADING}, got {self.circuit.name}")
         return measurement.measure(self.circuit, x, weights, self._exact, conditions)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
         if self._node is not None:
-            return self._node(x, weights.transpose(1, 2))
-        engine = self._cost(x.shape[0], x.device, x.dtype, _is_transformed())
+            return self._node(x, weights.transpose(1, 2) if self._pauli is None else weights)
+        engine = self._cost(x.shape[0], x.device, x.dtype, operator.is_transformed())
         if engine.method == "lightcone":
             if engine.backend == "torch":
                 return lightcone.evaluate_reference(self.circuit, x, weights)
@@ -200,9 +239,13 @@ class QuantumLayer(nn.Module):
                 self._cone = lightcone.LightConeEngine(self.circuit)
             return lightcone.evaluate(self._cone, x, weights)
         if engine.backend == "torch":
+            if self._pauli is not None:
+                return self._pauli.plain.evaluate(x, weights)
             return statevector.evaluate(self._engine.form, x, weights)
-        if engine.memory > LARGE:
+        if engine.memory > memory.LARGE:
             memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.wires} wires", engine.memory)
+        if self._pauli is not None:
+            return self._pauli.evaluate(x, weights)
         return compiled.evaluate(self._engine, x, weights)
 
 
@@ -220,6 +263,16 @@ def _described(
     return ANSATZE.build(ansatz or "qiren", wires, spectral, **(ansatz_options or {}))
 
 
-def _is_transformed() -> bool:
-    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
-    return torch._C._are_functorch_transforms_active() or torch.autograd.forward_ad._current_level >= 0
+def _initial_weights(circuit: Circuit, init: str) -> dict[str, Tensor]:
+    """Starting values of the parameters, by name."""
+    values = {}
+    if circuit.sublayers:
+        first, second = circuit.weight_shapes
+        angles = torch.empty(circuit.rows, circuit.wires, 3)
+        if not angles.is_meta:  # else only the shapes count
+            angles = INITS.get(init)(circuit)
+        values = {"weights1": angles[: -second[0]].reshape(first), "weights2": angles[-second[0] :].reshape(second)}
+    for own in circuit.weights:
+        drawn = torch.empty(own.shape).uniform_(0, 2 * pi)
+        values[own.name] = drawn if own.initial is None else torch.full_like(drawn, own.initial)
+    return values

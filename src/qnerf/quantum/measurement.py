@@ -142,7 +142,7 @@ def _readout(circuit: Circuit, noise: Noise) -> tuple[Tensor, Tensor]:
         ValueError: two different probabilities for a product of several wires, which mixes it with other products.
     """
     scale, shift = noise.readout_factors
-    wires = torch.tensor([len(word) for word in circuit.observables], dtype=torch.float64)
+    wires = torch.tensor([len(word) for word in circuit.words], dtype=torch.float64)
     if shift and not bool((wires == 1).all()):
         raise ValueError(
             f"noise: two probabilities of readout={noise.readout} expect outputs of one wire each, "

@@ -106,7 +106,13 @@ class NormalForm:
 
 @lru_cache(maxsize=256)
 def normal_form(circuit: Circuit) -> NormalForm:
-    """The normal form of `circuit`."""
+    """The normal form of `circuit`.
+
+    Raises:
+        ValueError: it is no data re-uploading circuit; its form is `pauli_form`.
+    """
+    if not circuit.reuploading:
+        raise ValueError(f"ansatz {circuit.name}: not a data re-uploading circuit (Rotations, Entangler, Encoding)")
     steps: list[Step] = []
     for operation in circuit.operations:
         if isinstance(operation, Rotations):
@@ -116,16 +122,16 @@ def normal_form(circuit: Circuit) -> NormalForm:
             _append(steps, Diagonal(Angles(((row, OMEGA),))))
         elif isinstance(operation, Entangler):
             _append(steps, Diagonal(pairs=operation.pairs) if operation.gate == "CZ" else CNOTs(operation.pairs))
-        else:
+        elif isinstance(operation, Encoding):
             _append_encoding(steps, operation, circuit.wires)
-    letters = {wire: letter for word in circuit.observables for wire, letter in word}
+    letters = {wire: letter for word in circuit.words for wire, letter in word}
     quarter = tuple({"X": -pi / 2, "Y": pi / 2}.get(letters.get(wire, "Z"), 0.0) for wire in range(circuit.wires))
     if any(quarter):
         # X = Z after RY(-pi/2); Y = Z after RX(pi/2) = RZ(-pi/2) RY(pi/2) RZ(pi/2), whose last factor does not matter.
         before = tuple(pi / 2 if letters.get(wire) == "Y" else 0.0 for wire in range(circuit.wires))
         _append(steps, Diagonal(Angles(constant=before if any(before) else None)))
         _append(steps, RYLayer(Angles(constant=quarter)))
-    measured = tuple(frozenset(wire for wire, _ in word) for word in circuit.observables)
+    measured = tuple(frozenset(wire for wire, _ in word) for word in circuit.words)
     while steps and not isinstance(steps[-1], RYLayer):
         last = steps.pop()
         if isinstance(last, CNOTs):

@@ -35,10 +35,22 @@ def register(evaluator: Evaluator) -> int:
     return number
 
 
+def _as_outside() -> Any:
+    """Inside an operator PyTorch's own operations are not recorded for autograd, and lose complex conjugates.
+
+    In this context they are what they are outside.
+    """
+    keys = torch._C
+    return keys._ForceDispatchKeyGuard(
+        keys._dispatch_tls_local_include_set(), keys.DispatchKeySet(keys.DispatchKey.Undefined)
+    )
+
+
 @torch.library.custom_op("qnerf::circuit", mutates_args=())
 def evaluate(x: Tensor, weights: Tensor, number: int) -> Tensor:
     """`Evaluator.evaluate` of the evaluator with this number, differentiable once."""
-    out: Tensor = _evaluators[number].evaluate(x, weights)
+    with torch.no_grad(), _as_outside():
+        out: Tensor = _evaluators[number].evaluate(x, weights)
     return out
 
 
@@ -49,7 +61,7 @@ def _(x: Tensor, weights: Tensor, number: int) -> Tensor:
 
 @torch.library.custom_op("qnerf::circuit_gradients", mutates_args=())
 def _gradients(gradient: Tensor, x: Tensor, weights: Tensor, number: int) -> tuple[Tensor, Tensor]:
-    with torch.enable_grad():
+    with torch.enable_grad(), _as_outside():
         inputs = x.detach().requires_grad_(), weights.detach().requires_grad_()
         out = _evaluators[number].evaluate(*inputs)
     of_x, of_weights = torch.autograd.grad(out, inputs, gradient)
@@ -71,3 +83,8 @@ def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None]:
 
 
 evaluate.register_autograd(_backward, setup_context=_keep)
+
+
+def is_transformed() -> bool:
+    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
+    return torch._C._are_functorch_transforms_active() or torch.autograd.forward_ad._current_level >= 0

@@ -78,7 +78,7 @@ def draw(
     return clean, happens & (letter < upper[:, 1]), happens & (letter >= upper[:, 0])
 
 
-class Gate(NamedTuple):
+class NoisyGate(NamedTuple):
     """Gates of one kind at the same time; an entangler is one pair."""
 
     operation: Rotations | Entangler | Encoding
@@ -97,7 +97,7 @@ def fold(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> tuple[
     signs, shifts = np.ones((patterns, circuit.rows, 3, n)), np.zeros((patterns, circuit.rows, 3, n))
     x, z = np.zeros((patterns, n), bool), np.zeros((patterns, n), bool)  # the errors that are carried
 
-    def add(gate: Gate) -> None:
+    def add(gate: NoisyGate) -> None:
         x[:, gate.wires] ^= x_errors[:, gate.spots]
         z[:, gate.wires] ^= z_errors[:, gate.spots]
 
@@ -124,7 +124,7 @@ def fold(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> tuple[
     return signs, shifts
 
 
-def _carry(x: np.ndarray, z: np.ndarray, gate: Gate) -> None:
+def _carry(x: np.ndarray, z: np.ndarray, gate: NoisyGate) -> None:
     """Pauli errors before an entangler become those after it, and the other way round."""
     if isinstance(gate.operation, Entangler):
         a, b = gate.wires
@@ -137,7 +137,7 @@ def _carry(x: np.ndarray, z: np.ndarray, gate: Gate) -> None:
 
 
 @lru_cache(maxsize=256)
-def _gates(circuit: Circuit) -> tuple[Gate, ...]:
+def _gates(circuit: Circuit) -> tuple[NoisyGate, ...]:
     """All gates in order.
 
     Raises:
@@ -146,9 +146,10 @@ def _gates(circuit: Circuit) -> tuple[Gate, ...]:
     rows = [operation.row for operation in circuit.operations if isinstance(operation, Rotations)]
     if len(set(rows)) < len(rows):
         raise ValueError(f"sampled noise: ansatz {circuit.name} uses a row of its weights twice; choose method=density")
-    gates: list[Gate] = []
+    gates: list[NoisyGate] = []
     backwards = waiting = False
     for operation in circuit.operations:
+        assert isinstance(operation, (Rotations, Entangler, Encoding))  # of a re-uploading circuit
         if isinstance(operation, Encoding):
             if waiting:
                 break
@@ -160,7 +161,7 @@ def _gates(circuit: Circuit) -> tuple[Gate, ...]:
         everything = (tuple(range(circuit.wires)),)
         for wires in operation.pairs if isinstance(operation, Entangler) else everything:
             start = gates[-1].spots.stop if gates else 0
-            gates.append(Gate(operation, wires, slice(start, start + len(wires)), backwards))
+            gates.append(NoisyGate(operation, wires, slice(start, start + len(wires)), backwards))
     if waiting:
         raise ValueError(
             f"sampled noise: ansatz {circuit.name} has an encoding that no rotations follow; choose method=density"

@@ -5,14 +5,28 @@ is imported on first use: `import qnerf` stays quick.
 """
 
 from collections.abc import Callable
+from math import prod
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from qnerf.config.bounds import PositiveInt, Seed, checked
-from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.circuit import (
+    Amplitudes,
+    Circuit,
+    Encoding,
+    Entangler,
+    Expression,
+    Hamiltonian,
+    Observable,
+    PauliWord,
+    Probabilities,
+    Rotations,
+)
+from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.noise import Noise
+from qnerf.quantum.pauli_form import as_gates
 
 DiffMethod = Literal["backprop", "parameter-shift", "adjoint"]
 
@@ -35,8 +49,15 @@ def check_shots(shots: int | None) -> None:
 
 
 def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) -> None:
-    """Queues the circuit's gates inside a QNode, for x (n,) or (B, n) and weights (rows, n, 3)."""
+    """Queues the circuit's gates inside a QNode, for x (features,) or (B, features).
+
+    The weights are (rows, n, 3) for a re-uploading circuit, and flat for any other.
+    """
     import pennylane as qml
+
+    if not circuit.reuploading:
+        _apply_gates(circuit, x, weights, noise)
+        return
 
     def add_noise(*wires: int) -> None:
         for wire in wires:
@@ -61,23 +82,64 @@ def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) ->
                 add_noise(wire)
 
 
-def observables(circuit: Circuit) -> list[Any]:
-    """The circuit's Pauli words as PennyLane observables."""
+def _apply_gates(circuit: Circuit, x: Any, weights: Any, noise: Noise | None) -> None:
+    """`apply` gate by gate, for flat weights."""
     import pennylane as qml
 
-    def letter(wire: int, name: str) -> Any:
-        return getattr(qml, f"Pauli{name}")(wire)
+    first = offsets(circuit.parameters)
 
-    words = [[letter(wire, name) for wire, name in word] for word in circuit.observables]
-    return [qml.prod(*word) if len(word) > 1 else word[0] if word else qml.Identity(0) for word in words]
+    def value(expression: Expression | float) -> Any:
+        total = weights.new_zeros(())
+        for coefficient, names, features in Expression.of(expression).terms:
+            factors = [weights[first[name] + index] for name, index in names] + [x[..., index] for index in features]
+            total = total + prod(factors, start=coefficient)
+        return total
+
+    for operation in circuit.operations:
+        if isinstance(operation, Amplitudes):
+            parts = [torch.stack(torch.broadcast_tensors(*(torch.as_tensor(value(a)) for a in part)), -1) + 0j
+                     for part in (operation.real, operation.imaginary) if part]  # fmt: skip
+            state = parts[0] + (1j * parts[1] if len(parts) > 1 else 0)
+            norm = state.abs().square().sum(-1, keepdim=True).sqrt()
+            qml.StatePrep(state / norm, wires=operation.wires, validate_norm=False)
+        for gate in as_gates(operation, circuit):
+            words = (gate.word,) if gate.word else ()
+            getattr(qml, gate.name)(*map(value, gate.angles), *words, wires=gate.wires)
+            for wire in gate.wires:
+                for name, probability in noise.after(len(gate.wires)) if noise is not None else ():
+                    getattr(qml, name)(probability, wires=wire)
+
+
+def _product(word: PauliWord) -> Any:
+    import pennylane as qml
+
+    letters = [getattr(qml, f"Pauli{name}")(wire) for wire, name in word]
+    return qml.prod(*letters) if len(letters) > 1 else letters[0] if letters else qml.Identity(0)
+
+
+def observables(circuit: Circuit) -> list[Any]:
+    """The circuit's Pauli words as PennyLane observables."""
+    return [_product(word) for word in circuit.words]
+
+
+def measurements(circuit: Circuit) -> list[Any]:
+    """What the circuit measures, as PennyLane's measurements."""
+    import pennylane as qml
+
+    def measurement(observable: Observable) -> Any:
+        if isinstance(observable, Probabilities):
+            return qml.probs(wires=observable.wires)
+        if isinstance(observable, Hamiltonian):
+            return qml.expval(qml.dot(observable.coefficients, [_product(word) for word in observable.words]))
+        return qml.expval(_product(observable))
+
+    return [measurement(observable) for observable in circuit.observables]
 
 
 def _quantum_function(circuit: Circuit, noise: Noise | None) -> Callable[[Any, Any], list[Any]]:
-    import pennylane as qml
-
     def quantum_function(x: Any, weights: Any) -> list[Any]:
         apply(circuit, x, weights, noise)
-        return [qml.expval(observable) for observable in observables(circuit)]
+        return measurements(circuit)
 
     return quantum_function
 
@@ -117,7 +179,7 @@ def make_node(
     noise: Noise | None = None,
     seed: Seed | None = None,
 ) -> Callable[[Tensor, Tensor], Tensor]:
-    """A function of x (B, n) in radians and weights (rows, n, 3) that returns expectation values (B, outputs).
+    """A function of x (B, features) in radians and weights, see `apply`, that returns (B, outputs).
 
     Args:
         circuit: what is run.
@@ -148,13 +210,17 @@ def make_node(
     if shots is not None:
         node = qml.set_shots(node, shots)
 
+    sizes = [2 ** len(o.wires) if isinstance(o, Probabilities) else 1 for o in circuit.observables]
+
     def run(x: Tensor, weights: Tensor) -> Tensor:
         if x.shape[0] == 0:
-            return x.new_zeros(0, len(circuit.observables)) + 0 * weights.sum()
+            return x.new_zeros(0, circuit.outputs) + 0 * weights.sum()
         if broadcast:
-            values = [value.expand(x.shape[0]) if value.ndim == 0 else value for value in node(x, weights)]
-            return torch.stack(values, -1).to(x.dtype)
-        return torch.stack([torch.stack(list(node(sample, weights))) for sample in x]).to(x.dtype)
+            values = zip(node(x, weights), sizes, strict=True)
+            return torch.cat([value.reshape(-1, size).expand(len(x), size) for value, size in values], -1).to(x.dtype)
+        return torch.stack([torch.cat([value.flatten() for value in node(sample, weights)]) for sample in x]).to(
+            x.dtype
+        )
 
     return run
 
@@ -186,6 +252,6 @@ def draw(circuit: Circuit) -> str:
     """
     import pennylane as qml
 
-    weights = torch.zeros(circuit.rows, circuit.wires, 3)
+    shape = (circuit.rows, circuit.wires, 3) if circuit.reuploading else (sum(map(prod, circuit.parameters.values())),)
     node = qml.QNode(_quantum_function(circuit, None), qml.device("default.qubit", wires=circuit.wires))
-    return str(qml.draw(node, decimals=None, max_length=200)(torch.zeros(circuit.wires), weights))
+    return str(qml.draw(node, decimals=None, max_length=200)(torch.ones(circuit.features or 0), torch.zeros(shape)))

@@ -134,7 +134,7 @@ def to_blocks(x: np.ndarray, width: int) -> np.ndarray:
 
 def from_blocks(x: np.ndarray, batch: int) -> Tensor:
     """(blocks, n, width) -> (B, n)."""
-    flat = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(-1, x.shape[1])
+    flat = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(x.shape[0] * x.shape[2], x.shape[1])
     return torch.from_numpy(flat[:batch])
 
 

@@ -1,0 +1,197 @@
+"""The compiled engine of the Pauli form: any circuit, CPU, float32 and float64, adjoint differentiation of its own.
+
+The reference is `pauli_statevector`. Sums over samples are taken over a fixed number of parts in a fixed order, so
+results do not depend on the number of threads.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.config import memory
+from qnerf.kernels.jit import run
+from qnerf.quantum import operator, statevector
+from qnerf.quantum.compiled import pauli_sweeps
+from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
+from qnerf.quantum.compiled.simd import VECTOR_BYTES, lanes
+from qnerf.quantum.cost_model import Cost
+from qnerf.quantum.pauli_form import PauliForm, Word
+from qnerf.quantum.pauli_statevector import PauliCircuit
+
+# Bytes of multiply-add operands a second and thread, measured on one core; less than `cost_model.RATE`, because every
+# rotation reads and writes the whole state.
+RATE = 3e9 * VECTOR_BYTES
+OVERHEAD = 5e-4  # seconds a step: Python, autograd, the angles
+
+
+class PauliEngine:
+    """A circuit in Pauli form, ready to run on the CPU."""
+
+    def __init__(self, plain: PauliCircuit) -> None:
+        form = plain.form
+        self.plain, self.form = plain, form
+        rows = [(*_row(r.word), *column) for r, column in zip(form.rotations, plain.columns, strict=True)]
+        self.rotations = np.array(rows, dtype=np.int64).reshape(-1, 6)
+        self.words = np.array([_row(word) for word in form.words], dtype=np.int64).reshape(-1, 4)
+        self.tables = np.array(form.tables, dtype=np.int64).reshape(len(form.tables), 2**form.wires)
+        sizes = [int(table.max()) + 1 for table in form.tables]
+        self.outcomes = np.cumsum([0, *sizes]).astype(np.int64)
+
+    def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Outputs (B, outputs) for inputs x (B, features) and flat weights, compiled."""
+        return self.plain.evaluate(x, weights, self._simulate)
+
+    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
+        """`evaluate` where the compiled engine can run, else the same in plain PyTorch."""
+        if x.device.type != "cpu" or operator.is_transformed():
+            return self.plain.evaluate(x, weights)
+        needed = memory_bytes(self.form, x.shape[0], x.element_size())
+        if needed > memory.LARGE:
+            memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.form.wires} wires", needed)
+        return self.evaluate(x, weights)
+
+    def _simulate(self, fixed: Tensor, moving: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
+        out: Tensor = _Simulate.apply(self, fixed, moving, start, batch, dtype)
+        return out
+
+
+def _row(word: Word) -> tuple[int, int, int, int]:
+    return word.x, word.z, word.phase % 2, word.phase // 2
+
+
+def operations(form: PauliForm) -> int:
+    """Multiply-adds for each sample, forward and backward."""
+    size, moving = 2**form.wires, len(form.rotations) - form.fixed_rotations
+    return size * (4 * moving + 3 * len(form.words) + 4 * moving + 11 * moving + 4 * len(form.words))
+
+
+def memory_bytes(form: PauliForm, batch: int, itemsize: int = 4) -> int:
+    """Bytes of work space, at most: three states of a block of samples for each thread, angles, starts."""
+    blocks = -(-batch * itemsize // VECTOR_BYTES)
+    states = 6 * min(torch.get_num_threads(), blocks) + (5 * blocks if form.start else 0)
+    values = len(form.words) + form.outcomes + 6 * len(form.rotations)
+    parts = 2 * 8 * min(32, blocks) * 2**form.wires
+    return (states * 2**form.wires + blocks * values) * VECTOR_BYTES + parts
+
+
+def cost(form: PauliForm, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
+    """What a batch costs, forward and backward."""
+    itemsize = torch.finfo(dtype).bits // 8
+    count = operations(form)
+    padded = -(-batch * itemsize // VECTOR_BYTES) * VECTOR_BYTES  # whole blocks of samples
+    threads = min(torch.get_num_threads(), max(1, padded // VECTOR_BYTES))
+    seconds = OVERHEAD + count * padded / (RATE * threads) if compiled else float("nan")
+    needed = memory_bytes(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
+    reason = f"{len(form.rotations)} rotations about Pauli words"
+    return Cost("statevector", "compiled" if compiled else "torch", batch, count, 0, needed, seconds, reason)
+
+
+class _Run:
+    """The arrays of one step."""
+
+    def __init__(
+        self, engine: PauliEngine, fixed: Tensor, moving: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype
+    ) -> None:
+        kind = numpy_dtype(dtype)
+        form = engine.form
+        self.engine, self.kind = engine, kind
+        n, self.width = form.wires, lanes(np.dtype(kind).itemsize)
+        self.n, self.batch = n, batch
+        # What runs once a step is float64: it costs nothing, and its gradients are sums over the whole batch.
+        self.fixed_once = _cos_sin(fixed.detach().numpy()[0], np.float64)
+        self.fixed = self.fixed_once.astype(kind)
+        self.trig = _cos_sin(
+            to_blocks(np.broadcast_to(moving.detach().numpy(), (batch, moving.shape[1])), self.width), kind
+        )
+        self.trig = np.ascontiguousarray(self.trig.swapaxes(0, 1))
+        self.once = np.zeros((2, 2**n))
+        self.once[0, 0] = 1
+        self.starts = np.zeros((0, 2, 2**n, self.width), kind)
+        self.each_its_own = start is not None and start.shape[0] == batch and batch != 1
+        if start is not None:
+            amplitudes = start.detach().numpy()
+            if self.each_its_own:
+                parts = [to_blocks(part, self.width) for part in (amplitudes.real, amplitudes.imag)]
+                self.starts = np.stack(parts, 1).astype(kind)
+            else:
+                self.once = np.stack([amplitudes[0].real, amplitudes[0].imag]).astype(np.float64)
+        self.count = 0 if self.each_its_own else form.fixed_rotations
+        if self.count:
+            pauli_sweeps.prepare(engine.rotations, self.count, n, lanes(8), self.fixed_once, self.once)
+        self.shared = self.once.astype(kind)
+
+    def _arguments(self) -> tuple[Any, ...]:
+        engine, parts = self.engine, parts_of(self.trig)
+        return (
+            parts, parts, engine.rotations, self.count, self.n, self.width, self.fixed, self.trig, self.shared,
+            self.starts, engine.words, engine.tables, engine.outcomes,
+        )  # fmt: skip
+
+    def forward(self) -> Tensor:
+        values = len(self.engine.words) + self.engine.outcomes[-1]
+        out = np.empty((self.trig.shape[0], values, self.width), self.kind)
+        run(pauli_sweeps.forward, *self._arguments(), out)
+        return from_blocks(out, self.batch)
+
+    def backward(self, gradient: np.ndarray) -> tuple[Tensor, Tensor, np.ndarray]:
+        """Gradients of the fixed angles (1, fixed), the moving ones (B, moving), and of the start (1 or B, 2, 2^n)."""
+        blocks, parts = self.trig.shape[0], parts_of(self.trig)
+        moving = np.zeros((blocks, self.trig.shape[2], self.width), self.kind)
+        sums = np.zeros((parts, self.fixed.shape[1]))
+        adjoints = np.zeros((parts, *self.shared.shape))
+        starts = np.zeros_like(self.starts)
+        run(
+            pauli_sweeps.backward, *self._arguments(), to_blocks(gradient.astype(self.kind), self.width), moving, sums,
+            adjoints, starts,
+        )  # fmt: skip
+        total, adjoint = sums.sum(0), adjoints.sum(0)
+        if self.count:
+            pauli_sweeps.prepare_backward(
+                self.engine.rotations, self.count, self.n, lanes(8), self.fixed_once, self.once.copy(), adjoint, total
+            )
+        if self.each_its_own:
+            to_start = starts.transpose(0, 3, 1, 2).reshape(-1, 2, 2**self.n)[: self.batch]
+        else:
+            to_start = 2 * adjoint[None]
+        return torch.from_numpy(total)[None], from_blocks(moving, self.batch).double(), to_start
+
+
+def _cos_sin(angles: np.ndarray, kind: Any) -> np.ndarray:
+    """(2, *shape): cos and sin of half the angles, which are float64."""
+    half = angles * 0.5
+    with np.errstate(invalid="ignore"):  # infinity gives NaN
+        return np.stack([np.cos(half), np.sin(half)]).astype(kind)
+
+
+class _Simulate(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, engine: PauliEngine, fixed: Tensor, moving: Tensor, start: Tensor | None, batch: int,
+        dtype: torch.dtype,
+    ) -> Tensor:  # fmt: skip
+        step = _Run(engine, fixed, moving, start, batch, dtype)
+        ctx.save_for_backward(fixed, moving, *([] if start is None else [start]))
+        ctx.step, ctx.dtype = step, dtype
+        return step.forward()
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        step: _Run = ctx.step
+        inputs = ctx.saved_tensors
+        needed = [tensor for tensor in inputs if tensor.requires_grad]
+        if torch.is_grad_enabled():  # `create_graph=True`: gradients that have derivatives again
+            start = inputs[2] if len(inputs) > 2 else None
+            values = step.engine.plain.simulate(inputs[0], inputs[1], start, step.batch, ctx.dtype)
+            found = iter(torch.autograd.grad(values, needed, gradient, create_graph=True, allow_unused=True))
+            gradients = [next(found) if tensor.requires_grad else None for tensor in inputs]
+        else:
+            fixed, moving, to_start = step.backward(gradient.detach().numpy())
+            moving = moving if inputs[1].shape[0] == step.batch else moving.sum(0, keepdim=True)
+            gradients = [fixed, moving]
+            if len(inputs) > 2:
+                parts = torch.from_numpy(to_start).double()
+                complexes = torch.complex(parts[:, 0], parts[:, 1])
+                gradients.append(complexes if inputs[2].shape[0] == len(complexes) else complexes.sum(0, keepdim=True))
+        return None, gradients[0], gradients[1], gradients[2] if len(inputs) > 2 else None, None, None

@@ -1,0 +1,224 @@
+"""Compiled sweeps of the Pauli form over the samples of a step: one through the circuit, one back.
+
+The backward sweep runs each block again. It then takes the rotations off the state and the adjoint state
+sum_k g_k O_k |psi> one after the other, so memory does not depend on the number of gates.
+
+Shapes: n wires; `width` samples in a block; a row of `rotations` is a word (see `pauli_passes`), then 1 if the angle
+moves with the input, and its column among those of its kind; `tables` (tables, 2^n) are outcomes of basis states.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from qnerf.kernels.jit import jit
+from qnerf.quantum.compiled import pauli_passes
+from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, start_of_line, store
+
+
+@inner
+def _ready(x: Any, at: int, width: int, row: Any, fixed: Any, trig: Any) -> Any:
+    """Stores the `signs` of the sine of half a rotation's angle at `at`; returns the cosine."""
+    column = row[5]
+    if row[4]:
+        for i in range(width):
+            x[at + i] = trig[0, column, i]
+            x[at + width + i] = trig[1, column, i]
+        cosine, sine = load(x, at), load(x, at + width)
+    else:
+        cosine, sine = splat(fixed[0, column]), splat(fixed[1, column])
+    pauli_passes.store_signs(x, at, width, sine)
+    return cosine
+
+
+@inner
+def _forward(
+    x: Any, state: int, spare: int, n: int, width: int, rotations: Any, first: int, fixed: Any, trig: Any
+) -> None:
+    keep_apart()
+    for r in range(first, len(rotations)):
+        cosine = _ready(x, spare, width, rotations[r], fixed, trig)
+        pauli_passes.rotate(x, state, n, width, rotations[r], cosine, spare)
+
+
+@inner
+def _set_shared(x: Any, state: int, n: int, width: int, shared: Any) -> None:
+    keep_apart()
+    size = width << n
+    for b in range(1 << n):
+        store(x, state + b * width, splat(shared[0, b]))
+        store(x, state + size + b * width, splat(shared[1, b]))
+
+
+@inner
+def _set(x: Any, state: int, n: int, width: int, block: Any) -> None:
+    keep_apart()
+    size = width << n
+    for part in range(2):
+        for b in range(1 << n):
+            for i in range(width):
+                x[state + part * size + b * width + i] = block[part, b, i]
+
+
+@inner
+def _get(x: Any, state: int, n: int, width: int, factor: Any, block: Any) -> None:
+    keep_apart()
+    size = width << n
+    for part in range(2):
+        for b in range(1 << n):
+            for i in range(width):
+                block[part, b, i] = factor * x[state + part * size + b * width + i]
+
+
+@jit
+def prepare(rotations: Any, count: int, n: int, width: int, fixed: Any, shared: Any) -> None:
+    """Applies the first `count` rotations, which no input moves, to the state `shared` (2, 2^n)."""
+    size = width << n
+    x = np.zeros(2 * size + 2 * width + 64, fixed.dtype)
+    state = start_of_line(x)
+    _set_shared(x, state, n, width, shared)
+    _forward(x, state, state + 2 * size, n, width, rotations[:count], 0, fixed, np.zeros((2, 0, width), fixed.dtype))
+    for b in range(1 << n):
+        shared[0, b], shared[1, b] = x[state + b * width], x[state + size + b * width]
+
+
+@jit
+def prepare_backward(
+    rotations: Any, count: int, n: int, width: int, fixed: Any, shared: Any, adjoint: Any, sums: Any
+) -> None:
+    """Adds the gradients of the first `count` rotations to `sums`, from the state after them and its adjoint.
+
+    `adjoint` becomes the adjoint of the state before them.
+    """
+    size = width << n
+    x = np.zeros(4 * size + 5 * width + 64, fixed.dtype)
+    state = start_of_line(x)
+    other, spare = state + 2 * size, state + 4 * size
+    ones, out = spare + 2 * width, spare + 4 * width
+    trig = np.zeros((2, 0, width), fixed.dtype)
+    pauli_passes.store_signs(x, ones, width, splat(fixed.dtype.type(1)))
+    _set_shared(x, state, n, width, shared)
+    _set_shared(x, other, n, width, adjoint)
+    for r in range(count - 1, -1, -1):
+        cosine = _ready(x, spare, width, rotations[r], fixed, trig)
+        pauli_passes.rotate_back(x, state, other, n, width, rotations[r], cosine, spare, ones, out)
+        sums[rotations[r, 5]] += x[out]
+    for b in range(1 << n):
+        adjoint[0, b], adjoint[1, b] = x[other + b * width], x[other + size + b * width]
+
+
+@jit
+def forward(
+    first: int, last: int, parts: int, rotations: Any, count: int, n: int, width: int, fixed: Any, trig: Any,
+    shared: Any, starts: Any, words: Any, tables: Any, outcomes: Any, out: Any,
+) -> None:  # fmt: skip
+    """The blocks of samples in the parts first..last.
+
+    trig (blocks, 2, moving rotations, width): cos and sin of half the angles
+    fixed (2, fixed rotations): the same of those that no input moves
+    shared (2, 2^n): the state after the first `count` rotations; starts (blocks, 2, 2^n, width) if it is another one
+        for each sample
+    outcomes (tables + 1,): where the outcomes of each table begin
+    out (blocks, words and outcomes, width)
+    """
+    blocks = trig.shape[0]
+    size = width << n
+    x = np.zeros(2 * size + 5 * width + 64, fixed.dtype)
+    state = start_of_line(x)
+    spare = state + 2 * size
+    ones, value = spare + 2 * width, spare + 4 * width
+    pauli_passes.store_signs(x, ones, width, splat(fixed.dtype.type(1)))
+    for block in range(blocks * first // parts, blocks * last // parts):
+        if len(starts):
+            _set(x, state, n, width, starts[block])
+        else:
+            _set_shared(x, state, n, width, shared)
+        _forward(x, state, spare, n, width, rotations, count, fixed, trig[block])
+        for k in range(len(words)):
+            pauli_passes.expectation(x, state, n, width, words[k], ones, value)
+            for i in range(width):
+                out[block, k, i] = x[value + i]
+        if len(tables):
+            out[block, len(words) :] = 0
+        for t in range(len(tables)):
+            for b in range(1 << n):
+                row = len(words) + outcomes[t] + tables[t, b]
+                for i in range(width):
+                    re, im = x[state + b * width + i], x[state + size + b * width + i]
+                    out[block, row, i] += re * re + im * im
+
+
+@inner
+def _apply_observables(
+    x: Any, state: int, adjoint: int, spare: int, n: int, width: int, words: Any, tables: Any, outcomes: Any,
+    gradient: Any,
+) -> None:  # fmt: skip
+    """adjoint = sum_k gradient_k O_k state."""
+    keep_apart()
+    size = width << n
+    for i in range(adjoint, adjoint + 2 * size, width):
+        store(x, i, splat(x.dtype.type(0)))
+    for k in range(len(words)):
+        for i in range(width):
+            x[spare + i] = gradient[k, i]
+        pauli_passes.store_signs(x, spare, width, load(x, spare))
+        pauli_passes.add_word(x, state, adjoint, n, width, words[k], spare)
+    for t in range(len(tables)):
+        for b in range(1 << n):
+            row = len(words) + outcomes[t] + tables[t, b]
+            for i in range(width):
+                g, j = gradient[row, i], b * width + i
+                x[adjoint + j] += g * x[state + j]
+                x[adjoint + size + j] += g * x[state + size + j]
+
+
+@jit
+def backward(
+    first: int, last: int, parts: int, rotations: Any, count: int, n: int, width: int, fixed: Any, trig: Any,
+    shared: Any, starts: Any, words: Any, tables: Any, outcomes: Any, gradient: Any, moving_out: Any, sums_out: Any,
+    adjoint_out: Any, starts_out: Any,
+) -> None:  # fmt: skip
+    """Gradients from those of the values, `gradient` (blocks, words and outcomes, width); the others as in `forward`.
+
+    moving_out (blocks, moving rotations, width): of the angles that move with the input
+    sums_out (parts, fixed rotations): of the others, summed over each part
+    adjoint_out (parts, 2, 2^n): adjoint of `shared`, summed over each part
+    starts_out (blocks, 2, 2^n, width): gradients of `starts`
+    """
+    blocks = trig.shape[0]
+    size = width << n
+    x = np.zeros(6 * size + 5 * width + 64, fixed.dtype)
+    state = start_of_line(x)
+    adjoint, total, spare = state + 2 * size, state + 4 * size, state + 6 * size
+    ones, out = spare + 2 * width, spare + 4 * width
+    pauli_passes.store_signs(x, ones, width, splat(fixed.dtype.type(1)))
+    for part in range(first, last):
+        for i in range(total, total + 2 * size, width):
+            store(x, i, splat(x.dtype.type(0)))
+        for block in range(blocks * part // parts, blocks * (part + 1) // parts):
+            if len(starts):
+                _set(x, state, n, width, starts[block])
+            else:
+                _set_shared(x, state, n, width, shared)
+            _forward(x, state, spare, n, width, rotations, count, fixed, trig[block])
+            _apply_observables(x, state, adjoint, spare, n, width, words, tables, outcomes, gradient[block])
+            for r in range(len(rotations) - 1, count - 1, -1):
+                cosine = _ready(x, spare, width, rotations[r], fixed, trig[block])
+                pauli_passes.rotate_back(x, state, adjoint, n, width, rotations[r], cosine, spare, ones, out)
+                column = rotations[r, 5]
+                if rotations[r, 4]:
+                    for i in range(width):
+                        moving_out[block, column, i] = x[out + i]
+                else:
+                    for i in range(width):
+                        sums_out[part, column] += x[out + i]
+            if len(starts):
+                _get(x, adjoint, n, width, fixed.dtype.type(2), starts_out[block])
+            for i in range(0, 2 * size, width):
+                store(x, total + i, load(x, total + i) + load(x, adjoint + i))
+        for side in range(2):
+            for b in range(1 << n):
+                value = 0.0
+                for i in range(width):
+                    value += x[total + side * size + b * width + i]
+                adjoint_out[part, side, b] = value

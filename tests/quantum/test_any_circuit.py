@@ -1,0 +1,364 @@
+"""Circuits beyond re-uploading: engine against engine, all derivatives, and what a wrong description says."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pennylane as qml
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.func import hessian, jacfwd, jacrev, vmap
+
+from qnerf.quantum import from_qnode, statevector
+from qnerf.quantum.circuit import (
+    ANSATZE,
+    GATES,
+    Amplitudes,
+    Circuit,
+    Encoding,
+    Entangler,
+    Expression,
+    Gate,
+    Hamiltonian,
+    Probabilities,
+    Rotations,
+    Weights,
+    feature,
+    weight,
+)
+from qnerf.quantum.hardware_conditions import conditions
+from qnerf.quantum.layer import QuantumLayer
+from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.pauli_form import pauli_form
+from qnerf.quantum.pauli_statevector import PauliCircuit
+from tests.helpers.templates import TEMPLATES
+
+W = Weights("w", (2, 3))
+FEATURES = 4
+MIXED = Circuit(
+    "mixed",
+    wires=3,
+    features=FEATURES,
+    weights=(W, Weights("scale", (), initial=1.0)),
+    operations=(
+        Amplitudes((1,), (feature(3), W[0, 0]), (0.5, feature(0))),
+        Gate("H", (0,)),
+        Gate("CRX", (0, 2), (feature(2) * weight("scale", 0),)),
+        Gate("IsingXY", (1, 2), (0.5 * feature(0) * feature(1) + W[0, 1],)),
+        Gate("T", (0,)),
+        Gate("Rot", (2,), (W[0, 2], W[1, 0] * W[1, 1], feature(1))),
+        Gate("SWAP", (0, 1)),
+        Gate("MultiRZ", (0, 1, 2), (W[1, 2],)),
+        Gate("SX", (1,)),
+    ),
+    observables=(
+        ((0, "X"), (1, "Y")),
+        ((0, "Z"),),
+        Hamiltonian((0.7, -1.0, 0.25), (((0, "Z"), (2, "Z")), ((1, "X"),), ())),
+        Probabilities((2, 0)),
+    ),
+)
+
+
+@st.composite
+def expressions(draw: st.DrawFn) -> Expression:
+    terms = [Expression.of(draw(st.sampled_from([0.0, 0.3, -1.7])))]
+    for _ in range(draw(st.integers(0, 2))):
+        factors = draw(
+            st.lists(
+                st.one_of(
+                    st.integers(0, FEATURES - 1).map(feature), st.integers(0, 5).map(lambda index: weight("w", index))
+                ),
+                min_size=1,
+                max_size=2,
+            )
+        )
+        term = Expression.of(draw(st.sampled_from([1.0, -0.5])))
+        for factor in factors:
+            term = term * factor
+        terms.append(term)
+    return sum(terms, Expression())
+
+
+@st.composite
+def circuits(draw: st.DrawFn, without: str = "") -> Circuit:
+    n = draw(st.integers(1, 5))
+    wires = st.permutations(range(n))
+    operations: list[Any] = []
+    if draw(st.booleans()):
+        values = tuple(draw(expressions()) + (2.0 if k == 0 else 0.0) for k in range(2))
+        operations.append(Amplitudes((draw(wires)[0],), values))
+    for _ in range(draw(st.integers(1, 12))):
+        names = [name for name, kind in GATES.items() if (kind.wires or 1) <= n and name != without]
+        name = draw(st.sampled_from(names))
+        where = tuple(draw(wires)[: GATES[name].wires or draw(st.integers(1, n))])
+        word = draw(st.text("IXYZ", min_size=len(where), max_size=len(where))) if name == "PauliRot" else ""
+        angles = tuple(draw(expressions()) for _ in range(GATES[name].angles))
+        operations.append(Gate(name, where, angles, word))
+    words = st.dictionaries(st.integers(0, n - 1), st.sampled_from("XYZ"), max_size=n).map(lambda d: tuple(d.items()))
+    observables: list[Any] = draw(st.lists(words, min_size=1, max_size=2))
+    if draw(st.booleans()):
+        chosen = draw(st.lists(words, min_size=1, max_size=3))
+        observables.append(Hamiltonian(tuple(0.5 * k - 0.7 for k in range(len(chosen))), tuple(chosen)))
+    if draw(st.booleans()):
+        observables.append(Probabilities(tuple(draw(wires)[: draw(st.integers(1, n))])))
+    return Circuit("random", n, 0, 0, tuple(operations), tuple(observables), FEATURES, (W,))
+
+
+def results(layer: QuantumLayer, batch: int, dtype: torch.dtype = torch.float64) -> list[Tensor]:
+    """Outputs, and gradients of the input and of every weight."""
+    generator = torch.Generator().manual_seed(5)
+    x = torch.randn(batch, FEATURES, generator=generator, dtype=torch.float64).to(dtype).requires_grad_()
+    y = layer(x)
+    g = torch.randn(y.shape, generator=generator, dtype=torch.float64).to(dtype)
+    return [y.detach(), *torch.autograd.grad(y, [x, *layer.parameters()], g)]
+
+
+def layers(circuit: Circuit) -> tuple[QuantumLayer, QuantumLayer]:
+    torch.manual_seed(0)
+    fast, plain = QuantumLayer(circuit).double(), QuantumLayer(circuit, backend="torch").double()
+    plain.load_state_dict(fast.state_dict())
+    return fast, plain
+
+
+@settings(max_examples=40)
+@given(circuit=circuits())
+def test_engines_agree_on_random_circuits(circuit: Circuit) -> None:
+    fast, plain = layers(circuit)
+    for one, two in zip(results(fast, 11), results(plain, 11), strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-11, atol=1e-11)
+    assert fast.cost(11).backend == "compiled"
+
+
+@settings(max_examples=12)
+@given(circuit=circuits(without="IsingXY"))  # PennyLane's own has no batch of angles with gradients
+def test_random_circuits_equal_pennylane(circuit: Circuit) -> None:
+    fast, _ = layers(circuit)
+    peer = QuantumLayer(circuit, method="pennylane").double()
+    peer.load_state_dict(fast.state_dict())
+    x = torch.randn(3, FEATURES, dtype=torch.float64)
+    with torch.no_grad():
+        torch.testing.assert_close(fast(x), peer(x), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ANSATZE.names())
+def test_the_pauli_form_of_reuploading_circuits_equals_their_normal_form(name: str) -> None:
+    circuit = ANSATZE.build(name, 3, 2)
+    torch.manual_seed(1)
+    layer = QuantumLayer(circuit).double()
+    x = torch.randn(5, 3, dtype=torch.float64)
+    flat = torch.cat([layer.weights1.flatten(), layer.weights2.flatten()])
+    expected = statevector.evaluate(normal_form(circuit), x, statevector.stacked(layer.weights1, layer.weights2))
+    torch.testing.assert_close(PauliCircuit(circuit).evaluate(x, flat), expected, rtol=0, atol=1e-13)
+
+
+def test_a_mixture_of_operations_is_one_circuit() -> None:
+    operations = (
+        Rotations(0), Entangler("CZ", ((0, 1),)), Encoding("X", (1.0, 2.0)), Gate("H", (0,)), Rotations(1),
+    )  # fmt: skip
+    circuit = Circuit("both", 2, 1, 1, operations, (((0, "Z"),), ((0, "X"),)))
+    fast, plain = QuantumLayer(circuit), QuantumLayer(circuit, method="pennylane")
+    plain.load_state_dict(fast.state_dict())
+    assert list(fast.state_dict()) == ["weights1", "weights2"]
+    x = torch.randn(4, 2)
+    torch.testing.assert_close(fast(x), plain(x), rtol=0, atol=2e-6)
+
+
+def test_clifford_gates_cost_nothing() -> None:
+    gates = (Gate("RX", (0,), (feature(0),)), Gate("CNOT", (0, 1)), Gate("H", (1,)), Gate("SWAP", (0, 1)))
+    form = pauli_form(Circuit("clifford", 2, operations=gates, observables=(((0, "Z"),), ((1, "Y"),))))
+    assert len(form.rotations) == 1
+    form = pauli_form(Circuit("all", 2, operations=gates, observables=(Probabilities((0, 1)),)))
+    assert len(form.rotations) <= 3  # two of them make the probabilities diagonal
+
+
+@pytest.mark.parametrize("backend", ["compiled", "torch"])
+def test_second_derivatives(backend: Any) -> None:
+    layer = QuantumLayer(MIXED, backend=backend).double()
+    x = torch.randn(2, FEATURES, dtype=torch.float64, requires_grad=True)
+    names = list(layer.state_dict())
+
+    def function(x: Tensor, *weights: Tensor) -> Any:
+        return torch.func.functional_call(layer, dict(zip(names, weights, strict=True)), (x,))
+
+    assert torch.autograd.gradgradcheck(function, (x, *layer.parameters()))
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")
+def test_torch_func_and_torch_compile() -> None:
+    fast, plain = layers(MIXED)
+    x = torch.randn(3, FEATURES, dtype=torch.float64)
+    transforms: list[Callable[[QuantumLayer], Tensor]] = [
+        lambda layer: vmap(layer)(x),
+        lambda layer: vmap(jacrev(layer))(x),
+        lambda layer: jacfwd(layer)(x[0]),
+        lambda layer: hessian(lambda one: layer(one).sum())(x[0]),
+    ]
+    for transform in transforms:
+        torch.testing.assert_close(transform(fast), transform(plain), rtol=0, atol=1e-12)
+    for layer in (fast, plain):
+        torch.compiler.reset()
+        compiled: Any = torch.compile(layer, backend="aot_eager", fullgraph=True)
+        assert all(map(torch.equal, results(compiled, 20), results(layer, 20)))
+
+
+def test_float32_threads_and_blocks() -> None:
+    fast, plain = layers(MIXED)
+    exact = results(plain, 700)
+    threads = torch.get_num_threads()
+    single = fast.float()
+    try:
+        torch.set_num_threads(1)
+        one = results(single, 700, torch.float32)
+        torch.set_num_threads(2)
+        two = results(single, 700, torch.float32)
+    finally:
+        torch.set_num_threads(threads)
+    assert all(map(torch.equal, one, two))
+    for found, expected in zip(one, exact, strict=True):
+        torch.testing.assert_close(found.double(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_samples_do_not_depend_on_their_neighbours() -> None:
+    x = torch.randn(40, FEATURES, generator=torch.Generator().manual_seed(0))
+    x[3], x[20] = float("nan"), float("inf")
+    layer = QuantumLayer(MIXED)
+    assert layer(x).isnan().any(1).nonzero().flatten().tolist() == [3, 20]
+    assert torch.equal(layer(x[4:20]), layer(x)[4:20])
+
+
+def test_any_batch_shape_and_number_of_weights() -> None:
+    layer = QuantumLayer(MIXED)
+    assert layer.scale.item() == 1.0
+    for other in layers(MIXED):
+        assert other(torch.randn(2, 0, FEATURES)).shape == (2, 0, 7)
+    assert layer(torch.randn(FEATURES)).shape == (7,)
+    fixed = QuantumLayer(
+        Circuit("fixed", 1, operations=(Gate("RX", (0,), (0.3,)),), observables=(((0, "Z"),),), features=0)
+    )
+    assert torch.allclose(fixed(torch.zeros(4, 0)), torch.tensor(0.3).cos().expand(4, 1))
+    with (
+        pytest.raises(ValueError, match="hardware conditions expect a data re-uploading circuit, got mixed"),
+        conditions(layer, shots=10),
+    ):
+        layer(torch.randn(FEATURES))
+    with pytest.raises(ValueError, match="mixed is no data re-uploading circuit; choose method=auto"):
+        QuantumLayer(MIXED, method="lightcone")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Gate("RW", (0,)), "unknown gate 'RW'; known: X, Y, Z, H"),
+        (lambda: Gate("CNOT", (0,)), r"CNOT expects 2 wires, got \(0,\)"),
+        (lambda: Gate("CNOT", (1, 1)), "CNOT expects different wires"),
+        (lambda: Gate("RX", (0,)), "RX expects 1 angles, got 0"),
+        (lambda: Gate("RX", (0,), (float("nan"),)), "finite numbers, got nan"),
+        (lambda: Gate("PauliRot", (0,), (1.0,), "XY"), "a letter for each of the wires"),
+        (lambda: Amplitudes((0, 1), (1.0,)), "2 wires expect 4 values, got 1"),
+        (lambda: feature(0) / feature(1), "cannot divide"),
+        (lambda: Weights("a b", (2,)), "an identifier, got 'a b'"),
+        (lambda: Hamiltonian((1.0,), ()), "one finite coefficient for each word"),
+        (lambda: of(Gate("X", (2,))), "needs wires below 2"),
+        (lambda: of(Gate("RX", (0,), (feature(2),))), "the input has 2 features"),
+        (lambda: of(Gate("RX", (0,), (weight("v", 0),))), r"declared weights: w with 6"),
+        (lambda: of(Gate("X", (0,)), Amplitudes((0,), (1.0, 0.0))), "must come before every gate"),
+        (lambda: of(measured=Probabilities((0, 0))), "probabilities of wires .* need different wires below 2"),
+        (lambda: of(measured=Hamiltonian((1.0,), (((0, "A"),),))), "letters X, Y, Z"),
+        (lambda: QuantumLayer(Circuit("c", 1, observables=((),), weights=(Weights("forward", (1,)),))), "an attribute"),
+    ],
+)
+def test_wrong_descriptions_say_what_is_wrong(make: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        make()
+    assert "\n" not in str(error.value)
+
+
+def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
+    return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
+
+
+UNTRACED = {
+    "TrotterProduct": "complex",
+    "QuantumPhaseEstimation": "complex",
+    "SelectPauliRot": "not inexact",
+    "HilbertSchmidt": "array",
+}
+"""Templates whose own decompositions take numbers only, with words of the message."""
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_templates_of_pennylane_are_the_torch_layers_of_the_same_weights(name: str) -> None:
+    template = TEMPLATES[name]
+
+    def bare(inputs: Any) -> Any:
+        return weighted(inputs, None)
+
+    def weighted(inputs: Any, w: Any) -> Any:
+        template.queue(inputs, w)
+        return [qml.expval(qml.Z(0)), qml.expval(qml.X(1) @ qml.Y(0)), qml.expval(qml.Z(template.wires - 1))]
+
+    node = qml.QNode(weighted if template.shape else bare, qml.device("default.qubit", wires=template.wires))
+    shapes = {"w": template.shape} if template.shape else {}
+    x = torch.rand(template.features or 1, dtype=torch.float64)
+    layer = from_qnode(node, shapes).double()
+    if name in UNTRACED:
+        with pytest.raises(ValueError, match=UNTRACED[name]):
+            layer(x)
+        return
+    peer = qml.qnn.TorchLayer(node, shapes).double()
+    peer.load_state_dict(layer.state_dict())
+    torch.testing.assert_close(layer(x), peer(x), rtol=0, atol=1e-12)
+    used = {weight for operation in layer.circuit(len(x)).operations for a in operation.angles for weight in a.weights}
+    assert len(used) == sum(value.numel() for value in layer.parameters())
+
+
+def test_the_page_lists_the_templates() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "quantum.md").read_text()
+    for name in TEMPLATES:
+        assert (f"`{name}`" in page.split("On the device alone")[0]) == (name not in UNTRACED), name
+
+
+def test_from_qnode_has_the_shapes_of_torch_layer() -> None:
+    def listed(inputs: Any, w: Any) -> Any:
+        qml.AngleEmbedding(inputs[..., :2], wires=range(2))
+        qml.RX(w * inputs[..., 2], wires=0)
+        return [qml.expval(qml.Z(0)), qml.probs(wires=1)]
+
+    def together(inputs: Any, w: Any) -> Any:
+        qml.RX(w * inputs[:, 1] ** 2, wires=0)  # a batch, as TorchLayer passes
+        return qml.expval(qml.Z(0)), qml.var(qml.X(0))
+
+    for function in (listed, together):
+        node = qml.QNode(function, qml.device("default.qubit", wires=2))
+        layer, peer = from_qnode(node, {"w": ()}), qml.qnn.TorchLayer(node, {"w": ()})
+        peer.load_state_dict(layer.state_dict())
+        for shape in ((4, 3), (2, 5, 3)):
+            x = torch.rand(*shape)
+            torch.testing.assert_close(layer(x), peer(x), rtol=0, atol=1e-6)
+        layer(x).sum().backward()
+        assert layer.w.grad is not None
+
+
+@pytest.mark.parametrize(
+    ("operation", "message"),
+    [
+        (lambda x: qml.RX(torch.sin(x[0]), wires=0), "cannot be traced: sin"),
+        (lambda x: qml.RX(1 / x[0], wires=0), "cannot be traced: unsupported operand"),
+        (lambda x: qml.measure(0), "MidMeasure"),
+    ],
+)
+def test_from_qnode_names_what_it_cannot_take(operation: Callable[[Any], Any], message: str) -> None:
+    def function(inputs: Any) -> Any:
+        operation(inputs)
+        return qml.expval(qml.Z(0))
+
+    device = qml.device("default.qubit", wires=1)
+    with pytest.raises(ValueError, match=message) as error:
+        from_qnode(qml.QNode(function, device), {})(torch.rand(4, 2))
+    assert "\n" not in str(error.value)
+    with pytest.raises(ValueError, match="got a QNode with shots=10"):
+        from_qnode(qml.set_shots(qml.QNode(function, device), 10), {})
