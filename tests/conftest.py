@@ -22,6 +22,7 @@ hypothesis.settings.register_profile("long", deadline=None, max_examples=2500)
 hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
 SLOW = (
+    "capture/test_capture.py::test_a_command_poses_a_known_scene",
     "analysis/test_figure_plateaus.py",
     "analysis/test_figures.py",
     "analysis/test_figures_of_files.py",
