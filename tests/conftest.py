@@ -57,6 +57,7 @@ SLOW = (
     "scenes/test_fingerprint.py",
     "scenes/test_memory.py",
     "slurm/",
+    "test_devices.py",
     "test_documents.py::test_a_command",
     "test_experiment.py",
     "training/test_finite_checks.py",

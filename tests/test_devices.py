@@ -9,7 +9,6 @@ from torch.utils import backend_registration
 from tests.helpers.configs import ROOT
 
 
-@pytest.mark.slow
 def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
     if not hasattr(backend_registration, "_setup_privateuseone_for_python_backend"):
         pytest.skip("this PyTorch cannot register a device from Python")

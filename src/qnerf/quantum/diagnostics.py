@@ -202,7 +202,7 @@ def surrogate(layer: QuantumLayer, fitted: Tensor, tested: Tensor, waves: int) -
     with torch.no_grad():
         targets, expected = (_exact(layer, x) for x in (fitted, tested))
     features = [_waves(x.double().cpu(), frequencies) for x in (fitted, tested)]
-    coefficients = torch.linalg.lstsq(features[0], targets, driver="gelsy", rcond=1e-9).solution
+    coefficients = torch.linalg.lstsq(features[0], targets, driver="gelsy", rcond=1e-14).solution
     off = (features[1] @ coefficients - expected).square().mean()
     spread = expected.var(0, correction=0).mean()
     return Surrogate(len(frequencies), covered, float((off / spread).sqrt()) if spread > 0 else float(off.sqrt()))
