@@ -7,11 +7,13 @@ from collections.abc import Callable, Sequence
 import pandas as pd
 
 from qnerf.cli.errors import Parser, exit_code
+from qnerf.cli.text import console
 from qnerf.records.filters import HELP
 from qnerf.records.printable import printable
 
 from .load import runs
 from .tables.table import Table
+from .tables.terminal import print_aligned
 
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
 PROGRAM = "qnerf " if __name__.startswith("qnerf.") else f"python -m {__package__}."
@@ -38,7 +40,9 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
 def add_format(parser: argparse.ArgumentParser) -> None:
     """`--format`, which `show` takes."""
     parser.add_argument(
-        "--format", choices=FORMATS, default="markdown", help="markdown (default), csv or latex (booktabs)"
+        "--format",
+        choices=FORMATS,
+        help="markdown, csv or latex (booktabs); default: aligned on a terminal, else markdown",
     )
 
 
@@ -47,9 +51,13 @@ def chosen(options: argparse.Namespace) -> pd.DataFrame:
     return runs(options.store, options.filter)
 
 
-def show(table: Table, form: str) -> None:
+def show(table: Table, form: str | None) -> None:
     """Prints the table; a CSV has no room for notes, so its notes go to standard error."""
-    print(FORMATS[form](table))
+    out = console()
+    if form is None and out.is_terminal:
+        print_aligned(table, out)
+        return
+    print(FORMATS[form or "markdown"](table))
     if form == "csv":
         print("\n".join(map(printable, table.notes)), file=sys.stderr)
 

@@ -6,6 +6,8 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
+from rich.text import Text
 
 from analysis import command
 from analysis.load import runs
@@ -13,6 +15,7 @@ from analysis.tables import Table, ablation, markdown, over_seeds
 from analysis.tables.__main__ import main
 from analysis.tables.ablation import best
 from analysis.tables.table import latex_escape, markdown_escape
+from analysis.tables.terminal import print_aligned
 from qnerf.experiment import run
 from tests.helpers.packed_stores import write_run
 
@@ -171,6 +174,21 @@ def test_a_table_is_the_same_in_every_format(store):
     assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} &  & 3 x 2 & 3 \\" in latex
     assert r"\begin{tabular}{lrrlrrr}" in latex
     assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 [+1.00, +1.00] |  | 3 x 2 | 3 |" in table.markdown()
+
+
+def test_a_terminal_gets_an_aligned_table_of_the_metrics_that_fit(store):
+    table = ablation(runs(store), ["field"], baseline={"field": "classical"})
+    wide, narrow = (Console(file=io.StringIO(), width=width, force_terminal=True) for width in (400, 90))
+    print_aligned(table, wide)
+    print_aligned(table, narrow)
+    every, some = (Text.from_ansi(console.file.getvalue()).plain.splitlines() for console in (wide, narrow))
+    assert all(name in every[0] for name in table.text.columns)
+    assert not any(line.startswith("left out, because") for line in every)
+    for name in ("field", "PSNR, dB", "difference, PSNR, dB", "effect", "pairs", "seeds"):
+        assert name in some[0]
+    assert max(map(len, some)) <= 90
+    (note,) = [line for line in some if line.startswith("left out, because the terminal is narrow: ")]
+    assert "time of a step" in " ".join(some[some.index(note) :])
 
 
 SPECIAL = st.text(alphabet="ab \\{}$&#_%~^<>|[]*`±\n", max_size=12)

@@ -147,3 +147,10 @@ def test_probe_tells_a_mistake_in_one_line(monkeypatch, capsys, tmp_path, argume
         main()
     assert stop.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_misspelt_command_is_answered_with_the_nearest(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["qnerf", "tabels"])
+    with pytest.raises(SystemExit, match="^2$"):
+        main()
+    assert "unknown command 'tabels'; did you mean tables? known: run, " in capsys.readouterr().err

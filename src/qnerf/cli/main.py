@@ -3,6 +3,7 @@
 import importlib
 import os
 import sys
+from difflib import get_close_matches
 
 # Before PyTorch starts its threads: waiting threads sleep instead of spinning. A step is many small operations, and
 # spinning threads slow a busy two-core machine down more than tenfold.
@@ -43,7 +44,7 @@ def main() -> None:
     if command in RENAMED:
         print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
         command = RENAMED[command]
-    if command in ("-h", "--help"):
+    if command in ("-h", "--help", "help"):
         print(usage())
     elif command == "--version":
         print(f"qnerf {__version__}")
@@ -53,7 +54,9 @@ def main() -> None:
     elif command in COMMANDS:
         sys.exit(dispatch(command, arguments))
     else:
-        sys.exit(report(ValueError(f"unknown command {command!r}; known: {', '.join(COMMANDS)}")))
+        near = get_close_matches(command, COMMANDS, n=1)
+        hint = f"did you mean {near[0]}? known" if near else "known"
+        sys.exit(report(ValueError(f"unknown command {command!r}; {hint}: {', '.join(COMMANDS)}")))
 
 
 def run() -> None:

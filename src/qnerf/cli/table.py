@@ -69,9 +69,8 @@ def _plain(column: Column, text: str) -> str:
 
 def table(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Text]:
     """Lines of at most `width` characters, the titles first."""
-    cells = {c.title: [printable(c.cell(row), c.limit) or "-" for row in rows] for c in columns}
-    widths = {c.title: max(map(cell_len, [c.title, *cells[c.title]])) for c in columns}
-    columns, widths = fit(columns, widths, width)
+    cells = _cells(columns, rows)
+    columns, widths = fit(columns, _widths(cells), width)
     lines = [Text((" " * GAP).join(_padded(c, c.title, widths[c.title]) for c in columns).rstrip(), "bold")]
     for number, row in enumerate(rows):
         line = Text()
@@ -84,6 +83,19 @@ def table(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Te
         line.rstrip()
         lines.append(line)
     return lines
+
+
+def fitting(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Column]:
+    """The columns that `table` shows."""
+    return fit(columns, _widths(_cells(columns, rows)), width)[0]
+
+
+def _cells(columns: Sequence[Column], rows: Sequence[Row]) -> dict[str, list[str]]:
+    return {c.title: [printable(c.cell(row), c.limit) or "-" for row in rows] for c in columns}
+
+
+def _widths(cells: Mapping[str, Sequence[str]]) -> dict[str, int]:
+    return {title: max(map(cell_len, [title, *own])) for title, own in cells.items()}
 
 
 def fit(columns: Sequence[Column], widths: Mapping[str, int], width: int) -> tuple[list[Column], dict[str, int]]:
