@@ -18,6 +18,7 @@ TINY_HASH = {"levels": 3, "max_resolution": 40, "log2_table_size": 8, "features"
 OPTIONS = {
     "hash": [TINY_HASH, {**TINY_HASH, "dense": False}],
     "none": [{}],
+    "signed": [{}],
     "pe": [{}, {"bands": 4, "max_exponent": 3.0, "include_input": True}],
     "rff": [{}, {"features": 7, "scale": 2.0, "seed": 3}],
 }
@@ -225,12 +226,12 @@ def test_bad_options_are_one_line(name, options, message):
 
 
 def test_dimensions():
-    for name in ("none", "pe", "rff"):
+    for name in ("none", "pe", "rff", "signed"):
         assert ENCODERS.build(name, 2)(torch.zeros(4, 2)).shape[0] == 4
         with pytest.raises(ValueError, match="in_dim must be at least 1"):
             ENCODERS.build(name, 0)
     with pytest.raises(ValueError, match="points must have at most 3 coordinates, got 4"):
-        ENCODERS.build("hash", 2)
+        ENCODERS.build("hash", 4)
     with pytest.raises(ValueError, match="directions must have 3 coordinates"):
         DIRECTIONS.build("sh", 2)
 

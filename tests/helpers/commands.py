@@ -2,7 +2,6 @@
 
 import argparse
 import importlib.util
-import itertools
 import re
 import runpy
 import shlex
@@ -17,7 +16,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
 from qnerf.cli import main as cli
-from qnerf.config.settings import settings_from
+from qnerf.config.settings import check_settings, only_acting
 from tests.helpers.configs import ROOT, composed, swept
 
 START = r"(?:python3? -m (?:src\.run|analysis|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
@@ -75,10 +74,12 @@ def check_training(words: list[str]) -> None:
     assert sweep in ("", "NAME") or swept(sweep), f"no sweep {sweep}"
     overrides = OverridesParser.create().parse_overrides([word for word in words if "=" in word])
     overrides = [override for override in overrides if not override.key_or_group.startswith("hydra")]
-    for job in itertools.zip_longest(*map(each_value, overrides)):
-        config = composed(*filter(None, job), sweep="" if sweep == "NAME" else sweep)
+    several = [each_value(override) for override in overrides]
+    for number in range(max(map(len, several), default=1)):
+        job = [values[min(number, len(values) - 1)] for values in several]
+        config = composed(*job, sweep="" if sweep == "NAME" else sweep)
         if "auto" not in " ".join(words):  # which is decided from the scene
-            settings_from(config)
+            check_settings(only_acting(config))
 
 
 def each_value(override: Override) -> list[str]:
