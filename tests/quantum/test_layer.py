@@ -36,7 +36,7 @@ def run_examples(page: str) -> tuple[str, dict[str, Any]]:
 def test_the_examples_of_the_page_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(ANSATZE, "_components", dict(ANSATZE._components))  # the page registers one
     page, names = run_examples("quantum.md")
-    assert names["measured"].shape == names["noisy"].shape == (6144, 3)
+    assert names["y"].shape == (6144, 8)
     drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if line[1:5] == ": ──"]
     assert "\n".join(drawing) in page
 

@@ -43,7 +43,7 @@ _HEADS = ("density", "color")
 
 ADDED: dict[str, Any] = {
     "plugins": [],
-    "run.preview_seconds": 0.0,
+    "run.preview_seconds": 30.0,
     "hash.dense": True,
     "color.direction_interval": "signed",
     "color.activation": "sigmoid",
