@@ -55,7 +55,7 @@ def runs(
             frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
             _rename_older_fingerprints(frame)
     frame = _with_added(frame)
-    add_needed(frame)
+    frame = with_needed(frame)
     return frame if filter is None else filters.require(frame, filter)
 
 
@@ -108,11 +108,10 @@ def _rename_older_fingerprints(frame: pd.DataFrame) -> None:
         del frame["scene.older_fingerprint"]
 
 
-def add_needed(frame: pd.DataFrame) -> None:
-    """Adds the columns of `LABELS` and `NEEDED` that are missing, without values."""
-    for name in (*LABELS, *NEEDED):
-        if name not in frame:
-            frame[name] = None if name in LABELS else np.nan
+def with_needed(frame: pd.DataFrame) -> pd.DataFrame:
+    """The frame with the columns of `LABELS` and `NEEDED` that are missing, without values."""
+    missing = {name: None if name in LABELS else np.nan for name in (*LABELS, *NEEDED) if name not in frame}
+    return pd.concat([frame, pd.DataFrame(missing, index=frame.index)], axis=1)
 
 
 def _scene_names(frame: pd.DataFrame) -> pd.Series:

@@ -77,4 +77,4 @@ def _without_idle(runs: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
         table["qiren"] = table["qiren"].mask(table["field"] == "classical", None)
     if {"hash", "encoder"} <= set(table):
         table["hash"] = table["hash"].where(table["encoder"] == "hash", None)
-    return table
+    return table.copy()  # in one block; pandas warns of frames whose columns were set one by one

@@ -10,7 +10,7 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 
 from .. import style
 from ..figures import points
-from ..load import add_needed
+from ..load import with_needed
 from ..selection import select
 from ..settings import first_of_each
 from . import curves, pictures
@@ -37,8 +37,7 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
 
     The configuration is a name from `points.points`; runs that are unfinished or repeat another have none.
     """
-    frame = frame.reset_index(drop=True)
-    add_needed(frame)
+    frame = with_needed(frame.reset_index(drop=True))
     frame["run_id"] = frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])
     frame["version"] = versions(frame["path"])
     for name in ("tags", "note"):

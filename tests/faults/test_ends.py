@@ -172,7 +172,7 @@ def test_a_stop_while_the_scene_is_read_leaves_no_run(start: Any, options: list[
         "import signal\n"
         "from qnerf.scenes import SCENES\n\n"
         '@SCENES.register("slow")\n'
-        "def slow():\n"
+        "def slow(*, width: int | None = None):\n"
         "    signal.raise_signal(signal.SIGTERM)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}

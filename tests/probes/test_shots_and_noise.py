@@ -59,7 +59,7 @@ def test_a_bad_condition_is_one_line(options, message):
 def test_only_finished_runs_with_circuits_are_evaluated(tiny, tmp_path):
     with pytest.raises(ValueError, match="is not a run"):
         load(tmp_path)
-    with pytest.raises(ValueError, match="has no circuit"):
+    with pytest.raises(ValueError, match="neither of its heads has a re-uploading circuit"):
         evaluate_hardware(load(run(tiny("field=classical")).path), [Condition()])
 
 
