@@ -368,6 +368,7 @@ QUESTIONS = {
         ("scene_name", "color.activation"),
         {"color.activation": "linear"},
         failures=True,
+        values=QUALITY,
     ),
     "paper_sigmoid": Question(
         "The paper's recipe with a sigmoid on a circuit's colours, 30,000 steps",
