@@ -33,6 +33,8 @@ import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from analysis import load, statistics
 from benchmarks.training import Plain, in_turn
 from qnerf import experiment
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
 from qnerf.config.folders import CONF
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
@@ -119,9 +121,9 @@ class Loaded:
 
     @classmethod
     def of(cls, config: dict[str, Any], run: Path) -> "Loaded":
-        _, settings, scene = experiment.prepare(config)
-        model = experiment.build_model(settings, scene)
-        table = experiment.ray_table(settings, scene)
+        _, settings, scene = prepare(config)
+        model = build_model(settings, scene)
+        table = ray_table(settings, scene)
         watch = Stopwatch(settings.torch_device, model, QuantumLayer)
         checkpoint = torch.load(run / "checkpoint.pt", weights_only=True)
         trainer = Trainer(model, table, settings, watch)

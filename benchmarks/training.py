@@ -28,7 +28,9 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
-from qnerf import experiment, kernels
+from qnerf import kernels
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
 from qnerf.config.folders import CONF
 from qnerf.encoders import HashEncoder
 from qnerf.quantum import QuantumLayer
@@ -77,9 +79,9 @@ def build(overrides: str) -> tuple[Trainer, Evaluator]:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
     assert isinstance(config, dict)
-    _, settings, scene = experiment.prepare({str(key): value for key, value in config.items() if key != "hydra"})
-    model = experiment.build_model(settings, scene)
-    table = experiment.ray_table(settings, scene)
+    _, settings, scene = prepare({str(key): value for key, value in config.items() if key != "hydra"})
+    model = build_model(settings, scene)
+    table = ray_table(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     evaluator = Evaluator(
         scene, table, model, background=settings.render.background, chunk=settings.train.chunk, watch=watch

@@ -12,6 +12,8 @@ import torch
 from PIL import Image
 
 from qnerf import experiment
+from qnerf.building.scene import build_scene
+from qnerf.config.settings import settings_from
 from qnerf.experiment import run
 from qnerf.records import read_metrics, read_status, state
 from qnerf.training import lpips
@@ -115,7 +117,7 @@ def test_a_run_says_where_its_world_is(tiny):
     outcome = run(tiny())
     content = json.loads((outcome.path / "dataparser_transforms.json").read_text())
     stored = torch.tensor(content["transform"], dtype=torch.float64)
-    scene = experiment.build_scene(experiment.settings_from(tiny()))
+    scene = build_scene(settings_from(tiny()))
     torch.testing.assert_close(content["scale"] * stored, scene.transform[:3])
     torch.testing.assert_close(stored[:, :3] @ stored[:, :3].T, torch.eye(3, dtype=torch.float64))
 

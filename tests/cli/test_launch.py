@@ -17,8 +17,9 @@ from qnerf import experiment
 from qnerf.cli import launch
 from qnerf.cli.launch import _Prefixed, _require
 from qnerf.cli.sweep import Sweep
-from qnerf.experiment import Outcome, stop_requests
+from qnerf.experiment import Outcome
 from qnerf.records import read_metrics, runs, state
+from qnerf.training.stop_requests import stop_requests
 from tests.helpers.configs import ROOT, TINY
 
 posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")

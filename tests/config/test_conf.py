@@ -8,11 +8,12 @@ import re
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from qnerf.building.model import build_head
 from qnerf.cli.plugins import groups
 from qnerf.config.compatibility import ADDED, neutral
 from qnerf.config.settings import check_settings, only_acting
 from qnerf.encoders import DIRECTIONS
-from qnerf.experiment import build_head, run
+from qnerf.experiment import run
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.model.labels import labels

@@ -17,6 +17,11 @@ from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 
 from qnerf import experiment
+from qnerf.building import components
+from qnerf.building import scene as building_scene
+from qnerf.building.components import COMPONENTS, SHARED
+from qnerf.building.model import build_model, parameter_counts, ray_table
+from qnerf.building.scene import prepare
 from qnerf.config import memory
 from qnerf.config.identity import run_id
 from qnerf.config.registry import options_of
@@ -86,9 +91,9 @@ def settings_declarations(config: dict[str, Any]) -> Iterator[tuple[Keys, Any]]:
 
 
 def component_declarations(config: dict[str, Any]) -> Iterator[tuple[Keys, Any]]:
-    components = [item for item in experiment.COMPONENTS.items() if item[0] in config]
+    components = [item for item in COMPONENTS.items() if item[0] in config]
     chosen = [(group, registry, config[group]["name"]) for group, registry in components]
-    shared = [(group, *of) for group, of in experiment.SHARED.items() if group in config]
+    shared = [(group, *of) for group, of in SHARED.items() if group in config]
     parts = [((group,), registry.get(name)) for group, registry, name in chosen + shared if name in registry.names()]
     heads = [(group, head) for group in HEAD_GROUPS if group in config for head in HEADS.names()]
     parts += [(path, HEADS.get(path[1])) for path in heads]
@@ -109,7 +114,7 @@ def holder(config: dict[str, Any], path: Keys) -> dict[str, Any]:
 def configurations(draw: st.DrawFn) -> dict[str, Any]:
     """A configuration, some of whose components and options were replaced."""
     config = copy.deepcopy(base(*draw(st.sampled_from(choices()))))
-    for group, registry in experiment.COMPONENTS.items():
+    for group, registry in COMPONENTS.items():
         if group != "scene" and group in config and draw(st.integers(0, 3)) == 0:
             name = draw(st.sampled_from(registry.names()))
             config[group] = {"name": name} | {
@@ -142,17 +147,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("random")
     write_scene(folder / "scene")
     (folder / "work").mkdir()
-    component = experiment.component
 
     def build(registry: Any, node: Any, *wiring: Any) -> Any:
         if registry is SCENES and node["name"] not in ("nerfstudio", "photograph", "distance"):
             SCENES.check(node["name"], {key: value for key, value in node.items() if key != "name"})
             node = {"name": "nerfstudio", "path": TINY_SCENE}
-        return component(registry, node, *wiring)
+        return components.component(registry, node, *wiring)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder / "work")
-        patch.setattr(experiment, "component", build)
+        patch.setattr(building_scene, "component", build)
         patch.setattr(memory, "available_bytes", lambda: MEMORY)
         yield folder
 
@@ -164,15 +168,15 @@ def built(config: dict[str, Any]) -> None:
         run_id(slug(config), config, task.scene.fingerprint)
         labels(config)
         return
-    resolved, options, scene = experiment.prepare(config, begun=True)
+    resolved, options, scene = prepare(config, begun=True)
     grids = options.visibility.cameras or options.visibility.alpha or options.occupancy.every
     if grids and options.visibility.resolution > MAX_CELLS:
         reject()
-    model = experiment.build_model(options, scene)
-    experiment.ray_table(options, scene)
+    model = build_model(options, scene)
+    ray_table(options, scene)
     run_id(slug(config), config, scene.fingerprint)
     labels(resolved)
-    experiment.parameter_counts(model)
+    parameter_counts(model)
 
 
 def mistake_in(config: dict[str, Any]) -> ValueError | None:

@@ -15,8 +15,8 @@ import pytest
 from qnerf import experiment
 from qnerf.cli import launch, main
 from qnerf.cli.ends import Output, output_lost, stoppable
-from qnerf.experiment import stop_requests
 from qnerf.records import Run, read_metrics, runs, state
+from qnerf.training.stop_requests import stop_requests
 from tests.helpers.configs import ROOT, TINY
 from tests.helpers.scenes import write_scene
 

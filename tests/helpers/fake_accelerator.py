@@ -18,7 +18,8 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.overrides import TorchFunctionMode
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
-from qnerf.experiment import build_model, prepare, ray_table
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.training.losses import distortion, interlevel, mse

@@ -1,7 +1,8 @@
 """A trainer of a configuration, without a store."""
 
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer

@@ -6,9 +6,10 @@ import re
 import pytest
 import torch
 
+from qnerf.building.components import component
+from qnerf.building.model import build_field
 from qnerf.config.settings import settings_from
 from qnerf.encoders import ENCODERS
-from qnerf.experiment import build_field, component
 from qnerf.model.labels import HASH_TABLES
 from tests.helpers.configs import ROOT, composed
 

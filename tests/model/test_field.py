@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from qnerf.building.model import build_field
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_field
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.model.field import Field
 from qnerf.rendering.render import color_shares, render, volume_weights

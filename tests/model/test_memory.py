@@ -9,9 +9,10 @@ import pytest
 import torch
 from torch import nn
 
+from qnerf.building.model import build_field_and_sampler
 from qnerf.config import memory
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_field_and_sampler, run
+from qnerf.experiment import run
 from qnerf.model.memory import needed, planned, require_memory
 from qnerf.scenes import SCENES
 from tests.helpers.configs import ROOT, composed

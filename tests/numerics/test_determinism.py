@@ -13,8 +13,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.kernels.hashgrid import hash_encode
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch

@@ -15,8 +15,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import qnerf
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.normal_form import normal_form

@@ -9,8 +9,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
 from qnerf.config.settings import Train, settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.samplers import SAMPLERS

@@ -10,10 +10,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from qnerf.building.model import ray_table
 from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
-from qnerf.experiment import ray_table, run
+from qnerf.experiment import run
 from qnerf.probes import PROBES, cost, diagnostics, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE

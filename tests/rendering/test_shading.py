@@ -3,8 +3,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.shading import SHADINGS, SMALL

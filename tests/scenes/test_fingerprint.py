@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from analysis import load
 from qnerf import experiment, records
+from qnerf.building import scene as building_scene
+from qnerf.building.scene import prepare
 from qnerf.cli import main
 from qnerf.cli.upgrade_config import check_identity
 from qnerf.scenes import SCENES, Scene
@@ -141,7 +143,7 @@ def test_equal_with_other_versions_of_numpy(rounded: Path, tmp_path: Path, versi
 @pytest.fixture
 def as_older(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], Any]:
     """Calls a function as a version that knew only the older fingerprint."""
-    build_scene = experiment.build_scene
+    build_scene = building_scene.build_scene
 
     def older(settings: Any) -> Scene:
         scene = build_scene(settings)
@@ -150,7 +152,7 @@ def as_older(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], A
 
     def call(function: Callable[[], Any]) -> Any:
         with monkeypatch.context() as patch:
-            patch.setattr(experiment, "build_scene", older)
+            patch.setattr(building_scene, "build_scene", older)
             return function()
 
     return call
@@ -162,7 +164,7 @@ def test_a_finished_older_run_is_not_done_again(tiny: Any, as_older: Any) -> Non
     again = experiment.run(config)
     assert (again.state, again.run_id) == ("finished", first.run_id)
     assert [run.name for run in records.runs(config["store"])] == [first.run_id]
-    check_identity(first.path, experiment.prepare(config)[2], None)  # as resume, reproduce and probe do
+    check_identity(first.path, prepare(config)[2], None)  # as resume, reproduce and probe do
 
 
 def test_an_interrupted_older_run_goes_on(tiny: Any, as_older: Any, run_until: Any) -> None:

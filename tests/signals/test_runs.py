@@ -11,11 +11,12 @@ from rich.console import Console
 
 from analysis import load
 from analysis.tables import ablation
+from qnerf.building.scene import prepare
 from qnerf.cli.commands import runs, show
 from qnerf.cli.display import print_outcome
 from qnerf.cli.upgrade_config import stored
 from qnerf.config.settings import only_acting
-from qnerf.experiment import SignalTask, prepare, run
+from qnerf.experiment import SignalTask, run
 from qnerf.probes import load as load_trained
 from qnerf.records import details
 from tests.helpers.configs import composed

@@ -13,10 +13,11 @@ import torch
 from torch import Tensor
 
 from qnerf import experiment
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
 from qnerf.cli import main
 from qnerf.config.identity import identity
 from qnerf.config.settings import settings_from
-from qnerf.experiment import build_model, build_scene, ray_table
 from qnerf.quantum import QuantumLayer
 from qnerf.records import read_status
 from qnerf.rendering.render import render

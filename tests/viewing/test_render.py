@@ -121,7 +121,7 @@ def test_a_path_from_a_file_renders_what_it_says(tiny_run, trained, tmp_path):
         (["--path", "circle"], "--path: expected orbit, spiral, interpolate or a file"),
         (["--size", "0x4"], "expected a size such as 128x72"),
         (["--size", "20000x4"], "expected a size such as 128x72"),
-        (["--frames", "0"], "expected a number of frames"),
+        (["--frames", "0"], "expected a whole number"),
         (["--out", "a.gif"], "expected a name that ends in .webp or .mp4"),
         (["--coordinates", "world"], "--coordinates is for a path from a file"),
     ],

@@ -83,9 +83,9 @@ def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_ru
     [
         (["--to", "csv", "--cells", "9"], "--cells is for mesh"),
         (["--to", "points", "--level", "9"], "--level is for mesh"),
-        (["--to", "mesh", "--cells", "1"], "expected a number of cells from 2 to 4096"),
+        (["--to", "mesh", "--cells", "1"], "expected a whole number from 2 to 4,096"),
         (["--to", "mesh", "--uri", "x"], "are for mlflow"),
-        (["--to", "points", "--points", "0"], "expected a number of points from 1"),
+        (["--to", "points", "--points", "0"], "expected a whole number from 1 to"),
     ],
 )
 def test_a_mistake_is_one_line(tiny_run, capsys, arguments, message):

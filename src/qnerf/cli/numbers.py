@@ -28,12 +28,19 @@ tolerance = number(0, 1e9)
 seconds = number(0, 86_400, above=True)
 
 
-def count(text: str) -> int:
-    """A whole number from 0 to `MAX_COUNT`."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= MAX_COUNT:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to {MAX_COUNT:,}, got {text!r:.60}")
-    return value
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """A whole number from `low` to `high`."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"expected a whole number from {low:,} to {high:,}, got {text!r:.60}")
+        return value
+
+    return parse
+
+
+count = whole(0, MAX_COUNT)

@@ -98,10 +98,11 @@ def run_stored(run: Path, config: dict[str, Any], filled: Sequence[str], name: s
         ValueError: the scene or the stored configuration has changed; the training diverged.
     """
     from qnerf import experiment
+    from qnerf.building.scene import scene_of
     from qnerf.cli.display import LiveDisplay
     from qnerf.training.trainer import Diverged
 
-    check_identity(run, experiment.scene_of(config), config["scene"].get("path"))
+    check_identity(run, scene_of(config), config["scene"].get("path"))
     display = LiveDisplay(console(), live=config["run"]["progress"])
     if filled:
         display.note(f"the run is older than some options, which have today's defaults: {', '.join(filled)}")

@@ -7,10 +7,11 @@ from typing import Any
 
 from torch import nn
 
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
 from qnerf.config.compatibility import fill_added
 from qnerf.config.plugins import check_plugins
 from qnerf.config.settings import Settings
-from qnerf.experiment import build_model, prepare, ray_table
 from qnerf.geometry.rays import RayTable
 from qnerf.model.model import Model
 from qnerf.quantum import QuantumLayer

@@ -8,7 +8,7 @@ import pandas as pd
 import torch
 from torch import Tensor, nn
 
-from qnerf.experiment import build_model
+from qnerf.building.model import build_model
 from qnerf.model.model import Model
 from qnerf.probes.trained import Trained, heads_of
 from qnerf.quantum import QuantumLayer

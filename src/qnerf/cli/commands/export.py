@@ -7,7 +7,7 @@ from types import ModuleType
 
 from qnerf.cli.commands import add_many_runs
 from qnerf.cli.errors import report
-from qnerf.cli.numbers import count, number
+from qnerf.cli.numbers import MAX_COUNT, number, whole
 from qnerf.records import StoreError, find
 from qnerf.records.printable import printable
 
@@ -28,31 +28,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="a folder, but for mlflow (default: exports/csv, ...)")
     parser.add_argument("--uri", help="mlflow: tracking server or database (default: MLflow's own)")
     parser.add_argument("--experiment", metavar="NAME", help="mlflow: experiment to put the runs into (default: qnerf)")
-    parser.add_argument("--points", type=points, metavar="N", help="points, mesh: training rays (default: 1,000,000)")
+    parser.add_argument(
+        "--points", type=whole(1, MAX_COUNT), metavar="N", help="points, mesh: training rays (default: 1,000,000)"
+    )
     parser.add_argument(
         "--within", type=number(0, 1e6, above=True), metavar="R",
         help="points, mesh: largest coordinate in normalised world units, of which the cameras fill 1 (default: 4)",
     )  # fmt: skip
-    parser.add_argument("--cells", type=cells, metavar="N", help="mesh: of the grid's longest side (default: 192)")
+    parser.add_argument(
+        "--cells", type=whole(2, 4096), metavar="N", help="mesh: of the grid's longest side (default: 192)"
+    )
     parser.add_argument(
         "--level", type=number(0, 1e9, above=True), metavar="DENSITY",
         help="mesh: density of its surface (default: half of the light is absorbed within 5 %% of the longest side)",
     )  # fmt: skip
-
-
-def points(text: str) -> int:
-    """A number of rays."""
-    if not (value := count(text)):
-        raise argparse.ArgumentTypeError("expected a number of points from 1, got 0")
-    return value
-
-
-def cells(text: str) -> int:
-    """A grid's size along one side."""
-    value = count(text)
-    if not 2 <= value <= 4096:
-        raise argparse.ArgumentTypeError(f"expected a number of cells from 2 to 4096, got {text!r:.60}")
-    return value
 
 
 def main(options: argparse.Namespace) -> int:

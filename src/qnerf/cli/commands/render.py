@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.progress import track
 
 from qnerf.cli.commands import add_plugins, add_run
-from qnerf.cli.numbers import number
+from qnerf.cli.numbers import number, whole
 from qnerf.cli.text import console, count, duration
 from qnerf.records import find
 from qnerf.records.printable import printable
@@ -43,7 +43,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--size", type=size, metavar="WxH", help="pixels (default: as the photographs, longer side 256)"
     )
-    parser.add_argument("--frames", type=frames, metavar="N", help="number of pictures of a path (default: 120)")
+    parser.add_argument(
+        "--frames", type=whole(1, MAX_FRAMES), metavar="N", help="number of pictures of a path (default: 120)"
+    )
     parser.add_argument("--fps", type=number(1, 240), default=24.0, metavar="N", help="frames a second (default: 24)")
     parser.add_argument(
         "--what", choices=("color", "depth"), default="color", help="default: %(default)s; near is bright"
@@ -57,13 +59,6 @@ def size(text: str) -> tuple[int, int]:
     if match is None or max(map(int, match.groups())) > MAX_SIDE:
         raise argparse.ArgumentTypeError(f"expected a size such as 128x72, at most {MAX_SIDE} a side, got {text!r:.60}")
     return int(match[1]), int(match[2])
-
-
-def frames(text: str) -> int:
-    """A number of frames."""
-    if not re.fullmatch(r"[1-9]\d{0,5}", text) or int(text) > MAX_FRAMES:
-        raise argparse.ArgumentTypeError(f"expected a number of frames from 1 to {MAX_FRAMES:,}, got {text!r:.60}")
-    return int(text)
 
 
 def main(options: argparse.Namespace) -> None:

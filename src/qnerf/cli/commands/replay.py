@@ -23,7 +23,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> int:
     import torch
 
-    from qnerf import experiment
+    from qnerf.building.model import build_model, ray_table
+    from qnerf.building.scene import prepare
     from qnerf.quantum import QuantumLayer
     from qnerf.timing import Stopwatch
     from qnerf.training.checked_trainer import CheckedTrainer, ReplayTable, RunContext, load_step
@@ -36,11 +37,11 @@ def main(options: argparse.Namespace) -> int:
         config["scene"]["path"] = options.scene
     if options.device is not None:
         config["device"] = options.device
-    _, settings, scene = experiment.prepare(config)
+    _, settings, scene = prepare(config)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    model = experiment.build_model(settings, scene)
-    table = ReplayTable(experiment.ray_table(settings, scene), content["rays"], content["colors"])
+    model = build_model(settings, scene)
+    table = ReplayTable(ray_table(settings, scene), content["rays"], content["colors"])
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     trainer = CheckedTrainer(model, table, settings, watch, RunContext(scene.names, config, None))
     trainer.load(content["state"], finite=False)  # a value that is not finite may be what is looked for

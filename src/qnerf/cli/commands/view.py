@@ -5,7 +5,7 @@ import contextlib
 import time
 
 from qnerf.cli.commands import add_many_runs
-from qnerf.cli.numbers import count
+from qnerf.cli.numbers import whole
 from qnerf.records import find
 
 
@@ -17,26 +17,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_many_runs(parser)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine alone)")
-    parser.add_argument("--port", type=port, default=8080, metavar="N", help="default: 8080")
+    parser.add_argument("--port", type=whole(1, 65_535), default=8080, metavar="N", help="default: 8080")
     parser.add_argument(
-        "--width", type=width, default=640, metavar="PIXELS", help="of the sharpest picture (default: 640)"
+        "--width", type=whole(16, 4096), default=640, metavar="PIXELS", help="of the sharpest picture (default: 640)"
     )
-
-
-def port(text: str) -> int:
-    """A number of a port."""
-    value = count(text)
-    if not 1 <= value <= 65_535:
-        raise argparse.ArgumentTypeError(f"expected a port from 1 to 65,535, got {text!r:.60}")
-    return value
-
-
-def width(text: str) -> int:
-    """Pixels of a picture."""
-    value = count(text)
-    if not 16 <= value <= 4096:
-        raise argparse.ArgumentTypeError(f"expected a width from 16 to 4,096 pixels, got {text!r:.60}")
-    return value
 
 
 def main(options: argparse.Namespace) -> None:
