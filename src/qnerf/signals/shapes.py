@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 import skimage.data
+import skimage.measure  # loads its parts, and SciPy's statistics with them, when one is used
 from numpy.typing import NDArray
-from skimage.measure import approximate_polygon, find_contours, points_in_poly
 
 SEMI_AXES = (0.42, 0.28, 0.16)
 MARGIN = 0.1  # of the unit square around the polygon
@@ -51,8 +51,8 @@ def outline() -> NDArray:
     """Corners (M, 2) of a closed polygon: scikit-image's silhouette of a horse, without its hole of 6 pixels, in
     the unit square."""
     silhouette = np.pad(~skimage.data.horse(), 1)
-    longest = max(find_contours(silhouette.astype(float), 0.5), key=len)
-    corners = approximate_polygon(longest, TOLERANCE)[:, ::-1]  # x, y
+    longest = max(skimage.measure.find_contours(silhouette.astype(float), 0.5), key=len)
+    corners = skimage.measure.approximate_polygon(longest, TOLERANCE)[:, ::-1]  # x, y
     low, high = corners.min(0), corners.max(0)
     return 0.5 + (corners - (low + high) / 2) * (1 - 2 * MARGIN) / (high - low).max()
 
@@ -68,7 +68,7 @@ def polygon_distance(points: NDArray, corners: NDArray) -> NDArray:
     offset = points[:, None] - start
     along = ((offset * edge).sum(-1) / (edge**2).sum(-1)).clip(0, 1)
     distance = np.sqrt(((offset - along[..., None] * edge) ** 2).sum(-1)).min(-1)
-    return np.where(points_in_poly(points, corners), -distance, distance)
+    return np.where(skimage.measure.points_in_poly(points, corners), -distance, distance)
 
 
 SHAPES: dict[str, tuple[int, Callable[[NDArray], NDArray]]] = {"ellipsoid": (3, ellipsoid), "horse": (2, horse)}
