@@ -4,7 +4,8 @@ import os
 
 os.environ["OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does: before PyTorch
 
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture
+def signals() -> Iterator[None]:
+    """SIGINT and SIGHUP act as in a terminal, also where the tests were started with `nohup` or in the background."""
+    usual = {"SIGINT": signal.default_int_handler, "SIGHUP": signal.SIG_DFL}
+    kinds = {getattr(signal, name): action for name, action in usual.items() if hasattr(signal, name)}
+    ignored = [kind for kind in kinds if signal.getsignal(kind) is signal.SIG_IGN]
+    for kind in ignored:
+        signal.signal(kind, kinds[kind])
+    yield
+    for kind in ignored:
+        signal.signal(kind, signal.SIG_IGN)
+
+
+@pytest.fixture
 def config() -> Callable[..., dict[str, Any]]:
     return composed
 
@@ -90,9 +104,11 @@ def tiny(tiny_scene: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
     def make(*overrides: str, sampler: Sequence[str] = TINY) -> dict[str, Any]:
         chosen = [item.split("=")[0] for item in overrides]
         scene = [] if "scene" in chosen else ["scene=nerfstudio", f"scene.path={tiny_scene}"]
+        visibility = [] if "visibility.resolution" in chosen else ["visibility.resolution=16"]
         return composed(
             *scene,
             *(() if "sampler" in chosen else sampler),
+            *visibility,
             "hash=C7",
             "train.steps=2",
             "train.rays=8",

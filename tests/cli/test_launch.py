@@ -21,6 +21,7 @@ from qnerf.experiment import Outcome
 from qnerf.records import read_metrics, runs, state
 from qnerf.training.stop_requests import stop_requests
 from tests.helpers.configs import ROOT, TINY
+from tests.helpers.processes import call
 
 posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
 
@@ -28,7 +29,14 @@ posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
 @pytest.fixture
 def small(tiny_scene: Path, tmp_path: Path) -> list[str]:
     budget = ["hash=C7", "train.rays=8", "train.eval_every=0", "train.log_every=1", "device=cpu", "field=classical"]
-    return [*TINY, *budget, "scene=nerfstudio", f"scene.path={tiny_scene}", f"store={tmp_path / 'runs'}"]
+    return [
+        *TINY,
+        *budget,
+        "visibility.resolution=16",
+        "scene=nerfstudio",
+        f"scene.path={tiny_scene}",
+        f"store={tmp_path / 'runs'}",
+    ]
 
 
 @pytest.fixture
@@ -105,12 +113,16 @@ def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
 
 
 @posix
-@pytest.mark.parametrize("to", ["everybody, as a terminal does", "the first process alone"])
-def test_ctrl_c_stops_all_jobs_with_checkpoints(parallel, tmp_path, to):
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("how", ["Ctrl-C in a terminal, which reaches everybody", "SIGHUP to the first process alone"])
+def test_a_signal_stops_all_jobs_with_checkpoints(parallel, tmp_path, how):
     store = tmp_path / "runs"
     process = parallel("train.steps=100000", "seed=0,1,2")
     wait(lambda: sum((path / "environment.json").exists() for path in runs(store)) == 2)
-    (os.killpg if "everybody" in to else os.kill)(process.pid, signal.SIGINT)
+    if "everybody" in how:
+        os.killpg(process.pid, signal.SIGINT)
+    else:
+        process.send_signal(signal.SIGHUP)
     stdout, stderr = process.communicate(timeout=100)
     assert process.returncode == 130, stderr
     assert "Traceback" not in stdout + stderr
@@ -212,8 +224,7 @@ def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatc
     ],
 )
 def test_an_unknown_choice_or_option_is_one_line(override, message):
-    command = [sys.executable, "-m", "src.run", "encoder=pe", override]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = call("run", "encoder=pe", override)
     assert done.returncode == 1
     assert done.stderr.startswith(f"error: {message}")
     assert done.stderr.count("\n") == 1

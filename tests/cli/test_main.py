@@ -12,17 +12,22 @@ import pytest
 
 from qnerf import records
 from qnerf.cli.main import main
-from tests.helpers.configs import ROOT, TINY
+from tests.helpers import processes
+from tests.helpers.configs import TINY
 
-SMALL = [*TINY, "hash=C7", "train.rays=8", "train.eval_every=0", "train.log_every=1", "device=cpu"]
-
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "src.run", *arguments]
+SMALL = [
+    *TINY,
+    "hash=C7",
+    "train.rays=8",
+    "train.eval_every=0",
+    "train.log_every=1",
+    "device=cpu",
+    "visibility.resolution=16",
+]
 
 
 def call(*arguments: str) -> subprocess.CompletedProcess:
-    return subprocess.run(command(*arguments), cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    return processes.call("run", *arguments)
 
 
 @pytest.fixture
@@ -98,34 +103,31 @@ def test_the_console_command_takes_the_same_options(small, tmp_path):
     assert done.returncode == 0, done.stderr
     (run,) = records.runs(store)
     assert f"t\\xe4st/{run.name}" in done.stdout
-    unknown = subprocess.run(
-        [sys.executable, "-c", "from qnerf.cli.main import main; main()", "fly"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    unknown = processes.call("fly")
     assert unknown.returncode == 2
     assert "known: run" in unknown.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
+@pytest.mark.usefixtures("signals")
 def test_ctrl_c_stops_with_a_checkpoint_and_the_same_command_goes_on(small):
-    arguments = command(*small, "train.steps=600")
-    process = subprocess.Popen(arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    arguments = [*small, "train.steps=200"]
+    process = processes.Forked("run", *arguments)
     deadline = time.monotonic() + 60
     while not any((path / "environment.json").exists() for path in runs(small)) and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
+    process.close()
     assert process.returncode == 130, stderr
     assert "the same command continues from" in " ".join((stdout + stderr).split())
     assert "Traceback" not in stderr
     (folder,) = runs(small)
     assert pd.read_parquet(folder / "summary.parquet").iloc[0]["state"] == "interrupted"
-    again = subprocess.run(arguments, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    again = call(*arguments)
     assert again.returncode == 0, again.stderr
     steps = pd.read_parquet(folder / "metrics").query("key == 'train/loss'")["step"]
-    assert steps.tolist() == list(range(1, 601))
+    assert steps.tolist() == list(range(1, 201))
 
 
 @pytest.mark.parametrize(

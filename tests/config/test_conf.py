@@ -176,12 +176,13 @@ def test_every_experiment_trains(tiny, name):
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in SWEEPS.glob("*.yaml")))
 def test_every_job_of_every_sweep_is_a_configuration(name):
-    """Composed as `-cd sweeps -cn name` composes it, with each value of each parameter, and checked.
+    """Jobs as `-cd sweeps -cn name` composes them, in which each value of each parameter comes at least once.
 
     Of the experiments, which all train in a test of their own, the first one.
     """
     parameters = swept(name)
     assert parameters
+    several = {}
     for key, values in parameters.items():
         parsed = OverridesParser.create().parse_override(f"{key}={values}")
         named = list(parsed.sweep_string_iterator()) if parsed.is_sweep_override() else [values]
@@ -189,10 +190,12 @@ def test_every_job_of_every_sweep_is_a_configuration(name):
             assert set(named) <= set(choices("experiment"))
         elif key == "seed":
             assert all(value.isdecimal() for value in named)
-        for value in named[:1] if key in ("experiment", "seed") else named:
-            config = only_acting(composed(f"{key}={value}", "budget=smoke", sweep=name))
-            check_settings(config)
-            assert config["train"]["steps"] == 100
+        several[key] = named[:1] if key in ("experiment", "seed") else named
+    for number in range(max(map(len, several.values()))):
+        job = (f"{key}={named[min(number, len(named) - 1)]}" for key, named in several.items())
+        config = only_acting(composed(*job, "budget=smoke", sweep=name))
+        check_settings(config)
+        assert config["train"]["steps"] == 100
 
 
 @pytest.mark.parametrize("key", ["contraction", "contraction.name"])

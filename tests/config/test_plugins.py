@@ -14,6 +14,7 @@ from qnerf.cli.plugins import node
 from qnerf.config.plugins import check_plugins, import_plugins
 from qnerf.config.registry import Registry
 from tests.helpers.configs import ROOT, TINY, composed
+from tests.helpers.processes import call
 
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SMALL = (
@@ -22,7 +23,6 @@ SMALL = (
     "run.progress=false", *TINY,
 )  # fmt: skip
 RUN = "from qnerf.cli.main import run; run()"
-COMMAND = "import sys; from qnerf.cli.main import dispatch; sys.exit(dispatch(sys.argv[1], sys.argv[2:]))"
 
 
 @pytest.fixture
@@ -33,18 +33,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def qnerf(folder: Path, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def qnerf(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """A command in the folder, in a process of its own."""
-    words = [RUN] if command == "run" else [COMMAND, command]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "QNERF_CACHE": str(folder / "cache"), "PYTHONSAFEPATH": "1"}
-    return subprocess.run(
-        [sys.executable, "-c", *words, *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    return call(*arguments, cwd=folder, env={"QNERF_CACHE": str(folder / "cache")})
 
 
 def test_the_page_s_components_train_and_their_runs_are_not_imported_unasked(folder):
@@ -68,7 +59,14 @@ def test_the_page_s_components_train_and_their_runs_are_not_imported_unasked(fol
 
 
 def test_a_sweep_over_processes_and_a_reproduction(folder):
-    swept = qnerf(folder, "run", "-m", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "color=sine,mlp")
+    swept = subprocess.run(
+        [sys.executable, "-c", RUN, "-m", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "color=sine,mlp"],
+        cwd=folder,
+        env=os.environ | {"OMP_NUM_THREADS": "1", "QNERF_CACHE": str(folder / "cache"), "PYTHONSAFEPATH": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert swept.returncode == 0, swept.stderr + swept.stdout
     heads = {records.read_summary(run)["color"]: run for run in records.runs(folder / "runs")}
     assert set(heads) == {"sine", "3x64"}

@@ -29,6 +29,7 @@ FULL = os.environ.get("QNERF_FAULTS") == "full"
 SHORT = [
     *TINY, "field=qcolor", "hash=C7", "cameras=so3xr3", "appearance=2", "train.steps=30", "train.rays=8", "device=cpu",
     "train.log_every=1", "train.eval_every=12", "train.checkpoint_every=0.02", "threads=1",
+    "visibility.resolution=16",
 ]  # fmt: skip
 
 

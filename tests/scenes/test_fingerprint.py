@@ -122,13 +122,12 @@ def rounded(tmp_path: Path) -> Path:
 
 def test_equal_on_every_processor_and_number_of_threads(rounded: Path) -> None:
     scene = build(rounded)
-    for kernel in ("Haswell", "Prescott"):
-        for threads in ("1", "2"):
-            found = elsewhere(rounded, OPENBLAS_CORETYPE=kernel, OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
-            assert found == scene.fingerprint, (kernel, threads)
+    for kernel, threads in (("Haswell", "1"), ("Prescott", "2")):
+        found = elsewhere(rounded, OPENBLAS_CORETYPE=kernel, OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
+        assert found == scene.fingerprint, (kernel, threads)
 
 
-@pytest.mark.parametrize("version", ["2.1.3", "2.3.5"])
+@pytest.mark.parametrize("version", ["2.1.3"])  # of the oldest series that is allowed
 def test_equal_with_other_versions_of_numpy(rounded: Path, tmp_path: Path, version: str) -> None:
     """Slow: installs another NumPy next to the test."""
     other = tmp_path / "numpy"
