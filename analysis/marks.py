@@ -16,7 +16,8 @@ from qnerf.records.printable import printable
 from . import style
 
 RADIUS = 3.2  # points
-BESIDE = 5.0  # points between marks whose bars would cover each other
+BARS, MARKS = 2.5, 5.5  # points between bars, and between marks, that would cover each other
+ASIDE = 10.0  # points that a mark is moved at most
 DISTANCES = (5.0, 8.0, 12.0, 17.0, 23.0, 30.0, 38.0, 47.0, 57.0, 68.0, 80.0)  # points from a mark to its name
 BESIDE_MARK = 8.0  # points; a line leads to names that are farther away
 DIRECTIONS = [(math.cos(turn), math.sin(turn)) for turn in (np.arange(24) + 2) * math.pi / 12]
@@ -85,8 +86,13 @@ def arrange(figure: Figure, marks: Sequence[Mark], lines: Sequence[tuple[Axes, n
         _move_apart(own)
         covered = [_along(ax.transData.transform(line) * _points(ax)) for other, line in lines if other is ax]
         unnamed += _name(ax, own, np.concatenate([np.empty((0, 4)), *covered]))
-    if unnamed:
-        style.footnote(figure, figure.get_supxlabel(), f"no room for the names of {len(unnamed)} marks")
+    moved = any(mark.shift for mark in marks)
+    notes = [
+        f"marks that would cover each other stand up to {ASIDE:g} points aside" if moved else "",
+        f"no room for the names of {len(unnamed)} marks" if unnamed else "",
+    ]
+    if any(notes):
+        style.footnote(figure, " ".join(figure.get_supxlabel().split("\n")), *notes)
 
 
 def _points(ax: Axes) -> float:
@@ -99,23 +105,28 @@ def _inside(ax: Axes) -> np.ndarray:
 
 def _move_apart(marks: Sequence[Mark]) -> None:
     """Shifts each mark by as little as needed, to the right or left, so that no bar lies over another mark."""
-    steps = [0.0] + [sign * number * BESIDE / 2 for number in range(1, 25) for sign in (1, -1)]
-    done: list[np.ndarray] = []
+    steps = sorted(np.arange(-ASIDE, ASIDE + 1, BARS / 2).tolist(), key=abs)
+    done: list[tuple[np.ndarray, np.ndarray]] = []
     for mark in sorted(marks, key=lambda mark: (mark.x, -mark.y)):
         left, _, right, _ = _inside(mark.ax)
         free = () if not mark.movable else (shift for shift in steps if _is_free(mark, shift, done, left, right))
         mark.shift = next(iter(free), 0.0)
-        done.append(mark.box())
+        done.append((mark.middle(), mark.box()))
         if mark.shift:
             mark.move(mark.shift)
 
 
-def _is_free(mark: Mark, shift: float, done: Sequence[np.ndarray], left: float, right: float) -> bool:
+def _is_free(
+    mark: Mark, shift: float, done: Sequence[tuple[np.ndarray, np.ndarray]], left: float, right: float
+) -> bool:
     mark.shift = shift
-    x, _ = mark.middle()
+    x, y = mark.middle()
     _, low, _, high = mark.box()
-    apart = (abs(x - (box[0] + box[2]) / 2) >= BESIDE or high < box[1] or box[3] < low for box in done)
-    return left + RADIUS < x < right - RADIUS and all(apart)
+    for (other_x, other_y), box in done:
+        needed = MARKS if abs(y - other_y) < MARKS else BARS
+        if abs(x - other_x) < needed and low < box[3] and box[1] < high:
+            return False
+    return bool(left + RADIUS < x < right - RADIUS)
 
 
 def _name(ax: Axes, marks: Sequence[Mark], lines: np.ndarray) -> list[Mark]:

@@ -249,8 +249,9 @@ def footnote(figure: Figure, *parts: str) -> None:
     text = "; ".join(part for part in parts if part)
     if text:
         wrapped = textwrap.fill(text, int(figure.get_figwidth() * 19.5))
+        lines = wrapped.count("\n") - figure.get_supxlabel().count("\n")
         figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=NOTE, alpha=0.8)
-        figure.set_figheight(figure.get_figheight() + wrapped.count("\n") * 1.2 * NOTE / 72)
+        figure.set_figheight(figure.get_figheight() + lines * 1.2 * NOTE / 72)
 
 
 def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> list[Path]:
