@@ -64,7 +64,7 @@ class Table:
     def latex(self) -> str:
         """A `table` environment with a label; needs the package booktabs.
 
-        Columns without any text are left out, but not the first. Headings `A: b` and `A: c` side by side share the heading A.
+        Columns without any text are left out, but not the first. Headings `A: b` and `A: c` side by side share A.
         """
         first = self.text.columns[0]
         shown = [name for name in self.text.columns if name == first or (self.text[name] != "").any()]
