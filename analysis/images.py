@@ -1,6 +1,6 @@
 """A run's stored pictures, `images/*.png`: truth | render | error x 4 | depth side by side, small views enlarged."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,17 +31,22 @@ def common_pictures(runs: Iterable[str]) -> tuple[list[str], dict[str, dict[str,
 
 def panels(picture: str | Path) -> Panels:
     """The panels, without the enlargement. Raises ValueError if the file is not such a picture."""
+    return Panels(*split(picture, Panels._fields))
+
+
+def split(picture: str | Path, names: Sequence[str]) -> list[np.ndarray]:
+    """The panels of these names, which stand side by side. A signal's picture has no depth. ValueError as `panels`."""
     pixels = read_png(Path(picture))
     width = pixels.shape[1]
-    if width % len(Panels._fields):
-        raise ValueError(f"{picture}: expected {' | '.join(Panels._fields)} of equal width, got {width} pixels")
-    factor = enlargement(pixels)
-    return Panels(*np.split(pixels[::factor, ::factor], len(Panels._fields), axis=1))
+    if width % len(names):
+        raise ValueError(f"{picture}: expected {' | '.join(names)} of equal width, got {width} pixels")
+    factor = enlargement(pixels, len(names))
+    return np.split(pixels[::factor, ::factor], len(names), axis=1)
 
 
-def enlargement(pixels: np.ndarray) -> int:
-    """Side in pixels of the equal squares that make up a picture (H, 4 W, 3): views are enlarged without blending."""
-    height, width = pixels.shape[0], pixels.shape[1] // len(Panels._fields)
+def enlargement(pixels: np.ndarray, count: int = len(Panels._fields)) -> int:
+    """Side in pixels of the equal squares that make up a picture (H, count * W, 3): views are enlarged unblended."""
+    height, width = pixels.shape[0], pixels.shape[1] // count
     rows = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=(1, 2))) + 1
     columns = np.flatnonzero((pixels[:, 1:] != pixels[:, :-1]).any(axis=(0, 2))) + 1
     return int(np.gcd.reduce(np.concatenate([[height, width], rows, columns])))

@@ -13,7 +13,15 @@ QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head
 _SCALARS = ("experiment", "geo_features", "appearance")
 _RESULTS = ("params", "time", "run", "needs")  # first parts of dotted names that are no configuration
 # These act only through density.*, color.*, encoder.* and sampler.*, which copy them.
-_SOURCES = ("qiren.", "hash.", "proposal.", "density.initials.", "density.rates.", "color.rates.")
+_SOURCES = (
+    "qiren.",
+    "hash.",
+    "proposal.",
+    "density.initials.",
+    "density.rates.",
+    "color.rates.",
+    "color.activations.",
+)
 # Logging, checks and the scene's location do not change a result.
 _IRRELEVANT = (
     "scene.path",

@@ -5,6 +5,7 @@ import functools
 import io
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,19 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backend_bases import FigureCanvasBase
-from matplotlib.figure import Figure
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.text import Text
+from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from qnerf.records.printable import printable
 
 from . import output
 
-COLUMN, PAGE = 3.35, 6.9  # inches
+COLUMN, PAGE = 3.3, 6.9  # inches
+NOTE, MARK = 6.5, 7.0  # points: footnotes, names of marks; everything else is larger
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#888888")
 """The colours of Okabe and Ito, with brown and grey instead of yellow and black, which are hard to see on white or dark
@@ -39,18 +44,20 @@ FIELDS = {
     "quantum": ("#D55E00", "o"),
 }
 """Colour and marker of each field, the same in every figure."""
+SHADES = (("text.color", 0.0), ("text.color", 0.5), ("axes.facecolor", 0.45), ("text.color", 0.25))
+"""What a field's colour is mixed with, and how much of it, for the further configurations of that field."""
 HEADS = {"color": "colour head", "density": "density head"}
 FORMATS = ("png", "svg", "pdf")
 
 _BASE: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
-    "font.size": 7,
-    "axes.titlesize": 7.5,
-    "axes.labelsize": 7,
-    "xtick.labelsize": 6.5,
-    "ytick.labelsize": 6.5,
-    "legend.fontsize": 6.5,
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
     "legend.framealpha": 0.8,
     "legend.edgecolor": "none",
     "legend.borderpad": 0.2,
@@ -60,6 +67,7 @@ _BASE: dict[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.linewidth": 0.4,
     "grid.alpha": 0.35,
     "xtick.major.width": 0.6,
@@ -125,15 +133,28 @@ def ink() -> str:
     return str(mpl.rcParams["text.color"])
 
 
+def paper() -> str:
+    """The background colour of the current theme."""
+    return str(mpl.rcParams["axes.facecolor"])
+
+
 def new(width: float, height: float) -> Figure:
     """An empty figure of this size in inches, with constrained layout."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def panels(count: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarray]:
-    """A figure of `height` inches with a row of panels: one is as wide as a column, several as wide as the page."""
-    figure = new(COLUMN if count == 1 else PAGE, height)
-    return figure, figure.subplots(1, count, squeeze=False, **subplots)[0]
+    """A figure with rows of up to three panels, each row `height` inches high.
+
+    One panel is as wide as a column, several as wide as the page.
+    """
+    columns = min(3, count)
+    rows = -(-count // columns)
+    figure = new(COLUMN if count == 1 else PAGE, height * rows)
+    axes = figure.subplots(rows, columns, squeeze=False, **subplots).ravel()
+    for ax in axes[count:]:
+        ax.remove()
+    return figure, axes[:count]
 
 
 def series(number: int) -> dict[str, Any]:
@@ -141,21 +162,43 @@ def series(number: int) -> dict[str, Any]:
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
 
 
-def plain_ticks(ax: Axes) -> None:
-    """Labels a logarithmic x axis with plain numbers (2k, 50k, 1M).
+def looks(fields: Iterable[str]) -> list[dict[str, Any]]:
+    """Colour and marker of each configuration: the colour of its field, in another shade where a field comes again.
 
-    Ticks are equally spaced on an axis of less than half a decade, at 1, 2 and 5 below two decades, else at powers of
-    ten.
+    The first of a field has the field's marker, the others have the other markers.
+    """
+    seen: Counter[str] = Counter()
+    result = []
+    for field in fields:
+        color, first = FIELDS.get(field, (PALETTE[-1], MARKERS[0]))
+        markers = [first, *(marker for marker in MARKERS if marker != first)]
+        other, part = SHADES[seen[field] % len(SHADES)]
+        result.append({"color": mixed(color, other, part), "marker": markers[seen[field] % len(markers)]})
+        seen[field] += 1
+    return result
+
+
+def mixed(color: str, other: str, part: float) -> str:
+    """A colour with a part, 0 to 1, of a colour of the theme (`axes.facecolor`, `text.color`)."""
+    return to_hex((1 - part) * np.array(to_rgb(color)) + part * np.array(to_rgb(mpl.rcParams[other])))
+
+
+def plain_ticks(ax: Axes) -> None:
+    """Labels a logarithmic x axis with plain numbers (2k, 50k, 1M), at least three of them.
+
+    Ticks are at powers of ten, or also at 3, or at 2 and 5; where these are too few, they are equally spaced.
     """
     low, high = ax.get_xlim()
-    decades = math.log10(high / low)
-    if decades < 0.5:
-        ax.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-        ax.xaxis.set_minor_locator(NullLocator())
-    else:
-        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2 else (1,)))
-    ax.xaxis.set_major_formatter(FuncFormatter(_plain))
+    ax.xaxis.set_major_formatter(PLAIN)
     ax.xaxis.set_minor_formatter(NullFormatter())
+    for subs in ((1,), (1, 3), (1, 2, 5)):
+        decades = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        ticks = np.outer(decades, subs)
+        if ((ticks >= low) & (ticks <= high)).sum() >= 3:
+            ax.xaxis.set_major_locator(LogLocator(subs=subs, numticks=20))
+            return
+    ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    ax.xaxis.set_minor_locator(NullLocator())
 
 
 def _plain(value: float, _: int | None = None) -> str:
@@ -165,21 +208,50 @@ def _plain(value: float, _: int | None = None) -> str:
     return f"{value:g}"
 
 
-def legend(figure: Figure, columns: int = 3) -> None:
-    """One legend above all panels, which lists each label once."""
+PLAIN = FuncFormatter(_plain)
+"""Writes 1k for 1000 and 2M for 2000000 at ticks."""
+
+
+def text_width(text: str, size: float) -> float:
+    """Width of a line in points."""
+    return float(TextPath((0, 0), text, size=size, usetex=False).get_extents().width) if text.strip() else 0.0
+
+
+def legend(figure: Figure | SubFigure) -> None:
+    """One legend above all panels, which lists each label once, in as many columns as fit.
+
+    It shows marks and lines without error bars, which not every point has. The figure grows by its height.
+    """
+    size = mpl.rcParams["legend.fontsize"]
     handles: dict[str, Artist] = {}
     for ax in figure.axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=columns)
+            handles.setdefault(label, handle.lines[0] if isinstance(handle, ErrorbarContainer) else handle)
+    whole = figure.figure if isinstance(figure, SubFigure) else figure
+    room, beside = whole.get_figwidth() * 72 - size, 4.6 * size  # beside: the handle, and gaps between columns
+    most = int((room - beside) / (0.56 * size))
+    names = [textwrap.fill(printable(name), most, break_long_words=False) for name in handles]
+    widths = [max(text_width(line, size) for line in name.split("\n")) + beside for name in names]
+    columns = next(n for n in range(len(names), 0, -1) if n == 1 or _columns_width(widths, n) <= room)
+    drawn = figure.legend(list(handles.values()), names, loc="outside upper left", ncols=columns)
+    drawn.set_gid("legend")
+    lines = sum(sorted((name.count("\n") + 1 for name in names), reverse=True)[: -(-len(names) // columns)])
+    whole.set_figheight(whole.get_figheight() + lines * 1.7 * size / 72)
+
+
+def _columns_width(widths: list[float], columns: int) -> float:
+    """Matplotlib fills columns from the top; the first ones are longer where the entries do not divide evenly."""
+    return sum(max(column, default=0.0) for column in map(list, np.array_split(widths, columns)))
 
 
 def footnote(figure: Figure, *parts: str) -> None:
     """Writes below the panels what the axes do not show: number of seeds, runs left out. Empty parts are dropped."""
     text = "; ".join(part for part in parts if part)
     if text:
-        wrapped = textwrap.fill(text, int(figure.get_figwidth() * 23))
-        figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=5.5, alpha=0.8)
+        wrapped = textwrap.fill(text, int(figure.get_figwidth() * 19.5))
+        lines = wrapped.count("\n") - figure.get_supxlabel().count("\n")
+        figure.supxlabel(wrapped, x=0.01, ha="left", fontsize=NOTE, alpha=0.8)
+        figure.set_figheight(figure.get_figheight() + lines * 1.2 * NOTE / 72)
 
 
 def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> list[Path]:

@@ -38,8 +38,16 @@ def accuracy_vs_speed(results: benchmarks.Results = None) -> Figure:
     for ax, (part, shown) in zip(axes, parts, strict=False):
         for (variant, dtype), group in shown.groupby(["variant", "dtype"], sort=False):
             look = style.series(variants.index(variant))
-            face = look["color"] if dtype == "float32" else "none"
-            ax.plot(group["ms"], group["error"].clip(lower=FLOOR), ls="", mfc=face, label=f"{variant}, {dtype}", **look)
+            face = look["color"] if dtype == "float32" else style.paper()
+            ax.plot(
+                group["ms"],
+                group["error"].clip(lower=FLOOR),
+                ls="",
+                mfc=face,
+                mew=0.8,
+                label=f"{variant}, {dtype}",
+                **look,
+            )
         bound = shown.loc[shown["dtype"] == "float32", "bound"].max()
         ax.axhline(bound, color=style.ink(), ls="--", lw=0.7, alpha=0.6)
         ax.set(title=part, xscale="log", yscale="log")
@@ -51,7 +59,7 @@ def accuracy_vs_speed(results: benchmarks.Results = None) -> Figure:
         ax.tick_params(labelbottom=True)
     for ax in axes[::columns]:
         ax.set_ylabel("relative error")
-    style.legend(figure, columns=4)
+    style.legend(figure)
     style.footnote(
         figure,
         "a point is a case; error: largest difference from float64 in output and gradients, relative to the largest "

@@ -7,14 +7,15 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from qnerf.metrics import metric_of
+from qnerf.metrics import HEAD_PARAMETERS, metric_of
 
 from .. import style
+from ..marks import Mark, arrange
 from ..selection import select
 from . import points
 
 PARTS = {
-    "heads": ("params.density", "params.color"),
+    "heads": HEAD_PARAMETERS,
     "density": ("params.density",),
     "color": ("params.color",),
     "encoder": ("params.encoder",),
@@ -26,35 +27,53 @@ def capacity_points(frame: pd.DataFrame, part: str = "heads") -> pd.DataFrame:
     """`points.points` of PSNR (dB) and SSIM, with `params`, the parameter count of a part, and `kind`.
 
     `kind` is quantum or classical. It describes the part if that is a head ("color", "density"), else the whole field.
-    Raises ValueError for an unknown part or if no run has finished.
+    Raises ValueError for an unknown part, or if no run has finished, or none has such a part.
     """
     if part not in PARTS:
         raise ValueError(f"unknown part {part!r}; known: {', '.join(PARTS)}")
     table = points.points(select(frame).runs, ["psnr", "ssim"], PARTS[part])
-    kinds = [points.kind(field, part) for field in table["field"]]
-    return table.assign(params=table[list(PARTS[part])].sum(axis=1), kind=kinds)
+    table["params"] = table[list(PARTS[part])].sum(axis=1, min_count=1)
+    table = table[table["params"] > 0].reset_index(drop=True)
+    if table.empty:
+        raise ValueError(f"no run has parameters of the {style.HEADS.get(part, part)}")
+    return table.assign(kind=[points.kind(field, part) for field in table["field"]])
 
 
 @style.styled
 def capacity_vs_psnr(frame: pd.DataFrame, part: str = "heads") -> Figure:
-    """PSNR against the parameters of a part, coloured by SSIM: a row per scene, quantum left, classical right."""
+    """PSNR against the parameters of a part, coloured by SSIM: a row per scene, quantum left, classical right.
+
+    Each mark has the name of its heads. Marks of equal size stand beside each other.
+    """
+    finished = select(frame)
     table = capacity_points(frame, part)
+    table["mark"], key = points.marked(table, finished.runs, _heads(table, part))
     scenes, kinds = points.scenes(table), sorted(table["kind"].unique(), reverse=True)
     figure = style.new(style.PAGE if len(kinds) > 1 else style.COLUMN, 0.6 + 2.1 * len(scenes))
     axes = figure.subplots(len(scenes), len(kinds), sharex=True, sharey="row", squeeze=False)
     norm = _ssim_norm(table)
+    drawn = []
     for row, scene in zip(axes, scenes, strict=True):
         for ax, kind in zip(row, kinds, strict=True):
-            _scatter(ax, table[(table["scene_name"] == scene) & (table["kind"] == kind)], norm)
+            shown = table[(table["scene_name"] == scene) & (table["kind"] == kind)]
+            drawn += _marks(ax, shown, norm, shown["mark"])
             ax.set(title=f"{scene}: {kind}", xscale="log")
-            ax.margins(0.12)
+            ax.margins(0.15)
         row[0].set_ylabel(metric_of("psnr").heading)
     style.plain_ticks(axes[-1, 0])
     for ax in axes[-1]:
         ax.set_xlabel(f"parameters of the {style.HEADS.get(part, part)}")
     _ssim_bar(figure, axes, norm)
-    style.footnote(figure, points.seeds(table), select(frame).note)
+    style.footnote(figure, points.seeds(table), key, finished.note)
+    arrange(figure, drawn)
     return figure
+
+
+def _heads(table: pd.DataFrame, part: str) -> list[str]:
+    """The labels that name a mark: the head that is counted, or both where both differ."""
+    heads = [part] if part in style.HEADS else ["density", "color"]
+    differing = [head for head in heads if table[head].nunique() > 1] or heads
+    return [head for head in differing if table[head].notna().any()]
 
 
 def hash_points(frame: pd.DataFrame) -> pd.DataFrame:
@@ -78,35 +97,34 @@ def hash_configurations(frame: pd.DataFrame) -> Figure:
     """PSNR of the hash tables C1 to C7 against parameters, coloured by SSIM: a panel per scene, a line per field."""
     table = hash_points(frame)
     names = points.scenes(table)
-    figure = style.new(max(style.COLUMN, 2.6 * len(names)), 2.7)
-    axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    figure, axes = style.panels(len(names), 2.7, sharey=True)
     norm = _ssim_norm(table)
+    drawn, covered = [], []
+    lines = list(dict.fromkeys(table["line"]))
     for ax, scene in zip(axes, names, strict=True):
-        families = table[table["scene_name"] == scene].groupby("line")
-        for number, (line, family) in enumerate(families):
-            marker, dashes = style.MARKERS[number % len(style.MARKERS)], style.LINES[number % len(style.LINES)]
+        ax.set(title=scene, xscale="log", xlabel="parameters of hash table\nand density head")
+        ax.margins(0.15)
+        for line, family in table[table["scene_name"] == scene].groupby("line"):
+            marker, dashes = (looks[lines.index(line) % len(looks)] for looks in (style.MARKERS, style.LINES))
             family = family.sort_values("params")
-            ax.plot(family["params"], family["psnr"], dashes, color=style.ink(), alpha=0.4, lw=0.8, label=line)
-            _scatter(ax, family, norm, marker)
-            for _, point in family.iterrows():
-                ax.annotate(point["hash"], (point["params"], point["psnr"]), (4, -8), textcoords="offset points")
-        ax.set(title=scene, xscale="log", xlabel="parameters of hash table and density head")
-        ax.margins(0.12)
+            ax.plot(family["params"], family["psnr"], dashes, color=style.ink(), alpha=0.4, lw=0.8)
+            ax.plot([], [], dashes, marker=marker, color=style.ink(), alpha=0.6, lw=0.8, label=line)
+            drawn += _marks(ax, family, norm, family["hash"], marker)
+            covered.append((ax, family[["params", "psnr"]].to_numpy()))
         style.plain_ticks(ax)
-        if len(families) > 1:
-            ax.legend()
     axes[0].set_ylabel(metric_of("psnr").heading)
     _ssim_bar(figure, axes, norm)
+    if len(lines) > 1:
+        style.legend(figure)
     style.footnote(figure, points.seeds(table), select(frame).note)
+    arrange(figure, drawn, covered)
     return figure
 
 
-def _scatter(ax: Axes, table: pd.DataFrame, norm: Normalize, marker: str = "o") -> None:
-    x, y, ink = table["params"], table["psnr"], style.ink()
-    ax.errorbar(x, y, table["psnr_std"], fmt="none", ecolor=ink, elinewidth=0.7, zorder=2)
-    ax.scatter(
-        x, y, c=table["ssim"], norm=norm, cmap=style.SSIM, marker=marker, s=26, edgecolors=ink, linewidths=0.5, zorder=3
-    )
+def _marks(ax: Axes, table: pd.DataFrame, norm: Normalize, names: pd.Series, marker: str = "o") -> list[Mark]:
+    values = zip(table["params"], table["psnr"], table["psnr_std"], names, table["ssim"], strict=True)
+    look = {"norm": norm, "cmap": style.SSIM, "edgecolors": style.ink(), "linewidths": 0.5}
+    return [Mark(ax, x, y, std, name).draw(marker, c=[ssim], **look) for x, y, std, name, ssim in values]
 
 
 def _ssim_norm(table: pd.DataFrame) -> Normalize:

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from qnerf.records.filters import require
 
@@ -71,11 +72,10 @@ def hsv_histograms(samples: pd.DataFrame) -> pd.DataFrame:
 def hsv_boxes(samples: pd.DataFrame) -> pd.DataFrame:
     """Columns channel, source, `QUANTILES` and pixels, over all seeds together.
 
-    The circle of hues is cut open opposite to the truth's mean direction m. Quantiles of hue are of m plus the signed
-    shorter way from m, in turns, so they may lie outside [0, 1].
+    The circle of hues is cut open opposite to `hue_center`, m. Quantiles of hue are of m plus the signed shorter way
+    from m, in turns, so they may lie outside [0, 1].
     """
-    truth = samples.loc[samples["source"] == "truth", "hue"].dropna().to_numpy()
-    center = circular.mean_direction(truth)
+    center = hue_center(samples)
     rows = []
     for channel in hsv.CHANNELS:
         for source, own in samples.groupby("source", observed=True):
@@ -84,6 +84,13 @@ def hsv_boxes(samples: pd.DataFrame) -> pd.DataFrame:
                 values = center + circular.turn(center, values)
             rows.append((channel, str(source), *np.quantile(values, QUANTILES), len(values)))
     return pd.DataFrame(rows, columns=["channel", "source", *QUANTILES, "pixels"])
+
+
+def hue_center(samples: pd.DataFrame) -> float:
+    """The truth's mean direction in turns, rounded so that the opposite side of the circle is an edge of a bin."""
+    truth = samples.loc[samples["source"] == "truth", "hue"].dropna().to_numpy()
+    bins = len(EDGES["hue"]) - 1
+    return round(circular.mean_direction(truth) * bins) / bins
 
 
 @style.styled
@@ -97,31 +104,40 @@ def hsv_study(
     runs = chosen(frame, classical, quantum)
     samples = hsv_samples(runs)
     histograms, boxes = hsv_histograms(samples), hsv_boxes(samples)
-    figure = style.new(style.PAGE, 3.6)
-    axes = figure.subplots(2, 3, height_ratios=[1.5, 1])
+    figure = style.new(style.PAGE, 3.4)
+    axes = figure.subplots(2, 3, height_ratios=[1.5, 1], sharex="col")
     colors = {"truth": style.ink(), **_COLORS}
+    center = hue_center(samples)
     for top, bottom, channel in zip(*axes, hsv.CHANNELS, strict=True):
         unit = 360 if channel == "hue" else 1
         for source, dashes in zip(hsv.SOURCES, ("-", "-.", "--"), strict=True):
             curve = histograms[(histograms["channel"] == channel) & (histograms["source"] == source)]
-            center = (curve["left"] + curve["right"]) / 2 * unit
+            middle = (curve["left"] + curve["right"]) / 2
+            if channel == "hue":  # cut open where the boxes are
+                curve = curve.assign(middle=center + circular.turn(center, middle.to_numpy())).sort_values("middle")
+                middle = curve["middle"]
             density, spread = curve["density"] / unit, curve["density_std"] / unit
-            top.plot(center, density, dashes, color=colors[source], label=source)
+            top.plot(middle * unit, density, dashes, color=colors[source], label=source)
             if curve["n"].iloc[0] > 1:
-                top.fill_between(center, density - spread, density + spread, color=colors[source], alpha=0.2, lw=0)
-        top.set(title="hue, degrees" if channel == "hue" else channel, xlim=(0, unit), ylim=(0, None))
+                between = (density - spread, density + spread)
+                top.fill_between(middle * unit, *between, color=colors[source], alpha=0.2, lw=0)
         _boxes(bottom, boxes[boxes["channel"] == channel], unit, colors)
+        bottom.set_xlim(*((center - 0.5) * unit, (center + 0.5) * unit) if channel == "hue" else (0, 1))
+        bottom.set_xlabel("hue, degrees" if channel == "hue" else f"{channel}, of 1")
+        top.set_ylim(0, None)
+        top.set_ylabel("density per degree" if channel == "hue" else "density")
         if channel == "hue":
-            top.set_xticks(range(0, 361, 90))
+            bottom.xaxis.set_major_locator(MultipleLocator(90))
+            bottom.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:.0f}"))
         else:
-            bottom.set_xlim(0, 1)
-    axes[0, 0].set_ylabel("density")
-    axes[0, 0].legend()
+            bottom.tick_params(labelleft=False)
+    style.legend(figure)
     style.footnote(
         figure,
-        ", ".join(f"{kind}: {_described(own)}" for kind, own in runs.items()),
+        *(f"{kind}: {_described(own)}" for kind, own in runs.items()),
+        points.notation([" ".join(map(_described, runs.values()))]),
         "bands: ± standard deviation over seeds" if histograms["n"].max() > 1 else "n = 1 seed: no bands",
-        "boxes: quartiles, whiskers 5 to 95 %, hue unrolled about the truth's mean",
+        "boxes: quartiles, whiskers 5 to 95 %; the circle of hues is cut open opposite to the truth's mean",
         "grey pixels have no hue: "
         + ", ".join(f"{source} {share:.0%}" for source, share in hsv.greys(samples).items()),
         select(frame).note,
@@ -137,7 +153,7 @@ def _boxes(ax: Axes, boxes: pd.DataFrame, unit: float, colors: Mapping[str, str]
     ]
     drawn = ax.bxp(stats, orientation="horizontal", showfliers=False, patch_artist=True, widths=0.55)
     for patch, median, source in zip(drawn["boxes"], drawn["medians"], boxes["source"], strict=True):
-        patch.set(facecolor=colors[source], alpha=0.35, edgecolor=colors[source])
+        patch.set(facecolor=style.mixed(colors[source], "axes.facecolor", 0.65), edgecolor=colors[source])
         median.set(color=style.ink(), linewidth=1.2)
     for line in (*drawn["whiskers"], *drawn["caps"]):
         line.set(color=style.ink(), linewidth=0.6)
@@ -146,4 +162,4 @@ def _boxes(ax: Axes, boxes: pd.DataFrame, unit: float, colors: Mapping[str, str]
 
 def _described(runs: pd.DataFrame) -> str:
     first = runs.iloc[0]
-    return f"{first['field']} {first['density']} {first['color']}, n = {len(runs)}"
+    return f"{first['field']}, density {first['density']}, colour {first['color']}, n = {len(runs)}"

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from qnerf.metrics import metric_of
 
@@ -53,6 +54,8 @@ def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
     figure, axes, note = _panels(frame, loss_points(frame, most), most, draw, "bands", sharey=True)
     for ax in axes:
         ax.set(xlabel="optimisation step", yscale="log")
+        ax.xaxis.set_major_locator(MaxNLocator(4))
+        ax.xaxis.set_major_formatter(style.PLAIN)
     axes[0].set_ylabel("mean squared colour error")
     lines = "solid: training; dashed: held out, 10^(-PSNR/10), of train.eval_views of the held-out views"
     style.footnote(figure, lines, note)
@@ -153,11 +156,13 @@ def _panels(
     left = len(runs) - len(readable)
     damaged = f"left out: {left} with missing or damaged metrics" if left else ""
     table, rest = points.best(readable, ["psnr"], most)
-    figure, axes = style.panels(table["scene_name"].nunique(), 3.2, sharey=sharey)
-    order = list(dict.fromkeys(curves["name"]))
+    figure, axes = style.panels(table["scene_name"].nunique(), 2.6, sharey=sharey)
+    fields = dict(zip(table["name"], table["field"], strict=True))
+    looks = dict(zip(fields, style.looks(fields.values()), strict=True))
     for ax, (scene, shown) in zip(axes, curves.groupby("scene_name"), strict=True):
         for name, curve in shown.groupby("name", sort=False):
-            draw(ax, name, curve, **style.series(order.index(name)))
+            draw(ax, name, curve, **looks[name])
         ax.set_title(scene)
-    style.legend(figure, columns=1 if len(axes) == 1 else 2)
-    return figure, axes, "; ".join(filter(None, [points.seeds(table, spread), rest, damaged, select(frame).note]))
+    style.legend(figure)
+    notes = [points.seeds(table, spread), rest, damaged, points.notation(table["name"]), select(frame).note]
+    return figure, axes, "; ".join(filter(None, notes))

@@ -30,17 +30,20 @@ def speed_error_ladder(results: benchmarks.Results = None) -> Figure:
     """
     table = ladder_points(results)
     scenes = list(dict.fromkeys(table["scene"]))
-    figure = style.new(style.PAGE, 5.2)
-    axes = figure.subplots(2, len(scenes), squeeze=False)
-    for column, scene in enumerate(scenes):
-        for ax, kind, value in zip(axes[:, column], ("trained", "same weights"), ("psnr", "image_error"), strict=True):
-            shown = table[(table["kind"] == kind) & (table[value] > 0)]
+    figure = style.new(style.PAGE, 5.0)
+    halves = figure.subfigures(2, 1)
+    for half, kind, value in zip(halves, ("trained", "same weights"), ("psnr", "image_error"), strict=True):
+        shown = table[(table["kind"] == kind) & (table[value] > 0)]
+        axes = half.subplots(1, len(scenes), squeeze=False)[0]
+        for ax, scene in zip(axes, scenes, strict=True):
             _draw(ax, shown[shown["scene"] == scene], value, list(dict.fromkeys(shown["rung"])))
-        axes[0, column].set_title(scene)
-        axes[1, column].set(yscale="log", xlabel="training step, ms")
-    axes[0, 0].set_ylabel(metric_of("eval/psnr").heading)
-    axes[1, 0].set_ylabel("picture, rms error against float64")
-    style.legend(figure)
+            ax.set(title=scene, xlabel="training step, ms")
+            if kind != "trained":
+                ax.set_yscale("log")
+        axes[0].set_ylabel(
+            metric_of("eval/psnr").heading if kind == "trained" else "picture, rms error\nagainst float64"
+        )
+        style.legend(half)
     counts = sorted(table.loc[table["kind"] == "trained", "n"].unique())
     seeds = " to ".join(str(n) for n in dict.fromkeys((counts[0], counts[-1])))
     style.footnote(figure, f"above: trained anew, {seeds} seeds, bars: standard deviation; below: one run's weights")
@@ -58,8 +61,8 @@ def _draw(ax: Axes, shown: pd.DataFrame, value: str, rungs: list[str]) -> None:
             rung[value],
             yerr=rung["psnr_std"] if trained and rung["n"] > 1 else None,
             fmt=style.MARKERS[number % len(style.MARKERS)],
-            color=style.PALETTE[(number + 2 * lap + (0 if trained else 3)) % len(style.PALETTE)],
-            mfc=None if trained else "none",
+            color=style.PALETTE[(number + 2 * lap) % len(style.PALETTE)],
+            elinewidth=0.7,
             label=rung["rung"],
         )
     ax.set_xscale("log")

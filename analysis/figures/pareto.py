@@ -3,11 +3,11 @@
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from qnerf.metrics import metric_of
 
 from .. import style
+from ..marks import Mark, arrange
 from ..selection import select
 from . import benchmarks, points
 
@@ -39,31 +39,33 @@ def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr
 
 @style.styled
 def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> Figure:
-    """An image metric against a time, a panel per scene. A line marks the Pareto front, the legend names its points."""
+    """An image metric against a time, a panel per scene. A line marks the Pareto front, whose marks have names."""
+    finished = select(frame, metric)
     table = speed_points(frame, time, metric)
+    table["mark"], key = points.marked(
+        table, finished.runs, [head for head in style.HEADS if table[head].nunique() > 1]
+    )
     scenes = points.scenes(table)
-    figure, axes = style.panels(len(scenes), 3.1)
-    names: list[str] = []
+    figure, axes = style.panels(len(scenes), 2.6)
+    drawn, lines = [], []
     for ax, scene in zip(axes, scenes, strict=True):
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):
             color, marker = style.FIELDS[str(field)]
-            bars = {"yerr": group[f"{metric}_std"], "xerr": group[f"{time}_std"], "elinewidth": 0.7}
-            ax.errorbar(group[time], group[metric], fmt=marker, color=color, label=field, **bars)
+            ax.errorbar(group[time], group[metric], xerr=group[f"{time}_std"], fmt="none", ecolor=color, elinewidth=0.7)
+            ax.plot([], [], ls="", marker=marker, color=color, label=field)
+            names = group["mark"].where(group["front"], "")
+            values = zip(group[time], group[metric], group[f"{metric}_std"], names, strict=True)
+            drawn += [Mark(ax, *value, movable=False).draw(marker, color=color) for value in values]
         best = _draw_front(ax, shown, time, metric, lw=0.8)
-        for number, (_, row) in enumerate(best.iterrows()):
-            names.append(f"{len(names) + 1}  {row['name']}" + (f" ({scene})" if len(scenes) > 1 else ""))
-            offset = (-6 - 9 * (number % 2), 4)  # neighbours on the front may lie close together
-            ax.annotate(f"{len(names)}", (row[time], row[metric]), offset, textcoords="offset points", ha="right")
+        lines.append((ax, best[[time, metric]].to_numpy()))
         ax.set(title=scene, xlabel=metric_of(time).heading, xscale="log")
-        ax.set_xlim(shown[time].min() / 1.5, shown[time].max() * 1.3)
-        ax.margins(y=0.12)
+        ax.margins(0.15)
         style.plain_ticks(ax)
-        ax.legend()
     axes[0].set_ylabel(metric_of(metric).heading)
-    invisible = [Line2D([], [], ls="") for _ in names]
-    figure.legend(invisible, names, loc="outside upper left", handlelength=0, ncols=len(scenes))
-    style.footnote(figure, "line and numbers: Pareto front", points.seeds(table), select(frame, metric).note)
+    style.legend(figure)
+    style.footnote(figure, "line and names: Pareto front", points.seeds(table), key, finished.note)
+    arrange(figure, drawn, lines)
     return figure
 
 
@@ -89,11 +91,12 @@ def engine_speed_vs_error(results: benchmarks.Results = None) -> Figure:
     for ax, (spectral, shown) in zip(axes, ran.groupby("S"), strict=True):
         for _, row in shown.iterrows():
             look = style.series(engines.index(row["engine"]))
-            face = look["color"] if row["engine"].startswith("qnerf") else "none"
-            ax.plot(row["ms"], row["error"], ls="", mfc=face, label=row["engine"], **look)
+            face = look["color"] if row["engine"].startswith("qnerf") else style.paper()
+            ax.plot(row["ms"], row["error"], ls="", mfc=face, mew=0.8, label=row["engine"], **look)
         _draw_front(ax, shown, "ms", "error", lw=0.7)
         ax.set(title=f"S = {spectral}", xlabel="forward + backward, ms", xscale="log", yscale="log")
         ax.margins(0.12)
+        style.plain_ticks(ax)
     axes[0].set_ylabel("largest absolute error of an output")
     style.legend(figure)
     first, missing = table.iloc[0], sorted(table.loc[table["ms"].isna(), "engine"].unique())

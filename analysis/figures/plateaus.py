@@ -24,9 +24,9 @@ def barren_plateaus(results: benchmarks.Results = None) -> Figure:
         for spectral, line in shown.groupby("S"):
             look = style.series(depths.index(spectral))
             ax.errorbar(line["wires"], line["variance"], line["error"], **look, elinewidth=0.6, label=f"S = {spectral}")
-        ax.set(title=f"init={init}", xlabel="wires", yscale="log")
-    axes[0].set_ylabel("variance of d<Z₀>/dθ")
-    style.legend(figure, columns=len(depths))
+        ax.set(title=f"init = {init}", xlabel="wires", yscale="log")
+    axes[0].set_ylabel("variance of d⟨Z₀⟩/dθ, rad⁻²")
+    style.legend(figure)
     circuits = "-".join(map(str, sorted(table["circuits"].unique())))
     style.footnote(
         figure,

@@ -1,12 +1,17 @@
 """Configurations as the points of a figure: one row each, with mean and spread over its seeds."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
 from ..settings import LABELS, QUANTUM, effective
 
-_NAME_LABELS = ("field", "encoder", "hash", "density", "color", "sampler", "cameras", "train", "steps")
+_NAME_LABELS = ("field", "encoder", "hash", "density", "color", "head", "sampler", "cameras", "train", "steps")
+_NOTATIONS = {
+    r"\b\d+L\d+S": "{}: circuit, L hidden layers, S re-uploadings",
+    r"\b(?:[2-9]|\d\d+)x\d+\b": "{}: MLP, layers x width",
+}
 
 
 def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) -> pd.DataFrame:
@@ -54,25 +59,57 @@ def family_names(
 
 
 def names(
-    table: pd.DataFrame, runs: pd.DataFrame, *, ignored: Sequence[str] = (), always: Sequence[str] = ()
+    table: pd.DataFrame,
+    runs: pd.DataFrame,
+    *,
+    ignored: Sequence[str] = (),
+    always: Sequence[str] = (),
+    never: Sequence[str] = (),
+    short: bool = False,
 ) -> pd.Series:
     """A short name for each row of `points`: the labels that differ, then, where labels are equal, every setting that
     differs. A name that told one of several would claim that this one made the difference.
 
-    ignored: settings that no name mentions, as in `families`; always: labels that every name mentions.
+    ignored: settings that no name mentions, as in `families`; always, never: labels that every name, or none, mentions;
+    short: names with both heads do not say which is which.
     """
     labels = table.assign(
         hash=table["hash"].where(table["encoder"] == "hash", ""),
         steps=table["train.steps"].map("{:,.0f} steps".format),
     )
-    used = [key for key in _NAME_LABELS if key in always or labels[key].nunique() > 1] or ["field"]
+    used = [key for key in _NAME_LABELS if key in always or (labels[key].nunique() > 1 and key not in never)]
+    used = used or [key for key in ("color", "field") if key not in never][-1:]
+    if not short and {"density", "color"} <= set(used):
+        labels = labels.assign(density="density " + labels["density"], color="colour " + labels["color"])
     texts = pd.Series([" ".join(filter(None, row)) for row in labels[used].to_numpy()], index=table.index, dtype=object)
     settings = _settings(table, runs, ignored)
     alike = [table["scene_name"], texts]
     several = settings.groupby(alike).transform("nunique") > 1
     for key in settings:
-        texts = texts.where(~several[key], texts + f", {key}=" + settings[key])
+        told = several[key] & (settings[key] != "")
+        texts = texts.where(~told, texts + f", {key}=" + settings[key])
     return texts
+
+
+def marked(table: pd.DataFrame, runs: pd.DataFrame, heads: Sequence[str]) -> tuple[pd.Series, str]:
+    """A name for each row that is short enough for a figure's mark, and a note that says what its letters stand for.
+
+    heads: labels that every name mentions. The field is told by colour or panel. Where rows have the same labels, a
+    letter stands for the settings in which they differ.
+    """
+    parts = names(table, runs, always=heads, never=["field"], short=True).str.partition(", ")
+    letters = {text: chr(ord("a") + number % 26) for number, text in enumerate(sorted(set(parts[2]) - {""}))}
+    texts = parts[0] + parts[2].map(lambda text: f" {letters[text]}" if text else "")
+    key = [f"{letter}: {text}" for text, letter in letters.items()]
+    order = "names: density head, colour head" if {"density", "color"} <= set(heads) else ""
+    return texts, "; ".join(filter(None, [*key, order, notation(texts)]))
+
+
+def notation(names: Iterable[str]) -> str:
+    """What `1L2S` and `3x64` in these names mean, by an example each."""
+    text = " ".join(names)
+    found = {form: re.search(pattern, text) for pattern, form in _NOTATIONS.items()}
+    return "; ".join(form.format(match[0]) for form, match in found.items() if match)
 
 
 def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> pd.DataFrame:

@@ -74,17 +74,16 @@ def psnr_vs_width(frame: pd.DataFrame, head: str = "color") -> Figure:
 def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
     table = shape_points(frame, measure, head)
     kinds, scenes = sorted(table["kind"].unique()), points.scenes(table)
-    figure = style.new(style.PAGE if len(kinds) > 1 else style.COLUMN, 0.5 + 2.2 * len(scenes))
+    fields = table.groupby(["kind", "line"])["field"].first()
+    looks = dict(zip(fields.index, style.looks(fields), strict=True))
+    figure = style.new(style.PAGE if len(kinds) > 1 else style.COLUMN, 0.5 + 2.0 * len(scenes))
     axes = figure.subplots(len(scenes), len(kinds), sharex="col", sharey="row", squeeze=False)
     for row, scene in zip(axes, scenes, strict=True):
         for ax, kind in zip(row, kinds, strict=True):
             shown = table[(table["scene_name"] == scene) & (table["kind"] == kind)]
-            for number, (line, group) in enumerate(shown.groupby("line")):
-                bars = group["psnr_std"] if group["psnr_std"].notna().any() else None  # else the legend would show some
-                ax.errorbar(group["x"], group["psnr"], bars, label=line, **style.series(number))
+            for line, group in shown.groupby("line"):
+                ax.errorbar(group["x"], group["psnr"], group["psnr_std"], label=line, **looks[kind, line])
             ax.set_title(f"{scene}: {style.HEADS[head]}, {'circuits' if kind == 'qiren' else 'MLPs'}")
-            if len(shown):
-                ax.legend()
         row[0].set_ylabel(metric_of("psnr").heading)
     for ax, kind in zip(axes[-1], kinds, strict=True):
         ax.set_xlabel(_AXES[measure, kind])
@@ -92,6 +91,7 @@ def _draw(frame: pd.DataFrame, measure: str, head: str) -> Figure:
             ax.set_xscale("log", base=2)
         ticks = sorted(table.loc[table["kind"] == kind, "x"].unique())
         ax.set_xticks(ticks, [f"{x:.0f}" for x in ticks])
+    style.legend(figure)
     finished = select(frame)
     others = len(points.points(finished.runs, ["psnr"])) - len(table)
     what = "1 configuration that differs" if others == 1 else f"{others} configurations that differ"

@@ -55,18 +55,21 @@ def _draw(frame: pd.DataFrame, x: str) -> Figure:
             f"no condition of this kind was measured for every seed of a configuration; `qnerf probe RUN {options}`"
         )
     panels = list(shown.groupby(["scene_name", "noise"]))
-    figure, axes = style.panels(len(panels), 2.6)
+    fields = dict(zip(shown["name"], shown["field"], strict=True))
+    looks = dict(zip(fields, style.looks(fields.values()), strict=True))
+    figure, axes = style.panels(len(panels), 2.4, sharey=True)
     for ax, ((scene, noise), lines) in zip(axes, panels, strict=True):
-        for number, (name, line) in enumerate(lines.groupby("name", sort=False)):
-            look = style.series(number)
+        for name, line in lines.groupby("name", sort=False):
+            look = looks[name]
             ax.errorbar(line[x], line["psnr"], line["psnr_std"], label=name, **look)
             exact = ~noisy & (table["shots"] == 0) & (table["scene_name"] == scene) & (table["name"] == name)
             ax.axhline(table.loc[exact, "psnr"].item(), color=look["color"], ls="--", lw=0.8)
         ax.set(title=str(scene) if x == "shots" else f"{scene}: {noise}", xscale="log")
         ax.set_xlabel("shots per circuit" if x == "shots" else "error probability of each gate")
-        ax.legend()
+        style.plain_ticks(ax)
+    style.legend(figure)
     axes[0].set_ylabel(metric_of("psnr").heading)
     partial = of_kind.sum() - len(shown)
     rest = f"not drawn: {partial} conditions that some measured seeds lack" if partial else ""
-    style.footnote(figure, "dashed: exact", points.seeds(shown), rest, select(frame).note)
+    style.footnote(figure, "dashed: exact", points.seeds(shown), rest, points.notation(fields), select(frame).note)
     return figure

@@ -43,19 +43,21 @@ def fourier_spectrum(run: str | Path) -> Figure:
             image = ax.imshow(grid.where(grid >= MIN_SHARE), norm=norm, cmap="viridis_r", aspect="equal")
             ax.set(xticks=list(wires)[::2], yticks=outputs[::2])
             ax.grid(False)
-        row[0].set_ylabel(f"{style.HEADS[str(head)]}, circuit {circuit}\noutput")
+        row[0].set_ylabel(f"{style.HEADS.get(str(head), head)}, circuit {circuit}\noutput")
         _totals(row[-1], rows)
+        row[-1].set_ylabel("share of the variance")
     for ax, frequency in zip(axes[0], frequencies, strict=False):
-        ax.set_title(f"frequency {frequency:g} rad⁻¹")
+        ax.set_title(f"frequency\n{frequency:g} rad⁻¹")
     for ax in axes[-1, :-1]:
         ax.set_xlabel("angle (wire)")
     axes[-1, -1].set_xlabel("frequency, rad⁻¹")
-    axes[0, -1].set_title("mean share")
+    axes[0, -1].set_title("mean over angles\nand outputs")
     figure.colorbar(image, ax=axes[:, :-1], label="share of the output's variance", aspect=30, pad=0.02, extend="min")
     style.footnote(
         figure,
         _accuracy(table),
         f"variance over uniform angles; blank: less than {MIN_SHARE:.2%} or outside the light cone",
+        "grey: variance that does not depend on the angle; bars of a circuit sum to 1",
         _spread(table),
         Path(run).name,
     )
@@ -63,11 +65,13 @@ def fourier_spectrum(run: str | Path) -> Figure:
 
 
 def _totals(ax: Axes, rows: pd.DataFrame) -> None:
-    """Bars of the mean share at each frequency; an angle outside an output's light cone counts as 0."""
+    """Bars of the mean share at each frequency, and at 0 the rest: the variance that does not depend on the angle."""
     pairs = rows["output"].nunique() * (rows["wire"].max() + 1)
     mean = rows.groupby("frequency")["share"].sum() / pairs
-    ax.bar(mean.index, mean, width=0.6 * np.diff(mean.index).min() if len(mean) > 1 else 0.6, color=style.PALETTE[0])
-    ax.set(xticks=list(mean.index))
+    width = 0.6 * np.diff([0.0, *mean.index]).min()
+    ax.bar(mean.index, mean, width=width, color=style.PALETTE[0])
+    ax.bar(0, 1 - mean.sum(), width=width, color=style.PALETTE[-1])
+    ax.set(xticks=[0, *mean.index], ylim=(0, 1))
     ax.grid(False, axis="x")
 
 

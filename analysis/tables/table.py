@@ -3,8 +3,9 @@
 pandas' Styler escapes neither `[` and `*` after the end of a LaTeX row nor `|` in Markdown, so cells are escaped here.
 """
 
+import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -38,6 +39,9 @@ _MARKDOWN = str.maketrans({"\\": r"\\", "|": r"\|", "`": r"\`"})
 # before one of ( [ :
 _MARKUP = re.compile(r"\*(?=\S)|(?<=\S)\*|<(?=[A-Za-z/!?])|\](?=[(\[:])")
 
+_MINUS = re.compile(r"(?<![\w.,)-])-(?=\.?\d)")
+"""The hyphen of a negative number, not that of a range, a date or a name."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -58,17 +62,24 @@ class Table:
         return "\n".join(lines)
 
     def latex(self) -> str:
-        """A `table` environment; needs the package booktabs."""
-        numbers = [_is_numeric(self.text[name]) for name in self.text.columns]
+        """A `table` environment with a label; needs the package booktabs.
+
+        Columns without any text are left out, but not the first. Headings `A: b` and `A: c` side by side share A.
+        """
+        first = self.text.columns[0]
+        shown = [name for name in self.text.columns if name == first or (self.text[name] != "").any()]
+        table = Table(self.title, self.text[shown], self.data, self.bold[shown], self.notes)
+        numbers = [_is_numeric(table.text[name]) for name in shown]
         lines = [
             r"\begin{table}",
             r"\centering",
             rf"\caption{{{latex_escape(self.title)}}}",
+            rf"\label{{tab:{_slug(self.title)}}}",
             rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numbers)}}}",
             r"\toprule",
-            " & ".join(latex_escape(name) for name in self.text.columns) + r" \\",
+            *_latex_heads(shown),
             r"\midrule",
-            *(" & ".join(row) + r" \\" for row in self._rows(latex_escape, r"\textbf{{{}}}")),
+            *(" & ".join(row) + r" \\" for row in table._rows(_latex_cell, r"\textbf{{{}}}")),
             r"\bottomrule",
             r"\end{tabular}",
             *(rf"\par\footnotesize {latex_escape(note)}" for note in self.notes),
@@ -88,6 +99,31 @@ class Table:
             [emphasis.format(escape(cell)) if bold else escape(cell) for cell, bold in zip(cells, marks, strict=True)]
             for cells, marks in zip(self.text.to_numpy(), self.bold.to_numpy(), strict=True)
         ]
+
+
+def _latex_heads(names: Sequence[str]) -> list[str]:
+    """The lines of headings: one, or two where some have a part before a colon in common."""
+    groups = [(key, list(own)) for key, own in itertools.groupby(names, lambda name: name.rpartition(": ")[0])]
+    groups = [
+        part for key, own in groups for part in ([(key, own)] if key and own[1:] else [("", [one]) for one in own])
+    ]
+    if not any(key for key, _ in groups):
+        return [" & ".join(map(latex_escape, names)) + r" \\"]
+    above, rules, below, column = [], [], [], 1
+    for key, own in groups:
+        above.append(rf"\multicolumn{{{len(own)}}}{{c}}{{{latex_escape(key)}}}" if key else "")
+        rules += [rf"\cmidrule(lr){{{column}-{column + len(own) - 1}}}"] if key else []
+        below += [latex_escape(name.rpartition(": ")[2] if key else name) for name in own]
+        column += len(own)
+    return [" & ".join(above) + r" \\", " ".join(rules), " & ".join(below) + r" \\"]
+
+
+def _latex_cell(text: str) -> str:
+    return _MINUS.sub("$-$", latex_escape(text))
+
+
+def _slug(text: str) -> str:
+    return "-".join(re.findall(r"[a-z0-9]+", text.lower()))
 
 
 def latex_escape(text: str) -> str:

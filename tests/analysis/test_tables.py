@@ -171,8 +171,9 @@ def test_a_table_is_the_same_in_every_format(store):
         r"\midrule",
         r"\bottomrule",
     ]
-    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} &  & 3 x 2 & 3 \\" in latex
-    assert r"\begin{tabular}{lrrlrrr}" in latex
+    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} & 3 x 2 & 3 \\" in latex
+    assert r"\begin{tabular}{lrrlrr}" in latex  # without the empty column `effect`
+    assert r"\label{tab:psnr-db-over-seeds}" in latex
     assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 [+1.00, +1.00] |  | 3 x 2 | 3 |" in table.markdown()
 
 
@@ -189,6 +190,29 @@ def test_a_terminal_gets_an_aligned_table_of_the_metrics_that_fit(store):
     assert max(map(len, some)) <= 90
     (note,) = [line for line in some if line.startswith("left out, because the terminal is narrow: ")]
     assert "time of a step" in " ".join(some[some.index(note) :])
+
+
+def test_latex_has_minus_signs_grouped_heads_and_no_empty_columns():
+    text = pd.DataFrame(
+        {
+            "row": ["2020-01-02", "3x64"],
+            "LPIPS": ["", ""],
+            "PSNR, dB: paper": ["-1.5", "30"],
+            "PSNR, dB: ours": ["-0.52 [-1.00, -.04]", "1e-06"],
+            "note: one": ["a-1", "b"],
+        }
+    )
+    lines = Table("A title", text, text, text == "nothing").latex().splitlines()
+    head = lines[lines.index(r"\toprule") + 1 : lines.index(r"\bottomrule")]
+    assert head == [
+        r" & \multicolumn{2}{c}{PSNR, dB} &  \\",
+        r"\cmidrule(lr){2-3}",
+        r"row & paper & ours & note: one \\",
+        r"\midrule",
+        r"2020-01-02 & $-$1.5 & $-$0.52 {[}$-$1.00, $-$.04{]} & a-1 \\",
+        r"3x64 & 30 & 1e-06 & b \\",
+    ]
+    assert r"\label{tab:a-title}" in lines
 
 
 SPECIAL = st.text(alphabet="ab \\{}$&#_%~^<>|[]*`±\n", max_size=12)
