@@ -32,7 +32,7 @@ class History:
         self,
         space: Space,
         objectives: Sequence[str],
-        store: str | Path,
+        store: Path,
         ids: Callable[[Point], Sequence[str]],
         groups: Mapping[str, str],
     ) -> None:
@@ -60,10 +60,10 @@ class History:
         """Those with a run in the store, in the order of their first runs, then the rejected ones."""
         options = [option for option in self.space if option not in self.groups]
         columns = ["run_id", "state", "error", "stopped", "created", "path", *goals.columns(self.objectives), *options]
-        frame = index.load(self.store, columns)
-        if len(frame):
-            frame = frame.sort_values(["created", "run_id"])
-        rows: dict[str, Mapping[Any, Any]] = {row["run_id"]: row for row in frame.to_dict("records")}
+        rows: dict[str, Mapping[Any, Any]] = {}
+        if self.store.is_dir() and len(frame := index.load(self.store, columns)):
+            ordered = frame.sort_values(["created", "run_id"])
+            rows = {row["run_id"]: row for row in ordered.to_dict("records")}
         found: dict[Point, None] = {}
         for name, row in rows.items():
             if name not in self._points:

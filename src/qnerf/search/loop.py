@@ -13,8 +13,11 @@ POLL = 10.0  # seconds between two looks at runs that another process trains
 
 @dataclass(frozen=True)
 class Options:
-    """trials: how many in all, with those in the store. at_once: launched together. startup: random trials before the
-    sampler learns. seed: of the sampler."""
+    """How to search.
+
+    trials: how many in all, with those in the store, without those whose run could not begin. at_once: launched
+    together. startup: random trials before the sampler learns. seed: of the sampler.
+    """
 
     trials: int
     at_once: int = 1
@@ -43,13 +46,13 @@ def search(
     if options.sampler not in SAMPLERS:
         raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
     trials = history.trials()
-    while not stopping():
+    while not stopping() and len(history.rejected) < options.trials:
         begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
         fresh = propose(
             history.space,
             history.objectives,
             trials,
-            max(min(options.at_once - len(begun), options.trials - len(trials)), 0),
+            max(min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials)), 0),
             sampler=options.sampler,
             startup=options.startup,
             seed=options.seed,

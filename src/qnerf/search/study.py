@@ -29,7 +29,7 @@ State = Literal["finished", "pruned", "failed", "unfinished"]
 _STATES = {
     "finished": TrialState.COMPLETE,
     "pruned": TrialState.PRUNED,
-    "failed": TrialState.FAIL,
+    "failed": TrialState.PRUNED,  # the worst there is; samplers learn nothing from FAIL and would propose it again
     "unfinished": TrialState.RUNNING,
 }
 
