@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("optuna", reason='needs pip install "qnerf[search]"')
@@ -187,6 +187,7 @@ def test_a_run_is_given_up_below_the_median_of_finished_runs(tmp_path):
     claim.run.interrupt()
 
 
+@settings(max_examples=30)
 @given(st.data())
 def test_what_a_search_draws_is_found_again_in_the_store(data):
     low, high = sorted(data.draw(st.tuples(st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))))

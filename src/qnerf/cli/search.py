@@ -31,6 +31,7 @@ from qnerf.config.bounds import NonNegativeInt, PositiveInt, Seed
 from qnerf.config.settings import only_acting
 from qnerf.metrics import metric_of
 from qnerf.records.files import one_line, replace
+from qnerf.records.filters import is_number
 from qnerf.search import objectives as goals
 from qnerf.search.history import History
 from qnerf.search.loop import Options, search
@@ -207,8 +208,8 @@ def values_of(override: Override, group: bool) -> Choices | Interval:
         return Choices(tuple(texts), tuple(texts))
     parser = OverridesParser.create()
     found = {text: parser.parse_override(f"{override.key_or_group}={text}").value() for text in texts}
-    different = {json.dumps(value): text for text, value in reversed(found.items())}  # 1 and 1.0 are one value
-    kept = [text for text in texts if text in different.values()]
+    same = {float(value) if is_number(value) else json.dumps(value): text for text, value in reversed(found.items())}
+    kept = [text for text in texts if text in same.values()]  # of 1 and 1.0, the first one
     return Choices(tuple(kept), tuple(found[text] for text in kept))
 
 
