@@ -221,7 +221,7 @@ def test_the_pareto_front_is_drawn_and_named(frame):
     assert step.get_xdata()[0] == table["train_s"].min()
     listed = [text.get_text() for text in figure.legends[0].get_texts()]
     assert listed == [f"{number}  {name}" for number, name in enumerate(on["name"], 1)]
-    with pytest.raises(ValueError, match="unknown time 'hours'; known: step_ms, train_s"):
+    with pytest.raises(ValueError, match="unknown cost 'hours'; known: step_ms, train_s, "):
         figures.speed_vs_error(frame, "hours")
 
 

@@ -4,6 +4,7 @@ The values that a sweep would combine are the space of the search. The trials ru
 """
 
 import copy
+import importlib
 import json
 import os
 import sys
@@ -29,7 +30,7 @@ from qnerf.cli.text import console
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeInt, PositiveInt, Seed
 from qnerf.config.settings import only_acting
-from qnerf.metrics import metric_of
+from qnerf.metrics import HEAD_PARAMETERS, metric_of
 from qnerf.records.files import one_line, replace
 from qnerf.records.filters import is_number
 from qnerf.search import objectives as goals
@@ -146,6 +147,8 @@ class OptunaSweeper(Sweeper):
                 sweep.fail(self.jobs, [*fixed, *overrides(space, point)], reason)
                 self.jobs += 1
         show(space, options["objectives"], trials)
+        for path in draw(options["objectives"], trials, store, sweep.folder):
+            print(path)
 
     def _at_once(self) -> int:
         wanted = self.options["n_jobs"] or self.config.hydra.launcher.get("n_jobs") or 1
@@ -216,14 +219,13 @@ def values_of(override: Override, group: bool) -> Choices | Interval:
 def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> None:
     """Prints the best trials, or the Pareto front of several objectives."""
     out = console()
-    front = best(space, objectives, trials)
     if len(objectives) == 1:
         finished = [trial for trial in trials if trial.state == "finished"]
         upwards = goals.direction(objectives[0]) == "maximize"
         listed = sorted(finished, key=lambda trial: trial.values[0], reverse=upwards)[:SHOWN]
         title = f"best {len(listed)} of {len(trials)} trials"
     else:
-        listed = sorted(front, key=lambda trial: trial.values)
+        listed = sorted(best(space, objectives, trials), key=lambda trial: trial.values)
         title = f"Pareto front: {len(listed)} of {len(trials)} trials"
     states = [trial.state for trial in trials]
     counts = ", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states))
@@ -240,3 +242,21 @@ def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> No
     ]
     if rows:
         print_table(out, columns, rows)
+
+
+def draw(objectives: Sequence[str], trials: Sequence[Trial], store: Path, folder: Path) -> list[Path]:
+    """A figure of the front for each cost beside the judged objective, `front_<cost>.png`; as many as can be drawn."""
+    quality = goals.judged(objectives)
+    names = [name for trial in trials if trial.state == "finished" for name in trial.runs]
+    if quality is None or len(objectives) == 1 or not names:
+        return []
+    figures, load = (importlib.import_module(f"qnerf.analysis.{name}") for name in ("figures", "load"))
+    frame = load.runs(store)
+    frame = frame[frame["run_id"].isin(names)]
+    frame = frame.assign(**{"params.heads": frame[list(HEAD_PARAMETERS)].sum(axis=1)})
+    written: list[Path] = []
+    for cost in objectives:
+        if metric_of(cost).kind in ("size", "time"):
+            figure = figures.speed_vs_error(frame, cost, quality)
+            written += figures.save(figure, folder / f"front_{cost}", ["png"])
+    return written
