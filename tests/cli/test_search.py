@@ -48,7 +48,7 @@ def start(store: Path, *overrides: str) -> subprocess.Popen:
 def test_a_search_killed_by_the_system_goes_on_prunes_and_ends_with_a_table(tiny_scene, tmp_path):
     store = tmp_path / "runs"
     search = (
-        "hydra.sweeper.n_trials=5", "hydra.sweeper.startup=5", "hydra.sweeper.prune={least: 2, percentile: 1}",
+        "hydra.sweeper.n_trials=5", "hydra.sweeper.startup=5", "hydra.sweeper.prune={least: 2, percentile: 99}",
         "train.steps=20", "train.eval_every=5", "scene=nerfstudio", f"scene.path={tiny_scene}", "field=classical",
         "train.lr=tag(log,interval(1e-4,1e-1))",
     )  # fmt: skip

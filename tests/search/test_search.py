@@ -177,6 +177,7 @@ def test_a_run_is_given_up_below_the_median_of_finished_runs(tmp_path):
     assert claim.run is not None
     assert judge(path, 5, {"psnr": 17.0})
     assert not judge(path, 5, {"psnr": 19.0})
+    assert not Judge(bench.store.root, ["psnr"], peers, 25)(path, 5, {"psnr": 18.3}), "the worst has 18.2"
     assert not judge(path, 4, {"psnr": 17.0}), "nobody was evaluated after step 4"
     assert not judge(path, 5, {"psnr": None})
     assert not Judge(bench.store.root, ["psnr"], peers, warmup=6)(path, 5, {"psnr": 17.0})

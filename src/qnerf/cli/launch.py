@@ -46,7 +46,6 @@ from qnerf.config.folders import CONF
 
 LAUNCHERS = {
     "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
-    "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
     "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
     "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
 }

@@ -18,14 +18,15 @@ from qnerf.search.history import curve
 
 @dataclass(frozen=True)
 class Judge:
-    """Gives a run up if its metric is worse than the `percentile` of finished runs were after the same step.
+    """Gives a run up if its metric is worse than those of finished runs were after the same step.
 
     With several objectives, it is compared with runs that are no worse in each of the others: a small model may be
     worse than a large one.
 
     objectives: of the search. The first one that evaluations measure is judged; where there is none, nothing is given
-        up. peers: ids of finished runs, in `store`. least: fewer runs than these to compare with give nothing up.
-        warmup: steps before which nothing is.
+        up. peers: ids of finished runs, in `store`. percentile: of them; 50: below their median, 25: below the better
+        three quarters of them. least: with fewer runs to compare with, nothing is given up. warmup: the same before
+        this step.
     """
 
     store: Path
@@ -46,7 +47,7 @@ class Judge:
         curves = [curve(folder, metric) for folder in folders if no_worse(costs(folder, others), own)]
         study = optuna.create_study(direction=goals.direction(metric))
         study.add_trials([create_trial(value=0.0, intermediate_values=points) for points in curves])
-        pruner = PercentilePruner(self.percentile, self.least, self.warmup, n_min_trials=self.least)
+        pruner = PercentilePruner(100 - self.percentile, self.least, self.warmup, n_min_trials=self.least)
         values = curve(path, metric) | {step: float(measured[metric])}
         running = create_trial(state=TrialState.RUNNING, intermediate_values=values)
         return bool(pruner.prune(study, running))
