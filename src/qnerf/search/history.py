@@ -52,7 +52,7 @@ class History:
         return self._known_ids.get(point, ())
 
     def reject(self, point: Point, reason: str) -> None:
-        """The point failed without a run in the store."""
+        """The point failed without a run in the store. reason: empty if it was told already."""
         self.rejected[point] = reason
         self._known_ids[point] = ()
 

@@ -68,7 +68,7 @@ def search(
         known = {trial.point: trial for trial in history.trials()}
         for point in batch:
             if point not in known:
-                history.reject(point, "its job failed before the run began")
+                history.reject(point, "")  # its job failed before the run began, and has told why
         trials = history.trials()
         left = [known[point] for point in begun if point in known and known[point].state == "unfinished"]
         if left and len(left) == len(batch):
