@@ -48,13 +48,13 @@ def start(store: Path, *overrides: str) -> subprocess.Popen:
 def test_a_search_killed_by_the_system_goes_on_prunes_and_ends_with_a_table(tiny_scene, tmp_path):
     store = tmp_path / "runs"
     search = (
-        "hydra.sweeper.n_trials=5", "hydra.sweeper.startup=5", "hydra.sweeper.prune={least: 2, percentile: 99}",
-        "train.steps=20", "train.eval_every=5", "scene=nerfstudio", f"scene.path={tiny_scene}", "field=classical",
+        "hydra.sweeper.n_trials=4", "hydra.sweeper.startup=5", "hydra.sweeper.prune={least: 2, percentile: 99}",
+        "train.steps=10", "train.eval_every=5", "scene=nerfstudio", f"scene.path={tiny_scene}", "field=classical",
         "train.lr=tag(log,interval(1e-4,1e-1))",
     )  # fmt: skip
     process = start(store, *search)
     deadline = time.monotonic() + 200
-    while not (len(runs(store)) == 3 and [state(path) for path in runs(store)].count("running") == 1):
+    while len(runs(store)) < 3:
         assert time.monotonic() < deadline
         assert process.poll() is None, process.stderr and process.stderr.read()
         time.sleep(0.02)
@@ -63,16 +63,16 @@ def test_a_search_killed_by_the_system_goes_on_prunes_and_ends_with_a_table(tiny
     before = {path: (path / "summary.parquet").stat() for path in runs(store) if state(path) == "finished"}
     stdout, stderr = (again := start(store, *search)).communicate(timeout=300)
     assert again.returncode == 0, stderr
-    assert len(runs(store)) == 5
+    assert len(runs(store)) == 4
     assert {path: (path / "summary.parquet").stat() for path in before} == before
     ends = {path: (state(path), read_summary(path).get("stopped")) for path in runs(store)}
     assert set(ends.values()) <= {("finished", None), ("interrupted", "pruned")}
     pruned = sum(end[1] == "pruned" for end in ends.values())
     assert pruned, "the third is between the first two, and only the best of them counts"
     closing = stdout.rpartition("\n\n")[2]
-    assert closing.startswith(f"best {5 - pruned} of 5 trials (")
+    assert closing.startswith(f"best {4 - pruned} of 4 trials (")
     assert f"{pruned} pruned" in closing
-    assert closing.count("train.lr=") == 5 - pruned
+    assert closing.count("train.lr=") == 4 - pruned
     assert stdout.count("pruned at step") == pruned
 
 
