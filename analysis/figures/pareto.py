@@ -4,14 +4,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qnerf.metrics import metric_of
+from qnerf.metrics import METRICS, metric_of
 
 from .. import style
 from ..marks import Mark, arrange
 from ..selection import select
 from . import benchmarks, points
 
-TIMES = ("step_ms", "train_s")
+COSTS = ("step_ms", "train_s", *(key for key, metric in METRICS.items() if metric.kind == "size"))
 
 
 def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
@@ -29,10 +29,11 @@ def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
 def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> pd.DataFrame:
     """`points.points` of an image metric and a time, with `front`: whether the row is on its scene's Pareto front.
 
-    time: step_ms, the median time of a step, or train_s, seconds of training; ValueError for any other.
+    time: step_ms, the median time of a step; train_s, seconds of training; or a number of parameters instead, such as
+        params.total. ValueError for any other.
     """
-    if time not in TIMES:
-        raise ValueError(f"unknown time {time!r}; known: {', '.join(TIMES)}")
+    if time not in COSTS:
+        raise ValueError(f"unknown cost {time!r}; known: {', '.join(COSTS)}")
     table = points.points(select(frame, metric).runs, [metric, time])
     return _with_fronts(table, "scene_name", table[time], -metric_of(metric).sign * table[metric])
 

@@ -35,12 +35,13 @@ from qnerf.training.evaluation import Evaluator, colormap
 from qnerf.training.preview import Preview
 from qnerf.training.state_checks import largest_state
 from qnerf.training.stop_requests import stop_requests
+from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a command ended: `state` is finished, interrupted, or busy (another process writes the run)."""
+    """How a command ended: `state` is finished, interrupted, pruned, or busy (another process writes the run)."""
 
     run_id: str
     path: Path
@@ -132,6 +133,9 @@ class SignalTask:
         return SignalEvaluator(self.model, self.scene, self.settings, watch)
 
 
+Unpromising = Callable[[Path, int, Measures], bool]
+"""Whether to give a run up, from its folder, the step and the means of its evaluation."""
+
 Task = FieldTask | SignalTask
 """What a run trains on, what it trains, how a step's loss is computed, and how the result is judged."""
 
@@ -142,12 +146,15 @@ def run(
     display: Display | None = None,
     stopping: Callable[[], bool] = lambda: False,
     name: str | None = None,
+    unpromising: Unpromising = lambda path, step, measured: False,
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
     stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
         checkpoint.
     name: id of an existing run; older runs keep their original id.
+    unpromising: called after every evaluation but the last. If it is true, the run is pruned: it stops with a
+        checkpoint, its summary says so (`stopped`), and a search does not continue it. Everybody else may.
 
     Raises:
         ValueError: a mistake in the configuration or the scene; nothing has been written.
@@ -183,10 +190,12 @@ def run(
             store.write_transform(scene.transform.numpy())
             if not store.resumed and config["scene"].get("path") and (doubt := poses.warning(scene)):
                 display.note(f"warning: {doubt}")
-        return _execute(task, store, display, lambda: bool(stops) or stopping())
+        return _execute(task, store, display, lambda: bool(stops) or stopping(), unpromising)
 
 
-def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bool]) -> Outcome:
+def _execute(
+    task: Task, store: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
+) -> Outcome:
     settings, scene = task.settings, task.scene
     watch = Stopwatch(settings.torch_device, task.model, QuantumLayer)
     trainer, evaluator = task.trainer(watch, store), task.evaluator(watch)
@@ -196,6 +205,11 @@ def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bo
         trainer.load(checkpoint)
     if store.resumed:
         store.resume(trainer.step)
+        store.write_summary({"stopped": None})
+    pruned = False
+
+    def stopping() -> bool:
+        return pruned or stopped()
 
     train = settings.train
     measured = None
@@ -204,6 +218,7 @@ def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bo
 
     def assess() -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
+        nonlocal pruned
         views = scene.eval if trainer.done else curve_views
         rows, result = evaluate(evaluator, store, views, trainer.step, stopping, display.phase)
         if result is not None:
@@ -212,6 +227,7 @@ def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bo
             store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
             measured_on = f"{len(curve_views)} of {len(scene.eval)} views" if isinstance(scene, Scene) else ""
             display.held_out(trainer.step, scene.headline, curve[scene.headline], measured_on)
+            pruned = not trainer.done and unpromising(store.dir, trainer.step, curve)
         return result
 
     def is_due() -> bool:
@@ -236,19 +252,28 @@ def _execute(task: Task, store: Run, display: Display, stopping: Callable[[], bo
     finally:
         display.end()
     if not trainer.done or measured is None:
-        store.interrupt()
-        message = f"stopped at step {trainer.step} of {train.steps}; the same command continues from there"
-        return Outcome(store.run_id, store.dir, "interrupted", read_summary(store.dir), message)
+        return _stop(store, trainer.step, train.steps, pruned)
 
     timings = {
         "train_s": trainer.seconds,
         "step_ms": median_ms(trainer.step_seconds),
         "steps": trainer.step,
-        "stopped": "plateau" if trainer.plateau.reached else None,
+        "stopped": PLATEAU if trainer.plateau.reached else None,
         "peak_memory_mb": peak_memory_mb(settings.torch_device),
     }
     store.finish(measured | timings | part_times(store.dir))
     return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
+
+
+def _stop(store: Run, step: int, steps: int, pruned: bool) -> Outcome:
+    """Ends a run that is not finished."""
+    if pruned:
+        store.write_summary({"stopped": PRUNED})
+        message = f"pruned at step {step} of {steps}: finished runs were better by then"
+    else:
+        message = f"stopped at step {step} of {steps}; the same command continues from there"
+    store.interrupt()
+    return Outcome(store.run_id, store.dir, PRUNED if pruned else "interrupted", read_summary(store.dir), message)
 
 
 def was_evaluated(path: Path, step: int) -> bool:

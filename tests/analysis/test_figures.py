@@ -232,7 +232,7 @@ def test_the_pareto_front_is_drawn_and_named(frame):
     front = {tuple(place) for place in on[["train_s", "psnr"]].to_numpy()}
     assert set(named.values()) == front or "no room for the names" in footnote(figure)
     assert set(named.values()) <= front
-    with pytest.raises(ValueError, match="unknown time 'hours'; known: step_ms, train_s"):
+    with pytest.raises(ValueError, match="unknown cost 'hours'; known: step_ms, train_s, "):
         figures.speed_vs_error(frame, "hours")
 
 

@@ -46,11 +46,13 @@ from qnerf.config.folders import CONF
 
 LAUNCHERS = {
     "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
-    "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
     "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
     "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
 }
 """Launcher -> the module of its plugin, and the extra that installs it."""
+
+SEARCH = "qnerf_optuna"
+"""The sweeper that searches instead of training every combination."""
 
 STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
 RETRY = 10.0  # seconds between attempts to take over the run of a dead job
@@ -70,10 +72,13 @@ class SweepStart(Callback):
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         launcher = config.hydra.runtime.choices["hydra/launcher"]
         _require(launcher)
+        searches = config.hydra.runtime.choices["hydra/sweeper"] == SEARCH
+        if searches:
+            _require_search()
         _rename_swept(config)
         try:
             bounds.check("store", config.store, Annotated[str, MinLen(1)])  # the sweep's folder is inside
-            _limit_processes(config, _count_jobs(config))
+            _limit_processes(config, 1 if searches else _count_jobs(config))
         except (ValueError, HydraException, OmegaConfBaseException) as error:
             sys.exit(report(error))  # Hydra would only warn
         sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
@@ -141,6 +146,15 @@ def _require(launcher: str) -> None:
     if importlib.util.find_spec("hydra_plugins") is None or importlib.util.find_spec(module) is None:
         print(f'error: hydra/launcher={launcher} needs a plugin: pip install "qnerf[{extra}]"', file=sys.stderr)
         sys.exit(2)
+
+
+def _require_search() -> None:
+    if importlib.util.find_spec("optuna") is None:
+        print(f'error: hydra/sweeper={SEARCH} needs Optuna: pip install "qnerf[search]"', file=sys.stderr)
+        sys.exit(2)
+    from qnerf.cli import search
+
+    search.register()
 
 
 def _stop_together(sweep: Sweep) -> None:
@@ -271,16 +285,27 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         config["threads"] = int(cpus)
     display = LiveDisplay(console, live=config["run"]["progress"])
     stopping = partial(_stopping, sweep)
-    outcome = run(config, overrides, display, stopping)
+    unpromising = _judge(sweep, config["store"])
+    outcome = run(config, overrides, display, stopping, unpromising=unpromising)
     # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
     deadline = time.monotonic() + (PATIENCE if "SLURM_RESTART_COUNT" in os.environ else 0)
     while outcome.state == "busy" and time.monotonic() < deadline:
         display.note(f"{outcome.message}; waiting for its heartbeat to stop")
         time.sleep(RETRY)
-        outcome = run(config, overrides, display, stopping)
+        outcome = run(config, overrides, display, stopping, unpromising=unpromising)
     print_outcome(console, outcome, prefix)
     if outcome.state == "interrupted" and not prefix:
         sys.exit(ends.stopped_code())
+
+
+def _judge(sweep: Sweep | None, store: str) -> Any:
+    """What a job of a search gives up by; any other run is never given up."""
+    if sweep is not None and HydraConfig.get().runtime.choices["hydra/sweeper"] == SEARCH:
+        from qnerf.cli.search import judge
+
+        if (found := judge(sweep.folder, Path(store))) is not None:
+            return found
+    return lambda path, step, measured: False
 
 
 def _is_known(error: Exception) -> bool:

@@ -106,7 +106,7 @@ def read(run_dir: str | Path) -> Details:
     }
     # A run that has just started, or that another program wrote, may lack these two.
     if (overrides := folder / "overrides.txt").exists():
-        details.overrides = attempt(_read_lines, overrides, [])
+        details.overrides = attempt(read_overrides, overrides, [])
     if (environment := folder / "environment.json").exists():
         details.environment = attempt(read_json, environment, nothing)
     details.evaluation = attempt(read_evaluation, folder, pd.DataFrame())
@@ -121,5 +121,6 @@ def _checked_status(path: Path) -> dict[str, Any]:
     return status
 
 
-def _read_lines(path: Path) -> list[str]:
+def read_overrides(path: Path) -> list[str]:
+    """What the user typed to start the run, from its overrides.txt."""
     return read_bytes(path, MAX_OVERRIDES_BYTES).decode(errors="backslashreplace").splitlines()

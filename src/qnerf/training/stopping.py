@@ -1,8 +1,15 @@
-"""Early stopping, judged by training rays that are held out for validation. Held-out views play no part."""
+"""Early stopping, judged by training rays that are held out for validation. Held-out views play no part.
+
+Why a run stopped before its last step is in its summary, as `stopped`.
+"""
 
 import math
 from dataclasses import dataclass
 from typing import Any
+
+PLATEAU, PRUNED = "plateau", "pruned"
+"""Values of `stopped`: training no longer gained; or a search gave the run up, which is then interrupted, not finished.
+"""
 
 
 @dataclass

@@ -44,6 +44,9 @@ GROUPS = {
         "pack": "the runs as a few small tables, to keep beside a paper",
         "results": "one page about several packed folders",
     },
+    "set up": {
+        "completion": "the script with which bash, zsh or fish completes commands, options and runs",
+    },
 }
 """Title -> command -> purpose, in the order of `qnerf --help`."""
 

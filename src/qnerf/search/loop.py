@@ -1,0 +1,78 @@
+"""The search itself: read the trials, propose more, train them, until there are enough."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from qnerf.search.history import History
+from qnerf.search.space import Point
+from qnerf.search.study import SAMPLERS, Trial, propose
+
+POLL = 10.0  # seconds between two looks at runs that another process trains
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to search.
+
+    trials: how many in all, with those in the store, without those whose run could not begin. at_once: launched
+    together. startup: random trials before the sampler learns. seed: of the sampler.
+    """
+
+    trials: int
+    at_once: int = 1
+    sampler: str = "tpe"
+    startup: int = 5
+    seed: int = 0
+
+
+def search(
+    history: History,
+    options: Options,
+    launch: Callable[[Sequence[Point], Sequence[Trial]], None],
+    stopping: Callable[[], bool] = lambda: False,
+) -> list[Trial]:
+    """Trains until there are `options.trials` trials, or the space has no more; returns them.
+
+    launch: trains the runs of some points and returns when they have ended, whatever became of them; it also gets the
+        trials so far. stopping: called before each launch. Once it is true, the search ends.
+
+    Trials that were begun come first. One whose run is still unfinished when it has been launched ends the search,
+    unless another process trains it.
+
+    Raises:
+        ValueError: no such sampler.
+    """
+    if options.sampler not in SAMPLERS:
+        raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
+    trials = history.trials()
+    while not stopping() and len(history.rejected) < options.trials:
+        begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
+        fresh = propose(
+            history.space,
+            history.objectives,
+            trials,
+            max(min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials)), 0),
+            sampler=options.sampler,
+            startup=options.startup,
+            seed=options.seed,
+        )
+        batch = [point for point in (*begun, *fresh) if history.ids(point)]
+        if not begun and not fresh:
+            break
+        if batch:
+            launch(batch, trials)
+        if stopping():
+            trials = history.trials()
+            break
+        known = {trial.point: trial for trial in history.trials()}
+        for point in batch:
+            if point not in known:
+                history.reject(point, "")  # its job failed before the run began, and has told why
+        trials = history.trials()
+        left = [known[point] for point in begun if point in known and known[point].state == "unfinished"]
+        if left and len(left) == len(batch):
+            if not any(trial.running for trial in left):
+                break
+            time.sleep(POLL)
+    return trials
