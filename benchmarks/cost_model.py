@@ -20,9 +20,8 @@ from scipy.optimize import least_squares
 
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.compiled.simd import VECTOR_BYTES
-from qnerf.quantum.cost_model import Rates, choose_engine, expected_seconds
+from qnerf.quantum.cost_model import Rates, choose_engine, expected_seconds, forms_of
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.normal_form import normal_form
 
 RESULT = Path(__file__).parent / "results" / "cost_model.parquet"
 WIRES = (1, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20)
@@ -71,9 +70,8 @@ def expected(grid: pd.DataFrame, rates: Rates) -> np.ndarray:
     for wires, spectral, batch in grid[["wires", "spectral", "batch"]].itertuples(index=False):
         circuit = ANSATZE.build("qiren", int(wires), int(spectral))
         cost = choose_engine(circuit, "auto", int(batch), torch.float32, compiled=True)
-        seconds.append(
-            expected_seconds(normal_form(circuit), cost.batch, 4, cost.operations, cost.operations_once, rates)
-        )
+        counts = cost.operations, cost.operations_once
+        seconds.append(expected_seconds(forms_of(circuit), circuit.wires, cost.batch, 4, *counts, rates))
     return np.array(seconds)
 
 

@@ -18,7 +18,7 @@ from qnerf.experiment import run
 from qnerf.probes import PROBES, cost, diagnostics, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
-from qnerf.quantum.lightcone import interpolation
+from qnerf.quantum.cones import find_cones
 from qnerf.quantum.pennylane import apply
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
@@ -43,7 +43,7 @@ def test_the_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
     stacked = statevector.stacked(circuit.weights1, circuit.weights2).detach()
     coefficients = lightcone.coefficients(circuit.circuit, stacked).numpy()
     half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
-    for output, cone in enumerate(interpolation(circuit.circuit).cones.cones):
+    for output, cone in enumerate(find_cones(circuit.circuit).cones):
         square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
         for axis, wire in enumerate(cone.wires):
             marginal = square.sum(tuple({0, 1, 2} - {axis}))
