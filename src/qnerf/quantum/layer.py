@@ -173,7 +173,7 @@ class QuantumLayer(nn.Module):
         parameters = [getattr(self, name) for name in self.circuit.parameters]
         dtype = torch.promote_types(x.dtype, parameters[-1].dtype) if parameters else x.dtype
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
-        angles = x.reshape(prod(x.shape[:-1]), features).to(dtype)
+        angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).to(dtype)
         with torch.autocast(x.device.type, enabled=False):
             if self.circuit.reuploading:
                 weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
@@ -183,7 +183,7 @@ class QuantumLayer(nn.Module):
                 out = operator.evaluate(angles, weights, self._number)
             else:
                 out = self.evaluate(angles, weights)
-        return out.reshape(*x.shape[:-1], out.shape[-1])
+        return out if x.ndim == 2 else out.reshape(*x.shape[:-1], out.shape[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs (B, features) in radians.

@@ -41,7 +41,8 @@ class Simulator:
         if method == "lightcone":
             find = lightcone.LightConeEngine if circuit.reuploading else find_cones
             self._cone = find(circuit)  # type: ignore[assignment]  # of other circuits an error
-        if is_split(circuit):
+        self._is_split = is_split(circuit)
+        if self._is_split:
             return
         what = f"one sample of a circuit of {circuit.wires} wires"
         if circuit.reuploading:
@@ -73,7 +74,7 @@ class Simulator:
             compiled = on_cpu and self.backend != "torch" and not transformed
             if self.circuit.reuploading:
                 self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
-            elif is_split(self.circuit):
+            elif self._is_split:
                 costs = [own.cost(batch, device, dtype, transformed) for _, own in self.parts]
                 self._costs[key] = of_registers(costs, self.circuit, dtype)
             else:
@@ -92,7 +93,7 @@ class Simulator:
             if self._cone is None:
                 self._cone = lightcone.LightConeEngine(self.circuit)
             return lightcone.evaluate(self._cone, x, weights)
-        if is_split(self.circuit):
+        if self._is_split:
             return self.of_registers(x, weights)
         if cost.backend == "torch":
             if self.circuit.reuploading:
