@@ -16,7 +16,6 @@ from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.simulator import Backend, Simulator
 
-_UPLOADING = "expect a data re-uploading circuit"
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 
 
@@ -116,8 +115,8 @@ class QuantumLayer(nn.Module):
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
             own = measurement.Conditions(**measured, joint=False, patterns=patterns, gradients=True)
             if own.shots is not None or own.noisy:
-                if not self.circuit.reuploading:
-                    raise ValueError(f"shots and noise {_UPLOADING}, got {self.circuit.name}")
+                if own.noisy and not self.circuit.reuploading:
+                    raise ValueError(f"noise expects a data re-uploading circuit, got {self.circuit.name}")
                 self.conditions = own
         self._simulator = None if method == "pennylane" else Simulator(self.circuit, method, backend)
         for name, values in _initial_weights(self.circuit, init).items():
@@ -193,8 +192,6 @@ class QuantumLayer(nn.Module):
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
-        if not self.circuit.reuploading:
-            raise ValueError(f"hardware conditions {_UPLOADING}, got {self.circuit.name}")
         return measurement.measure(self.circuit, x, weights, self._exact, conditions)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:

@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from qnerf.quantum.circuit import (
     MAX_WIRES,
@@ -81,6 +83,12 @@ class Measured:
     values: int
     combination: np.ndarray | None
     constants: np.ndarray
+
+    def outputs(self, values: Tensor) -> Tensor:
+        """Outputs (B, outputs) for values (B, values)."""
+        if self.combination is None:
+            return values
+        return values @ torch.from_numpy(self.combination).to(values).T + torch.from_numpy(self.constants).to(values)
 
 
 @lru_cache(maxsize=256)
