@@ -8,7 +8,9 @@ minutes; the largest circuits take 3 GiB.
 
 import argparse
 import time
+from collections.abc import Iterable
 from dataclasses import astuple, fields
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -20,32 +22,31 @@ from scipy.optimize import least_squares
 
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.compiled.simd import VECTOR_BYTES
-from qnerf.quantum.cost_model import Rates, choose_engine, expected_seconds
+from qnerf.quantum.cost_model import Rates, choose_engine, expected_seconds, forms_of
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.normal_form import normal_form
 
 RESULT = Path(__file__).parent / "results" / "cost_model.parquet"
 WIRES = (1, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20)
 SPECTRAL = (1, 2, 4)
+WIDE = (32, 64)  # wires, with S = 1
 BATCHES = (1, 16, 100, 1024, 6144, 32768)
 MOST_OPERATIONS, MOST_MEMORY = 7.5e10, 3e9  # of a step
 
 
-def measure() -> pd.DataFrame:
-    """Seconds of a step for each case."""
+def measure(circuits: Iterable[tuple[int, int]]) -> pd.DataFrame:
+    """Seconds of a step for each case; circuits: wires and S of each."""
     rows: list[dict[str, Any]] = []
-    for wires in WIRES:
-        for spectral in SPECTRAL:
-            layer = QuantumLayer(wires, spectral)
-            for batch in BATCHES:
-                cost = layer.cost(batch)
-                if cost.operations * max(batch, 16) + 2 * cost.operations_once > MOST_OPERATIONS:
-                    continue
-                if cost.memory > MOST_MEMORY:
-                    continue
-                row = {"wires": wires, "spectral": spectral, "batch": batch, "seconds": seconds_of(layer, batch)}
-                rows.append(row | {"vector_bytes": VECTOR_BYTES})
-                print(row, flush=True)
+    for wires, spectral in circuits:
+        layer = QuantumLayer(wires, spectral)
+        for batch in BATCHES:
+            cost = layer.cost(batch)
+            if cost.operations * max(batch, 16) + 2 * cost.operations_once > MOST_OPERATIONS:
+                continue
+            if cost.memory > MOST_MEMORY:
+                continue
+            row = {"wires": wires, "spectral": spectral, "batch": batch, "seconds": seconds_of(layer, batch)}
+            rows.append(row | {"vector_bytes": VECTOR_BYTES})
+            print(row, flush=True)
     return pd.DataFrame(rows)
 
 
@@ -71,9 +72,8 @@ def expected(grid: pd.DataFrame, rates: Rates) -> np.ndarray:
     for wires, spectral, batch in grid[["wires", "spectral", "batch"]].itertuples(index=False):
         circuit = ANSATZE.build("qiren", int(wires), int(spectral))
         cost = choose_engine(circuit, "auto", int(batch), torch.float32, compiled=True)
-        seconds.append(
-            expected_seconds(normal_form(circuit), cost.batch, 4, cost.operations, cost.operations_once, rates)
-        )
+        counts = cost.operations, cost.operations_once
+        seconds.append(expected_seconds(forms_of(circuit), circuit.wires, cost.batch, 4, *counts, rates))
     return np.array(seconds)
 
 
@@ -91,7 +91,8 @@ def main() -> None:
     parser.add_argument("--saved", action="store_true", help="fit to the saved grid instead of measuring a new one")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    grid = pd.read_parquet(RESULT) if options.saved else measure()
+    circuits = [*product(WIRES, SPECTRAL), *product(WIDE, [1])]
+    grid = pd.read_parquet(RESULT) if options.saved else measure(circuits)
     if not options.saved:
         grid.to_parquet(RESULT)
     rates = fit(grid)

@@ -69,7 +69,7 @@ def test_qfgn_feeds_gaussian_weighted_fourier_features_to_the_circuit():
         ("qiren", {"layers": 0}, "layers must be between 1 and 64, got 0"),
         ("qiren", {"spectral": 0}, "spectral"),
         ("qiren", {"qubits": 0}, "got 0"),
-        ("qiren", {"qubits": 40}, "qubits must be between 1 and 20"),
+        ("qiren", {"qubits": 2000}, "qubits must be between 1 and 1024"),
         ("qiren", {"ansatz": "nope"}, "nope"),
         ("qiren", {"init": "nope"}, "nope"),
         ("qfgn", {"features": 3}, "even"),

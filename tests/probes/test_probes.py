@@ -15,10 +15,11 @@ from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import run
+from qnerf.heads import HEADS
 from qnerf.probes import PROBES, cost, diagnostics, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone, statevector
-from qnerf.quantum.circuit import ANSATZE
-from qnerf.quantum.lightcone import interpolation
+from qnerf.quantum.circuit import ANSATZE, Amplitudes, Circuit, Gate, Weights, feature, weight
+from qnerf.quantum.cones import find_cones
 from qnerf.quantum.pennylane import apply
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
@@ -43,7 +44,7 @@ def test_the_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
     stacked = statevector.stacked(circuit.weights1, circuit.weights2).detach()
     coefficients = lightcone.coefficients(circuit.circuit, stacked).numpy()
     half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
-    for output, cone in enumerate(interpolation(circuit.circuit).cones.cones):
+    for output, cone in enumerate(find_cones(circuit.circuit).cones):
         square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
         for axis, wire in enumerate(cone.wires):
             marginal = square.sum(tuple({0, 1, 2} - {axis}))
@@ -234,6 +235,30 @@ def test_gates_and_depth_are_those_of_pennylane(name, wires):
         apply(circuit, torch.zeros(wires), torch.zeros(circuit.rows, wires, 3))
     counted = tape.specs["resources"]
     assert cost.gate_counts(circuit) == (counted.gate_sizes[1], counted.gate_sizes.get(2, 0), counted.depth)
+
+
+def test_gates_are_counted_after_their_decomposition():
+    def counts(*gates):
+        circuit = Circuit("own", 3, 0, 0, gates, (((0, "Z"),),), weights=(Weights("w", (16,)),))
+        return cost.gate_counts(circuit)[1], cost.shifts(circuit)
+
+    w = [weight("w", index) for index in range(16)]
+    assert counts(Gate("Toffoli", (0, 1, 2))) == (6, 1)
+    assert counts(Gate("SWAP", (0, 1)), Gate("CRY", (0, 2), (w[0],))) == (5, 5)
+    assert counts(Gate("MultiRZ", (0, 1, 2), (w[1],)), Gate("RX", (0,), (feature(0),))) == (4, 5)
+    assert counts(Amplitudes((0, 1, 2), tuple(w[:8]))) == (2**3 - 2, 1 + 2 * 7)
+    assert counts(Amplitudes((0, 1, 2), tuple(w[:8]), tuple(w[8:]))) == (2 * (2**3 - 2), 1 + 2 * 14)
+
+
+def test_the_cost_of_an_amplitude_head_includes_the_preparation():
+    head = HEADS.build("amplitude", 8, 3, registers=[3, 2], layers=1, uploads=1, joint=True)
+    (system,) = head.systems
+    circuit = cost.circuit_of(system)
+    prepared = (2**3 - 2) + (2**2 - 2)
+    assert cost.gate_counts(circuit)[1] == prepared + 2 * 5  # and two rings of CZ
+    assert cost.shifts(circuit) == 1 + 2 * (7 + 3 + 2 * 5 + 5)
+    with pytest.raises(ValueError, match="unitary=dense, which is a matrix"):
+        cost.circuit_of(HEADS.build("amplitude", 8, 3, unitary="dense").systems[0])
 
 
 def test_the_command_knows_every_probe():

@@ -241,8 +241,8 @@ def test_any_batch_shape_and_number_of_weights() -> None:
     )
     assert torch.allclose(fixed(torch.zeros(4, 0)), torch.tensor(0.3).cos().expand(4, 1))
     with (
-        pytest.raises(ValueError, match="hardware conditions expect a data re-uploading circuit, got mixed"),
-        conditions(layer, shots=10),
+        pytest.raises(ValueError, match="noise expects a data re-uploading circuit, got mixed"),
+        conditions(layer, noise=0.1),
     ):
         layer(torch.randn(FEATURES))
     with pytest.raises(ValueError, match="mixed is no data re-uploading circuit; choose method=auto"):

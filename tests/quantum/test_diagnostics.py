@@ -1,5 +1,6 @@
 """Diagnostics of circuits against closed forms."""
 
+from dataclasses import replace
 from math import log, pi
 
 import numpy as np
@@ -10,8 +11,9 @@ from torch import nn
 
 from qnerf.quantum import QuantumLayer
 from qnerf.quantum import diagnostics as d
-from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Gate, Rotations, Weights, feature
 from qnerf.quantum.pennylane import apply
+from tests.quantum.test_any_circuit import MIXED
 
 IDLE = Circuit("idle", 2, 1, 1, (), (((0, "Z"),), ((1, "Z"),)))
 ROT = Circuit("rot", 1, 1, 1, (Rotations(0),), (((0, "Z"),),))
@@ -106,7 +108,59 @@ def test_the_surrogate_is_exact_where_it_covers_the_spectrum() -> None:
     assert (some.waves, some.covered) == (5, False)
     assert 1e-3 < some.error < 1
     # Waves of the right spectrum: a circuit with other scales is not covered by them.
-    assert d._frequencies(QuantumLayer(1, 2, ansatz="ternary").circuit, 9)[0].flatten().tolist() == [0, 1, 2, 3, 4]
+    assert d._frequencies(d._encodings(QuantumLayer(1, 2, ansatz="ternary")), 9)[0].flatten().tolist() == [
+        0,
+        1,
+        2,
+        3,
+        4,
+    ]
+
+
+def test_any_circuit_has_diagnostics() -> None:
+    """A GHZ state by H and CNOTs, CRY by a trainable scale times a feature, and a frozen scale."""
+    torch.manual_seed(0)
+    w, scale = Weights("w", (2,)), Weights("scale", (1,), initial=2.0)
+    gates = (Gate("H", (0,)), Gate("CNOT", (0, 1)), Gate("CNOT", (1, 2)), Gate("RX", (2,), (w[0] * 0.0,)))
+    ghz = QuantumLayer(Circuit("ghz", 3, operations=gates, observables=(((0, "X"),),), weights=(w,)))
+    found = d.entangling_capability(ghz, states=3)
+    assert (found.mean, found.standard_error) == pytest.approx((1, 0), abs=1e-12)
+    assert d.expressibility(ghz, pairs=10) == pytest.approx(log(75))  # always the same state
+    rotations = (Gate("RY", (0,), (scale[0] * feature(0),)), Gate("CNOT", (0, 1)), Gate("RY", (0,), (w[0],)),
+                 Gate("RZ", (1,), (w[1],)))  # fmt: skip
+    layer = QuantumLayer(Circuit("own", 2, 0, 0, rotations, (((0, "Z"),),), 1, (w, scale)))
+    expected = torch.zeros(3, 3, dtype=torch.float64)
+    expected[0, 0] = 1  # RY on wire 0 alone, at the input 0; RZ cannot be seen in the computational basis
+    expected[2, 2] = 0  # the scale is multiplied by the input 0
+    torch.testing.assert_close(d.fisher(layer, torch.zeros(2, 1)), expected, atol=1e-12, rtol=0)
+    drawn = d.random_weights(layer, 50)
+    assert (drawn[:, 2] == 2).all()
+    assert drawn[:, :2].std() > 1
+    x = torch.randn(60, 1)
+    model = d.surrogate(layer, x[:40], x[40:], 3)
+    assert (model.waves, model.covered) == (2, True)  # 0 and the scale, 2
+    assert model.error < 1e-6
+    assert d.tangent_kernel(layer, x[:3]).shape == (3, 3)
+    product = Circuit("product", 1, 0, 0, (Gate("RX", (0,), (feature(0) * feature(1),)),), (((0, "Z"),),), 2)
+    with pytest.raises(ValueError, match=r"linear in the features, got x.0..x.1. in RX"):
+        d.surrogate(QuantumLayer(product), x, x, 3)
+
+
+def test_the_states_of_any_circuit_are_those_of_pennylane() -> None:
+    torch.manual_seed(0)
+    without = tuple(gate for gate in MIXED.operations if getattr(gate, "name", "") != "IsingXY")  # it takes no batch
+    layer = QuantumLayer(replace(MIXED, operations=without)).double()
+    x, weights = d.uniform_angles(3, 4), d.weights_of(layer)
+
+    @qml.qnode(qml.device("default.qubit", wires=3))
+    def node() -> object:
+        apply(layer.circuit, x, weights)
+        return qml.state()
+
+    ours, theirs = d.states(layer.circuit, x, weights), torch.as_tensor(node())
+    assert torch.allclose((ours.conj() * theirs).sum(1).abs(), torch.ones(3, dtype=torch.float64), atol=1e-12)
+    each = d.states(layer.circuit, x, weights.expand(3, -1))
+    assert torch.allclose(each, ours, atol=1e-14)
 
 
 def test_the_mean_alone_has_an_error_of_one() -> None:

@@ -15,6 +15,7 @@ from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.pennylane import apply, draw, make_node, observables
+from tests.quantum.test_any_circuit import MIXED
 
 
 @pytest.mark.parametrize("diff_method", ["parameter-shift", "adjoint"])
@@ -157,3 +158,22 @@ def test_a_layer_on_a_pennylane_device_can_be_pickled_and_copied():
     fresh.load_state_dict(layer.state_dict())
     for copied in (pickle.loads(pickle.dumps(fresh)), copy.deepcopy(fresh)):
         assert torch.equal(copied(x), expected)
+
+
+def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
+    layer = QuantumLayer(MIXED).double()
+    x = torch.randn(400, MIXED.features or 0, dtype=torch.float64)
+    exact = layer(x).detach()
+    with hardware_conditions.conditions(layer, shots=1000, seed=0):
+        drawn = layer(x)
+    off = (drawn - exact).detach()
+    assert 0.001 < off.std() < 0.05
+    assert off.mean(0).abs().max() < 0.01
+    probabilities = drawn[:, -4:]
+    torch.testing.assert_close(probabilities.sum(1), torch.ones(400, dtype=torch.float64))
+    torch.testing.assert_close((probabilities * 1000).round(), probabilities * 1000)
+    trained = QuantumLayer(MIXED, shots=100).double()
+    trained(x).sum().backward()
+    assert trained.w.grad is not None
+    with pytest.raises(ValueError, match="noise expects a data re-uploading circuit, got mixed"):
+        QuantumLayer(MIXED, noise=0.01)

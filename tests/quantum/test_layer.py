@@ -160,9 +160,10 @@ def test_trains() -> None:
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((0, 1), {}, r"wires must be an integer in 1..20, got 0"),
-        ((21, 1), {}, r"got 21 \(one state of 21 wires takes 32 MiB"),
-        ((40, 1), {}, r"got 40 \(one state of 40 wires takes 16 TiB of memory"),
+        ((0, 1), {}, r"wires must be an integer in 1..1024, got 0"),
+        ((21, 4), {}, r"circuit qiren: one state of 21 wires takes 32 MiB"),
+        ((40, 4), {}, r"depends on 27 of its 40 wires: one state of 27 wires takes 2 GiB of memory.*at most 20"),
+        ((21, 1), {"method": "pennylane"}, "device default.qubit: one state of 21 wires takes 32 MiB"),
         ((2.0, 1), {}, "wires expects int or Circuit, got 2.0"),
         ((3, 0), {}, "spectral must be between 1 and 64, got 0"),
         ((3, 1), {"method": "exact"}, "method expects one of auto, lightcone, statevector, pennylane, got 'exact'"),

@@ -30,6 +30,7 @@ class AmplitudeRegister(nn.Module):
         super().__init__()
         self.encoding = encoding
         self.is_complex = is_complex
+        self.qubits = qubits
         self.hidden = nn.Sequential(nn.Linear(in_dim, hidden), nn.ReLU()) if hidden else None
         self.linear = nn.Linear(hidden or in_dim, 2**qubits * (2 if is_complex else 1))
         for layer in self.modules():

@@ -3,20 +3,40 @@
 import copy
 from collections import Counter
 from contextlib import ExitStack
+from math import prod
 from typing import Any
 
 import pandas as pd
 import torch
 from torch import Tensor, nn
 
+from qnerf.heads.amplitude import System
+from qnerf.heads.registers import AmplitudeRegister, BlochRegister
 from qnerf.model.model import Model
-from qnerf.probes.trained import Trained, circuits_of, heads_of
-from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.probes.trained import Trained, heads_of
+from qnerf.quantum import QuantumLayer, pennylane
+from qnerf.quantum.circuit import (
+    Amplitudes,
+    Circuit,
+    Encoding,
+    Entangler,
+    Expression,
+    Gate,
+    Operation,
+    Rotations,
+    Weights,
+    weight,
+)
+from qnerf.quantum.cones import gates_of
 from qnerf.rendering.background import evaluation_background
 
 SHOTS = 1000  # of each circuit
 RATE = 10_000.0  # shots a second
 RAYS = 256
+GATE_SET = {
+    "CNOT", "CZ", "GlobalPhase", "Hadamard", "PauliX", "PauliY", "PauliZ", "PhaseShift", "RX", "RY", "RZ", "Rot", "S",
+    "SX", "T", "U1", "U2", "U3",
+}  # fmt: skip
 
 
 def table(trained: Trained) -> pd.DataFrame:
@@ -28,26 +48,25 @@ def table(trained: Trained) -> pd.DataFrame:
     shots an evaluation and `RATE` shots a second. Sending circuits to the device is not counted.
 
     Raises:
-        ValueError: the run has no circuit.
+        ValueError: the run has no circuit, or one that is no list of gates.
     """
-    layers = {
-        (name, place): layer for name, head in trained.heads.items() for place, layer in circuits_of(head).items()
-    }
+    layers = {(name, place): module for name, head in trained.heads.items() for place, module in _modules(head).items()}
     if not layers:
-        raise ValueError(f"{trained.folder}: neither of its heads has a re-uploading circuit")
+        raise ValueError(f"{trained.folder}: neither of its heads has a circuit")
     rays = trained.ray_table()
     in_view = samples(trained, trained.model)
     in_step = samples(trained, copy.deepcopy(trained.model).train())  # a copy: its normalisations learn statistics
     rows: list[dict[str, Any]] = []
-    for (name, place), layer in layers.items():
-        one, two, depth = gate_counts(layer.circuit)
+    for (name, place), module in layers.items():
+        circuit = circuit_of(module)
+        one, two, depth = gate_counts(circuit)
         view = round(in_view[name, place] * rays.cameras.width * rays.cameras.height / RAYS)
-        step = round(in_step[name, place] * trained.settings.train.rays / RAYS) * shifts(layer.circuit)
+        step = round(in_step[name, place] * trained.settings.train.rays / RAYS) * shifts(circuit)
         rows.append(
             {
                 "head": name,
                 "circuit": sum(row["head"] == name for row in rows),
-                "wires": layer.wires,
+                "wires": circuit.wires,
                 "one_qubit_gates": one,
                 "two_qubit_gates": two,
                 "depth": depth,
@@ -61,32 +80,92 @@ def table(trained: Trained) -> pd.DataFrame:
 
 
 def gate_counts(circuit: Circuit) -> tuple[int, int, int]:
-    """One-qubit gates, two-qubit gates, and depth in gates.
+    """One-qubit gates, two-qubit gates (CNOT and CZ), and depth in gates, after PennyLane's own decompositions.
 
     A Rot is one gate here; devices with virtual RZ take two pulses for it. Gates on different wires run side by side.
+    Any connection between wires is taken to exist. Amplitudes of k wires take 2^k - 2 CNOTs, complex ones twice as many
+    (Möttönen et al., arXiv:quant-ph/0407010).
 
     >>> from qnerf.quantum.circuit import ANSATZE
     >>> gate_counts(ANSATZE.build("qiren", 3, 1))
     (15, 12, 17)
     """
-    one, two, ready = 0, 0, [0] * circuit.wires
-    for operation in circuit.operations:
-        if isinstance(operation, Entangler):
-            for pair in operation.pairs:
-                two += 1
-                first, second = pair
-                ready[first] = ready[second] = max(ready[first], ready[second]) + 1
-        else:
-            one += circuit.wires
-            ready = [time + 1 for time in ready]
-    return one, two, max(ready)
+    import pennylane as qml
+
+    generator = torch.Generator().manual_seed(0)  # general values: a gate may be simpler at special ones
+    x = torch.rand(circuit.features or 0, generator=generator)
+    weights = 0.1 + torch.rand(sum(map(prod, circuit.parameters.values())), generator=generator)
+    values = weights.reshape(circuit.rows, circuit.wires, 3) if circuit.reuploading else weights
+    tape = qml.tape.make_qscript(lambda: pennylane.apply(circuit, x, values))()
+    (tape,), _ = qml.transforms.decompose(tape, gate_set=GATE_SET)
+    gates = [operation for operation in tape.operations if operation.name != "GlobalPhase"]
+    counted = qml.tape.QuantumScript(gates).specs["resources"]
+    return counted.gate_sizes.get(1, 0), counted.gate_sizes.get(2, 0), counted.depth
 
 
 def shifts(circuit: Circuit) -> int:
-    """Evaluations for the outputs of one sample and all their derivatives: one, and two for each angle that varies."""
-    angles = sum(3 * circuit.wires for operation in circuit.operations if isinstance(operation, Rotations))
-    inputs = sum(circuit.wires for operation in circuit.operations if isinstance(operation, Encoding))
-    return 1 + 2 * (angles + inputs)
+    """Evaluations for the outputs of one sample and all their derivatives: one, and two for each angle that varies.
+
+    A gate that is several rotations, such as CRX, takes two for each of them (arXiv:1811.11184). Prepared amplitudes
+    are differentiated through the 2^k - 1 angles of their preparation, complex ones through twice as many.
+    """
+    varying = 0
+    for _, gate in gates_of(circuit):
+        if isinstance(gate, Amplitudes):
+            if any(_varies(value) for value in gate.angles):
+                varying += (2 ** len(gate.wires) - 1) * (2 if gate.imaginary else 1)
+        else:
+            varying += sum(_varies(gate.angle_of(part)) for part in gate.rotations)
+    return 1 + 2 * varying
+
+
+def _varies(angle: Expression | float) -> bool:
+    return Expression.of(angle).constant is None
+
+
+def circuit_of(module: QuantumLayer | System) -> Circuit:
+    """The circuit of a layer, or of a system of amplitude registers: the preparation of its amplitudes and its gates.
+
+    Raises:
+        ValueError: the system's unitary is a matrix and no list of gates.
+    """
+    if isinstance(module, QuantumLayer):
+        return module.circuit
+    unitaries, n = module.unitaries, module.wires
+    if unitaries.kind in ("dense", "random"):
+        raise ValueError(f"cost expects a circuit of gates, got unitary={unitaries.kind}, which is a matrix")
+    operations: list[Gate | Amplitudes | Operation] = []
+    first = used = 0
+    for register in module.registers:
+        assert isinstance(register, AmplitudeRegister | BlochRegister)
+        qubits = register.qubits
+        if isinstance(register, BlochRegister):  # RZ(longitude) RY(latitude) on each of them
+            operations += [
+                gate for wire in range(first, first + qubits)
+                for gate in (Gate("RY", (wire,), (weight("w", used),)), Gate("RZ", (wire,), (weight("w", used + 1),)))
+            ]  # fmt: skip
+            used += 2
+        else:
+            values = tuple(weight("w", used + index) for index in range(2**qubits * (1 + register.is_complex)))
+            wires, size = tuple(range(first, first + qubits)), 2**qubits
+            operations.append(Amplitudes(wires, values[:size], values[size:]))
+            used += len(values)
+        first += qubits
+    for operation in unitaries.circuit.operations:
+        if isinstance(operation, Rotations) and unitaries.kind != "identity":
+            for wire in range(n):
+                angles = tuple(weight("w", used + index) for index in range(3 if unitaries.is_complex else 1))
+                operations.append(Gate("Rot" if unitaries.is_complex else "RY", (wire,), angles))
+                used += len(angles)
+        elif isinstance(operation, Encoding) or (isinstance(operation, Entangler) and unitaries.kind != "identity"):
+            operations.append(operation)
+    own = (Weights("w", (used,)),) if used else ()
+    return Circuit("amplitudes", n, 0, 0, tuple(operations), unitaries.circuit.observables, weights=own)
+
+
+def _modules(head: nn.Module) -> dict[str, QuantumLayer | System]:
+    """What a head evaluates as circuits, by place."""
+    return {name: module for name, module in head.named_modules() if isinstance(module, QuantumLayer | System)}
 
 
 @torch.no_grad()
@@ -96,7 +175,7 @@ def samples(trained: Trained, model: Model) -> Counter[tuple[str, str]]:
     seen: Counter[tuple[str, str]] = Counter()
     with ExitStack() as hooks:
         for name, head in heads_of(model).items():
-            for place, layer in circuits_of(head).items():
+            for place, layer in _modules(head).items():
 
                 def count(_: nn.Module, inputs: tuple[Tensor, ...], out: Tensor, key: Any = (name, place)) -> None:
                     seen[key] += out.shape[:-1].numel()

@@ -63,7 +63,7 @@ def fisher(trained: Trained) -> pd.DataFrame:
     for row, layer, x in _circuits(trained):
         inputs = x[:FISHER_INPUTS]
         own = diagnostics.fisher(layer, inputs)
-        points = diagnostics.uniform_angles(FISHER_POINTS, layer.circuit.rows, 3, layer.wires)
+        points = diagnostics.random_weights(layer, FISHER_POINTS)
         others = [diagnostics.fisher(layer, inputs, point) for point in points]
         eigenvalues = torch.linalg.eigvalsh(own).flip(0).clamp(min=0)
         summary = {

@@ -22,9 +22,8 @@ from qnerf.heads.qiren import HybridLayer
 from qnerf.probes.trained import Trained, circuits_of
 from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import Circuit, Encoding
-from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.cones import Cone, TooLarge, find_cones
-from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.simulator import Simulator
 
 MAX_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
 CHUNK = 2**14  # samples for each call of the engine
@@ -95,11 +94,11 @@ Values = Callable[[np.ndarray], np.ndarray]
 
 
 def _evaluator(layer: QuantumLayer) -> Values:
-    engine = compiled.StatevectorEngine(normal_form(layer.circuit))
+    simulator = Simulator(layer.circuit, "statevector")
     weights = statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
 
     def values(x: np.ndarray) -> np.ndarray:
-        parts = [compiled.evaluate(engine, part, weights).numpy() for part in torch.from_numpy(x).split(CHUNK)]
+        parts = [simulator(part, weights).numpy() for part in torch.from_numpy(x).split(CHUNK)]
         return np.concatenate(parts)
 
     return values

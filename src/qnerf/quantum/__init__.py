@@ -3,6 +3,8 @@
 The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
 `description`, and `circuit`, which has circuits by name.
 
+`simulator` runs a circuit: it takes the cheapest engine, and splits wide circuits into `registers` of few wires.
+
 Data re-uploading circuits: `initial_angles`, `normal_form` (what is left after merging gates), `cones` (which inputs an
 output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on the CPU),
 `statevector` (the plain PyTorch reference), `noise`, `density`, `pauli_errors` and `measurement` (noise and shots).

@@ -18,6 +18,7 @@ from qnerf.config.registry import Registry
 from qnerf.quantum.description import (
     ENTANGLING_GATES,
     MAX_SPECTRAL,
+    MAX_WIDTH,
     MAX_WIRES,
     PAULIS,
     Circuit,
@@ -33,6 +34,7 @@ from qnerf.quantum.description import (
     Rotations,
     Spectral,
     Wires,
+    check_state,
     check_wires,
     readable_bytes,
 )
@@ -40,10 +42,10 @@ from qnerf.quantum.expressions import Expression, Weights, feature, weight
 from qnerf.quantum.gates import GATES, Amplitudes, Gate
 
 __all__ = [
-    "ANSATZE", "ENTANGLING_GATES", "GATES", "MAX_SPECTRAL", "MAX_WIRES", "PAULIS", "Amplitudes", "Circuit", "Encoding",
-    "Entangler", "EntanglingGate", "Expression", "Gate", "Hamiltonian", "Observable", "Operation", "Pauli",
-    "PauliWord", "Probabilities", "Rotations", "Spectral", "Weights", "Wires", "check_wires", "feature",
-    "readable_bytes", "reuploading", "ring", "weight",
+    "ANSATZE", "ENTANGLING_GATES", "GATES", "MAX_SPECTRAL", "MAX_WIDTH", "MAX_WIRES", "PAULIS", "Amplitudes",
+    "Circuit", "Encoding", "Entangler", "EntanglingGate", "Expression", "Gate", "Hamiltonian", "Observable",
+    "Operation", "Pauli", "PauliWord", "Probabilities", "Rotations", "Spectral", "Weights", "Wires", "check_state",
+    "check_wires", "feature", "readable_bytes", "reuploading", "ring", "weight",
 ]  # fmt: skip
 
 
@@ -83,7 +85,7 @@ def qiren(
         2: ──Rot────╰Z─╰●──Rot─╰Z────╰●───RZ───Rot────╰Z─╰●──Rot─╰Z────╰●─┤  <Z>
 
     Args:
-        wires: n, 1 to 20.
+        wires: n, 1 to 1024.
         spectral: S, the encodings of the input, at least 1.
         sublayers: of each trainable block; each is Rot on every wire and a ring of entanglers.
         entangler: CZ or CNOT.

@@ -15,7 +15,9 @@ lightcone
 statevector
 """
 
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isnan
 
@@ -25,8 +27,9 @@ from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.compiled.simd import VECTOR_BYTES
 from qnerf.quantum.cones import TooLarge
-from qnerf.quantum.lightcone import interpolation
+from qnerf.quantum.lightcone import interpolation, polynomial_form
 from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form
+from qnerf.quantum.registers import is_split, measured, registers, state_wires
 
 
 @dataclass(frozen=True)
@@ -120,71 +123,129 @@ def statevector_memory(form: NormalForm, batch: int, itemsize: int = 4) -> int:
 
 
 def expected_seconds(
-    form: NormalForm, batch: int, itemsize: int, operations: int, operations_once: int, rates: Rates = RATES
+    forms: Mapping[NormalForm, int],
+    wires: int,
+    batch: int,
+    itemsize: int,
+    operations: int,
+    operations_once: int,
+    rates: Rates = RATES,
 ) -> float:
-    """Forward and backward of a compiled engine; with operations once a step, that of the light cones."""
+    """Forward and backward of a compiled engine; with operations once a step, that of the light cones.
+
+    forms: what is evaluated, and how often: a circuit of many wires may be evaluated as several registers.
+    """
     lanes = VECTOR_BYTES // itemsize
     blocks = -(-batch // lanes)  # one sample costs as much as a block
     threads = min(torch.get_num_threads(), max(blocks, 1))
-    size = 2**form.wires
-    filled = (size * VECTOR_BYTES / rates.cache) ** 2
-    slow = 1 + rates.slowdown * filled / (filled + 1)
+    once = sum(
+        count * rates.table * len(form.steps) * 2**form.wires * _slow(form, rates) for form, count in forms.items()
+    )
+    slow = max(_slow(form, rates) for form in forms)
     state, cone = rates.state * VECTOR_BYTES * threads / slow, rates.cone * VECTOR_BYTES * threads
     per_sample = operations * blocks * lanes * itemsize / (cone if operations_once else state)
-    once = rates.table * len(form.steps) * size * slow + operations_once * 8 / state  # the grid is float64
-    return rates.step + once + per_sample + rates.sample * batch * form.wires * itemsize
+    once += operations_once * 8 / state  # the grid is float64
+    calls = 1 if operations_once else sum(forms.values())
+    return rates.step * calls + once + per_sample + rates.sample * batch * wires * itemsize
+
+
+def _slow(form: NormalForm, rates: Rates) -> float:
+    """By what factor memory slows a state down."""
+    filled = (2.0**form.wires * VECTOR_BYTES / rates.cache) ** 2
+    return 1 + rates.slowdown * filled / (filled + 1)
+
+
+def forms_of(circuit: Circuit) -> Counter[NormalForm]:
+    """The normal forms that a re-uploading circuit is evaluated as, and how often each."""
+    parts = [part.circuit for part in registers(circuit)] if is_split(circuit) else [circuit]
+    return Counter({normal_form(own): count for own, count in Counter(parts).items()})
 
 
 @lru_cache(maxsize=256)
 def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
-    """Multiply-adds for each sample, forward and backward, and circuit evaluations for each step.
+    """Multiply-adds for each sample, and once a step for the coefficients, forward and backward.
 
     The error is returned, not raised, so that it is cached too.
     """
     try:
-        grid = interpolation(circuit)
+        polynomials = polynomial_form(circuit)
+        once = sum(
+            count * len(interpolation(form.circuit).points) * statevector_operations(form)
+            for form, count in forms_of(circuit).items()
+        )
     except TooLarge as error:
         return error
     forward = backward = 0
-    for cone in grid.cones.cones:
+    for cone in polynomials.cones.cones:
         terms = cone.coefficients
         for degree in reversed(cone.degrees):
             forward += terms
             backward += 4 * terms
             terms //= 2 * degree + 1
-    return 2 * (forward + 8 * grid.highest_degree * circuit.wires) + backward, len(grid.points)
+    return 2 * (forward + 8 * polynomials.highest_degree * circuit.wires) + backward, once
+
+
+def of_registers(costs: Sequence[Cost], circuit: Circuit, dtype: torch.dtype) -> Cost:
+    """What the registers of a wide circuit cost together; each of them is evaluated by itself."""
+    first = costs[0]
+    outputs = first.batch * measured(circuit).values * torch.finfo(dtype).bits // 8
+    return replace(
+        first,
+        operations=sum(cost.operations for cost in costs),
+        operations_once=sum(cost.operations_once for cost in costs),
+        memory=max(cost.memory for cost in costs) + 2 * outputs,
+        seconds=sum(cost.seconds for cost in costs),
+        reason=as_registers(circuit),
+    )
+
+
+def as_registers(circuit: Circuit) -> str:
+    """
+    >>> from qnerf.quantum.circuit import ANSATZE
+    >>> as_registers(ANSATZE.build("qiren", 64, 1))
+    '64 registers of at most 9 wires'
+    """
+    return f"{len(registers(circuit))} registers of at most {state_wires(circuit)} wires"
 
 
 def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
-    """The cheaper engine for a batch if `method` is auto, else the one asked for.
+    """The cheaper engine for a batch of a re-uploading circuit if `method` is auto, else the one asked for.
 
     Raises:
         TooLarge: `method` is lightcone and the circuit has no small light cones.
     """
-    form = normal_form(circuit)
+    forms = forms_of(circuit)
     itemsize = torch.finfo(dtype).bits // 8
     backend = "compiled" if compiled else "torch"
+    split = f", {as_registers(circuit)}" if is_split(circuit) else ""
 
     def seconds(operations: int, once: int) -> float:
-        return expected_seconds(form, batch, itemsize, operations, once) if compiled else float("nan")
+        if not compiled:
+            return float("nan")
+        return expected_seconds(forms, circuit.wires, batch, itemsize, operations, once)
 
-    state = statevector_operations(form)
+    state = sum(count * statevector_operations(form) for form, count in forms.items())
     counted = lightcone_operations(circuit)
     if isinstance(counted, TooLarge):
         if method == "lightcone":
             raise TooLarge(str(counted))
         why_not = str(counted)
     else:
-        cone, once = counted[0], counted[1] * state
+        cone, once = counted
         if method == "lightcone" or (
             method == "auto" and cone * batch * itemsize + once * 8 < state * batch * itemsize
         ):
             others = {"statevector": f"{state:,} operations a sample, none once a step"}
-            grid = interpolation(circuit)
-            memory = 8 * grid.matrix.size + itemsize * batch * 2 * (2 * grid.highest_degree + 1) * circuit.wires
+            matrices = sum(interpolation(form.circuit).matrix.size for form in forms)
+            degree = polynomial_form(circuit).highest_degree
+            memory = 8 * matrices + itemsize * batch * 2 * (2 * degree + 1) * circuit.wires
+            if split:
+                memory += sum(count * statevector_memory(form, 1, 8) for form, count in forms.items())
             reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
-            return Cost("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason, others)
+            return Cost("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason + split, others)
         why_not = f"{cone:,} operations a sample, but {once:,} once a step"
-    memory = statevector_memory(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
+    memory = max(statevector_memory(form, batch, itemsize) for form in forms) if compiled else statevector.CHUNK_BYTES
     reason = "asked for" if method == "statevector" else why_not
-    return Cost("statevector", backend, batch, state, 0, memory, seconds(state, 0), reason, {"lightcone": why_not})
+    return Cost(
+        "statevector", backend, batch, state, 0, memory, seconds(state, 0), reason + split, {"lightcone": why_not}
+    )

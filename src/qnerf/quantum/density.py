@@ -10,6 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from qnerf.config import memory
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations
 from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
@@ -63,6 +64,7 @@ def is_quick(circuit: Circuit) -> bool:
 @torch.no_grad()
 def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
     n = circuit.wires
+    memory.require(f"a density matrix of {n} wires", 2 * 16 * 4.0**n, hint="choose method=sampled")
     channels = {size: [_superoperator(operators) for operators in noise.kraus_operators(size)] for size in (1, 2)}
     encodings = [i for i, operation in enumerate(circuit.operations) if isinstance(operation, Encoding)]
     first, last = (encodings[0], encodings[-1] + 1) if encodings else (0, 0)

@@ -38,10 +38,11 @@ from annotated_types import Interval
 from qnerf.quantum.expressions import Expression, Weights
 from qnerf.quantum.gates import Amplitudes, Gate
 
-MAX_WIRES = 20
+MAX_WIRES = 20  # of a state
+MAX_WIDTH = 1024  # wires of a circuit
 MAX_SPECTRAL = 64  # the largest scale of ternary encodings, 3^63, is still a float32
 
-Wires = Annotated[int, Interval(ge=1, le=MAX_WIRES)]
+Wires = Annotated[int, Interval(ge=1, le=MAX_WIDTH)]
 Spectral = Annotated[int, Interval(ge=1, le=MAX_SPECTRAL)]
 EntanglingGate = Literal["CZ", "CNOT"]
 Pauli = Literal["X", "Y", "Z"]
@@ -264,12 +265,19 @@ class Circuit:
 
 
 def check_wires(wires: int) -> None:
-    """ValueError unless 1 <= wires <= 20. The message says how much memory one state vector would take."""
-    if isinstance(wires, bool) or not isinstance(wires, int) or not 1 <= wires <= MAX_WIRES:
-        size = ""
-        if isinstance(wires, int) and wires > MAX_WIRES:
-            size = f" (one state of {wires} wires takes {readable_bytes(16 * 2.0**wires)} of memory in float64)"
-        raise ValueError(f"wires must be an integer in 1..{MAX_WIRES}, got {wires!r}{size}")
+    """ValueError unless 1 <= wires <= 1024, the width of a circuit."""
+    if isinstance(wires, bool) or not isinstance(wires, int) or not 1 <= wires <= MAX_WIDTH:
+        raise ValueError(f"wires must be an integer in 1..{MAX_WIDTH}, got {wires!r}")
+
+
+def check_state(wires: int, what: str) -> None:
+    """ValueError if there are more than 20 wires. The message says how much memory one state would take."""
+    if wires > MAX_WIRES:
+        size = readable_bytes(16 * 2.0**wires)
+        raise ValueError(
+            f"{what}: one state of {wires} wires takes {size} of memory in float64; a state has at most {MAX_WIRES}"
+            " wires, a wider circuit expects outputs that depend on few of its wires"
+        )
 
 
 def readable_bytes(count: float) -> str:

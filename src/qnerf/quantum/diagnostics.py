@@ -9,19 +9,24 @@ are drawn anew for every state or point: every angle uniform in [0, 2 pi]. Input
 0.7
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import log, pi, sqrt
+from functools import partial
+from math import log, pi, prod, sqrt
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
 from qnerf.quantum import statevector
-from qnerf.quantum.circuit import Circuit, Encoding
+from qnerf.quantum.circuit import Circuit, Expression, Gate
+from qnerf.quantum.cones import gates_of
+from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.pauli_statevector import gate_by_gate
+from qnerf.quantum.simulator import Simulator
 
 BINS = 75
 AT_ONCE = 2**23  # amplitudes or derivatives
@@ -36,8 +41,27 @@ class Estimate:
 
 
 def weights_of(layer: QuantumLayer) -> Tensor:
-    """The stacked weights (rows, 3, n) of a layer, float64."""
-    return statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
+    """The weights of a layer, float64: stacked (rows, 3, n) of a re-uploading circuit, else flat (P,)."""
+    if layer.circuit.reuploading:
+        return statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
+    own = [getattr(layer, name).detach().double().cpu().flatten() for name in layer.circuit.parameters]
+    return torch.cat([torch.zeros(0, dtype=torch.float64), *own])
+
+
+def random_weights(layer: QuantumLayer, count: int) -> Tensor:
+    """Weights (count, ...) as `weights_of` has them, every angle uniform in [0, 2 pi].
+
+    Weights that start from a value of their own, such as scales, keep what the layer has.
+    """
+    own = weights_of(layer)
+    drawn = uniform_angles(count, *own.shape)
+    if not layer.circuit.reuploading:
+        first = offsets(layer.circuit.parameters)
+        for weights in layer.circuit.weights:
+            if weights.initial is not None:
+                part = slice(first[weights.name], first[weights.name] + weights.size)
+                drawn[:, part] = own[part]
+    return drawn
 
 
 def uniform_angles(count: int, *shape: int) -> Tensor:
@@ -46,25 +70,30 @@ def uniform_angles(count: int, *shape: int) -> Tensor:
 
 
 def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
-    """The states (B, 2^n) at inputs x (B, n), with weights (rows, 3, n) or (B, rows, 3, n), complex128.
+    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are those of all samples, or (B, ...).
 
-    They are turned by the same rotation of every wire, which changes neither fidelities nor entanglement: a
-    measurement of X on all wires keeps all gates in the normal form.
+    Those of re-uploading circuits are turned by the same rotation of every wire, which changes neither fidelities nor
+    entanglement: a measurement of X on all wires keeps all gates in the normal form.
     """
-    everything = tuple((wire, "X") for wire in range(circuit.wires))
-    form = normal_form(replace(circuit, observables=(everything,)))
-    if weights.ndim == 3:
-        return statevector.final_state(form, x, weights).T
+    state: Callable[[Tensor, Tensor], Tensor]
+    if circuit.reuploading:
+        everything = tuple((wire, "X") for wire in range(circuit.wires))
+        form = normal_form(replace(circuit, observables=(everything,)))
+        state = lambda x, weights: statevector.final_state(form, x, weights).T  # noqa: E731
+    else:
+        state = partial(gate_by_gate, circuit)
+    if weights.ndim == (3 if circuit.reuploading else 1):
+        return state(x, weights)
     at_once = max(1, AT_ONCE // 2**circuit.wires)
-    one = vmap(lambda x, weights: statevector.final_state(form, x[None], weights)[:, 0])
+    one = vmap(lambda x, weights: state(x[None], weights)[0])
     return torch.cat([one(*part) for part in zip(x.split(at_once), weights.split(at_once), strict=True)])
 
 
 def _sampled_states(layer: QuantumLayer, count: int, x: Tensor | None, trained: bool) -> Tensor:
     """States (count, 2^n): of inputs that are drawn from the given ones, or uniform."""
-    n = layer.wires
-    inputs = uniform_angles(count, n) if x is None else x.double().cpu()[torch.randint(len(x), (count,))]
-    weights = weights_of(layer) if trained else uniform_angles(count, layer.circuit.rows, 3, n)
+    features = layer.circuit.features or 0
+    inputs = uniform_angles(count, features) if x is None else x.double().cpu()[torch.randint(len(x), (count,))]
+    weights = weights_of(layer) if trained else random_weights(layer, count)
     with torch.no_grad():
         return states(layer.circuit, inputs, weights)
 
@@ -119,14 +148,18 @@ def fisher(layer: QuantumLayer, x: Tensor, weights: Tensor | None = None) -> Ten
     """Fisher information (P, P) of the measured bit strings in the P weights, averaged over inputs x (B, n).
 
     F = mean_x sum_b d_i p(b|x) d_j p(b|x) / p(b|x): how well the angles could be told from what a device reads. The
-    order is that of the stacked weights (rows, 3, n). `weights` of None are the layer's own.
+    order is that of `weights_of`. `weights` of None are the layer's own. The wires of a re-uploading circuit are read
+    in the basis that it measures them in, those of any other circuit in the computational basis.
     """
-    form = normal_form(layer.circuit)
+    circuit = layer.circuit
     point = weights_of(layer) if weights is None else weights.double()
     size = point.numel()
 
     def probabilities(weights: Tensor, x: Tensor) -> Tensor:
-        return statevector.probabilities(form, x[None], weights)[0]
+        if circuit.reuploading:
+            return statevector.probabilities(normal_form(circuit), x[None], weights)[0]
+        state = gate_by_gate(circuit, x[None], weights)[0]
+        return state.real.square() + state.imag.square()
 
     total = torch.zeros(size, size, dtype=torch.float64)
     for part in x.double().cpu().split(max(1, AT_ONCE // (16 * size * 2**layer.wires))):
@@ -198,7 +231,7 @@ def surrogate(layer: QuantumLayer, fitted: Tensor, tested: Tensor, waves: int) -
     whole spectrum has more than `waves` vectors, as many are drawn, each encoding's part being the difference of two of
     its eigenvalues (random Fourier features, arXiv:2210.13200).
     """
-    frequencies, covered = _frequencies(layer.circuit, waves)
+    frequencies, covered = _frequencies(_encodings(layer), waves)
     with torch.no_grad():
         targets, expected = (_exact(layer, x) for x in (fitted, tested))
     features = [_waves(x.double().cpu(), frequencies) for x in (fitted, tested)]
@@ -209,7 +242,7 @@ def surrogate(layer: QuantumLayer, fitted: Tensor, tested: Tensor, waves: int) -
 
 
 def _exact(layer: QuantumLayer, x: Tensor) -> Tensor:
-    return statevector.evaluate(normal_form(layer.circuit), x.double().cpu(), weights_of(layer))
+    return Simulator(layer.circuit)(x.double().cpu(), weights_of(layer))
 
 
 def _waves(x: Tensor, frequencies: Tensor) -> Tensor:
@@ -217,24 +250,24 @@ def _waves(x: Tensor, frequencies: Tensor) -> Tensor:
     return torch.cat([phases.cos(), phases[:, 1:].sin()], 1)  # the first vector is 0
 
 
-def _frequencies(circuit: Circuit, count: int) -> tuple[Tensor, bool]:
-    """Frequency vectors (waves, n), 0 first and one of each pair k, -k, and whether they are all of the circuit's."""
-    encodings = list(_encodings(circuit))
-    vectors = torch.zeros(1, circuit.wires, dtype=torch.float64)
-    for wire, scale in encodings:
-        step = torch.zeros(circuit.wires, dtype=torch.float64)
-        step[wire] = scale
+def _frequencies(encodings: Tensor, count: int) -> tuple[Tensor, bool]:
+    """Frequency vectors (waves, features), 0 first and one of each pair k, -k, and whether they are all there are.
+
+    encodings: (encodings, features); each adds its row, or minus its row, or nothing.
+    """
+    vectors = torch.zeros(1, encodings.shape[1], dtype=torch.float64)
+    for step in encodings:
         vectors = _distinct(torch.cat([vectors - step, vectors, vectors + step]))
         if len(vectors) > 2 * count - 1:
             break
     else:
         return _halved(vectors), True
     signs = torch.tensor([-1.0, 0.0, 0.0, 1.0], dtype=torch.float64)
-    found = torch.zeros(1, circuit.wires, dtype=torch.float64)
+    found = torch.zeros(1, encodings.shape[1], dtype=torch.float64)
     for _ in range(100):
-        drawn = torch.zeros(4 * count, circuit.wires, dtype=torch.float64)
-        for wire, scale in encodings:
-            drawn[:, wire] += scale * signs[torch.randint(4, (len(drawn),))]
+        drawn = torch.zeros(4 * count, encodings.shape[1], dtype=torch.float64)
+        for step in encodings:
+            drawn += signs[torch.randint(4, (len(drawn), 1))] * step
         found = _halved(torch.cat([found, drawn, -drawn]))
         if len(found) >= count:
             kept = 1 + torch.randperm(len(found) - 1)[: count - 1]
@@ -242,11 +275,28 @@ def _frequencies(circuit: Circuit, count: int) -> tuple[Tensor, bool]:
     return found, False
 
 
-def _encodings(circuit: Circuit) -> Iterator[tuple[int, float]]:
-    """Wire and scale of each encoding."""
-    for operation in circuit.operations:
-        if isinstance(operation, Encoding):
-            yield from ((wire, scale) for wire, scale in enumerate(operation.scales) if scale)
+def _encodings(layer: QuantumLayer) -> Tensor:
+    """(encodings, features): the factor of each feature in the angle of each rotation that takes in some.
+
+    Raises:
+        ValueError: an angle or an amplitude is no linear function of the features, so the spectrum is not known.
+    """
+    circuit, values = layer.circuit, weights_of(layer).tolist() if not layer.circuit.reuploading else []
+    first = offsets(circuit.parameters)
+    rows = []
+    for _, gate in gates_of(circuit):
+        is_gate = isinstance(gate, Gate)
+        for angle in [gate.angle_of(part) for part in gate.rotations] if isinstance(gate, Gate) else gate.angles:
+            row = [0.0] * (circuit.features or 0)
+            for coefficient, weights, features in Expression.of(angle).terms:
+                if len(features) > 1 or (features and not is_gate):
+                    what = gate.name if isinstance(gate, Gate) else "amplitudes"
+                    raise ValueError(f"surrogate expects angles that are linear in the features, got {angle} in {what}")
+                for index in features:
+                    row[index] += coefficient * prod(values[first[name] + place] for name, place in weights)
+            if any(row):
+                rows.append(row)
+    return torch.tensor(rows, dtype=torch.float64).reshape(len(rows), circuit.features or 0)
 
 
 def _distinct(vectors: Tensor) -> Tensor:

@@ -8,20 +8,14 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from qnerf.config import memory
 from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
-from qnerf.quantum import lightcone, measurement, operator, pennylane, statevector
-from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_wires
-from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.compiled import pauli_engine
-from qnerf.quantum.cones import find_cones
-from qnerf.quantum.cost_model import Cost, choose_engine, statevector_memory
+from qnerf.quantum import measurement, operator, pennylane, statevector
+from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check_wires
+from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.pauli_statevector import PauliCircuit
+from qnerf.quantum.simulator import Backend, Simulator
 
-_UPLOADING = "expect a data re-uploading circuit"
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 
 
@@ -49,7 +43,7 @@ class QuantumLayer(nn.Module):
     (torch.Size([64, 1]), torch.Size([2]))
 
     Args:
-        wires: n, 1 to 20; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
+        wires: n, 1 to 1024; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
         spectral: S, encodings of the input (data re-uploadings), 1 to 64.
         method: auto takes the cheaper exact engine for the batch at hand (`cost` says which); lightcone evaluates
             trigonometric polynomials, statevector simulates, pennylane runs a PennyLane device.
@@ -93,7 +87,7 @@ class QuantumLayer(nn.Module):
         ansatz: str | None = None,
         init: str = "uniform",
         ansatz_options: dict[str, Any] | None = None,
-        backend: Literal["auto", "compiled", "torch"] = "auto",
+        backend: Backend = "auto",
         device: str | pennylane.Device = "default.qubit",
         device_options: dict | None = None,
         diff_method: pennylane.DiffMethod = "backprop",
@@ -111,6 +105,8 @@ class QuantumLayer(nn.Module):
         measured: dict[str, Any] = {"shots": shots, "noise": Noise.of(noise), "seed": seed}
         self._node_options = of_device | measured
         if method == "pennylane":
+            if isinstance(device, str):
+                check_state(self.wires, f"device {device}")
             self._node = pennylane.make_node(self.circuit, **self._node_options)
         else:
             defaults = inspect.signature(pennylane.make_node).parameters
@@ -119,23 +115,10 @@ class QuantumLayer(nn.Module):
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
             own = measurement.Conditions(**measured, joint=False, patterns=patterns, gradients=True)
             if own.shots is not None or own.noisy:
-                if not self.circuit.reuploading:
-                    raise ValueError(f"shots and noise {_UPLOADING}, got {self.circuit.name}")
+                if own.noisy and not self.circuit.reuploading:
+                    raise ValueError(f"noise expects a data re-uploading circuit, got {self.circuit.name}")
                 self.conditions = own
-        self._pauli: pauli_engine.PauliEngine | None = None
-        self._cone: lightcone.LightConeEngine | None = None
-        if self.circuit.reuploading:
-            form = normal_form(self.circuit)
-            needed = statevector_memory(form, 1)
-            self._engine = compiled.StatevectorEngine(form)
-            self._cone = lightcone.LightConeEngine(self.circuit) if method == "lightcone" else None
-        else:
-            if method == "lightcone":
-                find_cones(self.circuit)
-            self._pauli = pauli_engine.PauliEngine(PauliCircuit(self.circuit))
-            needed = pauli_engine.memory_bytes(self._pauli.form, 1)
-        memory.require(f"one sample of a circuit of {self.wires} wires", needed)
-        self._costs: dict[tuple[Any, ...], Cost] = {}
+        self._simulator = None if method == "pennylane" else Simulator(self.circuit, method, backend)
         for name, values in _initial_weights(self.circuit, init).items():
             if hasattr(self, name):
                 raise ValueError(f"weights cannot be called {name}, which is an attribute of a layer")
@@ -151,7 +134,7 @@ class QuantumLayer(nn.Module):
         return self.circuit.spectral
 
     def extra_repr(self) -> str:
-        shape = f"spectral={self.spectral}" if self._pauli is None else f"features={self.circuit.features}"
+        shape = f"spectral={self.spectral}" if self.circuit.reuploading else f"features={self.circuit.features}"
         return f"wires={self.wires}, {shape}, ansatz={self.circuit.name}, method={self.method}"
 
     def cost(self, batch: int = 6144) -> Cost:
@@ -159,8 +142,10 @@ class QuantumLayer(nn.Module):
 
         Counts for the device and the precision of the parameters and for PyTorch's present number of threads.
         """
+        if self._simulator is None:
+            return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
         first = next(self.parameters(), torch.empty(0))
-        return self._cost(batch, first.device, first.dtype)
+        return self._simulator.cost(batch, first.device, first.dtype)
 
     plan = cost  # the earlier name
 
@@ -177,23 +162,6 @@ class QuantumLayer(nn.Module):
             self._node = pennylane.make_node(self.circuit, **self._node_options)
         self._number = operator.register(self)  # a copy is another layer
 
-    def _cost(self, batch: int, device: torch.device, dtype: torch.dtype, transformed: bool = False) -> Cost:
-        if self._node is not None:
-            return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
-        on_cpu = device.type == "cpu"
-        if self.backend == "compiled" and not on_cpu:
-            raise ValueError(f"backend=compiled expects tensors on the CPU, got {device}; choose auto or torch")
-        key = batch, device, dtype, torch.get_num_threads(), transformed
-        if key not in self._costs:
-            if len(self._costs) > 1000:
-                self._costs.clear()
-            compiled = on_cpu and self.backend != "torch" and not transformed
-            if self._pauli is not None:
-                self._costs[key] = pauli_engine.cost(self._pauli.form, batch, dtype, compiled)
-            else:
-                self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
-        return self._costs[key]
-
     def forward(self, x: Tensor) -> Tensor:
         if not torch.is_tensor(x) or not x.is_floating_point():
             kind = x.dtype if torch.is_tensor(x) else type(x).__name__
@@ -204,9 +172,9 @@ class QuantumLayer(nn.Module):
         parameters = [getattr(self, name) for name in self.circuit.parameters]
         dtype = torch.promote_types(x.dtype, parameters[-1].dtype) if parameters else x.dtype
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
-        angles = x.reshape(prod(x.shape[:-1]), features).to(dtype)
+        angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).to(dtype)
         with torch.autocast(x.device.type, enabled=False):
-            if self._pauli is None:
+            if self.circuit.reuploading:
                 weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
             else:
                 weights = torch.cat([angles.new_zeros(0), *(parameter.flatten().to(dtype) for parameter in parameters)])
@@ -214,7 +182,7 @@ class QuantumLayer(nn.Module):
                 out = operator.evaluate(angles, weights, self._number)
             else:
                 out = self.evaluate(angles, weights)
-        return out.reshape(*x.shape[:-1], out.shape[-1])
+        return out if x.ndim == 2 else out.reshape(*x.shape[:-1], out.shape[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs (B, features) in radians.
@@ -224,29 +192,13 @@ class QuantumLayer(nn.Module):
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
-        if self._pauli is not None:
-            raise ValueError(f"hardware conditions {_UPLOADING}, got {self.circuit.name}")
         return measurement.measure(self.circuit, x, weights, self._exact, conditions)
 
     def _exact(self, x: Tensor, weights: Tensor) -> Tensor:
-        if self._node is not None:
-            return self._node(x, weights.transpose(1, 2) if self._pauli is None else weights)
-        engine = self._cost(x.shape[0], x.device, x.dtype, operator.is_transformed())
-        if engine.method == "lightcone":
-            if engine.backend == "torch":
-                return lightcone.evaluate_reference(self.circuit, x, weights)
-            if self._cone is None:
-                self._cone = lightcone.LightConeEngine(self.circuit)
-            return lightcone.evaluate(self._cone, x, weights)
-        if engine.backend == "torch":
-            if self._pauli is not None:
-                return self._pauli.plain.evaluate(x, weights)
-            return statevector.evaluate(self._engine.form, x, weights)
-        if engine.memory > memory.LARGE:
-            memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.wires} wires", engine.memory)
-        if self._pauli is not None:
-            return self._pauli.evaluate(x, weights)
-        return compiled.evaluate(self._engine, x, weights)
+        if self._simulator is not None:
+            return self._simulator(x, weights)
+        assert self._node is not None
+        return self._node(x, weights.transpose(1, 2) if self.circuit.reuploading else weights)
 
 
 def _described(

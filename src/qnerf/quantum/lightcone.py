@@ -4,14 +4,14 @@ With S = 1 an output of QIREN depends on three inputs, whatever the number of wi
 step. They come from interpolation. The circuit is evaluated exactly on a grid of equispaced angles, and a discrete
 Fourier transform of those values gives the coefficients without error. Wires that share no cone can take the same grid
 angle. They are found by colouring the wires, so that 8 wires need 81 evaluations, not 216. Any circuit with small cones
-will do.
+will do. A wide one is evaluated register by register (`registers`), so no state is larger than a cone.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import chain
 from math import pi, prod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -33,20 +33,19 @@ from qnerf.quantum.compiled.engine import (
     to_blocks,
 )
 from qnerf.quantum.compiled.simd import lanes
-from qnerf.quantum.cones import Cones, TooLarge, find_cones
+from qnerf.quantum.cones import Cone, Cones, TooLarge, find_cones
 from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.registers import is_split, measured, registers
 
 MAX_ENTRIES = 2**22  # of the interpolation matrix: 32 MiB
 
 
 @dataclass(frozen=True)
-class Interpolation:
-    """Where to evaluate the circuit, and how to turn the values into coefficients.
+class PolynomialForm:
+    """Which polynomials the outputs of a circuit are.
 
     Attributes:
-        cones: of the circuit.
-        points: (points, n) input angles in radians.
-        matrix: (outputs, most coefficients, points); coefficients = matrix @ values. Unused rows at the end are 0.
+        cones: of the circuit; the coefficients of output k are ordered as `cones.cones[k]` is.
         highest_degree: of any wire.
         wires: (outputs, most wires) of each cone.
         basis_sizes: (outputs, most wires) number of basis functions 1, cos, sin, ... of each of these wires.
@@ -55,18 +54,66 @@ class Interpolation:
     """
 
     cones: Cones
-    points: np.ndarray
-    matrix: np.ndarray
     highest_degree: int
     wires: np.ndarray
     basis_sizes: np.ndarray
     wire_counts: np.ndarray
     base_frequencies: np.ndarray
 
+    @property
+    def most_coefficients(self) -> int:
+        return max(cone.coefficients for cone in self.cones.cones)
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """Where to evaluate a circuit, and how to turn the values into coefficients.
+
+    Attributes:
+        points: (points, n) input angles in radians.
+        matrix: (outputs, most coefficients, points); coefficients = matrix @ values. Unused rows at the end are 0.
+    """
+
+    points: np.ndarray
+    matrix: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def polynomial_form(circuit: Circuit) -> PolynomialForm:
+    """The polynomials of a circuit.
+
+    Raises:
+        TooLarge: the cones are too large.
+    """
+    cones = find_cones(circuit) if not is_split(circuit) else _cones_of_registers(circuit)
+    most_wires = max(len(cone.wires) for cone in cones.cones)
+    wires = np.zeros((len(cones.cones), max(most_wires, 1)), dtype=np.int64)
+    basis_sizes = np.ones_like(wires)
+    for output, cone in enumerate(cones.cones):
+        for position, (wire, highest) in enumerate(zip(cone.wires, cone.degrees, strict=True)):
+            wires[output, position], basis_sizes[output, position] = wire, 2 * highest + 1
+    wire_counts = np.array([len(cone.wires) for cone in cones.cones])
+    base = np.array([frequency or 1.0 for frequency in cones.base_frequencies])
+    return PolynomialForm(cones, int(basis_sizes.max()) // 2, wires, basis_sizes, wire_counts, base)
+
+
+def _cones_of_registers(circuit: Circuit) -> Cones:
+    cones: list[Cone] = [Cone((), ())] * len(circuit.observables)
+    base = [0.0] * circuit.wires
+    outputs = outputs_of(circuit)
+    for part in registers(circuit):
+        own = find_cones(part.circuit)
+        for wire, frequency in zip(part.wires, own.base_frequencies, strict=True):
+            base[wire] = frequency
+        for value, cone in zip(part.values, own.cones, strict=True):
+            for output in outputs[value]:
+                cones[output] = Cone(tuple(part.wires[wire] for wire in cone.wires), cone.degrees)
+    return Cones(tuple(cones), tuple(base))
+
 
 @lru_cache(maxsize=64)
 def interpolation(circuit: Circuit) -> Interpolation:
-    """The interpolation grid of a circuit.
+    """The interpolation grid of a circuit, as one whole.
 
     Raises:
         TooLarge: the cones or the grid are too large.
@@ -90,22 +137,17 @@ def interpolation(circuit: Circuit) -> Interpolation:
     base = np.array([frequency or 1.0 for frequency in cones.base_frequencies])
     grid_sizes = np.array(sizes)[colour] if colours else np.ones(n)
     points = (grid[:, colour] if colours else np.zeros((1, n))) * 2 * pi / grid_sizes / base
-    most_wires = max(len(cone.wires) for cone in cones.cones)
     matrix = np.zeros((len(cones.cones), most_coefficients, len(points)))
-    wires = np.zeros((len(cones.cones), max(most_wires, 1)), dtype=np.int64)
-    basis_sizes = np.ones_like(wires)
     for output, cone in enumerate(cones.cones):
         rows = np.ones((1, len(points))) / len(points)
-        for position, (wire, highest) in enumerate(zip(cone.wires, cone.degrees, strict=True)):
+        for wire, highest in zip(cone.wires, cone.degrees, strict=True):
             angle = points[:, wire] * base[wire]
             basis = [np.ones(len(points))]
             for k in range(1, highest + 1):
                 basis += [2 * np.cos(k * angle), 2 * np.sin(k * angle)]
             rows = (rows[:, None, :] * np.stack(basis)[None]).reshape(-1, len(points))
-            wires[output, position], basis_sizes[output, position] = wire, 2 * highest + 1
         matrix[output, : len(rows)] = rows
-    wire_counts = np.array([len(cone.wires) for cone in cones.cones])
-    return Interpolation(cones, points, matrix, max(degree), wires, basis_sizes, wire_counts, base)
+    return Interpolation(points, matrix)
 
 
 def _colour_wires(cones: Cones, n: int) -> list[int]:
@@ -135,6 +177,44 @@ def _extend_colouring(conflicts: list[set[int]], colours: int, chosen: list[int]
     return None
 
 
+class _Grid:
+    """A circuit, and the engine that evaluates it on its grid."""
+
+    def __init__(self, circuit: Circuit) -> None:
+        self.grid, self.engine = interpolation(circuit), StatevectorEngine(normal_form(circuit))
+        self.points = cos_sin_of_half(to_blocks(self.grid.points, lanes(8)), self.engine.arrays.encoding_scales)
+
+
+class _BoundGrid:
+    """A grid with its weights, (rows * 3, n) float64 in radians."""
+
+    def __init__(self, grid: _Grid, weights: np.ndarray) -> None:
+        self.grid, self.bound = grid, grid.engine.bind(weights, np.float64)
+
+    def coefficients(self) -> np.ndarray:
+        """(outputs, most coefficients)."""
+        values, self.expectations = self.bound.forward(self.grid.points)
+        values = values.transpose(1, 0, 2).reshape(values.shape[1], -1, 1)[:, : len(self.grid.grid.points)]
+        out: np.ndarray = np.matmul(self.grid.grid.matrix, values)[..., 0]
+        return out
+
+    def backward(self, gradient: np.ndarray) -> np.ndarray:
+        """Gradient of the weights from that of the coefficients."""
+        grid, points = self.grid.grid, self.grid.points
+        to_values = np.zeros((len(gradient), points.shape[0] * points.shape[-1]))
+        to_values[:, : len(grid.points)] = np.matmul(gradient[:, None], grid.matrix)[:, 0]
+        to_values = to_values.reshape(len(to_values), -1, points.shape[-1]).transpose(1, 0, 2)
+        return self.bound.backward(points, self.expectations, np.ascontiguousarray(to_values))[1]
+
+
+class _Part(NamedTuple):
+    """A register: its grid, its columns of the weights, and the outputs that each of its values is."""
+
+    grid: _Grid
+    wires: list[int] | slice
+    outputs: list[list[int]]
+
+
 class LightConeEngine:
     """A circuit with small light cones, ready to run on the CPU.
 
@@ -143,13 +223,39 @@ class LightConeEngine:
     """
 
     def __init__(self, circuit: Circuit) -> None:
-        self.circuit, self.grid = circuit, interpolation(circuit)
-        self.engine = StatevectorEngine(normal_form(circuit))
-        self.points = cos_sin_of_half(to_blocks(self.grid.points, lanes(8)), self.engine.arrays.encoding_scales)
+        self.circuit, self.form = circuit, polynomial_form(circuit)
+        if is_split(circuit):
+            parts, outputs = registers(circuit), outputs_of(circuit)
+            grids = {own: _Grid(own) for own in dict.fromkeys(part.circuit for part in parts)}
+            self.parts = [
+                _Part(grids[part.circuit], list(part.wires), [outputs[value] for value in part.values])
+                for part in parts
+            ]
+        else:
+            every = [[output] for output in range(len(self.form.cones.cones))]
+            self.parts = [_Part(_Grid(circuit), slice(None), every)]
+
+
+def outputs_of(circuit: Circuit) -> list[list[int]]:
+    """For each measured value of a re-uploading circuit the outputs that are this value."""
+    found = measured(circuit)
+    if found.combination is None:
+        return [[value] for value in range(found.values)]
+    return [np.flatnonzero(column).tolist() for column in found.combination.T]
 
 
 def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
     """Coefficients (outputs, most coefficients) for stacked weights (rows, 3, n), differentiable; plain PyTorch."""
+    if is_split(circuit):
+        most = polynomial_form(circuit).most_coefficients
+        rows: list[Tensor] = [weights.new_zeros(most)] * len(circuit.observables)
+        outputs = outputs_of(circuit)
+        for part in registers(circuit):
+            own = coefficients(part.circuit, weights[..., list(part.wires)])
+            for value, row in zip(part.values, own, strict=True):
+                for output in outputs[value]:
+                    rows[output] = torch.nn.functional.pad(row, (0, most - len(row)))
+        return torch.stack(rows)
     grid = interpolation(circuit)
     points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
     return coefficients_of(grid, statevector.evaluate(normal_form(circuit), points, weights))
@@ -163,13 +269,13 @@ def coefficients_of(grid: Interpolation, values: Tensor) -> Tensor:
 
 def polynomials(circuit: Circuit, x: Tensor, coefficients: Tensor) -> Tensor:
     """The polynomials (B, outputs) with those coefficients at inputs x (B, n): plain PyTorch."""
-    grid = interpolation(circuit)
+    form = polynomial_form(circuit)
     waves = [
-        statevector.cos_sin(x, (order * grid.base_frequencies).tolist()) for order in range(1, grid.highest_degree + 1)
+        statevector.cos_sin(x, (order * form.base_frequencies).tolist()) for order in range(1, form.highest_degree + 1)
     ]
     basis = torch.stack([torch.ones_like(x.T), *chain.from_iterable(waves)], -1)  # (n, B, 2 highest_degree + 1)
     outputs = []
-    for k, cone in enumerate(grid.cones.cones):
+    for k, cone in enumerate(form.cones.cones):
         value = coefficients[k, : cone.coefficients].expand(x.shape[0], -1)
         for wire, degree in zip(reversed(cone.wires), reversed(cone.degrees), strict=True):
             size = 2 * degree + 1
@@ -183,40 +289,44 @@ class _Polynomials(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, cone: LightConeEngine, x: Tensor, weights: Tensor) -> Tensor:
-        grid = cone.grid
-        bound = cone.engine.bind(flat_weights(weights), np.float64)
-        values, expectations = bound.forward(cone.points)
-        values = values.transpose(1, 0, 2).reshape(values.shape[1], -1, 1)[:, : len(grid.points)]
+        form, flat = cone.form, flat_weights(weights)
         dtype = numpy_dtype(x.dtype)
-        table = np.matmul(grid.matrix, values)[..., 0].astype(dtype)
+        table = np.zeros((len(form.wire_counts), form.most_coefficients), dtype)
+        bound = []
+        for part in cone.parts:
+            own = _BoundGrid(part.grid, np.ascontiguousarray(flat[:, part.wires]))
+            for outputs, row in zip(part.outputs, own.coefficients(), strict=True):
+                table[outputs, : len(row)] = row
+            bound.append(own)
         angles = to_blocks(x.detach().numpy(), lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), dtype)
-        cos_sin(angles, grid.base_frequencies, trig.swapaxes(0, 1))
-        out = np.empty((trig.shape[0], len(grid.wire_counts), trig.shape[3]), dtype)
+        cos_sin(angles, form.base_frequencies, trig.swapaxes(0, 1))
+        out = np.empty((trig.shape[0], len(form.wire_counts), trig.shape[3]), dtype)
         parts = parts_of(trig)
-        arguments = trig, trig.shape[3], grid.highest_degree, table, grid.wires, grid.basis_sizes, grid.wire_counts
+        arguments = trig, trig.shape[3], form.highest_degree, table, form.wires, form.basis_sizes, form.wire_counts
         run(polynomial.evaluate, parts, parts, *arguments, out)
         ctx.save_for_backward(x, weights)
-        ctx.saved = cone, bound, expectations, parts, arguments
+        ctx.saved = cone, bound, parts, arguments
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
         return from_blocks(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        cone, bound, expectations, parts, arguments = ctx.saved
+        cone, bound, parts, arguments = ctx.saved
         if torch.is_grad_enabled():
             return None, *differentiable_gradients(ctx, partial(evaluate_reference, cone.circuit), gradient)
         batch, shape, dtype = ctx.shapes
-        grid, trig, table = cone.grid, arguments[0], arguments[3]
+        trig, table = arguments[0], arguments[3]
         width = trig.shape[3]
         inputs = np.empty((trig.shape[0], trig.shape[2], width), table.dtype)
         sums = np.empty((parts, *table.shape))
         run(polynomial.gradients, parts, parts, *arguments, to_blocks(gradient.detach().numpy(), width), inputs, sums)
-        to_values = np.zeros((len(grid.wire_counts), cone.points.shape[0] * cone.points.shape[-1]))
-        to_values[:, : len(grid.points)] = np.matmul(sums.sum(0)[:, None], grid.matrix)[:, 0]
-        to_values = to_values.reshape(len(to_values), -1, cone.points.shape[-1]).transpose(1, 0, 2)
-        _, to_weights = bound.backward(cone.points, expectations, np.ascontiguousarray(to_values))
-        inputs *= grid.base_frequencies[:, None].astype(table.dtype)
+        total, to_weights = sums.sum(0), np.zeros((shape[0] * shape[1], shape[2]))
+        for part, own in zip(cone.parts, bound, strict=True):
+            most = own.grid.grid.matrix.shape[1]
+            gradients = np.stack([total[outputs, :most].sum(0) for outputs in part.outputs])
+            to_weights[:, part.wires] += own.backward(gradients)
+        inputs *= cone.form.base_frequencies[:, None].astype(table.dtype)
         dx = from_blocks(inputs, batch)
         return None, dx, torch.from_numpy(to_weights).to(dtype).reshape(shape)
 

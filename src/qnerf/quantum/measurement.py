@@ -1,6 +1,7 @@
 """Circuits measured as on hardware: with finitely many shots or noisy gates."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -8,10 +9,12 @@ import torch
 from torch import Tensor
 
 from qnerf.quantum import density, pauli_errors, statevector
-from qnerf.quantum.circuit import Circuit
+from qnerf.quantum.circuit import Circuit, Probabilities
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form, z_eigenvalues
 from qnerf.quantum.pennylane import check_shots
+from qnerf.quantum.registers import measured
+from qnerf.quantum.simulator import Simulator
 
 CHUNK = 4096  # samples whose probabilities are computed at once
 
@@ -27,7 +30,8 @@ class Conditions:
         noise: errors of the gates and of the readout; None for none.
         joint: True reads all wires in every shot, as a device does. False draws each output from its own binomial,
             which is faster. Every single output has the same distribution either way; only the correlations between
-            the outputs of one sample differ. Noisy shots are always drawn independently.
+            the outputs of one sample differ. Noisy shots are always drawn independently. Circuits that are no data
+            re-uploading circuits take `shots` for each Pauli word and for each of their probabilities, either way.
         seed: of the shots and of sampled noise; None draws from torch's global generator.
         method: of noisy gates. density is exact, by density matrices; sampled draws `patterns` of Pauli errors, with a
             standard error; auto takes density where it is quick (`density.is_quick`).
@@ -106,8 +110,9 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Ex
             drawn = _drawn(circuit, x, weights, values, conditions)
         return values if drawn is values else values + (drawn - values).detach()
     with torch.no_grad():
-        joint = conditions.shots is not None and conditions.joint and not conditions.noisy
-        values = x if joint else _expected(circuit, x, weights, exact, conditions)  # joint shots need no exact values
+        joint = conditions.joint or not circuit.reuploading
+        drawn_from_states = conditions.shots is not None and joint and not conditions.noisy  # needs no exact values
+        values = x if drawn_from_states else _expected(circuit, x, weights, exact, conditions)
         drawn = _drawn(circuit, x, weights, values, conditions)
     out: Tensor = _WithoutGradient.apply(drawn, x, weights)
     return out
@@ -120,6 +125,8 @@ def _expected(
     noise = conditions.noise
     if noise is None or not noise.any:
         return exact(x, weights)
+    if not circuit.reuploading:
+        raise ValueError(f"noise expects a data re-uploading circuit, got {circuit.name}")
     scale, shift = _readout(circuit, noise)
     if conditions.is_sampled(circuit):
         values, errors = pauli_errors.evaluate(
@@ -155,6 +162,8 @@ def _drawn(circuit: Circuit, x: Tensor, weights: Tensor, expected: Tensor, condi
     """Means of finitely many shots; `expected` itself without a number of shots."""
     if conditions.shots is None:
         return expected
+    if not circuit.reuploading:
+        return _measure_any(circuit, x, weights, conditions)
     if conditions.joint and not conditions.noisy:
         return torch.cat([_measure_all_wires(circuit, part, weights, conditions) for part in x.split(CHUNK)])
     return binomial(expected, conditions.shots, conditions.random)
@@ -166,6 +175,27 @@ def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
     up = random.binomial(shots, np.clip(np.nan_to_num((1 + values) / 2), 0, 1))
     means = np.where(np.isnan(values), np.nan, 2 * up / shots - 1)
     return torch.from_numpy(means).to(exact)
+
+
+def _measure_any(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:
+    """Shots for each Pauli word, and for each of the `Probabilities`, by themselves; of any circuit."""
+    found, shots = measured(circuit), conditions.shots
+    assert shots is not None
+    values = _simulator(replace(circuit, observables=found.observables))(x, weights).detach()
+    drawn = []
+    for observable, first in zip(found.observables, found.places, strict=True):
+        if isinstance(observable, Probabilities):
+            exact = values[:, first : first + 2 ** len(observable.wires)]
+            counts = multinomial(shots, np.nan_to_num(exact.double().cpu().numpy()), conditions.random)
+            drawn.append((torch.from_numpy(counts / shots).to(x)).where(exact == exact, torch.nan))
+        else:
+            drawn.append(binomial(values[:, first : first + 1], shots, conditions.random))
+    return found.outputs(torch.cat(drawn, 1))
+
+
+@lru_cache(maxsize=64)
+def _simulator(circuit: Circuit) -> Simulator:
+    return Simulator(circuit)
 
 
 def _measure_all_wires(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:

@@ -16,7 +16,7 @@ are measured as Z after a fixed rotation.
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import pi
 
 import numpy as np
@@ -80,7 +80,7 @@ class NormalForm:
     def wires(self) -> int:
         return self.circuit.wires
 
-    @property
+    @cached_property
     def fixed_steps(self) -> int:
         """Number of leading steps that do not depend on the input. They run once for a whole batch."""
         for index, step in enumerate(self.steps):
@@ -88,7 +88,7 @@ class NormalForm:
                 return index
         return len(self.steps)
 
-    @property
+    @cached_property
     def measures_last_layer(self) -> bool:
         """Whether the last RY layer can be part of the measurement.
 

@@ -14,10 +14,10 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from qnerf.quantum import statevector
-from qnerf.quantum.circuit import Amplitudes, Circuit
+from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expression_table import ExpressionTable
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.pauli_form import Word, pauli_form
+from qnerf.quantum.pauli_form import Word, as_gates, pauli_form
 
 Simulate = Callable[[Tensor, Tensor, Tensor | None, int, torch.dtype], Tensor]
 """Measured values (B, values) from angles (1, fixed) and (B, moving), the start (1 or B, 2^n) or None, B, a dtype."""
@@ -121,6 +121,32 @@ class PauliCircuit:
             c, s = cosines[kind][:, column], sines[kind][:, column]
             state = c * state + s * (-1j * phases[:, None] * state[index])
         return state
+
+
+def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
+    """The states (B, 2^n) of any circuit at inputs (B, features) and flat weights, up to a phase; complex128.
+
+    Every gate is run. The Pauli form leaves out what has no effect on the values that are measured.
+
+    Raises:
+        ValueError: more than 20 wires.
+    """
+    n = circuit.wires
+    check_state(n, f"the whole state of circuit {circuit.name}")
+    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
+    rotations = [
+        (Word.of(part.letters, gate.wires, n), gate.angle_of(part)) for gate in gates for part in gate.rotations
+    ]
+    angles = ExpressionTable([angle for _, angle in rotations], circuit.parameters, fixed=False)(x, weights)
+    start = PauliCircuit(circuit).start(x, weights)
+    if start is None:
+        start = torch.nn.functional.pad(torch.ones_like(x[:1, :0].sum(1, keepdim=True)), (0, 2**n - 1))
+    state = start.to(torch.complex128).expand(x.shape[0], -1).T
+    for column, (word, _) in enumerate(rotations):
+        index, phases = _action(word, n, x.device, torch.complex128)
+        half = angles[:, column] / 2
+        state = half.cos() * state + half.sin() * (-1j * phases[:, None] * state[index])
+    return state.T
 
 
 def _action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:

@@ -22,11 +22,9 @@ from pennylane.tape import QuantumScript
 from pennylane.transforms.core import CompilePipeline
 from torch import Tensor
 
-from qnerf.config import memory
-from qnerf.quantum.circuit import Operation, Weights, check_wires, feature, weight
-from qnerf.quantum.compiled.pauli_engine import PauliEngine, memory_bytes
+from qnerf.quantum.circuit import Operation, Weights, feature, weight
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.pauli_statevector import PauliCircuit
+from qnerf.quantum.simulator import Simulator
 from qnerf.quantum.tapes import Measured, circuit_of, decomposed, described, is_measurement, places_of
 
 
@@ -163,9 +161,6 @@ class _Key:
 
 
 @lru_cache(maxsize=256)
-def _engine(operations: tuple[Operation, ...], key: _Key, wires: int, features: int, weights: int) -> PauliEngine:
-    check_wires(wires)
+def _engine(operations: tuple[Operation, ...], key: _Key, wires: int, features: int, weights: int) -> Simulator:
     own = (Weights("parameters", (weights,)),) if weights else ()
-    engine = PauliEngine(PauliCircuit(circuit_of(operations, key.measured, wires, features, own)))
-    memory.require(f"one sample of a circuit of {wires} wires", memory_bytes(engine.form, 1))
-    return engine
+    return Simulator(circuit_of(operations, key.measured, wires, features, own))

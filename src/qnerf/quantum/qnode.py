@@ -15,11 +15,9 @@ import pennylane as qml
 import torch
 from torch import Tensor, nn
 
-from qnerf.config import memory
 from qnerf.quantum.circuit import Circuit, Weights, feature
-from qnerf.quantum.compiled.pauli_engine import PauliEngine, memory_bytes
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.pauli_statevector import PauliCircuit
+from qnerf.quantum.simulator import Simulator
 from qnerf.quantum.tapes import Measured, circuit_of, decomposed, described, places_of
 
 Shape = int | tuple[int, ...]
@@ -68,7 +66,7 @@ class QnodeLayer(qml.qnn.TorchLayer):
 
     def circuit(self, features: int) -> Circuit:
         """The circuit for an input of that many features."""
-        found: Circuit = self.qnode.built(features)[0].form.circuit
+        found: Circuit = self.qnode.built(features)[0].circuit
         return found
 
 
@@ -78,7 +76,7 @@ class _Traced:
     def __init__(self, qnode: Any, shapes: dict[str, tuple[int, ...]]) -> None:
         self.func, self.shapes = qnode.func, shapes
         self.labels = qnode.device.wires
-        self._built: dict[int, tuple[PauliEngine, Measured, type]] = {}
+        self._built: dict[int, tuple[Simulator, Measured, type]] = {}
 
     def __call__(self, **arguments: Tensor) -> Any:
         weights = [arguments.pop(name).flatten() for name in self.shapes]
@@ -92,13 +90,11 @@ class _Traced:
             results = [value[0] for value in results]
         return results[0] if kind not in (list, tuple) else kind(results)
 
-    def built(self, features: int) -> tuple[PauliEngine, Measured, type]:
+    def built(self, features: int) -> tuple[Simulator, Measured, type]:
         """The engine for that many features, the measurements, and what the function returns: list, tuple or one."""
         if features not in self._built:
             circuit, measured, kind = self._trace(features)
-            engine = PauliEngine(PauliCircuit(circuit))
-            memory.require(f"one sample of a circuit of {circuit.wires} wires", memory_bytes(engine.form, 1))
-            self._built[features] = engine, measured, kind
+            self._built[features] = Simulator(circuit), measured, kind
         return self._built[features]
 
     def _trace(self, features: int) -> tuple[Circuit, Measured, type]:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from qnerf.quantum.circuit import check_state
 from qnerf.quantum.normal_form import Angles, Diagonal, NormalForm, RYLayer, cnot_permutation, cz_signs, z_eigenvalues
 
 GROUP = 4  # wires in one dense real matrix
@@ -53,7 +54,12 @@ def probabilities(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
 
 
 def final_state(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
-    """The state (2^n, B) before Z is measured, up to phases of the amplitudes."""
+    """The state (2^n, B) before Z is measured, up to phases of the amplitudes.
+
+    Raises:
+        ValueError: more than 20 wires.
+    """
+    check_state(form.wires, f"the whole state of circuit {form.circuit.name}")
     state = torch.zeros(2**form.wires, 1, dtype=x.dtype.to_complex(), device=x.device)
     state[0] = 1
     weights = weights.double()  # angles are added up before they are rounded

@@ -11,6 +11,7 @@ threads.
 
 from collections.abc import Callable
 from functools import partial
+from math import frexp
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,9 @@ class BoundEngine:
         self.start = self.psi
         if self.first_diagonal is not None:
             u, v = self.first_diagonal
-            self.start = np.stack([u * self.psi[0] - v * self.psi[1], u * self.psi[1] + v * self.psi[0]])
+            self.start = np.empty_like(self.psi)
+            self.start[0] = u * self.psi[0] - v * self.psi[1]
+            self.start[1] = u * self.psi[1] + v * self.psi[0]
 
     def _shared(self, trig: np.ndarray) -> tuple[Any, ...]:
         """Arguments that `forward` and `backward` begin with."""
@@ -104,7 +107,7 @@ class BoundEngine:
             backward, *self._shared(trig), expectations, arrays.stored_states, arrays.input_scales, gradient, inputs,
             sums, adjoints,
         )  # fmt: skip
-        total, adjoint = sums.sum(0), adjoints.sum(0)
+        total, adjoint = (sums[0], adjoints[0]) if parts == 1 else (sums.sum(0), adjoints.sum(0))
         if self.first_diagonal is not None:
             u, v = self.first_diagonal.astype(np.float64)
             adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
@@ -143,8 +146,7 @@ def cos_sin(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
 
     As in `statevector.cos_sin`, a product that the inputs' dtype would round is taken in float64.
     """
-    mantissas = np.abs(np.frexp(factors)[0])
-    exact = bool(((mantissas == 0.5) | (mantissas == 0)).all())
+    exact = all(abs(frexp(factor)[0]) in (0, 0.5) for factor in factors.tolist())
     angles = factors[:, None].astype(x.dtype if exact else np.float64) * x
     with np.errstate(invalid="ignore"):
         np.cos(angles, out=out[0], casting="same_kind")

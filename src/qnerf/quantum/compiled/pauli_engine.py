@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.config import memory
 from qnerf.kernels.jit import run
-from qnerf.quantum import operator, statevector
+from qnerf.quantum import statevector
 from qnerf.quantum.compiled import pauli_sweeps
 from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
 from qnerf.quantum.compiled.simd import VECTOR_BYTES, lanes
@@ -42,15 +41,6 @@ class PauliEngine:
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs x (B, features) and flat weights, compiled."""
         return self.plain.evaluate(x, weights, self._simulate)
-
-    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
-        """`evaluate` where the compiled engine can run, else the same in plain PyTorch."""
-        if x.device.type != "cpu" or operator.is_transformed():
-            return self.plain.evaluate(x, weights)
-        needed = memory_bytes(self.form, x.shape[0], x.element_size())
-        if needed > memory.LARGE:
-            memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.form.wires} wires", needed)
-        return self.evaluate(x, weights)
 
     def _simulate(self, fixed: Tensor, moving: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
         out: Tensor = _Simulate.apply(self, fixed, moving, start, batch, dtype)

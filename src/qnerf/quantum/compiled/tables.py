@@ -7,6 +7,7 @@ angles (of an RY angle where x + z is odd), and in the end flips the signs of <Z
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import cos, sin
 from typing import Any
 
@@ -66,7 +67,7 @@ class CircuitArrays:
     wires: np.ndarray
     eigenvalues: np.ndarray
 
-    @property
+    @cached_property
     def stored_states(self) -> int:
         """States that the backward pass stores: the first one, and one before every operation that is no diagonal."""
         return 1 + int((self.per_sample[:, 0] != DIAGONAL).sum())
