@@ -9,9 +9,10 @@ from qnerf.metrics import metric_of
 
 from .. import style
 from ..selection import select
+from ..step_times import doubt
 from . import benchmarks, points
 
-TIMES = ("step_ms", "train_s")
+TIMES = ("step_ms", "step_cpu_ms", "train_s")
 
 
 def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
@@ -29,11 +30,17 @@ def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
 def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> pd.DataFrame:
     """`points.points` of an image metric and a time, with `front`: whether the row is on its scene's Pareto front.
 
-    time: step_ms, the median time of a step, or train_s, seconds of training; ValueError for any other.
+    There is no front where the times are not comparable (`step_times.doubt`).
+
+    time: step_ms, the median time of a step; step_cpu_ms, its CPU time; or train_s, seconds of training; ValueError
+        for any other.
     """
     if time not in TIMES:
         raise ValueError(f"unknown time {time!r}; known: {', '.join(TIMES)}")
-    table = points.points(select(frame, metric).runs, [metric, time])
+    runs = select(frame, metric).runs
+    table = points.points(runs, [metric, time])
+    if doubt(runs, time):
+        return table.assign(front=False)
     return _with_fronts(table, "scene_name", table[time], -metric_of(metric).sign * table[metric])
 
 
@@ -61,9 +68,12 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
         style.plain_ticks(ax)
         ax.legend()
     axes[0].set_ylabel(metric_of(metric).heading)
-    invisible = [Line2D([], [], ls="") for _ in names]
-    figure.legend(invisible, names, loc="outside upper left", handlelength=0, ncols=len(scenes))
-    style.footnote(figure, "line and numbers: Pareto front", points.seeds(table), select(frame, metric).note)
+    selection = select(frame, metric)
+    if names:
+        invisible = [Line2D([], [], ls="") for _ in names]
+        figure.legend(invisible, names, loc="outside upper left", handlelength=0, ncols=len(scenes))
+    ranked = doubt(selection.runs, time) or "line and numbers: Pareto front"
+    style.footnote(figure, ranked, points.seeds(table), selection.note)
     return figure
 
 
