@@ -1,12 +1,17 @@
-"""Our model, served (see `benchmarks.peers.serve`): `python -m benchmarks.nerfstudio_ours "OVERRIDES" THREADS`."""
+"""Our model, served (see `benchmarks.peers.serve`): `python -m benchmarks.nerfstudio_ours "OVERRIDES" THREADS [plain]`.
+
+plain: with the PyTorch references in place of the compiled loops.
+"""
 
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import torch
 
 from benchmarks.peers.serve import serve
 from benchmarks.training import build
+from qnerf import kernels
 
 
 class Ours:
@@ -32,7 +37,8 @@ class Ours:
 
 def main() -> None:
     torch.set_num_threads(int(sys.argv[2]))
-    serve(lambda: Ours(sys.argv[1]))
+    with kernels.plain() if sys.argv[3:] == ["plain"] else nullcontext():
+        serve(lambda: Ours(sys.argv[1]))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,11 @@ def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
     row = summary.iloc[0]
     assert (row["state"], row["field"], row["steps"], row["run_id"]) == ("finished", field, 4, outcome.run_id)
     assert row["step_ms"] > 0
+    assert row["step_cpu_ms"] > 0
+    assert row["time.threads"] == torch.get_num_threads()
+    assert len(row["machine"]) == 8
+    if hasattr(os, "getloadavg"):
+        assert row["time.load"] >= 0
     assert state(outcome.path) == "finished"
 
     metrics = pd.read_parquet(outcome.path / "metrics")

@@ -10,6 +10,7 @@ from .accuracy import accuracy_points, accuracy_vs_speed
 from .capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
 from .catalogue import FIGURES, Entry
 from .colors import hsv_boxes, hsv_histograms, hsv_samples, hsv_study
+from .cpu_ladder import cpu_ladder_points, psnr_vs_cpu_seconds
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
 from .ladder import ladder_points, speed_error_ladder
@@ -31,6 +32,7 @@ __all__ = [
     "best_of",
     "capacity_points",
     "capacity_vs_psnr",
+    "cpu_ladder_points",
     "encoding_channels",
     "encoding_slices",
     "engine_points",
@@ -48,6 +50,7 @@ __all__ = [
     "loss_curves",
     "loss_points",
     "plateau_points",
+    "psnr_vs_cpu_seconds",
     "psnr_vs_depth",
     "psnr_vs_noise",
     "psnr_vs_shots",

@@ -9,9 +9,10 @@ from qnerf.metrics import METRICS, metric_of
 from .. import style
 from ..marks import Mark, arrange
 from ..selection import select
+from ..step_times import doubt
 from . import benchmarks, points
 
-COSTS = ("step_ms", "train_s", *(key for key, metric in METRICS.items() if metric.kind == "size"))
+COSTS = ("step_ms", "step_cpu_ms", "train_s", *(key for key, metric in METRICS.items() if metric.kind == "size"))
 
 
 def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
@@ -29,12 +30,17 @@ def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
 def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> pd.DataFrame:
     """`points.points` of an image metric and a time, with `front`: whether the row is on its scene's Pareto front.
 
-    time: step_ms, the median time of a step; train_s, seconds of training; or a number of parameters instead, such as
-        params.total. ValueError for any other.
+    There is no front where the times are not comparable (`step_times.doubt`).
+
+    time: step_ms, the median time of a step; step_cpu_ms, its CPU time; train_s, seconds of training; or a number of
+        parameters instead, such as params.total. ValueError for any other.
     """
     if time not in COSTS:
         raise ValueError(f"unknown cost {time!r}; known: {', '.join(COSTS)}")
-    table = points.points(select(frame, metric).runs, [metric, time])
+    runs = select(frame, metric).runs
+    table = points.points(runs, [metric, time])
+    if doubt(runs, time):
+        return table.assign(front=False)
     return _with_fronts(table, "scene_name", table[time], -metric_of(metric).sign * table[metric])
 
 
@@ -65,7 +71,8 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
         style.plain_ticks(ax)
     axes[0].set_ylabel(metric_of(metric).heading)
     style.legend(figure)
-    style.footnote(figure, "line and names: Pareto front", points.seeds(table), key, finished.note)
+    ranked = doubt(finished.runs, time) or "line and names: Pareto front"
+    style.footnote(figure, ranked, points.seeds(table), key, finished.note)
     arrange(figure, drawn, lines)
     return figure
 

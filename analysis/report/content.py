@@ -13,6 +13,7 @@ from ..figures import points
 from ..load import with_needed
 from ..selection import select
 from ..settings import first_of_each
+from ..step_times import doubts
 from . import curves, pictures
 from .columns import packed
 from .figures import dark_colors
@@ -82,6 +83,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
             "image": [metric.key for metric in quality_metrics()],
             **{kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("size", "time")},
         },
+        "unranked": doubts(frame[frame["state"] == "finished"], list(columns)),
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "curves": logged,

@@ -64,7 +64,7 @@ function front(points, y) {
 function traces(x, y, scene) {
   const runs = drawable(x, y, scene);
   const points = configurations(runs, x, y);
-  const best = front(points, y);
+  const best = DATA.unranked[x] ? [] : front(points, y);
   const drawn = [{
     name: "Pareto front", mode: "lines", hoverinfo: "skip",
     x: best.map((point) => point.x.mean), y: best.map((point) => point.y.mean),
@@ -121,6 +121,7 @@ function drawPlots() {
     Plotly.react(id, drawn, layout, plotSettings);
     if (id === "speed") {
       said.push(`${runs.length.toLocaleString("en")} finished runs of ${points.length.toLocaleString("en")} configurations`);
+      if (DATA.unranked[x]) said.push(DATA.unranked[x]);
       if (best.length) said.push(`Pareto front of ${heading(y)} against ${heading(x)}: ${best.slice(0, 6).map((p) => p.name).join("; ")}`);
     }
   }

@@ -7,6 +7,7 @@ import pandas as pd
 from qnerf.metrics import metric_of
 
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from ..step_times import doubts
 from .differences import against, effect, interval, pairs
 from .seeds import aggregate, mean_and_spread, values_of
 from .table import Table
@@ -37,18 +38,27 @@ def ablation(
     if baseline is not None:
         differences, remarks = against(runs, rows, table.index.to_frame(index=False), baseline, metric)
         notes += remarks
-    return compose(table, differences, title or f"{metric_of(metric).heading} over seeds", notes, metric)
+    unranked = doubts(runs, table.columns.get_level_values(0).unique())
+    return compose(table, differences, title or f"{metric_of(metric).heading} over seeds", notes, metric, unranked)
 
 
 def markdown(table: pd.DataFrame) -> str:
     """What `over_seeds` gives as Markdown: mean ± standard deviation, best in bold."""
-    return compose(table, None, "", [], "").markdown()
+    return compose(table, None, "", [], "", {}).markdown()
 
 
 def compose(
-    table: pd.DataFrame, differences: pd.DataFrame | None, title: str, notes: Sequence[str], metric: str
+    table: pd.DataFrame,
+    differences: pd.DataFrame | None,
+    title: str,
+    notes: Sequence[str],
+    metric: str,
+    unranked: Mapping[str, str],
 ) -> Table:
-    """The shown table of `over_seeds`' numbers and, where there is a baseline, the `differences` from it."""
+    """The shown table of `over_seeds`' numbers and, where there is a baseline, the `differences` from it.
+
+    unranked: values without a best row, and why.
+    """
     names = [name for name in table.columns.get_level_values(0).unique() if name != "seeds"]
     seeds = table[("seeds", "n")]
     text = pd.DataFrame({name: table.index.get_level_values(name).map(label) for name in table.index.names})
@@ -57,7 +67,7 @@ def compose(
         column = table[name]
         numbers = zip(column["mean"], column["std"], column["n"], seeds, strict=True)
         text[metric_of(name).heading] = [mean_and_spread(name, *row) for row in numbers]
-        bold[metric_of(name).heading] = best(table, name).to_numpy()
+        bold[metric_of(name).heading] = False if name in unranked else best(table, name).to_numpy()
     if differences is not None:
         heading = f"difference, {metric_of(metric).heading}"
         text[heading] = [interval(row, metric_of(metric).text) for row in differences.itertuples()]
@@ -68,7 +78,7 @@ def compose(
     bold = bold.reindex(columns=text.columns, fill_value=False)
     single = int((seeds == 1).sum())
     remarks = [f"n = 1 in {single} of {len(seeds)} rows: no spread"] if single else []
-    return Table(title, text, table, bold, (*notes, *remarks))
+    return Table(title, text, table, bold, (*notes, *remarks, *unranked.values()))
 
 
 def best(table: pd.DataFrame, name: str) -> pd.Series:

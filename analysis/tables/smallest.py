@@ -10,6 +10,7 @@ from qnerf.metrics import metric_of, quality_metrics
 
 from .. import statistics
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from ..step_times import doubt
 from .seeds import aggregate, mean_and_spread
 from .table import Table
 
@@ -29,7 +30,8 @@ def smallest(
     tolerance: how close, in the metric's unit. size: any number of a run, such as `params.total`, `params.color` or
     `step_ms`. The table shows how much worse the smallest group is than the best, with the interval of
     `statistics.difference`. The loss is `shown` to be within the tolerance where the whole interval is. Raises
-    ValueError as `over_seeds` does, and for a tolerance below 0.
+    ValueError as `over_seeds` does, for a tolerance below 0, and for a size that is a time which is not comparable
+    (`step_times.doubt`).
     """
     if not tolerance >= 0:
         raise ValueError(f"tolerance must be at least 0, got {tolerance}")
@@ -44,6 +46,8 @@ def smallest(
     selection = select(frame, metric)
     sized = select(selection.runs, size)
     refuse_mixtures(sized.runs, rows)
+    if why := doubt(sized.runs, size):
+        raise ValueError(f"{why}; expected another size, such as params.total")
     data = _scenes(sized.runs, rows, scenes, metric, size, tolerance)
     left = [part.note for part in (selection, sized) if part.note]
     method = f"loss of the smallest against the best: {statistics.method()}"

@@ -27,7 +27,7 @@ from qnerf.records.filters import is_number
 from qnerf.scenes import Scene
 from qnerf.scenes.base import even_subset
 from qnerf.signals import SignalEvaluator, SignalTrainer, build_signal_model
-from qnerf.timing import STAGES, Stopwatch, median_ms, peak_memory_mb
+from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.checked_trainer import FILE as NONFINITE
 from qnerf.training.checked_trainer import CheckedTrainer, RunContext
@@ -260,8 +260,10 @@ def _execute(
         "steps": trainer.step,
         "stopped": PLATEAU if trainer.plateau.reached else None,
         "peak_memory_mb": peak_memory_mb(settings.torch_device),
+        "time.threads": torch.get_num_threads(),
+        "machine": machine(settings.torch_device),
     }
-    store.finish(measured | timings | part_times(store.dir))
+    store.finish(measured | timings | logged_times(store.dir))
     return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
 
 
@@ -323,8 +325,14 @@ def means(rows: Sequence[Measures]) -> Measures:
     return result | {key: next((row[key] for row in rows if row[key]), None) for key in reasons}
 
 
-def part_times(path: Path) -> dict[str, float]:
-    """Median milliseconds of each part of a step, over the logged steps after the first 50."""
+def logged_times(path: Path) -> dict[str, float]:
+    """Medians over the logged steps after the first 50: CPU milliseconds of a step, milliseconds of its parts, load.
+
+    Over all logged steps if there are no more than that, as `median_ms`.
+    """
     logged = read_metrics(path)
-    times = logged[logged["key"].str.startswith("time/") & (logged["step"] >= 50)].groupby("key")["value"].median()
-    return {f"time.{part}_ms": float(times.get(f"time/{part}_ms", float("nan"))) for part in STAGES}
+    logged = logged[logged["key"].str.startswith("time/")]
+    late = logged[logged["step"] >= 50]
+    times = (logged if late.empty else late).groupby("key")["value"].median()
+    names = {"step_cpu_ms": "step_cpu_ms", "time.load": "load", **{f"time.{part}_ms": f"{part}_ms" for part in STAGES}}
+    return {name: float(times.get(f"time/{key}", float("nan"))) for name, key in names.items()}

@@ -1,5 +1,8 @@
-"""How long the stages of a training step take."""
+"""How long the stages of a training step take, and what makes such times comparable."""
 
+import hashlib
+import os
+import platform
 import statistics
 import sys
 import time
@@ -71,6 +74,23 @@ def median_ms(seconds: list[float], skip: int = 50) -> float:
     """
     counted = seconds[skip:] or seconds
     return statistics.median(counted) * 1e3 if counted else float("nan")
+
+
+def load() -> float:
+    """Processes that run or wait for a core, over the last minute, for each core of the machine; NaN where unknown.
+
+    At most 1 where every process has a core of its own.
+    """
+    try:
+        return os.getloadavg()[0] / (os.cpu_count() or 1)
+    except (AttributeError, OSError):  # not a Unix
+        return float("nan")
+
+
+def machine(device: torch.device) -> str:
+    """A short name for this machine and its device: the same in all runs that share them, and it tells neither."""
+    kind = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor()
+    return hashlib.sha256(f"{platform.node()} {kind} {device.type}".encode()).hexdigest()[:8]
 
 
 def peak_memory_mb(device: torch.device) -> float:

@@ -14,6 +14,7 @@ from analysis.figures.files import title
 from analysis.load import metrics, runs
 from qnerf.experiment import run
 from tests.helpers.configs import TINY, composed
+from tests.helpers.packed_stores import IDLE
 from tests.helpers.scenes import write_scene
 
 SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu")
@@ -45,7 +46,7 @@ def every(store):
 
 @pytest.fixture
 def frame(every):
-    return every[every["scene_name"] == "hall"].reset_index(drop=True)
+    return every[every["scene_name"] == "hall"].reset_index(drop=True).assign(**IDLE)
 
 
 def footnote(figure) -> str:
@@ -232,8 +233,17 @@ def test_the_pareto_front_is_drawn_and_named(frame):
     front = {tuple(place) for place in on[["train_s", "psnr"]].to_numpy()}
     assert set(named.values()) == front or "no room for the names" in footnote(figure)
     assert set(named.values()) <= front
-    with pytest.raises(ValueError, match="unknown cost 'hours'; known: step_ms, train_s, "):
+    with pytest.raises(ValueError, match="unknown cost 'hours'; known: step_ms, step_cpu_ms, train_s, "):
         figures.speed_vs_error(frame, "hours")
+
+
+def test_times_of_two_machines_have_no_front(frame):
+    frame.loc[0, "machine"] = "another"
+    figure = figures.speed_vs_error(frame)
+    assert not figures.speed_points(frame)["front"].any()
+    assert not figure.legends
+    assert "time of a step is not ranked: measured on 2 machines" in footnote(figure)
+    assert "training time is not ranked" in footnote(figures.psnr_vs_time(frame))
 
 
 @given(arrays.arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=st.integers(0, 5).map(float)))

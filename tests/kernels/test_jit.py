@@ -141,12 +141,14 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
 
 
 COMPILES = """
+import gc
 import numpy as np
 from kernels_for_test import double
 out = np.zeros(8)
 double(0, 8, out)
 double(0, 8, out.astype(np.float32))
 assert (out == 1).all()
+assert gc.isenabled()
 """
 KERNEL = """
 from qnerf.kernels.jit import jit
@@ -163,8 +165,7 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path):
     first, second = (_python(COMPILES, tmp_path) for _ in range(2))
     assert first.returncode == second.returncode == 0
     assert first.stderr.count("\n") == 1
-    assert first.stderr.startswith("compiling CPU kernels for first use, about ")
-    assert first.stderr.endswith(" s; cached afterwards\n")
+    assert first.stderr == "compiling kernels, once for this environment\n"
     assert second.stderr == ""
 
 
@@ -177,7 +178,7 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path):
     (tmp_path / "__pycache__").write_text("")
     result = _python(COMPILES, tmp_path, HOME=str(blocked), XDG_CACHE_HOME=str(blocked), IPYTHONDIR=str(blocked))
     assert result.returncode == 0, result.stderr
-    assert "not cached" in result.stderr
+    assert "cannot be kept" in result.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the user's cache folder is found otherwise there")
@@ -188,7 +189,7 @@ def test_the_cache_moves_to_the_user_where_the_package_is_read_only(tmp_path):
     user.mkdir()
     first, second = (_python(COMPILES, tmp_path, HOME=str(user), XDG_CACHE_HOME=str(user)) for _ in range(2))
     assert first.returncode == second.returncode == 0
-    assert "cached afterwards" in first.stderr
+    assert "once for this environment" in first.stderr
     assert second.stderr == ""
     assert list(user.rglob("*.nbc"))
 

@@ -5,6 +5,7 @@ result therefore does not depend on the number of threads. Kernels release the G
 second OpenMP pool would compete with PyTorch's.
 """
 
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -18,7 +19,6 @@ import torch
 from numba.core import event
 
 Kernel: TypeAlias = Callable[..., Any]
-SECONDS_PER_KERNEL = 0.7  # of compilation, measured on one core
 
 _kernels: set[Any] = set()
 _uncached: set[Any] = set()
@@ -40,20 +40,32 @@ def jit(function: Kernel, **options: Any) -> Kernel:
 
 
 class _Announcer(event.Listener):
-    """Says once, on stderr, that kernels are being compiled. Numba sends the event on a cache miss only."""
+    """Says once, on stderr, that kernels are being compiled. Numba sends the event on a cache miss only.
+
+    Meanwhile no garbage is collected. The compiler makes millions of objects, and to look through them all again and
+    again takes a tenth of its time.
+    """
 
     def __init__(self) -> None:
         self.announced = False
+        self.depth = 0  # Numba compiles in one thread at a time
+        self.collects = False
 
     def on_start(self, event: Any) -> None:
+        if self.depth == 0 and gc.isenabled():
+            self.collects = True
+            gc.disable()
+        self.depth += 1
         if not self.announced and event.data["dispatcher"] in _kernels and "pytest" not in sys.modules:
             self.announced = True
-            seconds = max(round(SECONDS_PER_KERNEL * len(_kernels)), 1)
-            after = "not cached: no folder for it can be written" if _uncached else "cached afterwards"
-            print(f"compiling CPU kernels for first use, about {seconds} s; {after}", file=sys.stderr, flush=True)
+            after = "they cannot be kept: no folder can be written" if _uncached else "once for this environment"
+            print(f"compiling kernels, {after}", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        pass
+        self.depth -= 1
+        if self.depth == 0 and self.collects:
+            self.collects = False
+            gc.enable()
 
 
 event.register("numba:compile", _Announcer())

@@ -15,7 +15,7 @@ from qnerf.records.files import read_bytes, read_json
 from qnerf.records.read import read_evaluation
 from qnerf.records.schemas import results
 
-CLOCKS = ("time/", "time.", "eval/eval_s", "eval_s", "train_s", "step_ms", "peak_memory_mb")
+CLOCKS = ("time/", "time.", "eval/eval_s", "eval_s", "train_s", "step_ms", "step_cpu_ms", "peak_memory_mb")
 """Beginnings of the names of times and memory, which two equal runs need not share. They are not compared."""
 
 

@@ -44,7 +44,9 @@ _KNOWN_KINDS = {
     **{name: "float" for name, metric in METRICS.items() if metric.kind},
     **dict.fromkeys(("seed", "train.steps"), "int"),
     **dict.fromkeys((f"{head}.{name}" for head in ("density", "color") for name in _HEAD_NUMBERS), "float"),
-    **dict.fromkeys((*_LABELS, "scene", "scene.name", "scene.path", "scene.fingerprint", "scene_name"), "text"),
+    **dict.fromkeys(
+        (*_LABELS, "scene", "scene.name", "scene.path", "scene.fingerprint", "scene_name", "machine"), "text"
+    ),
     **{name: KIND_OF_TYPE[str(kind)] for name, kind in SUMMARY_COLUMNS.items()},
 }
 _KNOWN_PREFIXES = ("params.", "time.")  # of numbers

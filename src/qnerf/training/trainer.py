@@ -15,7 +15,7 @@ from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
-from qnerf.timing import STAGES, Stopwatch
+from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.state_checks import (
     check_adam,
@@ -110,7 +110,7 @@ class Loop:
         Raises:
             Diverged: the loss is not finite; the message names the step and the term or parameters at fault.
         """
-        start = self.watch.now()
+        start, cpu = self.watch.now(), time.process_time()
         self.watch.begin(measure=measure)
         rate = learning_rate(self.step, self.train)
         for group in self.optimiser.param_groups:
@@ -140,6 +140,8 @@ class Loop:
             **{f"train/{name}": float(term.detach()) for name, term in terms.items()},
             "train/lr": rate,
             "time/step_ms": seconds * 1e3,
+            "time/step_cpu_ms": (time.process_time() - cpu) * 1e3,
+            "time/load": load(),
             **{f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES},
         }
 

@@ -138,8 +138,9 @@ def forward(
             pauli_passes.expectation(x, state, n, width, words[k], ones, value)
             for i in range(width):
                 out[block, k, i] = x[value + i]
-        if len(tables):
-            out[block, len(words) :] = 0
+        for row in range(len(words), out.shape[1]):
+            for i in range(width):
+                out[block, row, i] = 0
         for t in range(len(tables)):
             for b in range(1 << n):
                 row = len(words) + outcomes[t] + tables[t, b]

@@ -22,6 +22,11 @@ from qnerf.quantum.compiled.tables import (
     START,
 )
 
+# Numba compiles a function once more for every True and False of Python's that it is called with. `ry_layer_per_sample`
+# keeps those: with a sign that is known only at run time, LLVM fuses other multiplications and the last bits change.
+FORWARD = STORED = np.bool_(True)
+BACK = NOT_STORED = np.bool_(False)
+
 
 class Layout(NamedTuple):
     """Where the parts of a thread's flat work array begin. A state takes 2 width 2^n elements."""
@@ -96,7 +101,7 @@ def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: An
         elif code == DIAGONAL:
             forward_passes.diagonal(x, here, n, width, diagonals[step], p, flip_masks[step])
         elif code == RY:
-            forward_passes.ry_layer(x, here, after, n, width, tangents[step, 0], True)
+            forward_passes.ry_layer(x, here, after, n, width, tangents[step, 0], FORWARD)
             here = after
         elif code == RY_PER_SAMPLE:
             _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
@@ -105,7 +110,7 @@ def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: An
         else:
             if not store_states:
                 after = at.state + pair if here == at.state else at.state
-            forward_passes.permute(x, here, after, n, width, permutations[operations[o, 3]], True)
+            forward_passes.permute(x, here, after, n, width, permutations[operations[o, 3]], FORWARD)
             here = after
     return here
 
@@ -126,7 +131,7 @@ def _backward(
         code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
         p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
         if code == RY:
-            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[step, 0], False)
+            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[step, 0], BACK)
             here -= pair
             backward_passes.ry_gradients(x, here, adjoint, n, width, d)
         elif code == RY_PER_SAMPLE:
@@ -136,7 +141,7 @@ def _backward(
             backward_passes.ry_gradients(x, here, adjoint, n, width, d)
         elif code == PERMUTATION:
             here -= pair
-            forward_passes.permute(x, adjoint, adjoint + pair, n, width, permutations[operations[o, 3]], False)
+            forward_passes.permute(x, adjoint, adjoint + pair, n, width, permutations[operations[o, 3]], BACK)
             for i in range(0, pair, width):
                 store(x, adjoint + i, load(x, adjoint + pair + i))
         elif code == DIAGONAL:
@@ -179,7 +184,7 @@ def prepare(operations: Any, n: int, width: int, amplitude: float, like: Any, ta
     size = width << n
     zero = np.zeros((2, 1 << n), like.dtype)
     zero[0, 0] = amplitude
-    end = _forward(x, at, n, width, operations, tables, zero, False)
+    end = _forward(x, at, n, width, operations, tables, zero, NOT_STORED)
     for b in range(1 << n):
         psi[0, b] = x[end + b * width]
         psi[1, b] = x[end + size + b * width]
@@ -200,7 +205,7 @@ def prepare_backward(
     size = width << n
     zero = np.zeros((2, 1 << n), like.dtype)
     zero[0, 0] = amplitude
-    end = _forward(x, at, n, width, operations, tables, zero, True)
+    end = _forward(x, at, n, width, operations, tables, zero, STORED)
     for b in range(1 << n):
         x[at.adjoint + b * width] = adjoint[0, b]
         x[at.adjoint + size + b * width] = adjoint[1, b]
@@ -242,7 +247,7 @@ def forward(
     q, d = at.scratch, at.gradients
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, trig[block], n, width)
-        end = _forward(x, at, n, width, operations, tables, psi, False)
+        end = _forward(x, at, n, width, operations, tables, psi, NOT_STORED)
         forward_passes.probabilities(x, end, n, width, q)
         if measures_last_layer:
             forward_passes.z_sums(x, q, n, width, d)
@@ -289,7 +294,7 @@ def backward(
         _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, trig[block], n, width)
-            end = _forward(x, at, n, width, operations, tables, psi, True)
+            end = _forward(x, at, n, width, operations, tables, psi, STORED)
             if measures_last_layer:
                 _fill_zero(x, at.factors, 2 * n, width)
                 for k in range(len(wires)):

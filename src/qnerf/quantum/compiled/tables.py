@@ -150,13 +150,15 @@ def circuit_arrays(form: NormalForm) -> CircuitArrays:
     )
 
 
+# Loops rather than expressions of whole arrays: for their checks of shapes Numba compiles its functions of strings,
+# which takes longer than all that is here.
 @inner
-def _fixed_angles(step: int, weight_ranges: Any, weight_rows: Any, constants: Any, weights: Any) -> Any:
-    """(n,) angles of a step without the input's part."""
-    total = constants[step].copy()
-    for e in range(weight_ranges[step], weight_ranges[step + 1]):
-        total += weights[weight_rows[e]]
-    return total
+def _fixed_angles(step: int, weight_ranges: Any, weight_rows: Any, constants: Any, weights: Any, total: Any) -> None:
+    """Fills `total` (n,): the angles of a step without the input's part."""
+    for j in range(len(total)):
+        total[j] = constants[step, j]
+        for e in range(weight_ranges[step], weight_ranges[step + 1]):
+            total[j] += weights[weight_rows[e], j]
 
 
 @inner
@@ -186,10 +188,11 @@ def bind_weights(
     """
     n = constants.shape[1]
     x, z = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    angle = np.empty(n)
     amplitude = 1.0
     last = len(codes) - 1 if measures_last_layer else len(codes)
     for step in range(len(codes)):
-        angle = _fixed_angles(step, weight_ranges, weight_rows, constants, weights)
+        _fixed_angles(step, weight_ranges, weight_rows, constants, weights, angle)
         mask = _bit_mask(x)
         flip_masks[step] = mask
         if step == last:
@@ -222,7 +225,9 @@ def bind_weights(
                 tangents[step, 0, j] = angle_signs[step, j] * s / c
                 scale *= abs(c)
             if step > 0 and codes[step - 1] == DIAGONAL:
-                diagonals[step - 1] *= scale
+                for b in range(1 << n):
+                    diagonals[step - 1, 0, b] *= scale
+                    diagonals[step - 1, 1, b] *= scale
             else:
                 amplitude *= scale
         elif codes[step] == RY_PER_SAMPLE:
@@ -248,4 +253,5 @@ def add_weight_gradients(weight_ranges: Any, weight_rows: Any, angle_signs: Any,
     """Adds the gradients of the angles, `sums` (steps, n), to those of the flat weights, `gradient` (rows * 3, n)."""
     for step in range(len(angle_signs)):
         for e in range(weight_ranges[step], weight_ranges[step + 1]):
-            gradient[weight_rows[e]] += angle_signs[step] * sums[step]
+            for j in range(sums.shape[1]):
+                gradient[weight_rows[e], j] += angle_signs[step, j] * sums[step, j]

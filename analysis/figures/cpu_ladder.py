@@ -1,0 +1,55 @@
+"""What seconds of CPU buy, of this project and of its peers."""
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from qnerf.metrics import metric_of
+
+from .. import style
+from ..step_times import LOAD_RATIO
+from . import benchmarks
+
+
+def cpu_ladder_points(results: benchmarks.Results = None) -> pd.DataFrame:
+    """Means over the seeds of the benchmark cpu_ladder, a row per scene, width, case and budget.
+
+    Columns scene, width (pixels), case, budget_s, seconds (of training, as measured), psnr (dB), psnr_std (NaN for one
+    seed), n. What could not be trained is left out.
+    """
+    trained = benchmarks.read("cpu_ladder", results).dropna(subset=["psnr"])
+    groups = trained.groupby(["scene", "width", "case", "budget_s"], sort=False)
+    return groups[["seconds", "psnr"]].mean().assign(psnr_std=groups["psnr"].std(), n=groups.size()).reset_index()
+
+
+@style.styled
+def psnr_vs_cpu_seconds(results: benchmarks.Results = None) -> Figure:
+    """PSNR of held-out views against seconds of training, a row per scene and a column per width.
+
+    Every point is a training of its own.
+    """
+    rows = benchmarks.read("cpu_ladder", results)
+    table = cpu_ladder_points(rows)
+    scenes, widths, cases = (sorted(set(table[key])) for key in ("scene", "width", "case"))
+    figure = style.new(style.PAGE, 0.8 + 2.2 * len(scenes))
+    axes = figure.subplots(len(scenes), len(widths), sharex=True, sharey="row", squeeze=False)
+    for row, scene in zip(axes, scenes, strict=True):
+        for ax, width in zip(row, widths, strict=True):
+            shown = table[(table["scene"] == scene) & (table["width"] == width)]
+            for case, part in shown.sort_values("budget_s").groupby("case"):
+                look = style.series(cases.index(case)) | {"ls": "--" if "qnerf" not in str(case) else "-"}
+                ax.errorbar(part["seconds"], part["psnr"], part["psnr_std"], label=case, elinewidth=0.7, **look)
+            ax.set(title=f"{scene}, {width} px", xscale="log")
+            style.plain_ticks(ax)
+        row[0].set_ylabel(metric_of("eval/psnr").heading)
+    for ax in axes[-1]:
+        ax.set_xlabel("training, s")
+    style.legend(figure)
+    load = rows["load"].dropna().clip(lower=1)
+    busy = f"not comparable: loads of {load.min():.1f} to {load.max():.1f}" if _differ(load) else ""
+    threads = ", ".join(map(str, sorted(set(rows["threads"]))))
+    style.footnote(figure, f"{threads} threads; dashed: peers and plain references", busy)
+    return figure
+
+
+def _differ(load: pd.Series) -> bool:
+    return bool(load.max() > LOAD_RATIO * load.min())
