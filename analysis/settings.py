@@ -35,7 +35,7 @@ def configuration(frame: pd.DataFrame) -> list[str]:
 def effective(runs: pd.DataFrame) -> pd.DataFrame:
     """The settings that influence each run's result, as text; "" where one has no effect in that run."""
     keys = [key for key in configuration(runs) if not key.startswith(_SOURCES)]
-    table = runs[keys].map(str)
+    table = pd.DataFrame({key: _texts(runs[key]) for key in keys}, index=runs.index)
     for head, circuits in QUANTUM.items():
         quantum = runs["field"].isin(circuits)
         table.loc[~quantum, [key for key in keys if key.startswith(f"{head}.qiren.")]] = ""
@@ -43,6 +43,12 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
     if {"color.directions", "color.direction_scale"} <= set(table):
         table.loc[table["color.directions"] != "raw", "color.direction_scale"] = ""
     return table
+
+
+def _texts(column: pd.Series) -> list[str]:
+    """str of each value; equal values of one type are written once, which is much faster for many runs."""
+    known: dict[tuple[type, object], str] = {}
+    return [known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in column.tolist()]
 
 
 def what_acts(runs: pd.DataFrame) -> pd.DataFrame:
