@@ -39,9 +39,33 @@ def panels(picture: str | Path) -> Panels:
     return Panels(*np.split(pixels[::factor, ::factor], len(Panels._fields), axis=1))
 
 
-def enlargement(pixels: np.ndarray) -> int:
-    """Side in pixels of the equal squares that make up a picture (H, 4 W, 3): views are enlarged without blending."""
-    height, width = pixels.shape[0], pixels.shape[1] // len(Panels._fields)
+def named_panels(picture: str | Path) -> dict[str, np.ndarray]:
+    """The panels by name: those of `Panels`, or without depth for a signal, whose pictures are truth | fit | error.
+
+    Where three and four panels would fit, it is the number with which the third panel is the error of the first two.
+
+    Raises:
+        ValueError: the file is not such a picture.
+    """
+    pixels = read_png(Path(picture))
+    fitting = [count for count in (4, 3) if pixels.shape[1] % count == 0]
+    if not fitting:
+        raise ValueError(f"{picture}: expected three or four panels of equal width, got {pixels.shape[1]} pixels")
+    count = min(fitting, key=lambda count: _error_deviation(np.split(pixels, count, axis=1)))
+    factor = enlargement(pixels, count)
+    return dict(zip(Panels._fields, np.split(pixels[::factor, ::factor], count, axis=1), strict=False))
+
+
+def _error_deviation(parts: list[np.ndarray]) -> float:
+    """How far the third panel is from four times the mean absolute error of the channels, in levels of 256."""
+    truth, render, error = (part.astype(float) for part in parts[:3])
+    return float(np.abs(np.clip(4 * np.abs(render - truth).mean(-1, keepdims=True), 0, 255) - error).mean())
+
+
+def enlargement(pixels: np.ndarray, panels: int = len(Panels._fields)) -> int:
+    """Side in pixels of the equal squares that make up a picture (H, panels x W, 3): views are enlarged without
+    blending."""
+    height, width = pixels.shape[0], pixels.shape[1] // panels
     rows = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=(1, 2))) + 1
     columns = np.flatnonzero((pixels[:, 1:] != pixels[:, :-1]).any(axis=(0, 2))) + 1
     return int(np.gcd.reduce(np.concatenate([[height, width], rows, columns])))

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from PIL import Image
 
@@ -17,7 +18,7 @@ from qnerf.records import StoreError, filters
 from qnerf.records.files import entries_in
 from qnerf.records.pictures import read_png_bytes
 
-from ..images import Panels, panels, pictures
+from ..images import named_panels, pictures
 from ..load import metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
@@ -98,11 +99,10 @@ class Answers:
         found = {}
         for view, path in pictures(folder).items():
             try:
-                height, width, _ = _panels(path, _stamp(path)).render.shape
+                panels = _panels(path, _stamp(path))
             except (ValueError, OSError):
                 continue
-            kinds = ("truth", "render", "error", "depth")
-            found[view] = {kind: {"width": width, "height": height} for kind in kinds}
+            found[view] = {name: {"width": part.shape[1], "height": part.shape[0]} for name, part in panels.items()}
         stamp = _stamp(folder / PREVIEW)
         return {"views": found, "preview": stamp}
 
@@ -112,10 +112,11 @@ class Answers:
         if panel == "preview":
             return read_png_bytes(folder / PREVIEW)[0], "image/png"
         path = pictures(folder).get(view)
-        if path is None or panel not in Panels._fields:
+        panels = {} if path is None else _panels(path, _stamp(path))
+        if panel not in panels:
             raise ValueError(f"{run}: no picture {view:.100}, {panel:.20}")
         data = io.BytesIO()
-        Image.fromarray(getattr(_panels(path, _stamp(path)), panel)).save(data, "WEBP", lossless=True, quality=20)
+        Image.fromarray(panels[panel]).save(data, "WEBP", lossless=True, quality=20)
         return data.getvalue(), "image/webp"
 
     def differences(self, filter: str, rows: str, baseline: str, metric: str) -> ShownTable:
@@ -171,8 +172,8 @@ def _curves(folder: Path, _stamp: str) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=256)
-def _panels(path: Path, _stamp: str | None) -> Panels:
-    return panels(path)
+def _panels(path: Path, _stamp: str | None) -> dict[str, np.ndarray]:
+    return named_panels(path)
 
 
 def _stamp(path: Path) -> str | None:

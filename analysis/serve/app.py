@@ -7,9 +7,8 @@ page, which no other site can read.
 """
 
 import hmac
-import json
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from qnerf.records import annotations
-from qnerf.records.files import one_line
+from qnerf.records.files import one_line, parse_json
 
 from ..report import page
 from .answers import Answers
@@ -92,7 +91,7 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
     async def annotate(request: Request) -> Response:
         if not hmac.compare_digest(request.headers.get(HEADER, "").encode(), write_token.encode()):
             return PlainTextResponse("expected the page's own token: reload the page", 403)
-        wanted = json.loads(await _body(request))
+        wanted = parse_json(await _body(request))
         run = answers.store.path(request.query_params["run"])
         written = await run_in_threadpool(_annotate, run, wanted)
         return JSONResponse({"tags": written.tags, "note": written.note})
@@ -171,10 +170,8 @@ def _answering_writes(make: Callable[[Request], Awaitable[Response]]) -> Callabl
     return answer
 
 
-def _annotate(run: Path, wanted: Any) -> annotations.Annotations:
+def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:
     """Changes tags and note: `{"add": [texts], "remove": [texts], "note": text}`, each of them optional."""
-    if not isinstance(wanted, dict):
-        raise ValueError("expected an object with add, remove, note")
     add, remove, note = wanted.get("add", []), wanted.get("remove", []), wanted.get("note")
     texts = [*add, *remove] if isinstance(add, list) and isinstance(remove, list) else [None]
     if not all(isinstance(text, str) for text in texts) or not isinstance(note, (str, type(None))):
