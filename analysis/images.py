@@ -42,7 +42,8 @@ def panels(picture: str | Path) -> Panels:
 def named_panels(picture: str | Path) -> dict[str, np.ndarray]:
     """The panels by name: those of `Panels`, or without depth for a signal, whose pictures are truth | fit | error.
 
-    Where three and four panels would fit, it is the number with which the third panel is the error of the first two.
+    Where three and four panels would fit, there are four unless only as one of three the third panel is the error of
+    the first two.
 
     Raises:
         ValueError: the file is not such a picture.
@@ -51,7 +52,8 @@ def named_panels(picture: str | Path) -> dict[str, np.ndarray]:
     fitting = [count for count in (4, 3) if pixels.shape[1] % count == 0]
     if not fitting:
         raise ValueError(f"{picture}: expected three or four panels of equal width, got {pixels.shape[1]} pixels")
-    count = min(fitting, key=lambda count: _error_deviation(np.split(pixels, count, axis=1)))
+    exact = [count for count in fitting if _error_deviation(np.split(pixels, count, axis=1)) < 2]
+    (count, *_) = exact or fitting
     factor = enlargement(pixels, count)
     return dict(zip(Panels._fields, np.split(pixels[::factor, ::factor], count, axis=1), strict=False))
 

@@ -24,6 +24,11 @@ SHARED = (
 SCRIPTS = ("data", "static", *SHARED, "start")
 
 
+def file(name: str, folder: Path = HERE) -> str:
+    """A script or style of the package."""
+    return (folder / name).read_text(encoding="utf-8")
+
+
 @dataclass(frozen=True)
 class Script:
     """A script that cannot close its own element, and its hash for the policy."""
@@ -57,9 +62,9 @@ def render(content: Mapping[str, Any]) -> str:
     files of their own."""
     if content.get("live"):
         return _environment().get_template("page.html").render(EMPTY | content)
-    own = script("\n".join((HERE / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS))
+    own = script("\n".join(file(f"{name}.js") for name in SCRIPTS))
     plots = plotly.offline.get_plotlyjs()
-    style = Markup((HERE / "style.css").read_text(encoding="utf-8"))
+    style = Markup(file("style.css"))
     return (
         _environment()
         .get_template("page.html")

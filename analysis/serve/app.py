@@ -27,10 +27,12 @@ from qnerf.records.files import one_line, parse_json
 from ..report import page
 from .answers import Answers
 
+HERE = Path(__file__).parent
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "qnerf_token"
 HEADER = "x-qnerf-token"
 MAX_BODY = 2**17  # bytes; a note has at most 10,000 characters
+OWN = ("live", "differences")
 SCRIPTS = ("data", "live", *page.SHARED, "differences", "start")
 HEADERS = {
     "Content-Security-Policy": (
@@ -52,9 +54,12 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
     """
     write_token = secrets.token_urlsafe(32)
     files = {
-        "page.js": ("text/javascript", "\n".join(map(_script, SCRIPTS))),
+        "page.js": (
+            "text/javascript",
+            "\n".join(page.file(f"{name}.js", HERE if name in OWN else page.HERE) for name in SCRIPTS),
+        ),
         "plotly.js": ("text/javascript", plotly.offline.get_plotlyjs()),
-        "style.css": ("text/css", (page.HERE / "style.css").read_text(encoding="utf-8")),
+        "style.css": ("text/css", page.file("style.css")),
     }
 
     def home(request: Request) -> Response:
@@ -197,8 +202,3 @@ def _with_cookie(token: str) -> Response:
     response = RedirectResponse("/", 303)
     response.set_cookie(COOKIE, token, httponly=True, samesite="strict")
     return response
-
-
-def _script(name: str) -> str:
-    folder = Path(__file__).parent if (Path(__file__).parent / f"{name}.js").exists() else page.HERE
-    return (folder / f"{name}.js").read_text(encoding="utf-8")

@@ -134,6 +134,7 @@ async function drawTraining() {
     element("li", {}, element("strong", { class: `state-${state}` }, runs.length.toLocaleString("en")), ` ${state}`)));
   const running = (states.get("running") ?? []).slice(-MOST_CARDS);
   $("training-section").hidden = !running.length;
+  document.querySelector('nav [href="#training-section"]').parentElement.hidden = !running.length;
   if (document.hidden) return;
   await Promise.all(running.map(source.views));
   const logged = await source.curves(running, "eval/psnr");
