@@ -4,6 +4,8 @@ The width of an MLP has no effect where the head is a circuit, nor do a circuit'
 over circuits therefore trains the same classical field several times; such runs must count once.
 """
 
+from collections.abc import Collection
+
 import pandas as pd
 
 LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
@@ -30,6 +32,15 @@ def configuration(frame: pd.DataFrame) -> list[str]:
     """Columns of the flat configuration that influence a result, without the seed."""
     dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
     return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _IRRELEVANT]
+
+
+def without_constants(frame: pd.DataFrame, keep: Collection[str] = ()) -> pd.DataFrame:
+    """The table without settings that are the same in all its runs: they tell no two runs apart, and there are many.
+
+    keep: settings that stay in any case.
+    """
+    settings = [name for name in configuration(frame) if name not in (*keep, "color.directions")]
+    return frame.drop(columns=[name for name in settings if frame[name].nunique(dropna=False) < 2])
 
 
 def effective(runs: pd.DataFrame) -> pd.DataFrame:

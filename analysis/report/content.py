@@ -10,9 +10,9 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 
 from .. import style
 from ..figures import points
-from ..load import with_needed
+from ..load import NEEDED, with_needed
 from ..selection import select
-from ..settings import acting, first_of_each
+from ..settings import acting, first_of_each, without_constants
 from . import curves, pictures
 from .columns import packed
 from .figures import dark_colors
@@ -55,8 +55,9 @@ def named(frame: pd.DataFrame) -> pd.DataFrame:
 
     Damaged runs have none.
     """
-    named = frame.assign(repeats=first_of_each(frame), configuration=None)
-    readable = frame[frame["state"] != "damaged"]
+    telling = without_constants(frame, NEEDED)
+    named = frame.assign(repeats=first_of_each(telling), configuration=None)
+    readable = telling[telling["state"] != "damaged"]
     if len(readable):
         table = points.points(acting(readable), ["psnr"])
         names = {row: name for name, rows in zip(table["name"], table["runs"], strict=True) for row in rows}

@@ -81,7 +81,7 @@ def table(item: ShownTable) -> str:
 
 def compressed(text: str) -> str:
     """gzip in base64: a third of the bytes; the same for the same text."""
-    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+    return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
 
 
 EMPTY = {"live": False, "filter": None, "absent": dict.fromkeys(("pictures", "plots", "curves"), ""), "note": ""}

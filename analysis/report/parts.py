@@ -7,8 +7,10 @@ import pandas as pd
 
 from .. import hsv
 from ..figures import FIGURES, colors
+from ..load import NEEDED
 from ..paper import PAPER_TABLES
 from ..selection import remembering
+from ..settings import without_constants
 from ..tables import Table
 from ..tables.smallest import TOLERANCE
 from .figures import Drawn, draw
@@ -55,7 +57,7 @@ class Part:
 def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     """Tables and figures of the store, in the order of the page."""
     with remembering():
-        return _parts(frame, advance)
+        return _parts(without_constants(frame, (*NEEDED, "train.rays")), advance)
 
 
 def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:

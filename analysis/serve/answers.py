@@ -19,11 +19,12 @@ from qnerf.records.files import entries_in
 from qnerf.records.pictures import read_png_bytes
 
 from ..images import named_panels, pictures
-from ..load import metrics
+from ..load import NEEDED, metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
 from ..report.tables import ShownTable, row_keys, shown
 from ..selection import select
+from ..settings import without_constants
 from ..tables import ablation
 from .store import WatchedStore
 
@@ -129,6 +130,7 @@ class Answers:
         if frame.empty:
             raise ValueError("there are no runs yet")
         chosen = filters.require(frame, filter) if filter.strip() else frame
+        chosen = without_constants(chosen, (*NEEDED, *(key.strip() for key in rows.split(","))))
         metric = metric or "psnr"
         keys = [key.strip() for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
         if metric not in {item.key for item in quality_metrics()}:
