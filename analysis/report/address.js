@@ -20,6 +20,9 @@ function keep(...ids) {
     if (stored !== null && control.type === "button") toggle(control, stored === "true");
     else if (stored !== null && (!control.options || [...control.options].some((o) => o.value === stored))) control.value = stored;
     const event = control.type === "button" ? "click" : control.options ? "change" : "input";
-    control.addEventListener(event, () => remember(control.id, state() === standard ? "" : state()));
+    control.addEventListener(event, () => {
+      control.dataset.chosen = "true";
+      remember(control.id, state() === standard ? "" : state());
+    });
   }
 }

@@ -29,7 +29,7 @@ async function drawCurvesNow() {
   $("curves-plot").on("plotly_click", ({ points: [point] }) => { if (typeof point.customdata === "number") openRun(point.customdata); });
   drawLegend($("curves-legend"), $("curve-by").value, paint.entries);
   const left = selection.runs.length - having.length;
-  const parts = [`${having.length} runs`];
+  const parts = [counted(having.length, "run")];
   if (pressed("curve-mean")) parts.push("line: mean of a group; band: ± standard deviation over its runs");
   if (share) parts.push("smoothed by an exponential moving average");
   if (left) parts.push(`${left.toLocaleString("en")} selected runs are not drawn: they follow in the table's order, or have no such curve here`);

@@ -49,13 +49,16 @@ function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-/** Fills a select: [value, text] each. The chosen value stays where it is still there; the first one is that of the
- * address, else `standard`. */
+/** Fills a select: [value, text] each. What a user has chosen stays where it is still there; before, it is the choice
+ * of the address, else `standard`. */
 function options(select, items, standard = null) {
-  const wanted = select.options.length ? select.value : address.get(select.id) ?? standard;
+  const wanted = select.dataset.chosen ? select.value : address.get(select.id) ?? standard ?? select.value;
   select.replaceChildren(...items.map(([v, text]) => element("option", { value: v }, text)));
   if (items.some(([v]) => String(v) === wanted)) select.value = wanted;
 }
+
+/** `1 run`, `2 runs`. */
+const counted = (number, what) => `${number.toLocaleString("en")} ${what}${number === 1 ? "" : "s"}`;
 
 /** Turns a button that stays pressed on or off; says which. */
 function toggle(button, on = button.getAttribute("aria-pressed") !== "true") {

@@ -25,7 +25,7 @@ async function drawExploreNow() {
   listen("scatter");
   drawLegend($("scatter-legend"), key, paint.entries);
   const left = selection.runs.length - runs.length;
-  $("scatter-status").textContent = `${runs.length.toLocaleString("en")} runs${left ? `; ${left.toLocaleString("en")} selected runs lack one of both, or are too many` : ""}.`;
+  $("scatter-status").textContent = `${counted(runs.length, "run")}${left ? `; ${left.toLocaleString("en")} selected runs lack one of both, or are too many` : ""}.`;
   await drawParallel();
 }
 
@@ -55,7 +55,7 @@ async function drawParallel() {
   listen("parallel");
   const left = selection.runs.length - runs.length;
   $("parallel-status").textContent = runs.length
-    ? `${runs.length} runs, coloured by ${heading(result)}${left ? `; ${left.toLocaleString("en")} selected runs are not drawn` : ""}. The axes are the settings that differ, at most ${MOST_AXES}.`
+    ? `${counted(runs.length, "run")}, coloured by ${heading(result)}${left ? `; ${left.toLocaleString("en")} selected runs are not drawn` : ""}. The axes are the settings that differ, at most ${MOST_AXES}.`
     : "No selected run has this result.";
 }
 

@@ -37,9 +37,9 @@ function sort() {
 
 /** Fills the choices of state and scene from the runs that there are. */
 function offerSelection() {
-  const counted = (name) => [...new Set(column(name).filter((v) => v !== null))].sort().map((v) => [v, v]);
-  options($("state"), [["", "all"], ...counted("state")]);
-  options($("scene"), [["", "all"], ...counted("scene_name")]);
+  const values = (name) => [...new Set(column(name).filter((v) => v !== null))].sort().map((v) => [v, v]);
+  options($("state"), [["", "all"], ...values("state")]);
+  options($("scene"), [["", "all"], ...values("scene_name")]);
 }
 
 function startSelection() {

@@ -26,7 +26,7 @@ from ..report.tables import ShownTable, row_keys, shown
 from ..selection import select
 from ..settings import without_constants
 from ..tables import ablation
-from .store import WatchedStore
+from .store import Changes, WatchedStore
 
 PREVIEW = "preview.png"
 POINTS = 400  # of a curve, at most
@@ -49,19 +49,20 @@ class Answers:
         self._snapshot = self._packed()
 
     def page(self) -> dict[str, Any]:
-        """The values of the page's template. Its data may be a little old; the page asks at once for what changed."""
+        """The values of the page's template. Its table may be a little old; `news` is what has changed since."""
         with self._lock:
             changes = self.store.changes(self._snapshot[0])
             if len(changes.rows) + len(changes.named) + len(changes.removed) > MANY_ROWS:
                 self._snapshot = self._packed()
-            version, data = self._snapshot
+                changes = self.store.changes(self._snapshot[0])
+            _, data = self._snapshot
         return {
             "live": True,
             "title": self._title,
             "store": str(self.store.folder),
             "version": qnerf.__version__,
             "sections": SECTIONS,
-            "data": data | {"version": f"{self._boot}-{version}"},
+            "data": data | {"version": f"{self._boot}-{changes.version}", "news": _plain(changes)},
         }
 
     def changes(self, since: str) -> dict[str, Any]:
@@ -73,12 +74,7 @@ class Answers:
         if boot != self._boot or not number.isdecimal():
             return {"reload": True}
         found = self.store.changes(int(number))
-        return {
-            "version": f"{self._boot}-{found.version}",
-            "rows": found.rows,
-            "named": found.named,
-            "removed": found.removed,
-        }
+        return {"version": f"{self._boot}-{found.version}", **_plain(found)}
 
     def keys(self, runs: Iterable[str]) -> dict[str, str]:
         """What any of these runs has logged: key -> heading."""
@@ -150,6 +146,10 @@ class Answers:
         except (OSError, StoreError):
             return {}
         return _curves(folder, stamp)
+
+
+def _plain(changes: Changes) -> dict[str, Any]:
+    return {"rows": changes.rows, "named": changes.named, "removed": changes.removed}
 
 
 SECTIONS = (

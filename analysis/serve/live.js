@@ -47,8 +47,12 @@ source = {
     return stamp && value("state", run) !== "finished" ? [previewOf(run, stamp)] : [];
   },
   editor,
-  start() {
+  /** The table may be a little older than the page: what has changed is beside it. */
+  prepare() {
     for (const [run, id] of column("run_id").entries()) numberOf.set(id, run);
+    take(DATA.news);
+  },
+  start() {
     startDifferences();
     drawTraining();
     follow();
@@ -78,8 +82,8 @@ async function follow() {
 
 document.addEventListener("visibilitychange", () => { if (!document.hidden) drawTraining(); });
 
-/** Takes over whole rows, names of configurations, and the runs that are gone; then draws what is seen. */
-function apply({ rows, named, removed }) {
+/** Takes over whole rows, names of configurations, and the runs that are gone. */
+function take({ rows, named, removed }) {
   const known = new Set(columns.keys());
   for (const [id, row] of Object.entries(rows)) {
     const run = numbered(id);
@@ -93,9 +97,17 @@ function apply({ rows, named, removed }) {
   numeric.clear();
   const fresh = [...columns.keys()].filter((name) => !known.has(name));
   DATA.settings.push(...fresh.filter(isSetting));
-  if (!address.has("columns")) shownColumns.push(...DATA.usual.filter((name) => fresh.includes(name)));
+  if (fresh.some((name) => DATA.usual.includes(name))) {
+    const wanted = [...DATA.shown, ...fresh];
+    DATA.shown = DATA.usual.filter((name) => wanted.includes(name));
+    if (!address.has("columns") && shownColumns.length) shownColumns.splice(0, shownColumns.length, ...DATA.shown);
+  }
   DATA.scenes = [...new Set(DATA.scenes.concat(column("scene_name").filter((scene) => scene !== null)))];
-  refresh(Object.keys(rows).map((id) => numberOf.get(id)));
+}
+
+function apply(news) {
+  take(news);
+  refresh(Object.keys(news.rows).map((id) => numberOf.get(id)));
 }
 
 const NAMED = ["configuration", "repeats"];
