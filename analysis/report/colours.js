@@ -52,11 +52,13 @@ function middle(name, most) {
 
 /** Columns to choose colours from: those whose values differ, the usual ones first. */
 function telling() {
+  if (told) return told;
   const usual = ["field", "configuration", "seed", "state", "scene_name", "encoder", "density", "color", "run_id"];
   const differ = (name) => {
     if (name === "run_id") return true;
     const first = column(name).find((v) => v !== null);
     return name !== "path" && column(name).some((v) => v !== null && text(v) !== text(first));
   };
-  return [...new Set([...usual, ...[...columns.keys()].sort()])].filter((name) => columns.has(name) && differ(name));
+  told = [...new Set([...usual, ...[...columns.keys()].sort()])].filter((name) => columns.has(name) && differ(name));
+  return told;
 }

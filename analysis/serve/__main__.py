@@ -1,6 +1,7 @@
 """`qnerf serve STORE` or `python -m analysis.serve`: see `--help`."""
 
 import argparse
+import contextlib
 import secrets
 import socket
 import threading
@@ -52,10 +53,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     server, token = make(options)
     family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
     with socket.create_server((options.host, options.port), family=family) as listening:
-        name = "localhost" if options.host in LOOPBACK else options.host
-        address = f"http://{name}:{listening.getsockname()[1]}/" + (f"?token={token}" if token else "")
+        address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/" + (
+            f"?token={token}" if token else ""
+        )
         print(f"{options.store}: {address}; Ctrl-C ends", flush=True)
-        server.run(sockets=[listening])
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listening])
+
+
+def _name_of(host: str) -> str:
+    """What to open in a browser."""
+    if host in LOOPBACK:
+        return "localhost"
+    if host in ("0.0.0.0", "::"):  # all networks
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
 
 
 def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str | None]:

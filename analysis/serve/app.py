@@ -86,7 +86,8 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
     def picture(request: Request) -> Response:
         query = request.query_params
         data, kind = answers.picture(query["run"], query["view"], query["panel"])
-        return Response(data, media_type=kind, headers={"Cache-Control": "private, max-age=3600"})
+        seconds = 3600 if query["panel"] == "preview" else 10  # the address of a preview tells its version
+        return Response(data, media_type=kind, headers={"Cache-Control": f"private, max-age={seconds}"})
 
     def differences(request: Request) -> Response:
         query = request.query_params

@@ -94,7 +94,7 @@ function take({ rows, named, removed }) {
   }
   for (const [id, own] of Object.entries(named)) set(numbered(id), Object.entries(own));
   for (const id of removed) if (numberOf.has(id)) gone.add(numberOf.get(id));
-  numeric.clear();
+  forget();
   const fresh = [...columns.keys()].filter((name) => !known.has(name));
   DATA.settings.push(...fresh.filter(isSetting));
   if (fresh.some((name) => DATA.usual.includes(name))) {
@@ -183,7 +183,7 @@ function editor(run) {
       const answer = await ask("annotate", { run: idOf(run) }, { method: "POST", headers, body: JSON.stringify(wanted) });
       const written = await answer.json();
       set(run, [["tags", written.tags.length ? written.tags : null], ["note", written.note || null]]);
-      numeric.clear();
+      forget();
       said.textContent = "saved";
       select();
     } catch (error) {

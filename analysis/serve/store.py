@@ -1,9 +1,11 @@
 """A store that is read again while runs train: which runs changed since a reader last asked.
 
-A look at the store lists the stamps of all files of all runs, and reads the runs whose stamps differ. So it costs
-little where little changes, whatever the number of runs. Nobody looks unless a page asks.
+A look at the store lists the times of all runs' folders, then the stamps of the files in those that changed, and
+reads the runs whose stamps differ. So it costs little where little changes, whatever the number of runs. Now and then
+it lists all stamps: some network file systems show a folder's new time late. Nobody looks unless a page asks.
 """
 
+import stat
 import threading
 import time
 from collections.abc import Mapping
@@ -15,7 +17,8 @@ import pandas as pd
 
 from qnerf.records import index
 from qnerf.records.deletion import holds_runs
-from qnerf.records.index.locations import UNSETTLED, FolderLocation, Stamps
+from qnerf.records.files import entries_in
+from qnerf.records.index.locations import UNSETTLED, FolderLocation, Stamps, settled_before
 from qnerf.records.location import existing_store
 
 from .. import packed
@@ -25,6 +28,9 @@ from ..report.columns import plain
 
 FRESH = 0.5
 """Seconds for which a look at the store is good enough for the next question."""
+
+FULL_SCAN = 30.0
+"""Seconds between two looks at the files of all runs."""
 
 NAMES_SHARE = 0.1
 """Of the time, at most, goes into naming configurations anew."""
@@ -57,7 +63,9 @@ class WatchedStore:
             raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
         self._location = FolderLocation(self.folder)
         self._lock = threading.Lock()
-        self._stamps = self._location.scan()
+        self._folders: dict[str, str] = {}  # as they were at the last look
+        self._stamps: Stamps = self._location.scan()
+        self._scanned = time.monotonic()
         self._frame = index.load(self.folder, progress=progress)
         self._pending: list[pd.DataFrame] = []  # newer rows that are not in the frame yet
         self._rows: dict[str, dict[str, Any]] = {}
@@ -138,10 +146,20 @@ class WatchedStore:
         """Reads what has changed, unless somebody did so within `FRESH` seconds."""
         if time.monotonic() - self._looked < FRESH:
             return
-        stamps = self._location.scan()
+        folders = _folders(self.folder)
+        if time.monotonic() - self._scanned > FULL_SCAN:
+            touched = set(folders)
+            self._scanned = time.monotonic()
+        else:
+            touched = {
+                name for name, stamp in folders.items() if self._folders.get(name) != stamp or stamp == UNSETTLED
+            }
+        touched |= self._alive & folders.keys()
+        stamps = self._location.stamps(sorted(touched))
         changed = _changed(self._stamps, stamps) | (self._alive & stamps.keys())
-        gone = self._stamps.keys() - stamps.keys()
-        self._stamps = stamps
+        gone = (self._stamps.keys() - folders.keys()) | (self._stamps.keys() & (touched - stamps.keys()))
+        self._stamps = {run: files for run, files in self._stamps.items() if run not in gone} | stamps
+        self._folders = folders
         self._looked = time.monotonic()
         rows, frame = self._read(sorted(changed))
         different = {run: row for run, row in rows.items() if self._rows.get(run) != row}
@@ -174,6 +192,20 @@ class WatchedStore:
             row = {str(name): plain(value) for name, value in record.items()}
             rows[record["run_id"]] = {name: value for name, value in row.items() if value is not None}
         return rows, frame
+
+
+def _folders(store: Path) -> dict[str, str]:
+    """A stamp of each folder in the store. Files of a run are replaced, which changes the time of its folder."""
+    settled = settled_before()
+    try:
+        found = entries_in(store)
+    except FileNotFoundError:
+        return {}
+    return {
+        name: UNSETTLED if max(status.st_mtime, status.st_ctime) > settled else f"{status.st_mtime_ns} {status.st_ino}"
+        for name, status in found.items()
+        if stat.S_ISDIR(status.st_mode)
+    }
 
 
 def _changed(before: Stamps, now: Stamps) -> set[str]:
