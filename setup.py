@@ -16,6 +16,11 @@ setup(
         "qnerf.conf": ["*.yaml", "*/*.yaml", "*/*/*.yaml"],
         "qnerf.sweeps": ["*.yaml"],
         "qnerf.benchmarks.results": ["*.parquet"],
-        "qnerf.analysis": ["paper/*.csv", "report/*.css", "report/*.html", "report/*.js", "notebooks/*.ipynb"],
+        "qnerf.analysis": [
+            "paper/*.csv",
+            *(f"report/*.{kind}" for kind in ("css", "html", "js")),
+            "serve/*.js",
+            "notebooks/*.ipynb",
+        ],
     },
 )

@@ -44,19 +44,18 @@ def runs(
     if packed.is_packed(store):
         if holds_runs(Path(store)):
             raise ValueError(f"{store}: holds runs and also packed tables; expected one of both in a folder")
-        frame = packed.load(store)
+        frame = with_needed(_with_added(packed.load(store)))
     else:
         frame = index.load(store, progress=progress)
         if frame.empty:
             raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
-        frame["scene_name"] = _scene_names(frame)
-        if "scene.fingerprint" in frame:  # older runs have none: assume the scene of the same name
-            known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
-            frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
-            _rename_older_fingerprints(frame)
-    frame = _with_added(frame)
-    frame = with_needed(frame)
+        frame = completed(frame)
     return frame if filter is None else filters.require(frame, filter)
+
+
+def completed(frame: pd.DataFrame) -> pd.DataFrame:
+    """The frame of `qnerf.records.index` with what `runs` adds: scenes, newer options, the columns of `NEEDED`."""
+    return with_needed(_with_added(_with_scenes(frame)))
 
 
 def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:
@@ -81,6 +80,16 @@ def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | No
 def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
     frame = index.locate(run).metrics()
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
+
+
+def _with_scenes(frame: pd.DataFrame) -> pd.DataFrame:
+    """The frame of `index.load` with `scene_name`, and with fingerprints of scenes as far as they can be inferred."""
+    frame["scene_name"] = _scene_names(frame)
+    if "scene.fingerprint" in frame:  # older runs have none: assume the scene of the same name
+        known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
+        frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
+        _rename_older_fingerprints(frame)
+    return frame
 
 
 def _with_added(frame: pd.DataFrame) -> pd.DataFrame:

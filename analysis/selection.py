@@ -1,6 +1,8 @@
 """Which runs a table or figure uses, which are left out and why, and which must not be averaged together."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +39,31 @@ def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
     A run is left out if another has the same seed and the same effective settings. Settings without effect are None.
     ValueError as `finite` raises it.
     """
+    known = _remembered.get()
+    if known is None:
+        return _select(frame, metric)
+    key = (id(frame), metric)
+    if key not in known:
+        known[key] = (frame, _select(frame, metric))  # an id belongs to the frame as long as it is kept
+    found = known[key][1]
+    return Selection(found.runs.copy(), found.left_out)
+
+
+@contextlib.contextmanager
+def remembering() -> Iterator[None]:
+    """Inside it, `select` works once for each table: for a caller in whose tables nothing changes meanwhile."""
+    token = _remembered.set({})
+    try:
+        yield
+    finally:
+        _remembered.reset(token)
+
+
+_remembered: ContextVar[dict[tuple[int, str], tuple[pd.DataFrame, Selection]] | None]
+_remembered = ContextVar("_remembered", default=None)
+
+
+def _select(frame: pd.DataFrame, metric: str) -> Selection:
     runs, left_out = finite(frame, metric)
     repeated = what_acts(runs).duplicated()
     left_out["repeating another"] = int(repeated.sum())

@@ -4,6 +4,8 @@ The width of an MLP has no effect where the head is a circuit, nor do a circuit'
 over circuits therefore trains the same classical field several times; such runs must count once.
 """
 
+from collections.abc import Collection
+
 import pandas as pd
 
 LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
@@ -40,10 +42,19 @@ def configuration(frame: pd.DataFrame) -> list[str]:
     return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _IRRELEVANT]
 
 
+def without_constants(frame: pd.DataFrame, keep: Collection[str] = ()) -> pd.DataFrame:
+    """The table without settings that are the same in all its runs: they tell no two runs apart, and there are many.
+
+    keep: settings that stay in any case.
+    """
+    settings = [name for name in configuration(frame) if name not in (*keep, "color.directions")]
+    return frame.drop(columns=[name for name in settings if frame[name].nunique(dropna=False) < 2])
+
+
 def effective(runs: pd.DataFrame) -> pd.DataFrame:
     """The settings that influence each run's result, as text; "" where one has no effect in that run."""
     keys = [key for key in configuration(runs) if not key.startswith(_SOURCES)]
-    table = runs[keys].map(str)
+    table = pd.DataFrame({key: _texts(runs[key]) for key in keys}, index=runs.index)
     for head, circuits in QUANTUM.items():
         quantum = runs["field"].isin(circuits)
         table.loc[~quantum, [key for key in keys if key.startswith(f"{head}.qiren.")]] = ""
@@ -51,6 +62,12 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
     if {"color.directions", "color.direction_scale"} <= set(table):
         table.loc[table["color.directions"] != "raw", "color.direction_scale"] = ""
     return table
+
+
+def _texts(column: pd.Series) -> list[str]:
+    """str of each value; equal values of one type are written once, which is much faster for many runs."""
+    known: dict[tuple[type, object], str] = {}
+    return [known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in column.tolist()]
 
 
 def what_acts(runs: pd.DataFrame) -> pd.DataFrame:

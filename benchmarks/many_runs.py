@@ -106,7 +106,7 @@ def _generate(folder: str, runs: int, jobs: int, bases: Sequence[Mapping[str, An
 
 def _counts(config: Mapping[str, Any]) -> dict[str, int]:
     """Plausible parameter counts; no model is built."""
-    heads = {"mlp": lambda head: 64 * 64 * head["layers"], "qiren": lambda head: 480 * head["qiren"]["layers"]}
+    heads = {"mlp": lambda head: 64 * 64 * head["mlp"]["layers"], "qiren": lambda head: 480 * head["qiren"]["layers"]}
     parts = {name: heads[config[name]["name"]](config[name]) for name in ("density", "color")}
     parts["encoder"] = config["hash"]["levels"] << config["hash"]["log2_table_size"]
     parts |= {"sampler": 655_746, "cameras": 0, "appearance": 0}

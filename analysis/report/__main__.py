@@ -98,9 +98,12 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track)
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
-        "pictures": {"note": drawn.note, "absent": content.no_pictures(drawn, not most, is_packed(options.store))},
-        "plots": {"absent": content.no_plots(frame)},
-        "curves": {"absent": content.no_curves(logged)},
+        "note": drawn.note,
+        "absent": {
+            "pictures": content.no_pictures(drawn, not most, is_packed(options.store)),
+            "plots": content.no_plots(frame),
+            "curves": content.no_curves(logged),
+        },
         "parts": sections,
         "data": content.data(frame, drawn, logged),
     }
@@ -117,9 +120,10 @@ def write(html: str, out: str) -> Path:
 
 SECTIONS = (
     ("runs-section", "Runs"),
-    ("plots-section", "Capacity and speed"),
     ("curves-section", "Curves"),
-    ("pictures-section", "Two runs"),
+    ("compared-section", "Compare"),
+    ("explore-section", "Explore"),
+    ("plots-section", "Capacity and speed"),
 )
 
 if __name__ == "__main__":

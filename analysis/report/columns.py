@@ -12,8 +12,7 @@ DIGITS = 6  # significant ones of a number on the page
 
 def packed(frame: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Each column that has a value: `{all: v}`, `{levels, codes}` or `{values}`, with None for what is absent."""
-    columns = {str(name): [plain(value) for value in frame[name]] for name in frame.columns}
-    return {name: _packed(values) for name, values in columns.items() if any(value is not None for value in values)}
+    return {str(name): found for name in frame.columns if (found := _packed(frame[name])) is not None}
 
 
 def plain(value: Any) -> Any:
@@ -42,12 +41,30 @@ def rounded_all(numbers: Sequence[float] | np.ndarray, digits: int = DIGITS) -> 
     return [rounded(number, digits) for number in np.asarray(numbers, dtype=float).tolist()]
 
 
-def _packed(values: list[Any]) -> dict[str, Any]:
-    # A list cannot be a key, and True would meet 1 as one: the text of a value tells it from all others.
-    levels = {repr(value): value for value in values}
+def _packed(column: pd.Series) -> dict[str, Any] | None:
+    levels, codes = _levels(column)
+    if all(level is None for level in levels):
+        return None
     if len(levels) == 1:
-        return {"all": values[0]}
-    if len(levels) > len(values) // 2 or all(isinstance(value, (int, float, type(None))) for value in values):
-        return {"values": values}
-    codes = {text: code for code, text in enumerate(levels)}
-    return {"levels": list(levels.values()), "codes": [codes[repr(value)] for value in values]}
+        return {"all": levels[0]}
+    if len(levels) > len(codes) // 2 or all(isinstance(level, (int, float, type(None))) for level in levels):
+        return {"values": [levels[code] for code in codes]}
+    return {"levels": levels, "codes": codes}
+
+
+def _levels(column: pd.Series) -> tuple[list[Any], list[int]]:
+    """The column's different plain values, and for each row the number of its own."""
+    text = column.dtype == object and pd.api.types.infer_dtype(column) == "string"
+    if text or column.dtype.kind in "iuf":
+        codes, levels = pd.factorize(column, use_na_sentinel=False)
+        return _merged([plain(level) for level in levels.tolist()], codes.tolist())
+    # A list cannot be a key, and True would meet 1 as one.
+    return _merged([plain(value) for value in column], list(range(len(column))))
+
+
+def _merged(values: list[Any], codes: list[int]) -> tuple[list[Any], list[int]]:
+    """The same with each value once: the text of a value tells it from all others."""
+    levels = {repr(value): value for value in values}
+    number = {text: place for place, text in enumerate(levels)}
+    merged = [number[repr(value)] for value in values]
+    return list(levels.values()), [merged[code] for code in codes]

@@ -10,18 +10,21 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 
 from .. import style
 from ..figures import points
-from ..load import with_needed
+from ..load import NEEDED, with_needed
 from ..selection import select
-from ..settings import first_of_each
+from ..settings import acting, first_of_each, without_constants
 from ..step_times import doubts
 from . import curves, pictures
 from .columns import packed
 from .figures import dark_colors
 from .versions import versions
 
-LABEL_COLUMNS = ("run_id", "state", "scene_name", "field", "encoder", "density", "color", "seed")
-COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
-"""The table of runs shows these to begin with, and the image metrics between them."""
+FIRST_COLUMNS = ("run_id", "psnr", "state")
+OTHER_COLUMNS = (
+    "scene_name", "field", "encoder", "density", "color", "seed", *(metric.key for metric in quality_metrics()),
+    "params.heads", "params.total", "step_ms", "train_s", "tags",
+)  # fmt: skip
+"""The table of runs shows these to begin with."""
 
 UNLESS_CONSTANT = ("scene_name", "encoder", "density", "color", "tags")
 
@@ -34,25 +37,33 @@ _RESULTS = ("params.", "time.", "run.")
 
 
 def prepared(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with columns for the page: version of qnerf, parameters of both heads, and configuration.
-
-    The configuration is a name from `points.points`; runs that are unfinished or repeat another have none.
-    """
-    frame = with_needed(frame.reset_index(drop=True))
-    frame["run_id"] = frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])
+    """`frame` with columns for the page: those of `described` and `named`, and the version of qnerf."""
+    frame = described(with_needed(frame.reset_index(drop=True)))
     frame["version"] = versions(frame["path"])
-    for name in ("tags", "note"):
-        frame[name] = [value or None for value in frame.get(name, [None] * len(frame))]
-    frame["params.heads"] = frame[list(HEAD_PARAMETERS)].sum(axis=1, min_count=1)
-    frame["repeats"] = first_of_each(frame)
-    frame["configuration"] = None
-    try:
-        table = points.points(select(frame[frame["repeats"].isna()]).runs, ["psnr"])
-    except ValueError:  # nothing has finished
-        return frame
-    for name, rows in zip(table["name"], table["runs"], strict=True):
-        frame.loc[list(rows), "configuration"] = name
-    return frame
+    return named(frame)
+
+
+def described(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame` with an id, the parameters of the heads, and None for tags and notes that are empty."""
+    new = {"run_id": frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])}
+    new |= {name: [value or None for value in frame.get(name, [None] * len(frame))] for name in ("tags", "note")}
+    new["params.heads"] = frame[list(HEAD_PARAMETERS)].sum(axis=1, min_count=1)
+    return frame.assign(**new)
+
+
+def named(frame: pd.DataFrame) -> pd.DataFrame:
+    """`frame` with `repeats`, the run that a finished run repeats, and `configuration`, a name from `points.points`.
+
+    Damaged runs have none.
+    """
+    telling = without_constants(frame, NEEDED)
+    named = frame.assign(repeats=first_of_each(telling), configuration=None)
+    readable = telling[telling["state"] != "damaged"]
+    if len(readable):
+        table = points.points(acting(readable), ["psnr"])
+        names = {row: name for name, rows in zip(table["name"], table["runs"], strict=True) for row in rows}
+        named["configuration"] = named.index.to_series().map(names).astype(object)
+    return named
 
 
 def order(frame: pd.DataFrame) -> list[int]:
@@ -75,9 +86,10 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "settings": settings,
         "shown": [
             name
-            for name in (*LABEL_COLUMNS, *(metric.key for metric in quality_metrics()), *COST_COLUMNS)
+            for name in dict.fromkeys((*FIRST_COLUMNS, *OTHER_COLUMNS))
             if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
         ],
+        "usual": list(dict.fromkeys((*FIRST_COLUMNS, *OTHER_COLUMNS))),
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
         "kinds": {
             "image": [metric.key for metric in quality_metrics()],
@@ -86,6 +98,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "unranked": doubts(frame[frame["state"] == "finished"], list(columns)),
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
+        "palette": style.PALETTE,
         "curves": logged,
         "curve_names": {key: metric_of(key).heading for key in curves.logged_keys()},
         "dark": dark_colors(),

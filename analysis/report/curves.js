@@ -1,46 +1,121 @@
-/** Logged values of the selected runs over steps or time. */
+/** Logged values of the selected runs over steps or time: each run, or means and bands of groups; smoothed on demand. */
 
-const MOST_CURVES = 40;
+let seenCurves = () => {};
+const drawCurves = () => seenCurves();
+let drawing = 0;
 
-function drawCurves() {
-  if (!$("curve-key")) return;
-  const [key, by] = [$("curve-key").value, $("curve-x").value];
-  const having = selection.runs.filter((run) => DATA.curves[run]?.[key]);
-  const drawn = having.slice(0, MOST_CURVES).map((run) => curve(run, key, by));
-  const logarithmic = $("curve-log").getAttribute("aria-pressed") === "true";
-  const layout = plotLayout(by === "step" ? "step" : "time, s", DATA.curve_names[key], { yaxis: { type: logarithmic ? "log" : "linear" } });
-  Plotly.react("curves-plot", drawn, { ...layout, showlegend: false }, plotSettings);
-  const without = selection.runs.length - having.length;
-  const parts = [`${drawn.length} runs, coloured by field`];
-  if (having.length > drawn.length) parts.push(`the first ${MOST_CURVES} of ${having.length} in the table's order: filter or sort for others`);
-  if (without) parts.push(`${without.toLocaleString("en")} selected runs have no such curve on this page`);
+async function drawCurvesNow() {
+  const number = ++drawing;
+  const runs = source.withCurves(selection.runs).slice(0, Number($("curve-most").value));
+  const names = await source.keys(runs);
+  if (number !== drawing) return;
+  options($("curve-key"), Object.entries(names), Object.keys(names)[0]);
+  const key = $("curve-key").value;
+  const logged = key ? await source.curves(runs, key) : new Map();
+  await plotly;
+  if (number !== drawing) return;
+  const having = runs.filter((run) => logged.has(run));
+  const paint = colouring($("curve-by").value, having);
+  const [by, share] = [$("curve-x").value, Number($("curve-smooth").value) / 100];
+  const lines = having.map((run) => {
+    const { step, time, value: values } = logged.get(run);
+    return { run, x: by === "step" ? step : time, y: smoothed(values, share) };
+  });
+  const layout = plotLayout(by === "step" ? "step" : "time, s", names[key] ?? "", { yaxis: { type: pressed("curve-log") ? "log" : "linear" } });
+  if (!lines.length) layout.annotations = [{ text: "no selected run has logged this yet", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }];
+  const traces = pressed("curve-mean") ? bands(lines, paint) : lines.map((line) => single(line, paint));
+  await Plotly.react("curves-plot", traces, { ...layout, showlegend: false, uirevision: `${key} ${by}` }, plotSettings);
+  $("curves-plot").removeAllListeners("plotly_click");
+  $("curves-plot").on("plotly_click", ({ points: [point] }) => { if (typeof point.customdata === "number") openRun(point.customdata); });
+  drawLegend($("curves-legend"), $("curve-by").value, paint.entries);
+  const left = selection.runs.length - having.length;
+  const parts = [counted(having.length, "run")];
+  if (pressed("curve-mean")) parts.push("line: mean of a group; band: ± standard deviation over its runs");
+  if (share) parts.push("smoothed by an exponential moving average");
+  if (left) parts.push(`${left.toLocaleString("en")} selected runs are not drawn: they follow in the table's order, or have no such curve here`);
   $("curves-status").textContent = `${parts.join("; ")}.`;
 }
 
-function curve(run, key, by) {
-  const { step, time, value: values } = DATA.curves[run][key];
-  const style = DATA.fields[value("field", run)] ?? { colour: colour("--muted") };
+/** An exponential moving average that gives the values before `share` of the weight, without the bias of its start. */
+function smoothed(values, share) {
+  if (!share) return values;
+  let [sum, weight] = [0, 0];
+  return values.map((v) => {
+    if (v === null) return null;
+    sum = share * sum + (1 - share) * v;
+    weight = share * weight + 1 - share;
+    return sum / weight;
+  });
+}
+
+function single({ run, x, y }, paint) {
   return {
-    name: escaped(value("run_id", run)), mode: values.length < 12 ? "lines+markers" : "lines",
-    x: by === "step" ? step : time, y: values, customdata: values.map(() => run),
-    line: { color: style.colour, width: 1.3 }, marker: { symbol: style.symbol, size: 5 }, opacity: 0.9,
+    name: escaped(value("run_id", run)), mode: y.length < 12 ? "lines+markers" : "lines", x, y, customdata: y.map(() => run),
+    line: { color: paint.of(run), width: 1.3 }, marker: { symbol: DATA.fields[value("field", run)]?.symbol, size: 5 }, opacity: 0.9,
     hovertemplate: "%{fullData.name}<br>%{x:,.4~g}: %{y:.4~g}<extra></extra>",
   };
 }
 
-function startCurves() {
-  if (!$("curve-key")) return;
-  const keys = new Set(Object.values(DATA.curves).flatMap((of) => Object.keys(of)));
-  options($("curve-key"), [...keys].map((key) => [key, DATA.curve_names[key]]));
-  for (const id of ["curve-key", "curve-x"]) $(id).addEventListener("change", drawCurves);
-  $("curve-log").addEventListener("click", () => { toggle($("curve-log")); drawCurves(); });
-  selection.listeners.push(drawCurves);
-  drawCurves();
-  $("curves-plot").on("plotly_click", ({ points: [point] }) => openRun(point.customdata));
+/** A line and a band for each group of runs of one colour key. */
+function bands(lines, paint) {
+  const key = $("curve-by").value;
+  const groups = Map.groupBy(lines, (line) => (key ? text(value(key, line.run)) : "all"));
+  return [...groups].flatMap(([name, members]) => {
+    const css = paint.of(members[0].run);
+    const points = meanAndStd(members);
+    const several = points.filter((point) => point.std !== null);
+    const band = {
+      x: [...several.map((p) => p.x), ...several.map((p) => p.x).reverse()],
+      y: [...several.map((p) => p.mean + p.std), ...several.map((p) => p.mean - p.std).reverse()],
+      mode: "lines", line: { width: 0 }, fill: "toself", fillcolor: css, opacity: 0.2, hoverinfo: "skip",
+    };
+    const label = `${escaped(name ?? "none")} (${members.length})`;
+    const line = {
+      name: label, mode: "lines", x: points.map((p) => p.x), y: points.map((p) => p.mean), line: { color: css, width: 1.8 },
+      text: points.map((p) => (p.std === null ? "" : ` ± ${p.std.toPrecision(3)}`)),
+      hovertemplate: "%{fullData.name}<br>%{x:,.4~g}: %{y:.4~g}%{text}<extra></extra>",
+    };
+    return several.length ? [band, line] : [line];
+  });
 }
 
-/** Turns a button that stays pressed on or off; says which. */
-function toggle(button, on = button.getAttribute("aria-pressed") !== "true") {
-  button.setAttribute("aria-pressed", String(on));
-  return on;
+const MOST_POINTS = 400;
+
+/** Mean and standard deviation over lines at their common places; between its points a line is straight. */
+function meanAndStd(lines) {
+  const all = [...new Set(lines.flatMap(({ x }) => x))].sort((a, b) => a - b);
+  const every = Math.ceil(all.length / MOST_POINTS);
+  return all.filter((_, place) => place % every === 0 || place === all.length - 1).flatMap((x) => {
+    const values = lines.map((line) => interpolated(line, x)).filter((v) => v !== null);
+    return values.length ? [{ x, ...spread(values) }] : [];
+  });
+}
+
+/** The line's value at x; null outside of it, or where a point beside x has none. */
+function interpolated({ x: places, y }, x) {
+  let [low, high] = [0, places.length - 1];
+  if (high < 0 || x < places[low] || x > places[high]) return null;
+  while (high - low > 1) {
+    const half = (low + high) >> 1;
+    if (places[half] <= x) low = half;
+    else high = half;
+  }
+  if (places[low] === x) return y[low];
+  if (places[high] === x) return y[high];
+  if (y[low] === null || y[high] === null) return null;
+  return y[low] + ((x - places[low]) / (places[high] - places[low])) * (y[high] - y[low]);
+}
+
+function offerCurves() {
+  options($("curve-by"), [["", "one colour"], ...telling().map((name) => [name, heading(name)])], "field");
+}
+
+function startCurves() {
+  offerCurves();
+  for (const id of ["curve-mean", "curve-log"]) $(id).addEventListener("click", () => { toggle($(id)); drawCurves(); });
+  for (const id of ["curve-key", "curve-x", "curve-by", "curve-most", "curve-smooth"]) $(id).addEventListener("input", drawCurves);
+  keep("curve-key", "curve-x", "curve-by", "curve-most", "curve-smooth", "curve-mean", "curve-log");
+  seenCurves = whenSeen("curves-section", drawCurvesNow);
+  selection.listeners.push(drawCurves);
+  drawCurves();
 }

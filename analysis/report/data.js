@@ -14,7 +14,23 @@ function unpack({ all, values, levels, codes }) {
 
 const column = (name) => columns.get(name) ?? new Array(DATA.total).fill(null);
 const value = (name, run) => columns.get(name)?.[run] ?? null;
-const isNumeric = (name) => column(name).some((v) => typeof v === "number");
+const numeric = new Map(); // column -> whether it has numbers, as far as it was asked
+let told = null; // the columns of `telling`, once they were asked for
+const gone = new Set(); // runs that were deleted since the page was opened
+
+function isNumeric(name) {
+  if (!numeric.has(name)) numeric.set(name, column(name).some((v) => typeof v === "number"));
+  return numeric.get(name);
+}
+
+/** To be called when values have changed. */
+function forget() {
+  numeric.clear();
+  told = null;
+}
+
+/** Where views and curves come from, set by static.js or live.js. */
+let source;
 
 /** What `name` is called on the page, with its unit. */
 const heading = (name) => DATA.metrics[name]?.heading ?? name;
@@ -40,12 +56,24 @@ function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-/** Fills a select: [value, text] each, keeping the chosen value where it is still there. */
-function options(select, items) {
-  const before = select.value;
+/** Fills a select: [value, text] each. What a user has chosen stays where it is still there; before, it is the choice
+ * of the address, else `standard`. */
+function options(select, items, standard = null) {
+  const wanted = select.dataset.chosen ? select.value : address.get(select.id) ?? standard ?? select.value;
   select.replaceChildren(...items.map(([v, text]) => element("option", { value: v }, text)));
-  if (items.some(([v]) => String(v) === before)) select.value = before;
+  if (items.some(([v]) => String(v) === wanted)) select.value = wanted;
 }
+
+/** `1 run`, `2 runs`. */
+const counted = (number, what) => `${number.toLocaleString("en")} ${what}${number === 1 ? "" : "s"}`;
+
+/** Turns a button that stays pressed on or off; says which. */
+function toggle(button, on = button.getAttribute("aria-pressed") !== "true") {
+  button.setAttribute("aria-pressed", String(on));
+  return on;
+}
+
+const pressed = (id) => $(id).getAttribute("aria-pressed") === "true";
 
 /** The colour that a CSS variable has under the present theme. */
 function colour(variable) {

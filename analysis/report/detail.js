@@ -1,31 +1,55 @@
-/** The panel of one run; its address is #run=<id>, so that "back" closes it and a link opens it. */
+/** The panel of one run; its address is #run=ID, so that "back" closes it and a link opens it. */
+
+let opened = null; // the run in the panel
+
+/** The address of the present view with this run open. */
+function hashOf(run) {
+  const view = new URLSearchParams(address);
+  view.set("run", value("run_id", run));
+  return `#${view}`;
+}
 
 function openRun(run) {
-  location.hash = `run=${encodeURIComponent(value("run_id", run))}`;
+  location.hash = hashOf(run);
 }
 
 function followHash() {
-  const match = /^#run=(.*)$/.exec(location.hash);
-  const run = match ? column("run_id").indexOf(decodeURIComponent(match[1])) : -1;
-  if (run < 0) return $("detail").close();
+  const id = readAddress().get("run");
+  const run = id === null ? -1 : column("run_id").indexOf(id);
+  opened = run < 0 ? null : run;
+  if (opened === null) {
+    address.delete("run");
+    return $("detail").close();
+  }
+  address.set("run", id);
   fillDetail(run);
   if (!$("detail").open) $("detail").showModal();
   $("detail").scrollTop = 0;
 }
 
-function fillDetail(run) {
+async function fillDetail(run) {
   $("detail-title").textContent = value("run_id", run);
-  const choose = ["a", "b"].map((side) =>
-    element("button", { type: "button", onclick: () => { closeDetail(); compare(side, run); $("pictures-section").scrollIntoView(); } },
-      `Compare as ${side.toUpperCase()}`));
+  const add = element("button", { type: "button", onclick: () => { closeDetail(); choose(run, true); $("compared-section").scrollIntoView(); } }, "Compare");
+  const only = element("button", { type: "button", onclick: () => { closeDetail(); showOnly(run); } }, "Only its configuration");
   const results = [...columns.keys()].filter((name) => !DATA.settings.includes(name) && !HIDDEN.includes(name));
   $("detail-body").replaceChildren(
-    element("div", { class: "controls" }, ...choose),
+    element("div", { class: "controls" }, add, ...(value("configuration", run) === null ? [] : [only])),
+    ...(source.editor ? [source.editor(run)] : []),
     pairs(["state", "error", "tags", "note", "version", "path"].filter((name) => value(name, run) !== null), run),
     element("h3", {}, "Results"), pairs(results.filter((name) => value(name, run) !== null), run),
-    element("h3", {}, "Held-out views"), ...strips(run),
+    element("h3", {}, "Held-out views"), element("div", { id: "detail-views" }),
     element("h3", {}, "Configuration"), pairs(DATA.settings.filter((name) => value(name, run) !== null), run),
   );
+  const views = strips(await source.views(run));
+  if (opened === run) $("detail-views").replaceChildren(...(source.preview ? source.preview(run) : []), ...views);
+}
+
+/** Selects the runs of a run's configuration: its seeds. */
+function showOnly(run) {
+  const quoted = `'${String(value("configuration", run)).replaceAll("'", "?")}'`;
+  $("filter").value = `configuration=${quoted.replaceAll(",", "?")}`;
+  $("filter").dispatchEvent(new Event("input"));
+  $("runs-section").scrollIntoView();
 }
 
 const HIDDEN = ["run_id", "state", "error", "tags", "note", "version", "path", "configuration"];
@@ -35,20 +59,20 @@ function pairs(names, run) {
   return element("dl", {}, ...items);
 }
 
-/** Truth, render and depth of each view that is on the page. */
-function strips(run) {
-  const views = Object.entries(DATA.pictures.runs[run] ?? {});
-  if (!views.length) return [element("p", { class: "absent" }, "No pictures of this run on this page.")];
-  return views.map(([view, kinds]) =>
-    element("div", { class: "strip" }, ...Object.entries(kinds).map(([kind, file]) => {
-      const { uri, width } = DATA.pictures.files[file];
-      const image = element("img", { src: uri, alt: `${kind}, view ${view}`, class: width < 400 ? "pixels" : "" });
-      return element("figure", {}, image, element("figcaption", {}, `${kind}, ${view}`));
+/** The panels of each view. */
+function strips(views) {
+  const pictured = Object.entries(views);
+  if (!pictured.length) return [element("p", { class: "absent" }, "No pictures of this run here.")];
+  return pictured.map(([view, panels]) =>
+    element("div", { class: "strip" }, ...Object.entries(panels).map(([panel, { uri, width }]) => {
+      const image = element("img", { src: uri, alt: `${panel}, view ${view}`, loading: "lazy", class: width < 400 ? "pixels" : "" });
+      return element("figure", {}, image, element("figcaption", {}, `${panel}, ${view}`));
     })));
 }
 
 function closeDetail() {
-  history.replaceState(null, "", location.pathname + location.search);
+  opened = null;
+  remember("run", "");
   $("detail").close();
 }
 

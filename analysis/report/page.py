@@ -1,6 +1,8 @@
 """Assembles the page: one HTML file with its data, script and style, which loads nothing else."""
 
 import base64
+import functools
+import gzip
 import hashlib
 import re
 from collections.abc import Mapping
@@ -12,8 +14,19 @@ import jinja2
 import plotly.offline
 from markupsafe import Markup
 
+from .tables import ShownTable
+
 HERE = Path(__file__).parent
-SCRIPTS = ("data", "filter", "selection", "table", "plots", "curves", "compare", "detail", "start")
+SHARED = (
+    "address", "filter", "selection", "colours", "table", "plots", "curves", "compare", "explore", "detail",
+)  # fmt: skip
+"""Scripts of this page and of the live one."""
+SCRIPTS = ("data", "static", *SHARED, "start")
+
+
+def file(name: str, folder: Path = HERE) -> str:
+    """A script or style of the package."""
+    return (folder / name).read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -45,15 +58,42 @@ def policy(*scripts: Script) -> str:
 
 
 def render(content: Mapping[str, Any]) -> str:
-    """The page. Jinja escapes every text from outside, or puts it into JSON that cannot close its element."""
+    """The page that is one file, or with `live` in its content the page of `analysis.serve`, whose script and style are
+    files of their own."""
+    if content.get("live"):
+        return _environment().get_template("page.html").render(EMPTY | content)
+    own = script("\n".join(file(f"{name}.js") for name in SCRIPTS))
+    plots = plotly.offline.get_plotlyjs()
+    style = Markup(file("style.css"))
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(
+            EMPTY | content, policy=policy(script(plots), own), plotly=compressed(plots), script=own.text, style=style
+        )
+    )
+
+
+def table(item: ShownTable) -> str:
+    """One table as the page shows it."""
+    return str(_environment().get_template("table.html").module.table(item))
+
+
+def compressed(text: str) -> str:
+    """gzip in base64: a third of the bytes; the same for the same text."""
+    return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
+
+
+EMPTY = {"live": False, "filter": None, "absent": dict.fromkeys(("pictures", "plots", "curves"), ""), "note": ""}
+"""What a page may leave out."""
+
+
+@functools.lru_cache(maxsize=1)
+def _environment() -> jinja2.Environment:
+    """Jinja escapes every text from outside, or puts it into JSON that cannot close its element."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    own = script("\n".join((HERE / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS))
-    plots = script(plotly.offline.get_plotlyjs())
-    style = Markup((HERE / "style.css").read_text(encoding="utf-8"))
-    return environment.get_template("page.html").render(
-        content, policy=policy(plots, own), plotly=plots.text, script=own.text, style=style
-    )
+    return environment

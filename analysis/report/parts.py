@@ -7,20 +7,27 @@ import pandas as pd
 
 from .. import hsv
 from ..figures import FIGURES, colors
+from ..load import NEEDED
 from ..paper import PAPER_TABLES
+from ..selection import remembering
+from ..settings import without_constants
 from ..tables import Table
 from ..tables.smallest import TOLERANCE
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, over_seeds, smallest_configurations
 
 COLOURS = ("hsv",)
-PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in COLOURS)
+INTERACTIVE = ("capacity", "capacity_color", "capacity_density", "loss", "time", "speed")
+"""Figures that the page's own plots show; `qnerf figures` writes them."""
+PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in (*COLOURS, *INTERACTIVE))
 REPEATS = (
     "repeat another: the same scene and seed, and settings that differ only where they do not act. They are among the "
     "runs above, and count nowhere below."
 )
 OTHER_FIGURES = tuple(
-    name for name, entry in FIGURES.items() if not entry.benchmark and name not in (*PAPER_FIGURES, *COLOURS)
+    name
+    for name, entry in FIGURES.items()
+    if not entry.benchmark and name not in (*PAPER_FIGURES, *COLOURS, *INTERACTIVE)
 )
 """A benchmark's figure speaks about qnerf, not about the store."""
 STEPS = len(COLOURS) + len(PAPER_FIGURES) + len(OTHER_FIGURES) + 1
@@ -49,6 +56,11 @@ class Part:
 
 def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     """Tables and figures of the store, in the order of the page."""
+    with remembering():
+        return _parts(without_constants(frame, (*NEEDED, "train.rays")), advance)
+
+
+def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     repeats = frame["repeats"].notna().sum()
     configurations = Part("tables", "Tables", "Configurations over seeds")
     if repeats:

@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from ..images import Panels, panels, pictures
+from ..images import named_panels, pictures
 
 MAX_VIEWS = 1000
 MAX_BYTES = 20 * 2**20
@@ -41,9 +41,10 @@ class Pictures:
             parts.append(f"{len(self.problems):,} pictures are damaged, the first {self.problems[0]}.")
         return " ".join(parts)
 
-    def add(self, row: int, view: str, strip: Panels) -> None:
-        kinds = {"truth": strip.truth, "render": strip.render, "depth": strip.depth}
-        self.runs.setdefault(row, {})[view] = {kind: self._index(pixels) for kind, pixels in kinds.items()}
+    def add(self, row: int, view: str, panels: Mapping[str, np.ndarray]) -> None:
+        """All panels but the error, which the page makes from two of them."""
+        kept = {name: self._index(pixels) for name, pixels in panels.items() if name != "error"}
+        self.runs.setdefault(row, {})[view] = kept
         self.views += 1
 
     def _index(self, pixels: np.ndarray) -> int:
@@ -71,7 +72,7 @@ def gather(
             stored = {}
         for view, path in stored.items():
             try:
-                result.add(row, view, panels(path))
+                result.add(row, view, named_panels(path))
             except ValueError as error:
                 result.problems.append(str(error))
         advance()

@@ -2,6 +2,12 @@
 
 const plotSettings = { responsive: true, displayModeBar: false };
 
+/** Resolved when Plotly is there; everything but the plots is shown before. */
+let plotly = Promise.resolve();
+
+let seenPlots = () => {};
+const drawPlots = () => seenPlots();
+
 function plotLayout(x, y, more = {}) {
   const [ink, muted, line] = ["--ink", "--muted", "--line"].map(colour);
   const axis = { gridcolor: line, linecolor: muted, zeroline: false, ticks: "outside", tickcolor: muted, automargin: true };
@@ -17,6 +23,8 @@ function plotLayout(x, y, more = {}) {
     yaxis: { ...axis, title: { text: y, standoff: 8 }, ...more.yaxis },
   };
 }
+
+const MOST_MARKS = 3000;
 
 /** Mean and standard deviation (n - 1; null for one value). */
 function spread(values) {
@@ -75,7 +83,7 @@ function traces(x, y, scene) {
     const single = runs.filter((run) => value("field", run) === field);
     const means = points.filter((point) => point.field === field);
     if (!single.length) continue;
-    drawn.push({
+    if (runs.length <= MOST_MARKS) drawn.push({
       name: `${field}, runs`, showlegend: false, legendgroup: field, mode: "markers",
       x: single.map((run) => value(x, run)), y: single.map((run) => value(y, run)), customdata: single,
       text: single.map((run) => `${escaped(value("run_id", run))}<br>seed ${value("seed", run)}`),
@@ -90,12 +98,18 @@ function traces(x, y, scene) {
       name: field, legendgroup: field, mode: "markers",
       x: means.map((point) => point.x.mean), y: means.map((point) => point.y.mean),
       error_x: x.startsWith("params.") ? { visible: false } : bars("x"), error_y: bars("y"),
-      customdata: means.map((point) => point.runs[0]), text: means.map((point) => hoverOf(point, y)),
+      customdata: means.map((point) => bestOf(point.runs, y)), text: means.map((point) => hoverOf(point, y)),
       hovertemplate: `%{text}<br>${heading(x)} %{x:,.4~g}<extra></extra>`,
       marker: { ...marker, size: 11, line: { color: colour("--paper"), width: 1 } },
     });
   }
   return { drawn, best, runs, points };
+}
+
+/** Of the runs of a configuration, the one that a click on their mean opens. */
+function bestOf(runs, y) {
+  const sign = DATA.metrics[y].sign;
+  return runs.reduce((a, b) => (sign * value(y, b) > sign * value(y, a) ? b : a));
 }
 
 function hoverOf(point, y) {
@@ -109,22 +123,26 @@ function escaped(text) {
   return String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
 }
 
-function drawPlots() {
-  if (!$("capacity")) return;
+async function drawPlotsNow() {
+  await plotly;
   const [scene, y] = [$("plot-scene").value, $("plot-y").value];
   const said = [];
   for (const id of ["capacity", "speed"]) {
     const x = $(`${id}-x`).value;
+    if (!x || !y) continue;
     const { drawn, best, runs, points } = traces(x, y, scene);
     const layout = plotLayout(heading(x), heading(y), { xaxis: logarithmic(runs.map((run) => value(x, run)), $(id).clientWidth < 420 ? 5 : 7) });
     if (!runs.length) layout.annotations = [{ text: "no selected run has both", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }];
-    Plotly.react(id, drawn, layout, plotSettings);
+    await Plotly.react(id, drawn, layout, plotSettings);
+    $(id).removeAllListeners("plotly_click");
+    $(id).on("plotly_click", ({ points: [point] }) => openRun(point.customdata));
     if (id === "speed") {
       said.push(`${runs.length.toLocaleString("en")} finished runs of ${points.length.toLocaleString("en")} configurations`);
       if (DATA.unranked[x]) said.push(DATA.unranked[x]);
       if (best.length) said.push(`Pareto front of ${heading(y)} against ${heading(x)}: ${best.slice(0, 6).map((p) => p.name).join("; ")}`);
     }
   }
+  if (selection.runs.length > MOST_MARKS) said.push("too many runs for a mark each: only means are drawn");
   $("plots-status").textContent = `${said.join(". ")}.`;
 }
 
@@ -145,15 +163,33 @@ function logarithmic(values, most) {
   };
 }
 
-function startPlots() {
+/** Fills the choices from the runs that there are. */
+function offerPlots() {
   if (!$("capacity")) return;
   const measured = (kind) => DATA.kinds[kind].filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]);
   options($("capacity-x"), measured("size"));
   options($("speed-x"), measured("time"));
   options($("plot-y"), measured("image"));
   options($("plot-scene"), DATA.scenes.map((name) => [name, name]));
+}
+
+function startPlots() {
+  offerPlots();
+  if (!$("capacity")) return;
   for (const id of ["capacity-x", "speed-x", "plot-y", "plot-scene"]) $(id).addEventListener("change", drawPlots);
+  keep("capacity-x", "speed-x", "plot-y", "plot-scene");
+  seenPlots = whenSeen("plots-section", drawPlotsNow);
   selection.listeners.push(drawPlots);
   drawPlots();
-  for (const id of ["capacity", "speed"]) $(id).on("plotly_click", ({ points: [point] }) => openRun(point.customdata));
+}
+
+/** Saves the plot that a button names, as PNG at twice its size on the screen. */
+async function savePlot(id) {
+  const { clientWidth: width, clientHeight: height } = $(id);
+  const paper = colour("--paper");
+  await Plotly.relayout(id, { paper_bgcolor: paper });
+  const uri = await Plotly.toImage(id, { format: "png", width, height, scale: 2 });
+  await Plotly.relayout(id, { paper_bgcolor: "rgba(0,0,0,0)" });
+  const bytes = Uint8Array.from(atob(uri.split(",")[1]), (c) => c.charCodeAt(0));
+  download(`${id}.png`, bytes, "image/png");
 }

@@ -15,7 +15,7 @@ function select() {
   }
   selection.runs = [...Array(DATA.total).keys()].filter(
     (run) =>
-      (!state || value("state", run) === state) && (!scene || value("scene_name", run) === scene) && meets(run),
+      !gone.has(run) && (!state || value("state", run) === state) && (!scene || value("scene_name", run) === scene) && meets(run),
   );
   sort();
 }
@@ -35,10 +35,19 @@ function sort() {
   for (const listener of selection.listeners) listener();
 }
 
+/** Fills the choices of state and scene from the runs that there are. */
+function offerSelection() {
+  const values = (name) => [...new Set(column(name).filter((v) => v !== null))].sort().map((v) => [v, v]);
+  options($("state"), [["", "all"], ...values("state")]);
+  options($("scene"), [["", "all"], ...values("scene_name")]);
+}
+
 function startSelection() {
-  const counted = (name) => [...new Set(column(name).filter((v) => v !== null))].sort().map((v) => [v, v]);
-  options($("state"), [["", "all"], ...counted("state")]);
-  options($("scene"), [["", "all"], ...counted("scene_name")]);
+  const [key, direction] = (address.get("sort") ?? "").split(" ");
+  selection.key = columns.has(key) ? key : columns.has("psnr") ? "psnr" : null;
+  if (key) selection.descending = direction !== "up";
+  offerSelection();
+  keep("filter", "state", "scene");
   let waiting;
   $("filter").addEventListener("input", () => {
     clearTimeout(waiting);
@@ -46,4 +55,18 @@ function startSelection() {
   });
   for (const id of ["state", "scene"]) $(id).addEventListener("change", select);
   select();
+}
+
+/** The function, called only while its section is near the screen, and then at the next call that was left out. */
+function whenSeen(id, draw) {
+  let [seen, missed] = [false, false];
+  const drawOrWait = () => {
+    missed = !seen;
+    if (seen) draw();
+  };
+  new IntersectionObserver(([entry]) => {
+    seen = entry.isIntersecting;
+    if (seen && missed) drawOrWait();
+  }, { rootMargin: "400px" }).observe($(id));
+  return drawOrWait;
 }

@@ -2,20 +2,23 @@
 
 function startTheme() {
   const dark = matchMedia("(prefers-color-scheme: dark)");
-  const drawn = [...document.querySelectorAll("img.figure")].map((image) => [image, image.src]);
+  const figures = [...document.querySelectorAll("img.figure")].map((image) => [image, image.src]);
   const show = (on) => {
     toggle($("theme"), on);
-    for (const [image, light] of drawn) image.src = on ? darkened(light) : light;
-    drawPlots();
-    drawCurves();
+    for (const [image, light] of figures) image.src = on ? darkened(light) : light;
+    for (const draw of [drawPlots, drawCurves, drawExplore]) draw();
+  };
+  const set = (name) => {
+    document.documentElement.dataset.theme = name;
+    show(name === "dark");
   };
   $("theme").addEventListener("click", () => {
-    const on = $("theme").getAttribute("aria-pressed") !== "true";
-    document.documentElement.dataset.theme = on ? "dark" : "light";
-    show(on);
+    set(pressed("theme") ? "light" : "dark");
+    remember("theme", document.documentElement.dataset.theme);
   });
   dark.addEventListener("change", () => { if (!document.documentElement.dataset.theme) show(dark.matches); });
-  if (dark.matches) show(true);
+  if (["light", "dark"].includes(address.get("theme"))) set(address.get("theme"));
+  else if (dark.matches) show(true);
 }
 
 /** An SVG as a data URI in the colours of the dark theme; other images as they are. */
@@ -41,13 +44,26 @@ async function copy(button) {
   }
 }
 
-selection.key = columns.has("psnr") ? "psnr" : null;
-startSelection();
+document.addEventListener("click", ({ target }) => {
+  if (target.dataset?.copy) copy(target);
+  if (target.dataset?.png) savePlot(target.dataset.png);
+  if (target.matches?.("nav a")) { // its # would replace the view in the address
+    const section = document.querySelector(target.hash);
+    if (section.querySelector("details")) section.querySelector("details").open = true;
+    section.scrollIntoView();
+    section.focus();
+  }
+});
+for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", (event) => event.preventDefault());
+
+source.prepare?.();
+plotly = new Promise((resolve) => { setTimeout(resolve); }).then(source.plotly); // the table comes first
 startTable();
-startCompare();
-drawTable();
-startPlots();
+startSelection();
 startCurves();
+startCompare();
+startExplore();
+startPlots();
 startDetail();
 startTheme();
-for (const button of document.querySelectorAll("[data-copy]")) button.addEventListener("click", () => copy(button));
+source.start?.();

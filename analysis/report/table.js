@@ -1,6 +1,6 @@
 /** The table of runs: sorted by a click on a heading, in pages so that ten thousand rows stay quick. */
 
-const shownColumns = DATA.shown.slice();
+const shownColumns = [];
 let page = 0;
 
 function drawHead() {
@@ -9,15 +9,17 @@ function drawHead() {
     const button = element("button", { type: "button", "data-key": name, onclick: () => sortBy(name) }, heading(name));
     return element("th", { scope: "col", class: isNumeric(name) ? "number" : "", "aria-sort": sorted }, button);
   });
-  const choose = ["A", "B"].map((side) => element("th", { scope: "col", title: `the run compared as ${side}` }, side));
-  $("runs-head").replaceChildren(element("tr", {}, cells[0], ...choose, ...cells.slice(1)));
+  const choose = element("th", { scope: "col", title: "runs that are compared below" }, "✓");
+  const row = element("tr", {}, choose, ...cells);
+  if (!$("runs-head").firstChild?.isEqualNode(row)) $("runs-head").replaceChildren(row); // a heading keeps the focus
 }
 
 function sortBy(name) {
   if (selection.key === name) selection.descending = !selection.descending;
   else [selection.key, selection.descending] = [name, isNumeric(name)];
+  remember("sort", `${name} ${selection.descending ? "down" : "up"}`);
   sort();
-  $("runs-head").querySelector(`[data-key="${CSS.escape(name)}"]`).focus();
+  $("runs-head").querySelector(`[data-key="${CSS.escape(name)}"]`)?.focus();
 }
 
 function drawTable() {
@@ -27,43 +29,105 @@ function drawTable() {
   const from = page * rows;
   const visible = selection.runs.slice(from, from + rows);
   drawHead();
+  const focused = document.activeElement?.closest("#runs-body tr") && focusPlace();
   $("runs-body").replaceChildren(...visible.map(rowOf));
+  if (focused) $("runs-body").querySelector(focused)?.focus();
   $("previous").disabled = page === 0;
   $("next").disabled = page === last;
   const count = selection.runs.length.toLocaleString("en");
   $("page-status").textContent = visible.length
     ? `${(from + 1).toLocaleString("en")}–${(from + visible.length).toLocaleString("en")} of ${count} selected`
-    : `no run matches; there are ${DATA.total.toLocaleString("en")}`;
+    : DATA.total > gone.size ? `no run matches; there are ${(DATA.total - gone.size).toLocaleString("en")}` : "no runs yet";
+}
+
+/** A selector for what has the focus in the table: a row that is drawn anew keeps it. */
+function focusPlace() {
+  const row = document.activeElement.closest("tr").dataset.run;
+  return `tr[data-run="${CSS.escape(row)}"] ${document.activeElement.tagName}`;
 }
 
 function rowOf(run) {
   const name = value("run_id", run);
-  const choose = ["a", "b"].map((side) =>
-    element("td", {}, element("input", {
-      type: "radio", name: `side-${side}`, "aria-label": `compare ${name} as ${side.toUpperCase()}`,
-      ...(compared[side] === run ? { checked: true } : {}), onchange: () => compare(side, run),
-    })),
-  );
-  const cells = shownColumns.slice(1).map((key) => {
-    const v = value(key, run);
-    const kind = key === "state" ? `state-${v}` : isNumeric(key) ? "number" : "";
-    return element("td", { class: kind }, shown(key, v));
+  const box = element("input", {
+    type: "checkbox", "aria-label": `compare ${name}`, ...(chosen.includes(run) ? { checked: true } : {}),
+    onchange: (event) => choose(run, event.target.checked),
   });
-  const link = element("a", { href: `#run=${encodeURIComponent(name)}`, title: name }, name);
-  return element("tr", {}, element("th", { scope: "row" }, link), ...choose, ...cells);
+  return element("tr", { "data-run": name }, element("td", {}, box), ...shownColumns.map((key) => cellOf(key, run)));
+}
+
+function cellOf(key, run) {
+  const v = value(key, run);
+  if (key === "run_id") {
+    const link = element("a", { href: hashOf(run), title: v }, ...ends(v));
+    return element("th", { scope: "row" }, link);
+  }
+  if (key === "state") {
+    const error = value("error", run);
+    const more = error && v !== "finished" ? [element("span", { class: "muted" }, ` ${error.slice(0, 60)}`)] : [];
+    return element("td", { class: `state-${v}`, title: error ?? "" }, shown(key, v), ...more);
+  }
+  return element("td", { class: isNumeric(key) ? "number" : "" }, shown(key, v));
+}
+
+/** A name in two parts, of which the first is cut where there is no room. */
+function ends(name) {
+  const at = Math.max(0, name.length - 14);
+  return [element("span", { class: "start" }, name.slice(0, at)), element("span", { class: "end" }, name.slice(at))];
+}
+
+/** The columns as boxes to tick, with a search over their names. */
+function drawChooser() {
+  const wanted = $("column-search").value.toLowerCase();
+  const others = [...columns.keys()].filter((name) => !shownColumns.includes(name)).sort();
+  const matching = [...shownColumns, ...others].filter((name) => `${name} ${heading(name)}`.toLowerCase().includes(wanted));
+  $("column-boxes").replaceChildren(...matching.map((name) => {
+    const box = element("input", { type: "checkbox", value: name, ...(shownColumns.includes(name) ? { checked: true } : {}) });
+    box.addEventListener("change", () => showColumn(name, box.checked));
+    return element("label", {}, box, ` ${heading(name)}`);
+  }));
+}
+
+function showColumn(name, on) {
+  if (on) shownColumns.push(name);
+  else shownColumns.splice(shownColumns.indexOf(name), 1);
+  const usual = shownColumns.length === DATA.shown.length && shownColumns.every((key, place) => key === DATA.shown[place]);
+  remember("columns", usual ? "" : shownColumns.map(encodeURIComponent).join(","));
+  drawTable();
+}
+
+/** The selected runs, all pages, with the shown columns as CSV. */
+function tableAsCsv() {
+  const rows = selection.runs.map((run) => shownColumns.map((key) => value(key, run)));
+  return csv([shownColumns, ...rows]);
+}
+
+/** Rows of values as CSV that a spreadsheet opens without running anything in it, as qnerf/records/spreadsheets.py. */
+function csv(rows) {
+  const cell = (v) => {
+    const plain = v === null ? "" : text(v);
+    const formula = typeof plain === "string" && /^[=+\-@\t\r\n＝＋－＠]/.test(plain) && Number.isNaN(number(plain));
+    const written = formula ? `'${plain}` : String(plain);
+    return /[",\r\n]/.test(written) ? `"${written.replaceAll('"', '""')}"` : written;
+  };
+  return rows.map((row) => `${row.map(cell).join(",")}\n`).join("");
+}
+
+function download(name, content, kind) {
+  const link = element("a", { href: URL.createObjectURL(new Blob([content], { type: kind })), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
 function startTable() {
-  const others = [...columns.keys()].filter((name) => !shownColumns.includes(name)).sort();
-  options($("more"), [["", "another column…"], ...others.map((name) => [name, heading(name)])]);
-  $("more").addEventListener("change", () => {
-    shownColumns.push($("more").value);
-    $("more").selectedOptions[0].remove();
-    $("more").value = "";
-    drawTable();
-  });
+  const wanted = address.get("columns")?.split(",").map(decodeURIComponent).filter((name) => columns.has(name));
+  shownColumns.push(...(wanted?.length ? wanted : DATA.shown));
+  keep("rows");
+  $("columns").addEventListener("toggle", drawChooser);
+  $("column-search").addEventListener("input", drawChooser);
   $("rows").addEventListener("change", drawTable);
   $("previous").addEventListener("click", () => { page -= 1; drawTable(); });
   $("next").addEventListener("click", () => { page += 1; drawTable(); });
-  selection.listeners.push(() => { page = 0; drawTable(); });
+  $("csv").addEventListener("click", () => download("runs.csv", tableAsCsv(), "text/csv"));
+  selection.listeners.push(drawTable);
+  for (const id of ["filter", "state", "scene"]) $(id).addEventListener("input", () => { page = 0; });
 }

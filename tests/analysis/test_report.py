@@ -1,4 +1,5 @@
 import base64
+import gzip
 import hashlib
 import io
 import json
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import qnerf
-from analysis.images import panels, pictures
+from analysis.images import named_panels, panels, pictures
 from analysis.load import metrics, runs
 from analysis.report import columns, content, curves, figures, page, parts, tables
 from analysis.report.__main__ import main, page_content, parser
@@ -154,6 +155,21 @@ def test_pictures_stop_at_their_number_and_their_bytes_and_say_so(frame):
     assert len(gather(frame, range(len(frame)), 100, budget=1, advance=silent()).runs) == 1
 
 
+def test_a_signals_picture_has_three_panels(tmp_path):
+    random = np.random.default_rng(0)
+    truth, fit = random.integers(0, 255, (2, 8, 12, 3), dtype=np.uint8)
+    error = (
+        np.clip(4 * np.abs(fit.astype(float) - truth).mean(-1, keepdims=True), 0, 255).repeat(3, -1).astype(np.uint8)
+    )
+    depth = random.integers(0, 255, (8, 12, 3), dtype=np.uint8)
+    for parts_of_it in ((truth, fit, error), (truth, fit, error, depth)):
+        run = write_run(tmp_path, seed=len(parts_of_it), pictures={"one": picture(*parts_of_it)})
+        found = named_panels(run / "images" / "one.png")
+        assert list(found) == ["truth", "render", "error", "depth"][: len(parts_of_it)]
+        for panel, expected in zip(found.values(), parts_of_it, strict=True):
+            assert (panel == expected).all()
+
+
 def test_a_damaged_picture_is_told_and_does_not_stop_the_others(tmp_path):
     random = np.random.default_rng(0)
     strip = picture(*random.integers(0, 255, (4, 5, 6, 3), dtype=np.uint8))
@@ -194,7 +210,7 @@ def test_runs_that_did_not_finish_are_counted_and_not_averaged_in(html):
 
 def test_text_from_outside_is_text(html):
     found = Scripts(html)
-    assert [attributes.get("id") for attributes, _ in found.scripts] == ["data", None, None]
+    assert [attributes.get("id") for attributes, _ in found.scripts] == ["data", "plotly", None]
     assert "<title>&lt;/script&gt;&lt;script&gt;" in html
     assert all(address.startswith(("#", "data:")) for address in found.addresses)
 
@@ -222,8 +238,9 @@ def test_the_policy_lets_the_pages_own_scripts_run_and_nothing_else(html):
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', html)[1].replace("&#39;", "'")
     rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
     assert rules["default-src"] == "'none'"
-    own = [text for attributes, text in Scripts(html).scripts if attributes.get("type") != "application/json"]
-    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in own]
+    _, (_, plotly), (_, own) = Scripts(html).scripts
+    unpacked = gzip.decompress(base64.b64decode(plotly)).decode()
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (unpacked, own)]
     assert rules["script-src"].split() == [f"'sha256-{digest}'" for digest in digests]
 
 

@@ -1,35 +1,29 @@
 """The page in a real browser: Debian's Chromium without a screen, with the page opened from disk."""
 
-import json
-import shutil
-
 import pytest
 
 from analysis.figures import capacity_points
 from analysis.load import runs
 from analysis.report.__main__ import main
 from analysis.report.content import prepared
+from tests.helpers.browser import (
+    by_id,
+    choose,
+    chromium,
+    column,
+    errors,
+    heads,
+    opened,
+    overflow,
+    requested,
+    rows,
+    wait,
+)
 from tests.helpers.packed_stores import write_run
 from tests.helpers.sweep import sweep
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-from selenium.webdriver.common.by import By  # noqa: E402
-from selenium.webdriver.common.keys import Keys  # noqa: E402
-from selenium.webdriver.support.wait import WebDriverWait  # noqa: E402
-
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="chromium and chromedriver are not installed")
-
-ARGUMENTS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
+By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
+Keys = pytest.importorskip("selenium.webdriver.common.keys", reason="selenium is not installed").Keys
 ABSENT = "\N{EN DASH}"
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
@@ -48,14 +42,8 @@ def report(store, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for argument in (*ARGUMENTS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver
 
 
 @pytest.fixture
@@ -63,63 +51,6 @@ def page(browser, report):
     opened(browser, report)
     yield browser
     assert errors(browser) == []
-
-
-def opened(browser, address, width=1280, scheme="light"):
-    """Loads a page anew at this width (pixels) and preferred colour scheme."""
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
-    browser.get("about:blank")
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
-    errors(browser)
-    browser.get_log("performance")
-    browser.get(address)
-    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#speed .xtitle, #plots-section .absent"))
-
-
-def errors(browser):
-    """What the console has said since it was last asked: errors, and violations of the page's policy."""
-    return [entry["message"] for entry in browser.get_log("browser")]
-
-
-def requested(browser):
-    events = (json.loads(entry["message"])["message"] for entry in browser.get_log("performance"))
-    sent = [event for event in events if event["method"] == "Network.requestWillBeSent"]
-    addresses = {event["params"]["request"]["url"] for event in sent}
-    return {address for address in addresses if not address.startswith(("data:", "about:", "chrome:"))}
-
-
-def wait(browser, condition):
-    return WebDriverWait(browser, 30).until(lambda _: condition())
-
-
-def by_id(browser, name):
-    return browser.find_element(By.ID, name)
-
-
-def column(browser, number):
-    """Texts of a column of the table of runs; 0 is the name."""
-    return [row.find_elements(By.CSS_SELECTOR, "th, td")[number].text for row in rows(browser)]
-
-
-def rows(browser):
-    return browser.find_elements(By.CSS_SELECTOR, "#runs-body tr")
-
-
-def heads(browser):
-    return [cell.text.split("\n")[0] for cell in browser.find_elements(By.CSS_SELECTOR, "#runs-head th")]
-
-
-def choose(browser, name, choice):
-    script = (
-        "const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('change'))"
-    )
-    browser.execute_script(script, name, choice)
-
-
-def overflow(browser):
-    return browser.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
 
 
 def test_nothing_is_asked_from_the_network_and_nothing_fails(page, report):
@@ -153,7 +84,7 @@ def test_filters_select_runs_and_mistakes_are_said(page, store):
     field.clear()
     choose(page, "state", "failed")
     wait(page, lambda: len(rows(page)) == 1)
-    assert column(page, heads(page).index("state")) == ["failed"]
+    assert column(page, heads(page).index("state")) == ["failed out of memory"]
 
 
 def test_the_plot_draws_the_means_and_spreads_of_the_figures(page, store):
@@ -193,6 +124,7 @@ def test_a_click_on_a_mark_opens_its_run_and_escape_closes_it(page):
 def test_the_slider_moves_by_keys_and_shows_what_is_chosen(page):
     slider = by_id(page, "position")
     page.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", slider)
+    wait(page, lambda: by_id(page, "right-image").get_attribute("src"))
     sources = [by_id(page, f"{side}-image").get_attribute("src") for side in ("left", "right")]
     assert all(source.startswith("data:image/webp") for source in sources)
     assert sources[0] != sources[1]
@@ -200,9 +132,9 @@ def test_the_slider_moves_by_keys_and_shows_what_is_chosen(page):
     assert page.execute_script(at) == "50%"
     slider.send_keys(Keys.ARROW_RIGHT * 10)
     assert page.execute_script(at) == "60%"
-    choose(page, "left", "a")
+    choose(page, "left", "0:render")
     assert by_id(page, "left-image").get_attribute("src") == sources[1]
-    choose(page, "right", "b")
+    choose(page, "right", "1:render")
     assert by_id(page, "right-image").get_attribute("src") not in sources
     assert by_id(page, "right-name").text == "B, render"
     by_id(page, "difference").click()
@@ -210,20 +142,61 @@ def test_the_slider_moves_by_keys_and_shows_what_is_chosen(page):
     assert page.execute_script(blending) == "difference"
 
 
-def test_two_runs_are_told_apart_by_their_settings(page):
-    def compared():
-        cells = [row.text for row in page.find_elements(By.CSS_SELECTOR, "#config-diff tbody tr")]
-        return {line.split(" ")[0] for line in cells}
+def test_runs_that_are_ticked_are_told_apart_by_their_settings(page):
+    def different():
+        return {
+            row.get_attribute("textContent") for row in page.find_elements(By.CSS_SELECTOR, "#config-diff tbody th")
+        }
 
-    assert {"color.name", "PSNR,"} <= compared()
-    classical = page.find_elements(By.CSS_SELECTOR, '#runs-body input[name="side-a"]')
-    names = column(page, 0)
-    pair = [number for number, name in enumerate(names) if "classical" in name]
-    classical[pair[0]].click()
-    page.find_elements(By.CSS_SELECTOR, '#runs-body input[name="side-b"]')[pair[1]].click()
-    assert "seed" in compared()
-    assert "color.name" not in compared()
+    page.execute_script("document.getElementById('compared-section').scrollIntoView({behavior: 'instant'})")
+    wait(page, lambda: {"color.name", "PSNR, dB"} <= different())
+    boxes = page.find_elements(By.CSS_SELECTOR, "#runs-body input")
+    names = column(page, heads(page).index("run"))
+    for box in boxes:
+        if box.is_selected():
+            box.send_keys(Keys.SPACE)
+    for name in names:
+        if "classical" in name:
+            page.find_element(By.CSS_SELECTOR, f'[aria-label="compare {name}"]').send_keys(Keys.SPACE)
+    wait(page, lambda: "seed" in different() and "color.name" not in different())
     assert by_id(page, "diff-status").text.startswith("1 of ")
+    wait(page, lambda: len(page.find_elements(By.CSS_SELECTOR, "#grid tbody tr")) == 3)
+    assert len(page.find_elements(By.CSS_SELECTOR, "#chosen li")) == 2
+
+
+def test_the_view_comes_back_from_its_address(browser, page, report):
+    by_id(page, "filter").send_keys("field=qcolor")
+    page.find_element(By.CSS_SELECTOR, '[data-key="seed"]').click()
+    by_id(page, "columns").find_element(By.TAG_NAME, "summary").click()
+    by_id(page, "column-search").send_keys("train.steps")
+    wait(page, lambda: len(page.find_elements(By.CSS_SELECTOR, "#column-boxes input")) == 1)
+    page.find_element(By.CSS_SELECTOR, "#column-boxes input").click()
+    by_id(page, "theme").click()
+    choose(page, "curve-by", "seed")
+    address = page.current_url
+    opened(browser, address)
+    assert len(rows(page)) == 4
+    assert page.find_element(By.CSS_SELECTOR, '[aria-sort="descending"]').text == "seed"
+    assert heads(page)[-1] == "train.steps"
+    assert by_id(page, "theme").get_attribute("aria-pressed") == "true"
+    assert by_id(page, "curve-by").get_attribute("value") == "seed"
+    written = page.execute_script("return tableAsCsv()").splitlines()
+    assert written[0].startswith("run_id,psnr,state")
+    assert len(written) == 5
+    assert page.execute_script("return csv([['=1+1', '-1', 'a,b', null]])") == '\'=1+1,-1,"a,b",\n'
+
+
+def test_means_and_bands_are_those_of_the_runs(page):
+    page.execute_script("document.getElementById('curves-section').scrollIntoView({behavior: 'instant'})")
+    choose(page, "curve-key", "train/psnr")
+    by_id(page, "curve-mean").click()
+    wait(page, lambda: len(page.execute_script("return document.getElementById('curves-plot').data ?? []")) == 4)
+    lines = page.execute_script("return document.getElementById('curves-plot').data.map((t) => [t.name, t.y])")
+    means = {name.split(" ")[0]: y for name, y in lines if name}
+    logged = page.execute_script("""
+        const all = [...Array(DATA.total).keys()].filter((run) => value("field", run) === "qcolor");
+        return all.filter((run) => DATA.curves[run]).map((run) => DATA.curves[run]["train/psnr"].value)""")
+    assert means["qcolor"] == pytest.approx([sum(values) / 2 for values in zip(*logged, strict=True)])
 
 
 def test_the_theme_follows_the_system_until_it_is_chosen(browser, report):
@@ -265,7 +238,7 @@ def test_a_store_where_nothing_finished_opens(browser, tmp_path):
     (write_run(tmp_path / "runs", seed=1) / "summary.parquet").write_bytes(b"")
     main([str(tmp_path / "runs"), "--out", str(tmp_path / "page.html")])
     opened(browser, (tmp_path / "page.html").as_uri())
-    assert sorted(column(browser, heads(browser).index("state"))) == ["damaged", "failed"]
+    assert [text.split()[0] for text in sorted(column(browser, heads(browser).index("state")))] == ["damaged", "failed"]
     assert "no finished runs among 2" in by_id(browser, "plots-section").text
     assert errors(browser) == []
 

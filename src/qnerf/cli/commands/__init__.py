@@ -37,7 +37,8 @@ GROUPS = {
         "probe": "finite shots, noisy gates, spectra, encodings, ray samples, dead units",
     },
     "analyse a store of runs": {
-        "report": "one HTML page: table, plots, curves, pictures",
+        "serve": "a page in the browser that follows the store while runs train",
+        "report": "one HTML page to keep: table, plots, curves, pictures",
         "tables": "tables over seeds as Markdown, CSV or LaTeX",
         "figures": "figures as PNG, SVG and PDF",
         "hsv": "hue, saturation and value of renderings against the truth",
@@ -53,6 +54,7 @@ GROUPS = {
 COMMANDS = {name: purpose for commands in GROUPS.values() for name, purpose in commands.items()}
 
 ANALYSIS = {
+    "serve": "serve.__main__",
     "report": "report.__main__",
     "tables": "tables.__main__",
     "figures": "figures.__main__",

@@ -3,7 +3,7 @@
 import hashlib
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -65,8 +65,12 @@ class FolderLocation:
                 folders = folders_in(self.root, root=self.root)
             except (FileNotFoundError, NotADirectoryError):
                 return {}
+        return self.stamps(folder.name for folder in folders)
+
+    def stamps(self, folders: Iterable[str]) -> Stamps:
+        """As `scan`, of these folders alone; of those that are runs."""
         settled_time = settled_before()
-        names = [folder.name for folder in folders if not folder.name.startswith(".") and _is_unicode(folder.name)]
+        names = [name for name in folders if not name.startswith(".") and _is_unicode(name)]
         stamps = {name: _stamps(f"{self.root}/{name}", settled_time) for name in names}
         return {name: stamp for name, stamp in stamps.items() if stamp is not None}
 

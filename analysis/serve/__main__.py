@@ -1,0 +1,100 @@
+"""`qnerf serve STORE` or `python -m analysis.serve`: see `--help`."""
+
+import argparse
+import contextlib
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from qnerf.cli.numbers import whole
+from qnerf.records.location import DEFAULT
+
+from .. import command
+from .answers import Answers
+from .store import WatchedStore
+
+if TYPE_CHECKING:
+    import uvicorn
+
+DESCRIPTION = """\
+Shows a store of runs on a page that follows it: runs appear and curves grow while they train. The page is the report
+with more in it: any metric with mean and band over seeds, differences from a baseline of your choice, tags and notes to
+edit. Only this machine can open it. Needs the extra serve.
+"""
+EXAMPLES = """\
+  {}
+  {} runs --port 9000
+  ssh -L 8090:localhost:8090 MACHINE      # then open http://localhost:8090 here
+"""
+PORT = 8090
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+def parser() -> argparse.ArgumentParser:
+    made = command.parser("serve", DESCRIPTION, EXAMPLES)
+    made.add_argument("store", nargs="?", default=DEFAULT, metavar="STORE", help="folder of runs (default: runs)")
+    made.add_argument(
+        "--port", type=whole(0, 65_535), default=PORT, metavar="N", help=f"default: {PORT}; 0: any free one"
+    )
+    made.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address to listen on (default: this machine alone); for others the page asks for a token",
+    )
+    made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = parser().parse_args(arguments)
+    server, token = make(options)
+    family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
+    with socket.create_server((options.host, options.port), family=family) as listening:
+        address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/" + (
+            f"?token={token}" if token else ""
+        )
+        print(f"{options.store}: {address}; Ctrl-C ends", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listening])
+
+
+def _name_of(host: str) -> str:
+    """What to open in a browser."""
+    if host in LOOPBACK:
+        return "localhost"
+    if host in ("0.0.0.0", "::"):  # all networks
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
+
+
+def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str | None]:
+    """The server, which does not listen yet, and the token that visitors need where others can reach it."""
+    try:
+        import uvicorn
+
+        from .app import application
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
+            raise
+        raise ValueError("qnerf serve needs another package: pip install 'qnerf[serve]'") from error
+    store = WatchedStore(options.store)
+    token = None if options.host in LOOPBACK else secrets.token_urlsafe(24)
+    config = uvicorn.Config(
+        application(Answers(store, options.title), token), log_level="error", access_log=False, ws="none",
+        timeout_graceful_shutdown=1, lifespan="off", server_header=False,
+    )  # fmt: skip
+    threading.Thread(target=_name, args=(store,), daemon=True).start()
+    return uvicorn.Server(config), token
+
+
+def _name(store: WatchedStore) -> None:
+    while True:
+        store.name_configurations()
+        time.sleep(1)
+
+
+if __name__ == "__main__":
+    command.run(main)

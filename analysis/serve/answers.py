@@ -1,0 +1,184 @@
+"""The answers to a live page, as plain values for JSON; how they travel is in `app.py`."""
+
+import io
+import secrets
+import threading
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+import qnerf
+from qnerf.metrics import metric_of, quality_metrics
+from qnerf.records import StoreError, filters
+from qnerf.records.files import entries_in
+from qnerf.records.pictures import read_png_bytes
+
+from ..images import named_panels, pictures
+from ..load import NEEDED, metrics
+from ..report import content, curves
+from ..report.pictures import Pictures
+from ..report.tables import ShownTable, row_keys, shown
+from ..selection import select
+from ..settings import without_constants
+from ..tables import ablation
+from .store import Changes, WatchedStore
+
+PREVIEW = "preview.png"
+POINTS = 400  # of a curve, at most
+MANY_ROWS = 500  # changed rows that a new page fetches; beyond, the table is packed anew
+MAX_RUNS = 400  # runs of one question for curves
+
+
+class Answers:
+    """What a live page asks of a store. All methods may be called from several threads.
+
+    Raises:
+        ValueError: a run, view or column is unknown, or a file of a run is damaged; OSError where it cannot be read.
+    """
+
+    def __init__(self, store: WatchedStore, title: str = "Runs") -> None:
+        self.store = store
+        self._title = title
+        self._boot = secrets.token_hex(4)  # versions of an earlier server mean nothing
+        self._lock = threading.Lock()
+        self._snapshot = self._packed()
+
+    def page(self) -> dict[str, Any]:
+        """The values of the page's template. Its table may be a little old; `news` is what has changed since."""
+        with self._lock:
+            changes = self.store.changes(self._snapshot[0])
+            if len(changes.rows) + len(changes.named) + len(changes.removed) > MANY_ROWS:
+                self._snapshot = self._packed()
+                changes = self.store.changes(self._snapshot[0])
+            _, data = self._snapshot
+        return {
+            "live": True,
+            "title": self._title,
+            "store": str(self.store.folder),
+            "version": qnerf.__version__,
+            "sections": SECTIONS,
+            "data": data | {"version": f"{self._boot}-{changes.version}", "news": _plain(changes)},
+        }
+
+    def changes(self, since: str) -> dict[str, Any]:
+        """What a page of version `since` does not know: rows, names of configurations, removed runs.
+
+        {"reload": true} where the version is of an earlier server.
+        """
+        boot, _, number = since.rpartition("-")
+        if boot != self._boot or not number.isdecimal():
+            return {"reload": True}
+        found = self.store.changes(int(number))
+        return {"version": f"{self._boot}-{found.version}", **_plain(found)}
+
+    def keys(self, runs: Iterable[str]) -> dict[str, str]:
+        """What any of these runs has logged: key -> heading."""
+        found = dict.fromkeys(key for run in list(runs)[:MAX_RUNS] for key in self._logged(run))
+        usual = [key for key in curves.logged_keys() if key in found]
+        return {key: metric_of(key).heading for key in dict.fromkeys([*usual, *sorted(found)])}
+
+    def curves(self, runs: Iterable[str], key: str) -> dict[str, Any]:
+        """Run -> step, time (seconds) and value of one key, for the runs that have logged it."""
+        found = {run: self._logged(run).get(key) for run in list(runs)[:MAX_RUNS]}
+        return {run: curve for run, curve in found.items() if curve is not None}
+
+    def views(self, run: str) -> dict[str, Any]:
+        """Pictures of a run: view -> panel -> where it is, with width and height in pixels; `preview`, see `picture`.
+
+        A damaged picture is left out.
+        """
+        folder = self.store.path(run)
+        found = {}
+        for view, path in pictures(folder).items():
+            try:
+                panels = _panels(path, _stamp(path))
+            except (ValueError, OSError):
+                continue
+            found[view] = {name: {"width": part.shape[1], "height": part.shape[0]} for name, part in panels.items()}
+        stamp = _stamp(folder / PREVIEW)
+        return {"views": found, "preview": stamp}
+
+    def picture(self, run: str, view: str, panel: str) -> tuple[bytes, str]:
+        """One panel of a held-out view as WebP; or the whole `preview.png` of a run that trains, as view `preview`."""
+        folder = self.store.path(run)
+        if panel == "preview":
+            return read_png_bytes(folder / PREVIEW)[0], "image/png"
+        path = pictures(folder).get(view)
+        panels = {} if path is None else _panels(path, _stamp(path))
+        if panel not in panels:
+            raise ValueError(f"{run}: no picture {view:.100}, {panel:.20}")
+        data = io.BytesIO()
+        Image.fromarray(panels[panel]).save(data, "WEBP", lossless=True, quality=20)
+        return data.getvalue(), "image/webp"
+
+    def differences(self, filter: str, rows: str, baseline: str, metric: str) -> ShownTable:
+        """Rows over seeds, with their differences from the baseline, as `qnerf tables` makes them.
+
+        filter, baseline: as `qnerf.records.filters` reads them. rows: columns between commas; empty for the settings
+        that differ.
+        """
+        _, frame = self.store.frame()
+        if frame.empty:
+            raise ValueError("there are no runs yet")
+        chosen = filters.require(frame, filter) if filter.strip() else frame
+        chosen = without_constants(chosen, (*NEEDED, *(key.strip() for key in rows.split(","))))
+        metric = metric or "psnr"
+        keys = [key.strip() for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
+        if metric not in {item.key for item in quality_metrics()}:
+            baseline = ""
+        return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None))
+
+    def _packed(self) -> tuple[int, dict[str, Any]]:
+        version, frame = self.store.frame()
+        if frame.empty:
+            frame = pd.DataFrame({name: [] for name in ("run_id", "state", "scene_name", "psnr")})
+        return version, content.data(frame, Pictures(), {})
+
+    def _logged(self, run: str) -> dict[str, Any]:
+        folder = self.store.path(run)
+        try:
+            stamp = str(entries_in(folder / "metrics"))
+        except (OSError, StoreError):
+            return {}
+        return _curves(folder, stamp)
+
+
+def _plain(changes: Changes) -> dict[str, Any]:
+    return {"rows": changes.rows, "named": changes.named, "removed": changes.removed}
+
+
+SECTIONS = (
+    ("training-section", "In training"),
+    ("runs-section", "Runs"),
+    ("curves-section", "Curves"),
+    ("compared-section", "Compare"),
+    ("differences-section", "Differences"),
+    ("explore-section", "Explore"),
+    ("plots-section", "Capacity and speed"),
+)
+
+
+@lru_cache(maxsize=512)
+def _curves(folder: Path, _stamp: str) -> dict[str, Any]:
+    """Every logged key of a run, thinned; empty where nothing readable was logged."""
+    try:
+        logged = metrics(folder)
+    except ValueError:
+        return {}
+    return {str(key): curves.thinned(part, POINTS) for key, part in logged.groupby("key")}
+
+
+@lru_cache(maxsize=256)
+def _panels(path: Path, _stamp: str | None) -> dict[str, np.ndarray]:
+    return named_panels(path)
+
+
+def _stamp(path: Path) -> str | None:
+    """Tells versions of a file apart; None where there is none."""
+    found = entries_in(path.parent).get(path.name)
+    return None if found is None else f"{found.st_mtime_ns}-{found.st_ino}"

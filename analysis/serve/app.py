@@ -1,0 +1,205 @@
+"""What the live page asks for: the page, what changed, curves, pictures, tables of differences; and who may ask.
+
+Everything but tags and notes is only read. A request must name this machine as its host, or bring the token that was
+printed at the start where the server listens elsewhere: so no page of another site can read the store, not even by
+pointing a name of its own at this machine (DNS rebinding). To write, it must also bring the token that stands in the
+page, which no other site can read.
+"""
+
+import hmac
+import secrets
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import plotly.offline
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from qnerf.records import annotations
+from qnerf.records.files import one_line, parse_json
+
+from ..report import page
+from .answers import Answers
+
+HERE = Path(__file__).parent
+LOCAL = ("127.0.0.1", "localhost", "[::1]")
+COOKIE = "qnerf_token"
+HEADER = "x-qnerf-token"
+MAX_BODY = 2**17  # bytes; a note has at most 10,000 characters
+OWN = ("live", "differences")
+SCRIPTS = ("data", "live", *page.SHARED, "differences", "start")
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+
+def application(answers: Answers, token: str | None = None) -> ASGIApp:
+    """The server's application.
+
+    token: what a visitor has to bring, as `?token=` once and then as a cookie. None: visitors of this machine alone.
+    """
+    write_token = secrets.token_urlsafe(32)
+    files = {
+        "page.js": (
+            "text/javascript",
+            "\n".join(page.file(f"{name}.js", HERE if name in OWN else page.HERE) for name in SCRIPTS),
+        ),
+        "plotly.js": ("text/javascript", plotly.offline.get_plotlyjs()),
+        "style.css": ("text/css", page.file("style.css")),
+    }
+
+    def home(request: Request) -> Response:
+        if token and "token" in request.query_params:
+            return _with_cookie(token)
+        return HTMLResponse(page.render(answers.page() | {"write_token": write_token}))
+
+    def file(request: Request) -> Response:
+        kind, text = files[request.url.path[1:]]
+        return Response(text, media_type=kind, headers={"Cache-Control": "no-cache"})
+
+    def changes(request: Request) -> Response:
+        return JSONResponse(answers.changes(request.query_params.get("since", "")))
+
+    def curves(request: Request) -> Response:
+        return JSONResponse(answers.curves(request.query_params.getlist("run"), request.query_params["key"]))
+
+    def keys(request: Request) -> Response:
+        return JSONResponse(answers.keys(request.query_params.getlist("run")))
+
+    def views(request: Request) -> Response:
+        return JSONResponse(answers.views(request.query_params["run"]))
+
+    def picture(request: Request) -> Response:
+        query = request.query_params
+        data, kind = answers.picture(query["run"], query["view"], query["panel"])
+        seconds = 3600 if query["panel"] == "preview" else 10  # the address of a preview tells its version
+        return Response(data, media_type=kind, headers={"Cache-Control": f"private, max-age={seconds}"})
+
+    def differences(request: Request) -> Response:
+        query = request.query_params
+        table = answers.differences(*(query.get(name, "") for name in ("filter", "rows", "baseline", "metric")))
+        return HTMLResponse(page.table(table))
+
+    async def annotate(request: Request) -> Response:
+        if not hmac.compare_digest(request.headers.get(HEADER, "").encode(), write_token.encode()):
+            return PlainTextResponse("expected the page's own token: reload the page", 403)
+        wanted = parse_json(await _body(request))
+        run = answers.store.path(request.query_params["run"])
+        written = await run_in_threadpool(_annotate, run, wanted)
+        return JSONResponse({"tags": written.tags, "note": written.note})
+
+    routes = [
+        Route("/", _answering(home)),
+        *(Route(f"/{name}", file) for name in files),
+        *(
+            Route(f"/{make.__name__}", _answering(make))
+            for make in (changes, curves, keys, views, picture, differences)
+        ),
+        Route("/annotate", _answering_writes(annotate), methods=["POST"]),
+    ]
+    return Guard(GZipMiddleware(Starlette(routes=routes), minimum_size=2000, compresslevel=1), token)
+
+
+class Guard:
+    """Refuses visitors from elsewhere, and adds `HEADERS` to every answer."""
+
+    def __init__(self, inner: ASGIApp, token: str | None) -> None:
+        self._inner, self._token = inner, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return await self._inner(scope, receive, send)
+
+        async def with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                known = {name.lower() for name, _ in message.get("headers", [])}
+                more = [(k.lower().encode(), v.encode()) for k, v in HEADERS.items() if k.lower().encode() not in known]
+                message = {**message, "headers": [*message.get("headers", []), *more]}
+            await send(message)
+
+        refusal = self._refusal(Request(scope))
+        inner = self._inner if refusal is None else PlainTextResponse(refusal, 403)
+        return await inner(scope, receive, with_headers)
+
+    def _refusal(self, request: Request) -> str | None:
+        """Why not; None for a visitor who may."""
+        host = request.headers.get("host", "")
+        origin = request.headers.get("origin")
+        if origin is not None and origin.partition("://")[2] != host:
+            return "a page of another site asked"
+        if self._token is None:
+            name = host if host.endswith("]") else host.rpartition(":")[0] or host
+            return None if name in LOCAL else f"expected one of {', '.join(LOCAL)} as host"
+        given = request.query_params.get("token") or request.cookies.get(COOKIE, "")
+        if hmac.compare_digest(given.encode(), self._token.encode()):
+            return None
+        return "expected the token: open the address that qnerf serve printed"
+
+
+def _answering(make: Callable[[Request], Response]) -> Callable[[Request], Response]:
+    """The same with one line for what was asked wrongly, or what a run from elsewhere lacks."""
+
+    def answer(request: Request) -> Response:
+        try:
+            return make(request)
+        except KeyError as error:
+            return PlainTextResponse(f"expected {error}", 400)
+        except (ValueError, OSError) as error:
+            return PlainTextResponse(one_line(error), 400)
+
+    return answer
+
+
+def _answering_writes(make: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        try:
+            return await make(request)
+        except KeyError as error:
+            return PlainTextResponse(f"expected {error}", 400)
+        except (ValueError, OSError) as error:
+            return PlainTextResponse(one_line(error), 400)
+
+    return answer
+
+
+def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:
+    """Changes tags and note: `{"add": [texts], "remove": [texts], "note": text}`, each of them optional."""
+    add, remove, note = wanted.get("add", []), wanted.get("remove", []), wanted.get("note")
+    texts = [*add, *remove] if isinstance(add, list) and isinstance(remove, list) else [None]
+    if not all(isinstance(text, str) for text in texts) or not isinstance(note, (str, type(None))):
+        raise ValueError("expected texts in add, remove and note")
+    if add or remove:
+        annotations.change_tags(run, add, remove)
+    if note is not None:
+        annotations.write_note(run, note.strip())
+    return annotations.read(run)
+
+
+async def _body(request: Request) -> bytes:
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > MAX_BODY:
+            raise ValueError(f"expected at most {MAX_BODY:,} bytes")
+    return data
+
+
+def _with_cookie(token: str) -> Response:
+    """Keeps the token out of the address bar."""
+    response = RedirectResponse("/", 303)
+    response.set_cookie(COOKIE, token, httponly=True, samesite="strict")
+    return response

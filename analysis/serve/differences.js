@@ -1,0 +1,35 @@
+/** Means over seeds and paired differences, computed by the server from the selected runs. */
+
+function offerDifferences() {
+  options($("difference-metric"), DATA.kinds.image.filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]));
+  $("column-names").replaceChildren(...telling().map((name) => element("option", { value: name })));
+}
+
+/** The selection in the language of filters. */
+function selectionText() {
+  const quoted = (name) => $(name).value.replaceAll("'", "?").replaceAll(",", "?");
+  return [$("filter").value, $("state").value && `'state=${quoted("state")}'`, $("scene").value && `'scene_name=${quoted("scene")}'`].filter(Boolean).join(" ");
+}
+
+async function showDifferences(event) {
+  event?.preventDefault();
+  const said = { filter: selectionText(), rows: $("row-keys").value, baseline: $("baseline").value, metric: $("difference-metric").value };
+  $("differences-table").setAttribute("aria-busy", "true");
+  try {
+    const made = await (await ask("differences", said)).text();
+    // Jinja has escaped every text in it, as in the static page; scripts in it would not run.
+    $("differences-table").innerHTML = made;
+    $("differences-error").textContent = "";
+  } catch (error) {
+    $("differences-table").replaceChildren();
+    $("differences-error").textContent = error.message;
+  }
+  $("differences-table").removeAttribute("aria-busy");
+}
+
+function startDifferences() {
+  offerDifferences();
+  keep("row-keys", "baseline", "difference-metric");
+  $("differences-form").addEventListener("submit", showDifferences);
+  if (address.has("row-keys") || address.has("baseline")) showDifferences();
+}

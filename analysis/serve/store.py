@@ -1,0 +1,213 @@
+"""A store that is read again while runs train: which runs changed since a reader last asked.
+
+A look at the store lists the times of all runs' folders, then the stamps of the files in those that changed, and
+reads the runs whose stamps differ. So it costs little where little changes, whatever the number of runs. Now and then
+it lists all stamps: some network file systems show a folder's new time late. Nobody looks unless a page asks.
+"""
+
+import stat
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from qnerf.records import index
+from qnerf.records.deletion import holds_runs
+from qnerf.records.files import entries_in
+from qnerf.records.index.locations import UNSETTLED, FolderLocation, Stamps, settled_before
+from qnerf.records.location import existing_store
+
+from .. import packed
+from ..load import completed
+from ..report import content
+from ..report.columns import plain
+
+FRESH = 0.5
+"""Seconds for which a look at the store is good enough for the next question."""
+
+FULL_SCAN = 30.0
+"""Seconds between two looks at the files of all runs."""
+
+NAMES_SHARE = 0.1
+"""Of the time, at most, goes into naming configurations anew."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What a page does not know yet.
+
+    rows: run -> column -> value, whole rows. named: run -> its configuration, and the run that it repeats. removed:
+    runs that are gone.
+    """
+
+    version: int
+    rows: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    named: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    removed: tuple[str, ...] = ()
+
+
+class WatchedStore:
+    """A folder of runs, which may be empty at first. All methods may be called from several threads.
+
+    Raises:
+        ValueError: there is no such folder, or it holds packed runs.
+    """
+
+    def __init__(self, store: str | Path, progress: index.Progress | None = None) -> None:
+        self.folder = existing_store(store)
+        if packed.is_packed(self.folder) and not holds_runs(self.folder):
+            raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
+        self._location = FolderLocation(self.folder)
+        self._lock = threading.Lock()
+        self._folders: dict[str, str] = {}  # as they were at the last look
+        self._stamps: Stamps = self._location.scan()
+        self._scanned = time.monotonic()
+        self._frame = index.load(self.folder, progress=progress)
+        self._pending: list[pd.DataFrame] = []  # newer rows that are not in the frame yet
+        self._rows: dict[str, dict[str, Any]] = {}
+        self._changed: dict[str, int] = {}  # run -> version in which its row changed last
+        self._renamed: dict[str, int] = {}
+        self._removed: dict[str, int] = {}
+        self._names: dict[str, dict[str, Any]] = {}
+        self._names_wanted = bool(len(self._frame))
+        self._names_after = 0.0  # time.monotonic() from which they may be made again
+        self._version = 0
+        self._looked = time.monotonic()
+        self._alive = set(self._frame.loc[self._frame["state"] == "running", "run_id"]) if len(self._frame) else set()
+
+    def changes(self, since: int) -> Changes:
+        """What changed after a version."""
+        with self._lock:
+            self._look()
+            return Changes(
+                self._version,
+                {run: self._rows[run] for run, version in self._changed.items() if version > since},
+                {run: self._names[run] for run, version in self._renamed.items() if version > since},
+                tuple(run for run, version in self._removed.items() if version > since),
+            )
+
+    def frame(self) -> tuple[int, pd.DataFrame]:
+        """The version, and the table of all runs as `analysis.load.runs` gives it, with configurations as far as named.
+
+        An empty store gives an empty table.
+        """
+        with self._lock:
+            self._look()
+            frame = self._raw()
+            version = self._version
+            names = self._names
+        if frame.empty:
+            return version, frame
+        frame = content.described(completed(frame.copy()))
+        for key in ("configuration", "repeats"):
+            frame[key] = [names.get(run, {}).get(key) for run in frame["run_id"]]
+        return version, frame
+
+    def path(self, run: str) -> Path:
+        """The folder of a run. ValueError for a name that is none of the store's."""
+        if run not in self._stamps:
+            raise ValueError(f"{run:.100}: no such run")
+        return Path(self._location.path(run))
+
+    def name_configurations(self) -> bool:
+        """Names the configurations anew if finished runs have come, and not too often. Returns whether it did."""
+        with self._lock:
+            if not self._names_wanted or time.monotonic() < self._names_after:
+                return False
+            self._names_wanted = False
+        start = time.monotonic()
+        _, frame = self.frame()
+        named = content.named(frame) if len(frame) else frame
+        rows = named[["run_id", "configuration", "repeats"]].to_dict("records") if len(frame) else []
+        with self._lock:
+            self._names_after = time.monotonic() + (time.monotonic() - start) / NAMES_SHARE
+            new = {row.pop("run_id"): {key: plain(value) for key, value in row.items()} for row in rows}
+            different = [run for run, own in new.items() if self._names.get(run) != own]
+            if different:
+                self._version += 1
+                self._renamed |= dict.fromkeys(different, self._version)
+                self._names = new
+        return bool(different)
+
+    def _raw(self) -> pd.DataFrame:
+        if self._pending or self._removed.keys() & set(self._frame.get("run_id", ())):
+            newest = pd.concat([self._frame, *self._pending], ignore_index=True) if len(self._frame) else None
+            newest = pd.concat(self._pending, ignore_index=True) if newest is None else newest
+            newest = newest[~newest["run_id"].isin(self._removed)]
+            self._frame = newest.drop_duplicates("run_id", keep="last").sort_values("run_id", ignore_index=True)
+            self._pending = []
+        return self._frame
+
+    def _look(self) -> None:
+        """Reads what has changed, unless somebody did so within `FRESH` seconds."""
+        if time.monotonic() - self._looked < FRESH:
+            return
+        folders = _folders(self.folder)
+        if time.monotonic() - self._scanned > FULL_SCAN:
+            touched = set(folders)
+            self._scanned = time.monotonic()
+        else:
+            touched = {
+                name for name, stamp in folders.items() if self._folders.get(name) != stamp or stamp == UNSETTLED
+            }
+        touched |= self._alive & folders.keys()
+        stamps = self._location.stamps(sorted(touched))
+        changed = _changed(self._stamps, stamps) | (self._alive & stamps.keys())
+        gone = (self._stamps.keys() - folders.keys()) | (self._stamps.keys() & (touched - stamps.keys()))
+        self._stamps = {run: files for run, files in self._stamps.items() if run not in gone} | stamps
+        self._folders = folders
+        self._looked = time.monotonic()
+        rows, frame = self._read(sorted(changed))
+        different = {run: row for run, row in rows.items() if self._rows.get(run) != row}
+        if not different and not gone:
+            return
+        self._version += 1
+        self._rows |= different
+        self._changed |= dict.fromkeys(different, self._version)
+        if different:
+            self._pending.append(frame[frame["run_id"].isin(different)])
+            self._names_wanted = True
+        for run in different:
+            self._removed.pop(run, None)
+            self._alive.discard(run)
+            if different[run].get("state") == "running":
+                self._alive.add(run)
+        for run in gone:
+            self._removed[run] = self._version
+            for known in (self._rows, self._changed, self._names, self._renamed):
+                known.pop(run, None)
+            self._alive.discard(run)
+
+    def _read(self, runs: list[str]) -> tuple[dict[str, dict[str, Any]], pd.DataFrame]:
+        if not runs:
+            return {}, pd.DataFrame()
+        frame = index.load_runs(self._location, runs)
+        shown = content.described(completed(frame.copy()))
+        rows = {}
+        for record in shown.drop(columns=["store", "scene"], errors="ignore").to_dict("records"):
+            row = {str(name): plain(value) for name, value in record.items()}
+            rows[record["run_id"]] = {name: value for name, value in row.items() if value is not None}
+        return rows, frame
+
+
+def _folders(store: Path) -> dict[str, str]:
+    """A stamp of each folder in the store. Files of a run are replaced, which changes the time of its folder."""
+    settled = settled_before()
+    try:
+        found = entries_in(store)
+    except FileNotFoundError:
+        return {}
+    return {
+        name: UNSETTLED if max(status.st_mtime, status.st_ctime) > settled else f"{status.st_mtime_ns} {status.st_ino}"
+        for name, status in found.items()
+        if stat.S_ISDIR(status.st_mode)
+    }
+
+
+def _changed(before: Stamps, now: Stamps) -> set[str]:
+    """Runs whose files may have changed; an unsettled stamp says nothing."""
+    return {run for run, files in now.items() if before.get(run) != files or UNSETTLED in files.values()}

@@ -1,0 +1,185 @@
+"""The live page's server: what changed, curves, differences, tags and notes, and who may ask."""
+
+import json
+import re
+import urllib.error
+import urllib.parse
+import urllib.request
+
+import numpy as np
+import pytest
+
+from analysis.serve import store as serve_store
+from analysis.serve.__main__ import main
+from analysis.serve.store import WatchedStore
+from analysis.tables import ablation
+from qnerf.records import RunStore, annotations
+from tests.helpers.packed_stores import picture, write_run
+from tests.helpers.serving import EVIL, served
+
+
+def ask(address, headers=None, data=None):
+    """Status and text of an answer."""
+    request = urllib.request.Request(address, data=data, headers=headers or {})
+    try:
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return answer.status, answer.read().decode(errors="replace")
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def query(address, path, **pairs):
+    status, text = ask(f"{address}/{path}?{urllib.parse.urlencode(pairs, doseq=True)}")
+    return (status, json.loads(text)) if text.startswith("{") else (status, text)
+
+
+def data_of(page):
+    return json.loads(re.search(r'id="data"[^>]*>(.*?)</script>', page)[1])
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    """Two fields with three seeds each, and a hostile one."""
+    store = tmp_path_factory.mktemp("serve") / "runs"
+    panels = np.random.default_rng(0).integers(0, 255, (4, 5, 6, 3), dtype=np.uint8)
+    for seed in range(3):
+        write_run(store, seed=seed, psnr=(20.0 + seed, 22.0), pictures={"0": picture(*panels)})
+        write_run(store, "qcolor", seed=seed, psnr=(21.0 + seed, 22.5))
+    run = write_run(store, seed=9, state="failed", config={"experiment": EVIL})
+    run.rename(run.with_name("<img src=x onerror=alert(3)>"))
+    return store
+
+
+@pytest.fixture(scope="module")
+def address(many):
+    with served(many) as (address, token):
+        assert token is None
+        yield address
+
+
+def test_a_page_learns_of_new_rows_and_of_curves_that_grow(tmp_path, monkeypatch):
+    monkeypatch.setattr(serve_store, "FRESH", 0.0)
+    with served(tmp_path) as (address, _):
+        before = data_of(ask(address)[1])
+        assert before["total"] == 0
+        run = RunStore(tmp_path).claim("first", {"seed": 0, "train": {"steps": 10}}, columns={"field": "qcolor"}).run
+        run.log(1, 0.1, {"train/psnr": 12.0})
+        run.flush()
+        _, news = query(address, "changes", since=before["version"])
+        row = news["rows"]["first"]
+        assert (row["state"], row["field"], row["train.steps"]) == ("running", "qcolor", 10)
+        assert query(address, "keys", run="first")[1] == {"train/psnr": "training PSNR, dB"}
+        assert query(address, "curves", run="first", key="train/psnr")[1]["first"]["value"] == [12]
+        run.log(2, 0.2, {"train/psnr": 13.0})
+        run.finish({"psnr": 13.0, "steps": 2})
+        assert query(address, "curves", run="first", key="train/psnr")[1]["first"]["value"] == [12, 13]
+        _, later = query(address, "changes", since=news["version"])
+        assert (later["rows"]["first"]["state"], later["rows"]["first"]["psnr"]) == ("finished", 13)
+        assert query(address, "changes", since=later["version"])[1]["rows"] == {}
+        assert query(address, "changes", since="0-1")[1] == {"reload": True}
+
+
+def test_the_watched_table_is_that_of_a_new_reader(many, tmp_path, monkeypatch):
+    monkeypatch.setattr(serve_store, "FRESH", 0.0)
+    store = tmp_path / "runs"
+    first = write_run(store)
+    watched = WatchedStore(store)
+    version = watched.changes(0).version
+    write_run(store, seed=1)
+    annotations.change_tags(first, ["good"])
+    found = watched.changes(version)
+    assert {name: row.get("tags") for name, row in found.rows.items()} == {
+        first.name: ["good"],
+        "poster-classical-s1": None,
+    }
+    watched._names_after = 0.0
+    assert watched.name_configurations()
+    named = watched.changes(found.version).named
+    assert {row["configuration"] for row in named.values()} == {"classical"}
+    (store / "poster-classical-s1").rename(tmp_path / "elsewhere")
+    assert watched.changes(version).removed == ("poster-classical-s1",)
+    _, frame = watched.frame()
+    _, fresh = WatchedStore(store).frame()
+    assert frame.drop(columns=["configuration"]).equals(
+        fresh.drop(columns=["configuration"])[frame.columns.drop("configuration")]
+    )
+
+
+def test_differences_are_those_of_the_tables(address, many):
+    _, text = query(
+        address, "differences", filter="state=finished", rows="field", baseline="field=classical", metric="psnr"
+    )
+    frame = WatchedStore(many).frame()[1]
+    table = ablation(frame[frame["state"] == "finished"], ["field"], baseline={"field": "classical"}).text
+    for cell in table.loc[table["field"] == "qcolor"].iloc[0]:
+        assert f">{cell}<" in text
+    status, text = query(address, "differences", filter="", rows="colour", baseline="", metric="")
+    assert status == 400
+    assert "colour" in text
+    assert "\n" not in text
+
+
+def test_pictures_are_panels_of_runs_of_the_store_alone(address):
+    run = "poster-classical-s0"
+    _, found = query(address, "views", run=run)
+    assert found["views"]["0"]["depth"] == {"width": 6, "height": 5}
+    assert query(address, "picture", run=run, view="0", panel="depth")[1][:4] == "RIFF"
+    for wrong in ({"run": "../runs"}, {"view": "../0"}, {"panel": "other"}, {"panel": "preview"}):
+        status, text = query(address, "picture", **({"run": run, "view": "0", "panel": "depth"} | wrong))
+        assert status == 400, text
+
+
+def test_hostile_texts_stay_text(address):
+    _, page = ask(address)
+    assert "<img" not in page.replace("<img id=", "")
+    assert "<script>" not in page
+    assert data_of(page)["total"] == 7
+    _, table = query(address, "differences", filter="", rows="experiment,field", baseline="", metric="psnr")
+    assert "<img" not in table
+
+
+def test_tags_and_notes_are_written_with_the_pages_token_alone(address, many):
+    token = re.search('data-write="([^"]+)"', ask(address)[1])[1]
+    target = f"{address}/annotate?run=poster-classical-s1"
+    change = json.dumps({"add": ["good"], "note": "well done"}).encode()
+    assert ask(target, {}, change)[0] == 403
+    assert ask(target, {"X-Qnerf-Token": "guess"}, change)[0] == 403
+    assert ask(target, {"X-Qnerf-Token": token, "Origin": "http://evil.example"}, change)[0] == 403
+    assert annotations.read(many / "poster-classical-s1").tags == ()
+    status, text = ask(target, {"X-Qnerf-Token": token}, change)
+    assert (status, json.loads(text)) == (200, {"tags": ["good"], "note": "well done"})
+    assert annotations.read(many / "poster-classical-s1").note == "well done"
+    for wrong in (b'{"add": ["a b"]}', b'{"add": "x"}', b"[]", b"{", b"[" * 10_000, b'{"note": "%s"}' % (b"x" * 2**18)):
+        status, text = ask(target, {"X-Qnerf-Token": token}, wrong)
+        assert status == 400, text
+
+
+def test_visitors_of_other_names_are_refused_and_a_token_opens_the_server_elsewhere(address, many):
+    assert ask(address, {"Host": "evil.example"})[0] == 403
+    assert ask(address, {"Host": "localhost:1"})[0] == 200
+    with served(many, "--host", "0.0.0.0") as (other, token):
+        assert ask(other)[0] == 403
+        assert ask(f"{other}/changes?since=", {"Cookie": "qnerf_token=guess"})[0] == 403
+        opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        with opener.open(f"{other}/?token={token}", timeout=30) as answer:
+            assert answer.geturl() == f"{other}/"
+            assert "default-src 'none'; script-src 'self'" in answer.headers["Content-Security-Policy"]
+
+
+def test_mistakes_are_one_line(tmp_path):
+    with pytest.raises(ValueError, match="no such folder"):
+        main([str(tmp_path / "nowhere")])
+    for name in ("runs", "views"):
+        (tmp_path / f"{name}.parquet").write_bytes(b"")
+    with pytest.raises(ValueError, match="packed runs, which do not change"):
+        main([str(tmp_path)])
+
+
+def test_what_changes_among_many_is_found_without_reading_the_others(many, monkeypatch):
+    watched = WatchedStore(many)
+    monkeypatch.setattr(serve_store, "UNSETTLED", "no stamp")  # all files are young here
+    monkeypatch.setattr(serve_store, "FRESH", 0.0)
+    read = []
+    monkeypatch.setattr(watched, "_read", lambda runs: (read.extend(runs), ({}, None))[1])
+    watched.changes(0)
+    assert read == []

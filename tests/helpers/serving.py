@@ -1,0 +1,27 @@
+"""`qnerf serve` in a thread; a test module that imports this is skipped where its libraries are missing."""
+
+import contextlib
+import socket
+import threading
+
+import pytest
+
+pytest.importorskip("uvicorn", reason="uvicorn is not installed")
+pytest.importorskip("starlette", reason="starlette is not installed")
+
+from analysis.serve.__main__ import make, parser
+
+EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
+
+
+@contextlib.contextmanager
+def served(*arguments):
+    """A running server: its address and the token of visitors."""
+    options = parser().parse_args([*map(str, arguments)])
+    server, token = make(options)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=server.run, args=([listening],), daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}", token
+        server.should_exit = True
+        thread.join(10)
