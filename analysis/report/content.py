@@ -45,7 +45,7 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
 
 def described(frame: pd.DataFrame) -> pd.DataFrame:
     """`frame` with an id, the parameters of the heads, and None for tags and notes that are empty."""
-    new = {"run_id": frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])}
+    new: dict[str, object] = {"run_id": frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])}
     new |= {name: [value or None for value in frame.get(name, [None] * len(frame))] for name in ("tags", "note")}
     new["params.heads"] = frame[list(HEAD_PARAMETERS)].sum(axis=1, min_count=1)
     return frame.assign(**new)

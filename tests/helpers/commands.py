@@ -9,6 +9,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -45,7 +46,7 @@ def shown(file: Path) -> Iterator[str]:
 
 def check(command: str) -> None:
     """Raises an exception, or ends like argparse, where a command is not one that its parser takes."""
-    words = shlex.split(command, comments=True)
+    words = list(takewhile(lambda word: word != ">", shlex.split(command, comments=True)))
     if words[0] == "pip":
         check_extras(words[2:])
     elif words[:2] == ["qnerf", "run"]:
@@ -83,8 +84,10 @@ def check_training(words: list[str]) -> None:
 
 
 def each_value(override: Override) -> list[str]:
-    """`key=value` for each value that a sweep would give it."""
+    """`key=value` for each value that a sweep would give it, or for both ends of an interval."""
     key, value = override.input_line.split("=", 1)
+    if override.is_interval_sweep():
+        return [f"{key}={override.value().start}", f"{key}={override.value().end}"]
     if override.is_sweep_override():
         return [f"{key}={one}" for one in override.sweep_string_iterator()]
     return [f"{key}={value}"]
