@@ -154,6 +154,19 @@ QUESTIONS = {
         failures=True,
         other_baselines=({"field": "classical", "color.mlp.init": "torch"},),
     ),
+    "heads": Question(
+        "Which density head pays beside an MLP for colour, and is it the circuit?",
+        (
+            sweep("heads"),
+            sweep("heads", "density=mlp density.mlp.layers=1"),
+            sweep("heads", "density=amplitude density.amplitude.unitary=identity"),
+        ),
+        ("scene_name", "density"),
+        {"density": "2x64"},
+        values=(*QUALITY, "params.density"),
+        failures=True,
+        other_baselines=({"density": "amplitude6-identity"},),
+    ),
     "small_heads": Question(
         "Is a quantum colour head as good as MLPs of at most 700 parameters?",
         (sweep("small_heads"), sweep("small_heads", "color.mlp.init=he", f"experiment={SMALL_MLPS}")),
