@@ -79,6 +79,7 @@ def arrange(figure: Figure, marks: Sequence[Mark], lines: Sequence[tuple[Axes, n
 
     Everything else of the figure must be drawn. lines: (n, 2) data that names should not cover, for each axes.
     """
+    style.make_plain(figure)
     figure.draw_without_rendering()  # the layout decides how large the panels are
     unnamed = []
     for ax in dict.fromkeys(mark.ax for mark in marks):

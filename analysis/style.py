@@ -213,8 +213,9 @@ PLAIN = FuncFormatter(_plain)
 
 
 def text_width(text: str, size: float) -> float:
-    """Width of a line in points."""
-    return float(TextPath((0, 0), text, size=size, usetex=False).get_extents().width) if text.strip() else 0.0
+    """Width of a line in points, drawn as it is: a dollar sign begins no formula."""
+    plain = text.replace("$", r"\$")
+    return float(TextPath((0, 0), plain, size=size, usetex=False).get_extents().width) if text.strip() else 0.0
 
 
 def legend(figure: Figure | SubFigure) -> None:

@@ -246,7 +246,7 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
     [
         (["qiren.layers=0"], "layers must be between 1 and 64, got 0"),
         (["qiren.qubits=0"], "got 0"),
-        (["qiren.qubits=40"], "qubits must be between 1 and 20, got 40"),
+        (["qiren.qubits=4000"], "qubits must be between 1 and 1024, got 4000"),
         (["qiren.spectral=0"], "spectral"),
         (["density.initial=0"], "density.initial must be above 0"),
         (["density.initial=abc"], "density.initial expects float, got 'abc'"),

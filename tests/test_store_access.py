@@ -24,6 +24,8 @@ ALLOWED = {
     "src/qnerf/cli/ends.py": "opens the null device and the standard streams",
     "src/qnerf/cli/errors.py": "opens the null device",
     "src/qnerf/cli/overrides.py": "lists the choices in conf/",
+    "src/qnerf/cli/search.py": "the folder of a sweep, where its jobs find what judges them",
+    "src/qnerf/cli/commands/completion.py": "lists the files in sweeps/",
     "src/qnerf/cli/sweep.py": "the folder of a sweep, where its jobs report",
     "src/qnerf/export/content.py": "the user's output folder",
     "src/qnerf/export/to_csv.py": "the user's output folder",

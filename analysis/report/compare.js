@@ -147,5 +147,6 @@ function startCompare() {
   $("difference").addEventListener("click", () => { toggle($("difference")); moveSlider(); });
   keep("view", "left", "right", "grid-panel");
   seenCompared = whenSeen("compared-section", drawComparison);
+  drawTable(); // with the ticks of what is compared
   drawCompared();
 }

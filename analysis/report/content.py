@@ -20,11 +20,9 @@ from .figures import dark_colors
 from .versions import versions
 
 FIRST_COLUMNS = ("run_id", "psnr", "state")
-OTHER_COLUMNS = (
-    "scene_name", "field", "encoder", "density", "color", "seed", *(metric.key for metric in quality_metrics()),
-    "params.heads", "params.total", "step_ms", "train_s", "tags",
-)  # fmt: skip
-"""The table of runs shows these to begin with."""
+LABEL_COLUMNS = ("scene_name", "field", "encoder", "density", "color", "seed")
+COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
+"""The table of runs shows these to begin with, and the image metrics before the costs."""
 
 UNLESS_CONSTANT = ("scene_name", "encoder", "density", "color", "tags")
 
@@ -80,19 +78,19 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
     columns = packed(frame.drop(columns=["store", "scene"], errors="ignore"))
     settings = [name for name in columns if name in _SETTINGS or ("." in name and not name.startswith(_RESULTS))]
     finished = frame.loc[frame["state"] == "finished", "scene_name"]
+    quality = [metric.key for metric in quality_metrics()]
+    usual = list(dict.fromkeys((*FIRST_COLUMNS, *LABEL_COLUMNS, *quality, *COST_COLUMNS)))
     return {
         "total": len(frame),
         "columns": columns,
         "settings": settings,
         "shown": [
-            name
-            for name in dict.fromkeys((*FIRST_COLUMNS, *OTHER_COLUMNS))
-            if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
+            name for name in usual if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
         ],
-        "usual": list(dict.fromkeys((*FIRST_COLUMNS, *OTHER_COLUMNS))),
+        "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
         "kinds": {
-            "image": [metric.key for metric in quality_metrics()],
+            "image": quality,
             **{kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("size", "time")},
         },
         "unranked": doubts(frame[frame["state"] == "finished"], list(columns)),

@@ -21,9 +21,9 @@ def table() -> pd.DataFrame:
 def test_lines_and_bars_are_the_benchmark_s(table: pd.DataFrame, tmp_path) -> None:
     table.to_parquet(tmp_path / "plateaus.parquet")
     figure = figures.barren_plateaus(tmp_path / "plateaus.parquet")
-    assert [ax.get_title() for ax in figure.axes] == ["init=eighth", "init=uniform"]
+    assert [ax.get_title() for ax in figure.axes] == ["init = eighth", "init = uniform"]
     for ax in figure.axes:
-        own = table[table["init"] == ax.get_title().removeprefix("init=")]
+        own = table[table["init"] == ax.get_title().removeprefix("init = ")]
         assert [container.get_label() for container in ax.containers] == ["S = 1", "S = 2"]
         for spectral, container in zip((1, 2), ax.containers, strict=True):
             line, _, (bars,) = container

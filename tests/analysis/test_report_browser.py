@@ -151,13 +151,10 @@ def test_runs_that_are_ticked_are_told_apart_by_their_settings(page):
     page.execute_script("document.getElementById('compared-section').scrollIntoView({behavior: 'instant'})")
     wait(page, lambda: {"color.name", "PSNR, dB"} <= different())
     boxes = page.find_elements(By.CSS_SELECTOR, "#runs-body input")
-    names = column(page, heads(page).index("run"))
-    for box in boxes:
-        if box.is_selected():
-            box.send_keys(Keys.SPACE)
-    for name in names:
-        if "classical" in name:
-            page.find_element(By.CSS_SELECTOR, f'[aria-label="compare {name}"]').send_keys(Keys.SPACE)
+    ticked = {box.get_attribute("aria-label"): box.is_selected() for box in boxes}
+    for label, is_ticked in ticked.items():
+        if is_ticked != ("classical" in label):
+            page.find_element(By.CSS_SELECTOR, f'#runs-body [aria-label="{label}"]').send_keys(Keys.SPACE)
     wait(page, lambda: "seed" in different() and "color.name" not in different())
     assert by_id(page, "diff-status").text.startswith("1 of ")
     wait(page, lambda: len(page.find_elements(By.CSS_SELECTOR, "#grid tbody tr")) == 3)

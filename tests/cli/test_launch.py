@@ -205,9 +205,11 @@ def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatc
     summary = {"eval_views": 1, "psnr": 20.0, "ssim": 0.5, "params.total": 10, "train_s": 1.0, "step_ms": 1.0}
     outcomes = [Outcome("run", tmp_path, state, summary, "") for state in ("busy", "busy", "finished")]
     done: list[Outcome] = []
-    monkeypatch.setattr(experiment, "run", lambda *_: done.append(outcomes[len(done)]) or done[-1])
+    monkeypatch.setattr(experiment, "run", lambda *_, **__: done.append(outcomes[len(done)]) or done[-1])
     monkeypatch.setattr(launch, "RETRY", 0.0)
-    monkeypatch.setattr(launch.HydraConfig, "get", lambda: SimpleNamespace(overrides=SimpleNamespace(task=[])))
+    runtime = SimpleNamespace(choices={"hydra/sweeper": "basic"})
+    job = SimpleNamespace(overrides=SimpleNamespace(task=[]), runtime=runtime)
+    monkeypatch.setattr(launch.HydraConfig, "get", lambda: job)
     monkeypatch.delenv("SLURM_RESTART_COUNT", raising=False)
     if restarts:
         monkeypatch.setenv("SLURM_RESTART_COUNT", restarts)

@@ -63,7 +63,7 @@ def test_a_sweep_runs_every_job_and_one_failure_does_not_stop_the_others(small):
     ("arguments", "message"),
     [
         (["train.steps=-1"], "error: train.steps must be between 1 and 1000000000, got -1"),
-        (["qiren.qubits=40"], "error: "),
+        (["qiren.qubits=4000"], "error: "),
         (["scene=nerfstudio"], "error: scene.path must be given"),
         (["scene=nerfstudio", "scene.path=/nowhere"], "/nowhere"),
         (["field=quantum"], "field=quantum: unknown; known: classical"),

@@ -145,7 +145,7 @@ def test_joblib_starts_no_more_processes_than_it_has_jobs(monkeypatch):
 
 def test_a_plain_run_is_never_abandoned(call, monkeypatch):
     monkeypatch.setenv(launch.STARTER, "1")
-    monkeypatch.setattr(experiment, "run", lambda *_: 1 / 0)
+    monkeypatch.setattr(experiment, "run", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(os, "_exit", lambda _: pytest.fail("left at once"))
     with pytest.raises(ZeroDivisionError):
         call("device=cpu")
@@ -169,7 +169,7 @@ def test_a_job_is_abandoned_only_if_its_starter_is_a_process(monkeypatch, pid):
     ("arguments", "error"), [(["run.debug=true", "seed=-1"], ValueError), (["device=cpu"], ZeroDivisionError)]
 )
 def test_a_bug_and_what_is_debugged_keep_their_traceback(call, monkeypatch, arguments, error):
-    monkeypatch.setattr(experiment, "run", lambda *_: 1 / 0)
+    monkeypatch.setattr(experiment, "run", lambda *_, **__: 1 / 0)
     with pytest.raises(error):
         call(*arguments)
 
