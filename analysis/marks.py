@@ -90,7 +90,7 @@ def arrange(figure: Figure, marks: Sequence[Mark], lines: Sequence[tuple[Axes, n
     moved = any(mark.shift for mark in marks)
     notes = [
         f"marks that would cover each other stand up to {ASIDE:g} points aside" if moved else "",
-        f"no room for the names of {len(unnamed)} marks" if unnamed else "",
+        f"marks without room for a name: {len(unnamed)}" if unnamed else "",
     ]
     if any(notes):
         style.footnote(figure, " ".join(figure.get_supxlabel().split("\n")), *notes)

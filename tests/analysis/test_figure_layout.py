@@ -98,7 +98,7 @@ def test_crowded_marks_move_aside_and_names_that_find_no_room_are_counted():
     names = [text for text in texts if text.get_text().startswith("a long name")]
     (note,) = [text.get_text() for text in texts if text.get_text().startswith("n = 3")]
     assert 0 < len(names) < 40
-    assert f"no room for the names of {40 - len(names)} marks" in " ".join(note.split())
+    assert f"marks without room for a name: {40 - len(names)}" in " ".join(note.split())
     assert {mark.shift for mark in marks} > {0.0}
     assert max(abs(mark.shift) for mark in marks) <= 10
 

@@ -231,7 +231,7 @@ def test_the_pareto_front_is_drawn_and_named(frame):
     assert step.get_xdata()[0] == table["train_s"].min()
     named = {text.get_text(): text.xy for text in ax.texts}
     front = {tuple(place) for place in on[["train_s", "psnr"]].to_numpy()}
-    assert set(named.values()) == front or "no room for the names" in footnote(figure)
+    assert set(named.values()) == front or "marks without room for a name" in footnote(figure)
     assert set(named.values()) <= front
     with pytest.raises(ValueError, match="unknown cost 'hours'; known: step_ms, step_cpu_ms, train_s, "):
         figures.speed_vs_error(frame, "hours")
