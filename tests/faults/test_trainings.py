@@ -23,6 +23,7 @@ from qnerf.records import StoreError
 from tests.helpers import processes
 from tests.helpers.configs import TINY, composed
 from tests.helpers.scenes import write_scene
+from tests.helpers.trainer import same
 
 FULL = os.environ.get("QNERF_FAULTS") == "full"
 
@@ -62,15 +63,6 @@ def numbers(run: Path) -> pd.DataFrame:
     rows = records.read_metrics(run)
     clocks = rows["key"].str.startswith("time/") | (rows["key"] == "eval/eval_s")
     return rows.loc[~clocks, ["step", "key", "value"]].reset_index(drop=True)
-
-
-def same(one: Any, other: Any) -> bool:
-    """Whether two values are bit-equal, also tensors in containers."""
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, list):
-        return len(one) == len(other) and all(map(same, one, other))
-    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
 
 
 def assert_equal_runs(run: Path, whole: Path) -> None:

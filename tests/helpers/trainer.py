@@ -1,5 +1,9 @@
 """A trainer of a configuration, without a store."""
 
+from typing import Any
+
+import torch
+
 from qnerf.building.model import build_model, ray_table
 from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
@@ -14,3 +18,12 @@ def trainer(config) -> Trainer:
     model = build_model(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     return Trainer(model, ray_table(settings, scene), settings, watch)
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether two values are bit-equal, also tensors in containers."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(same, one, other))
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other

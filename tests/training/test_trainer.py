@@ -9,7 +9,7 @@ from qnerf.experiment import run
 from qnerf.records import read_metrics
 from qnerf.timing import STAGES, median_ms
 from qnerf.training.trainer import all_finite, learning_rate
-from tests.helpers.trainer import trainer
+from tests.helpers.trainer import same, trainer
 
 
 def test_the_learning_rate_decays_exponentially_from_first_to_last(tiny):
@@ -158,6 +158,16 @@ def test_a_part_learns_at_its_own_rate(tiny):
     assert all(torch.equal(p, was) for p, was in zip(frozen.model.field.color_head.parameters(), before, strict=True))
     rates = {group["name"]: group["lr"] for group in frozen.optimiser.param_groups}
     assert rates["density"] == pytest.approx(rates["encoder"] / 2)
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_loaded_state_is_the_saved_one_also_after_the_last_step(tiny, steps):
+    """A run that is killed between its last checkpoint and its results writes that checkpoint again."""
+    one, again = trainer(tiny("train.steps=2")), trainer(tiny("train.steps=2"))
+    for _ in range(steps):
+        one.take_step(measure=False)
+    again.load(copy.deepcopy(one.state()))
+    assert same(again.state(), one.state())
 
 
 @pytest.mark.parametrize("override", ["+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"])

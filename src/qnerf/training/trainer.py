@@ -77,13 +77,13 @@ class Loop:
         self.model = model
         self.train = settings.train
         self.watch = watch
-        self._set_step(0)
         self.step_seconds: list[float] = []
         self.seconds = 0.0  # of training so far, over all resumptions
         self.plateau = plateau
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
+        self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
         self.streams = {
             "pixels": torch.Generator().manual_seed(settings.seed),
@@ -91,8 +91,12 @@ class Loop:
         }
 
     def _set_step(self, step: int) -> None:
+        """Everything that is a function of the step, so that a resumed run has it too."""
         self.step = step
         self.model.encoder.progress = step / self.train.steps
+        self.rate = learning_rate(step, self.train)
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.rate * self.train.rates[group["name"]]
 
     def prepare_step(self) -> None:
         """What happens before a batch is drawn."""
@@ -112,9 +116,7 @@ class Loop:
         """
         start, cpu = self.watch.now(), time.process_time()
         self.watch.begin(measure=measure)
-        rate = learning_rate(self.step, self.train)
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate * self.train.rates[group["name"]]
+        rate = self.rate
         with self.watch.stage("sampling"):
             self.prepare_step()
         terms = self.terms(self.streams, self.step)
