@@ -133,6 +133,7 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
     Image.fromarray(unlike(1)[0]).save(source / "9.png")
     assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
+    assert "pairs of photographs: 28" in told
     assert "7 of 8 photographs were posed" in told
     assert "not posed: 9.png" in told
     scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))

@@ -54,6 +54,8 @@ def main(options: argparse.Namespace) -> None:
         def progress(what: str, done: int, total: int) -> None:
             if what not in tasks:
                 tasks[what] = bars.add_task(STAGES[what], total=total)
+                if bars.disable:  # a log gets a line a stage
+                    print(f"{STAGES[what]}: {total}", flush=True)
             bars.update(tasks[what], completed=done, total=total)
 
         given = {"frames": options.frames, "lens": options.lens, "order": options.order}
