@@ -1,16 +1,17 @@
 """What seconds of CPU buy: `python -m benchmarks.cpu_ladder --scenes poster /data/chair /data/fox`.
 
 Held-out PSNR against seconds of training, of one process on --threads cores, for each scene, width of its images and
-model in `CASES`. Every budget of seconds is a training of its own, whose schedule ends when the budget does: the time
-of a step is measured first, in a process that is thrown away. Reading the scene, compiling, building the model and
-evaluation are not counted.
+model in `CASES`. With one thread these are seconds of CPU time, so that other processes on the machine change little;
+with more threads, seconds on the clock. Every budget of seconds is a training of its own, whose schedule ends when the
+budget does: the time of a step is measured first, in a process that is thrown away. Reading the scene, compiling,
+building the model and evaluation are not counted.
 
 The peer is nerfstudio's Nerfacto in its PyTorch implementation, with the recipe of its publication (`train=paper`) and
 with the sizes of our quick one; see `benchmarks.nerfstudio` for what both sides share and for the environment of
 --peers-python. A model that cannot be trained on a scene gets a row with the error in place of numbers.
 
 Rows of the results that are not measured again stay. A stopped benchmark continues with what is missing. Load is
-recorded with each row: other processes on the machine slow all models down, so measure on a quiet one.
+recorded with each row: with several threads, measure on a quiet machine.
 """
 
 import argparse
@@ -67,6 +68,7 @@ class Ladder:
 
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
         self.options, self.folder = options, folder
+        self.clock = "cpu" if options.threads == 1 else "seconds"
 
     def start(self, case: str, overrides: str, seed: int) -> Remote:
         """A model in a process of its own, before its first step."""
@@ -85,24 +87,24 @@ class Ladder:
         overrides = overrides_of(scene, width, case, 0, WARM + TIMED, self.options.overrides)
         with self.start(case, overrides, 0) as model:
             model.order("steps", count=WARM)
-            return float(model.order("steps", count=TIMED)["seconds"]) / TIMED
+            return float(model.order("steps", count=TIMED)[self.clock]) / TIMED
 
     def train(self, scene: str, width: int, case: str, budget: float, seed: int, a_step: float) -> dict[str, Any]:
         """Trains for `budget` seconds and measures all held-out views. `a_step`: the expected seconds of a step."""
         planned = max(round(budget / a_step), 1)
         overrides = overrides_of(scene, width, case, seed, planned, self.options.overrides)
         _, evaluator = build(overrides)
-        steps, seconds, cpu = 0, 0.0, 0.0
+        steps, seconds = 0, 0.0
         with self.start(case, overrides, seed) as model:
             while steps < planned and seconds < budget:
                 taken = min(BLOCK, planned - steps)
                 answer = model.order("steps", count=taken)
-                steps, seconds, cpu = steps + taken, seconds + answer["seconds"], cpu + answer["cpu"]
+                steps, seconds = steps + taken, seconds + answer[self.clock]
             model.order("render", path=str(self.folder / "rendered.npz"))
         views = rendered(evaluator, self.folder / "rendered.npz")
         measures = [evaluator.measure(view) for view in views]
         quality = {key: float(np.mean([measure[key] for measure in measures])) for key in ("psnr", "ssim")}
-        return quality | {"steps": steps, "planned": planned, "seconds": seconds, "cpu_seconds": cpu, "load": load()}
+        return quality | {"steps": steps, "planned": planned, "seconds": seconds, "load": load()}
 
 
 def stored(path: Path) -> pd.DataFrame:
@@ -164,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--budgets", type=float, nargs="+", default=[15.0, 30.0, 60.0, 120.0], help="in seconds")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=int, default=1, help="1: budgets are seconds of CPU time")
     parser.add_argument("--overrides", default="", help="of all configurations")
     parser.add_argument("--peers-python", default=sys.executable, help="interpreter of nerfstudio's environment")
     parser.add_argument("--again", action="store_true", help="repeat what is saved")

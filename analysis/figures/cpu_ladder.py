@@ -42,12 +42,12 @@ def psnr_vs_cpu_seconds(results: benchmarks.Results = None) -> Figure:
             style.plain_ticks(ax)
         row[0].set_ylabel(metric_of("eval/psnr").heading)
     for ax in axes[-1]:
-        ax.set_xlabel("training, s")
+        ax.set_xlabel("training, CPU s" if set(rows["threads"]) == {1} else "training, s")
     style.legend(figure)
-    load = rows["load"].dropna().clip(lower=1)
+    load = rows["load"][rows["threads"] > 1].dropna().clip(lower=1)
     busy = f"not comparable: loads of {load.min():.1f} to {load.max():.1f}" if _differ(load) else ""
     threads = ", ".join(map(str, sorted(set(rows["threads"]))))
-    style.footnote(figure, f"{threads} threads; dashed: peers and plain references", busy)
+    style.footnote(figure, f"threads: {threads}; dashed: peers and plain references", busy)
     return figure
 
 
