@@ -2,6 +2,9 @@
 
 import json
 import multiprocessing
+import os
+import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +15,7 @@ from qnerf.capture.photographs import capture, transforms
 from qnerf.capture.video import extract_frames, sharpness
 from qnerf.cli import main
 from qnerf.scenes import SCENES, folders
-from tests.helpers import worlds
+from tests.helpers import processes, worlds
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
 
@@ -144,3 +147,22 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
         found, expected = (of_all[view].T @ of_all[view + 1] for of_all in (turns, truth))
         assert np.degrees(np.arccos(np.clip((np.trace(found.T @ expected) - 1) / 2, -1, 1))) < 0.5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "out"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
+@pytest.mark.usefixtures("signals")
+def test_a_command_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
+    """SIGTERM reaches the command alone, not COLMAP's process."""
+    (tmp_path / "images").mkdir()
+    for number, image in enumerate(unlike(8)):
+        Image.fromarray(image).resize((1600, 1600)).save(tmp_path / "images" / f"{number}.png")
+    process = processes.Forked("capture", str(tmp_path / "images"), "--out", str(tmp_path / "out"))
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob(".out-*/log.txt")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    process.close()
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert [path.name for path in tmp_path.iterdir()] == ["images"]

@@ -13,7 +13,7 @@ from concurrent.futures import TimeoutError as Unfinished
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -98,12 +98,19 @@ def capture(
         matchings = {"sequence": ["sequential"], "any": ["exhaustive"]}.get(order, ["exhaustive"])
         if order == "auto" and video:
             matchings = ["sequential", "exhaustive"]
+        others = active_children()
         # Another process, because COLMAP ends its own where it fails, and because a second copy of SQLite must not read
         # a database in the process that writes it.
         with ProcessPoolExecutor(1, get_context("spawn"), steps.begin, (work / "log.txt",)) as colmap:
-            models = _reconstruct(colmap, taken, names, work, shared, matchings, progress)
-            running = colmap.submit(steps.undistort, models[0].folder, taken, work / "scene", JPEG_QUALITY)
-            _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
+            try:
+                models = _reconstruct(colmap, taken, names, work, shared, matchings, progress)
+                running = colmap.submit(steps.undistort, models[0].folder, taken, work / "scene", JPEG_QUALITY)
+                _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
+            except KeyboardInterrupt:  # of SIGTERM, say, which COLMAP's process does not get
+                for process in active_children():
+                    if process not in others:
+                        process.kill()
+                raise
         posed = set(models[0].posed)
         scene = work / "written"
         scene.mkdir()

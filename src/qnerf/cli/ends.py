@@ -1,7 +1,8 @@
-"""How a command that trains ends: by signals, and when nobody reads its output any more.
+"""How a command ends: by signals, and when nobody reads its output any more.
 
-`stoppable` goes around the whole command. Ctrl-C, SIGTERM and SIGHUP then end it alike, and a standard stream whose
-reader is gone (`| head`, a closed terminal) raises nothing. Later output is dropped, and `output_lost` says so.
+`interruptible` goes around every command: Ctrl-C, SIGTERM and SIGHUP end it alike. `stoppable` goes around one that
+trains. There, a standard stream whose reader is gone (`| head`, a closed terminal) raises nothing; later output is
+dropped, and `output_lost` says so.
 """
 
 import contextlib
@@ -76,34 +77,43 @@ def stopped_code() -> int:
 
 
 @contextlib.contextmanager
-def stoppable() -> Iterator[None]:
-    """SIGTERM and SIGHUP raise KeyboardInterrupt, and lost output raises nothing.
+def interruptible() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise KeyboardInterrupt, so that a command removes what it has half written.
 
     A signal that is ignored stays ignored: with `nohup`, a command outlives its terminal.
     """
-    if _outputs:  # a command inside another one
-        yield
-        return
-    open_standard_streams()
     previous: dict[int, Any] = {}
     for name in ("SIGTERM", "SIGHUP"):
         kind = getattr(signal, name, None)
         with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             if kind is not None and signal.getsignal(kind) is signal.SIG_DFL:
                 previous[kind] = signal.signal(kind, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for kind, handler in previous.items():
+            signal.signal(kind, handler)
+
+
+@contextlib.contextmanager
+def stoppable() -> Iterator[None]:
+    """As `interruptible`, and lost output raises nothing."""
+    if _outputs:  # a command inside another one
+        yield
+        return
+    open_standard_streams()
     outlives = hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (Output(stream, not (outlives and stream.isatty())) for stream in streams)
     _outputs[:] = sys.stdout, sys.stderr
     try:
-        yield
+        with interruptible():
+            yield
     finally:
         for output in _outputs:
             output.flush()
         _outputs.clear()
         sys.stdout, sys.stderr = streams
-        for kind, handler in previous.items():
-            signal.signal(kind, handler)
 
 
 def open_standard_streams() -> None:

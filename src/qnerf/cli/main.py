@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.ends import OUTPUT_LOST, open_standard_streams, output_lost, stoppable, stopped_code
+from qnerf.cli.ends import OUTPUT_LOST, interruptible, open_standard_streams, output_lost, stoppable, stopped_code
 from qnerf.cli.errors import Parser, check_process, exit_code, is_shortage, report
 from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import expand_sweep
@@ -98,4 +98,5 @@ def dispatch(command: str, arguments: list[str]) -> int:
             code = module.main(parser.parse_intermixed_args(arguments))
         return code
 
-    return exit_code(start)
+    with interruptible():
+        return exit_code(start)
