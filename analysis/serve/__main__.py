@@ -4,8 +4,6 @@ import argparse
 import contextlib
 import secrets
 import socket
-import threading
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -17,7 +15,7 @@ from .answers import Answers
 from .store import WatchedStore
 
 if TYPE_CHECKING:
-    import uvicorn
+    from .server import Server
 
 DESCRIPTION = """\
 Shows a store of runs on a page that follows it: runs appear and curves grow while they train. The page is the report
@@ -70,12 +68,13 @@ def _name_of(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str | None]:
+def make(options: argparse.Namespace) -> tuple["Server", str | None]:
     """The server, which does not listen yet, and the token that visitors need where others can reach it."""
     try:
         import uvicorn
 
         from .app import application
+        from .server import Server
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
             raise
@@ -86,14 +85,7 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str | None]:
         application(Answers(store, options.title), token), log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
-    threading.Thread(target=_name, args=(store,), daemon=True).start()
-    return uvicorn.Server(config), token
-
-
-def _name(store: WatchedStore) -> None:
-    while True:
-        store.name_configurations()
-        time.sleep(1)
+    return Server(config, store), token
 
 
 if __name__ == "__main__":

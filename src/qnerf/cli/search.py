@@ -23,6 +23,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from qnerf.building.acting import what_acts
 from qnerf.building.scene import id_of, scene_of
 from qnerf.cli.errors import report
 from qnerf.cli.sweep import Sweep
@@ -138,7 +139,10 @@ class OptunaSweeper(Sweeper):
                 _ = job.return_value  # raises what a job has raised
             self.jobs += len(jobs)
 
-        history = History(space, options["objectives"], store, ids, groups)
+        def alike(point: Point) -> str:
+            return configurations.what_acts(overrides(space, point))
+
+        history = History(space, options["objectives"], store, ids, groups, alike)
         plan = Options(options["n_trials"], self._at_once(), options["sampler"], options["startup"], options["seed"])
         trials = search(history, plan, launch, sweep.stopping)
         for point, reason in history.rejected.items():
@@ -168,6 +172,20 @@ class _Configurations:
 
     def run_id(self, own: Sequence[str]) -> str:
         """The run of these overrides. ValueError if the configuration is not valid."""
+        plain = self._resolved(own)
+        scene = json.dumps(plain["scene"], sort_keys=True)
+        if scene not in self.scenes:
+            self.scenes[scene] = scene_of(plain)
+        return id_of(plain, self.scenes[scene])
+
+    def what_acts(self, own: Sequence[str]) -> str:
+        """Equal for overrides whose runs would give the same result."""
+        try:
+            return json.dumps(what_acts(self._resolved(own)), sort_keys=True)
+        except ValueError:
+            return json.dumps(own)
+
+    def _resolved(self, own: Sequence[str]) -> dict[str, Any]:
         chosen = tuple(item for item in own if item.partition("=")[0] in self.groups)
         if chosen not in self.composed:
             composed = self.context.config_loader.load_sweep_config(self.config, [*self.fixed, *chosen])
@@ -183,11 +201,7 @@ class _Configurations:
             plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         except OmegaConfBaseException as error:
             raise ValueError(one_line(error)) from error
-        plain = only_acting(plain)
-        scene = json.dumps(plain["scene"], sort_keys=True)
-        if scene not in self.scenes:
-            self.scenes[scene] = scene_of(plain)
-        return id_of(plain, self.scenes[scene])
+        return only_acting(plain)
 
 
 def values_of(override: Override, group: bool) -> Choices | Interval:

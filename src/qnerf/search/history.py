@@ -5,7 +5,8 @@ runs of an earlier search or sweep count.
 """
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ class History:
 
     store: folder of runs; it need not exist. ids: the runs of a point, one a seed; ValueError if its configuration is
         not valid. groups: option -> the choice that acts where a run was started without naming one, of those options
-        that are groups of the configuration.
+        that are groups of the configuration. alike: points for which it is equal give the same result, so one of them
+        is tried.
     """
 
     def __init__(
@@ -35,8 +37,10 @@ class History:
         store: Path,
         ids: Callable[[Point], Sequence[str]],
         groups: Mapping[str, str],
+        alike: Callable[[Point], Hashable] = lambda point: point,
     ) -> None:
         self.space, self.objectives, self.store, self.groups = space, list(objectives), store, groups
+        self.alike = functools.cache(alike)
         self.rejected: dict[Point, str] = {}
         self._ids = ids
         self._known_ids: dict[Point, tuple[str, ...]] = {}

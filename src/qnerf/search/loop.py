@@ -56,6 +56,7 @@ def search(
             sampler=options.sampler,
             startup=options.startup,
             seed=options.seed,
+            alike=history.alike,
         )
         batch = [point for point in (*begun, *fresh) if history.ids(point)]
         if not begun and not fresh:

@@ -1,7 +1,6 @@
 """Trials, and Optuna's study of them: what to try next is a function of the trials so far."""
 
-import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -16,6 +15,7 @@ from qnerf.search.space import Point, Space, points, random_point, size
 
 REPEATS = 20  # proposals of what was tried already, after which a point that was not is drawn at random
 COUNTABLE = 10**5  # points of a space that are listed to find those that were not tried
+DRAWS = 1000  # from a larger space
 
 SAMPLERS = {
     "tpe": lambda startup, seed: TPESampler(n_startup_trials=startup, seed=seed, constant_liar=True),
@@ -62,8 +62,11 @@ def propose(
     sampler: str = "tpe",
     startup: int = 5,
     seed: int = 0,
+    alike: Callable[[Point], Hashable] = lambda point: point,
 ) -> list[Point]:
-    """Up to `count` points that no trial has; fewer only if the space has no more.
+    """Up to `count` points that are like no trial's and no other's; fewer only if the space has no more.
+
+    alike: points for which it is equal are one.
 
     The same trials in the same order give the same points, so a search that was killed goes on as if it had not been.
     """
@@ -71,13 +74,17 @@ def propose(
     study = rebuilt(space, objectives, trials, SAMPLERS[sampler](startup, int(seeds.generate_state(1)[0])))
     distributions = {option: values.distribution() for option, values in space.items()}
     rng = np.random.default_rng(seeds)
-    tried = {trial.point for trial in trials}
+    tried = {alike(trial.point) for trial in trials}
+
+    def untried(point: Point) -> bool:
+        return alike(point) not in tried
+
     proposed: list[Point] = []
     for _ in range(count):
-        point = _ask(study, space, distributions, tried) or _untried(space, tried, rng)
+        point = _ask(study, space, distributions, untried) or _drawn(space, untried, rng)
         if point is None:
             break
-        tried.add(point)
+        tried.add(alike(point))
         proposed.append(point)
     return proposed
 
@@ -109,21 +116,25 @@ def _frozen(space: Space, trial: Trial, one_objective: bool) -> FrozenTrial:
 
 
 def _ask(
-    study: optuna.Study, space: Space, distributions: Mapping[str, BaseDistribution], tried: Collection[Point]
+    study: optuna.Study,
+    space: Space,
+    distributions: Mapping[str, BaseDistribution],
+    untried: Callable[[Point], bool],
 ) -> Point | None:
     """What Optuna proposes; None if it insists on what was tried."""
     for _ in range(REPEATS):
         trial = study.ask(dict(distributions))
         point = tuple(space[option].text(trial.params[option]) for option in space)
-        if point not in tried:
+        if untried(point):
             return point
         study.tell(trial, state=TrialState.FAIL)
     return None
 
 
-def _untried(space: Space, tried: Collection[Point], rng: np.random.Generator) -> Point | None:
+def _drawn(space: Space, untried: Callable[[Point], bool], rng: np.random.Generator) -> Point | None:
     if size(space) <= COUNTABLE:
-        left = [point for point in points(space) if point not in tried]
-        return left[rng.integers(len(left))] if left else None
-    drawn = (random_point(space, rng) for _ in itertools.count())
-    return next(point for point in drawn if point not in tried)
+        listed = list(points(space))
+        drawn = (listed[place] for place in rng.permutation(len(listed)))
+    else:
+        drawn = (random_point(space, rng) for _ in range(DRAWS))
+    return next(filter(untried, drawn), None)

@@ -145,7 +145,8 @@ class Viewer:
         self._add_cameras()
         self.server.on_client_connect(self._connect)
         self.server.on_client_disconnect(self._disconnect)
-        threading.Thread(target=self._follow, name="qnerf-view-follow", daemon=True).start()
+        self.follower = threading.Thread(target=self._follow, name="qnerf-view-follow", daemon=True)
+        self.follower.start()
 
     @property
     def address(self) -> str:
@@ -155,9 +156,13 @@ class Viewer:
         return Shown(self.what.value, None if self.run.value == "both halves" else self.runs.index(self.run.value))
 
     def stop(self) -> None:
+        """Closes the server. Threads have ended on return: one that still draws as Python ends may abort it."""
         self.stopped.set()
-        for client in list(self.clients.values()):
+        clients = list(self.clients.values())
+        for client in clients:
             client.close()
+        for thread in (self.follower, *clients):
+            thread.join(10)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
