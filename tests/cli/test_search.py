@@ -117,3 +117,14 @@ def test_the_space_is_written_as_a_sweep(typed, values):
 def test_an_interval_that_is_none_is_a_mistake(typed):
     with pytest.raises(ValueError, match="expected two numbers, the smaller one first"):
         values_of(OverridesParser.create().parse_override(typed), group=False)
+
+
+def test_configurations_that_differ_in_nothing_that_acts_are_tried_once(tiny_scene, tmp_path):
+    process = start(
+        tmp_path / "runs", "scene=nerfstudio", f"scene.path={tiny_scene}", "train.steps=2",
+        "field=classical,qcolor", "qiren.layers=1,2",
+    )  # fmt: skip
+    stdout, stderr = process.communicate(timeout=300)
+    assert process.returncode == 0, stderr
+    assert "of 3 trials" in stdout
+    assert len(runs(tmp_path / "runs")) == 3
