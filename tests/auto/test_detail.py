@@ -67,6 +67,9 @@ def test_the_focus_of_a_ring_is_its_middle():
 def test_cameras_without_a_common_focus_are_taken_to_look_a_unit_away():
     outward = cameras(ring(6, outward=True))
     parallel = cameras(np.stack([look_at((x, 0, 0), np.array([x, 1.0, 0])) for x in (0.0, 0.3, 0.7)]))
-    for of in (outward, parallel):
+    ahead = ring(9)[:, :, 3] * (1, 1, 0)
+    beside = np.roll(ahead, 1, axis=1) * (-1, 1, 0)  # each axis passes the middle at five times its distance
+    passing = cameras(np.stack([look_at(c, c + a) for a, c in zip(ahead, 0.3 * beside - 0.06 * ahead, strict=True)]))
+    for of in (outward, parallel, passing):
         world = scene(torch.zeros(len(of), of.height, of.width, 3, dtype=torch.uint8), of)
         assert focus_distance(world) == 1.0

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qnerf.auto.views import grey
+from qnerf.geometry.camera_paths import focus
 from qnerf.scenes import Scene
 
 WORTH = 1e-4  # mean squared error at 40 dB; the highest frequencies that together have less power are ignored
@@ -38,19 +39,10 @@ def above(radius: NDArray[np.float64], power: NDArray[np.float64]) -> float:
 
 
 def focus_distance(scene: Scene) -> float:
-    """Median distance, in world units, from the training cameras to the point nearest to all their optical axes.
-
-    1 if no such point lies in front of most cameras: they look outward, or all the same way.
-    """
+    """Median distance, in world units, from the training cameras to the point that they look at; 1 if there is none."""
     poses = scene.cameras.poses.numpy()[scene.train]
-    centres, axes = poses[:, :, 3], -poses[:, :, 2]
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(0)
-    if np.linalg.cond(total) > 1e3:
-        return 1.0
-    point = np.linalg.solve(total, (across @ centres[..., None])[..., 0].sum(0))
-    along = ((point - centres) * axes).sum(-1)
-    return float(np.median(along)) if (along > 0).mean() > 0.5 else 1.0
+    point = focus(poses)
+    return 1.0 if point is None else float(np.median(-((point - poses[:, :, 3]) * poses[:, :, 2]).sum(-1)))
 
 
 def cells_per_world_unit(scene: Scene) -> float:
