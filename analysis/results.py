@@ -167,6 +167,33 @@ QUESTIONS = {
         failures=True,
         other_baselines=({"density": "amplitude6-identity"},),
     ),
+    "heads_unseen": Question(
+        "Does an amplitude encoding for density pay on scenes on which nothing was chosen?",
+        tuple(
+            sweep("heads", heads, scene)
+            for scene in (
+                "scene=blender scene.path=DIR",
+                "scene=colmap scene.path=DIR scene.model=sparse scene.width=64",
+                "scene=nerfstudio scene.path=DIR scene.width=64",
+            )
+            for heads in ("head@density=mlp,amplitude", "density=amplitude density.amplitude.unitary=identity")
+        ),
+        ("scene_name", "density"),
+        {"density": "2x64"},
+        values=(*QUALITY, "params.density"),
+        other_baselines=({"density": "amplitude6-identity"},),
+    ),
+    "heads_color": Question(
+        "Which colour head pays beside an MLP for density?",
+        (
+            sweep("heads_color"),
+            sweep("heads_color", "color=amplitude color.amplitude.registers=[5]"),
+        ),
+        ("scene_name", "color"),
+        {"color": "2x58"},
+        values=(*QUALITY, "params.color"),
+        failures=True,
+    ),
     "small_heads": Question(
         "Is a quantum colour head as good as MLPs of at most 700 parameters?",
         (sweep("small_heads"), sweep("small_heads", "color.mlp.init=he", f"experiment={SMALL_MLPS}")),
