@@ -29,7 +29,6 @@ from qnerf.quantum.circuit import (
     feature,
     weight,
 )
-from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.pauli_form import pauli_form
@@ -240,11 +239,6 @@ def test_any_batch_shape_and_number_of_weights() -> None:
         Circuit("fixed", 1, operations=(Gate("RX", (0,), (0.3,)),), observables=(((0, "Z"),),), features=0)
     )
     assert torch.allclose(fixed(torch.zeros(4, 0)), torch.tensor(0.3).cos().expand(4, 1))
-    with (
-        pytest.raises(ValueError, match="noise expects a data re-uploading circuit, got mixed"),
-        conditions(layer, noise=0.1),
-    ):
-        layer(torch.randn(FEATURES))
     with pytest.raises(ValueError, match="mixed is no data re-uploading circuit; choose method=auto"):
         QuantumLayer(MIXED, method="lightcone")
 

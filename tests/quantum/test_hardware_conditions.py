@@ -175,5 +175,3 @@ def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
     trained = QuantumLayer(MIXED, shots=100).double()
     trained(x).sum().backward()
     assert trained.w.grad is not None
-    with pytest.raises(ValueError, match="noise expects a data re-uploading circuit, got mixed"):
-        QuantumLayer(MIXED, noise=0.01)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from qnerf.quantum import QuantumLayer, pauli_errors, statevector
+from qnerf.quantum import QuantumLayer, carried_errors, pauli_errors, statevector
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.noise import Noise
@@ -45,7 +45,8 @@ class Rotated:
 def test_errors_in_the_weights_are_errors_after_the_gates(circuit: str | Circuit) -> None:
     layer, x = made(circuit)
     weights = statevector.stacked(layer.weights1, layer.weights2).detach()
-    _, *errors = pauli_errors.draw(layer.circuit, Noise(depolarizing=0.3), 3, np.random.default_rng(0))
+    sizes = [len(gate.wires) for gate in carried_errors.noisy_gates(layer.circuit) for _ in gate.wires]
+    _, *errors = pauli_errors.draw(sizes, Noise(depolarizing=0.3), 3, np.random.default_rng(0))
     signs, shifts = pauli_errors.fold(layer.circuit, *errors)
     for pattern in range(3):
         folded = layer.evaluate(x[:2], weights * torch.from_numpy(signs[pattern]) + torch.from_numpy(shifts[pattern]))
@@ -161,16 +162,6 @@ def test_the_pauli_twirl_keeps_the_diagonal_of_the_transfer_matrix() -> None:
 def test_impossible_noise_is_one_line(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Noise.of(fields)
-
-
-def test_what_cannot_be_sampled_or_read_is_said() -> None:
-    twice = Circuit("twice", 1, 2, 1, (Encoding("X", (1.0,)), Encoding("Z", (1.0,))), (((0, "Z"),),))
-    layer = QuantumLayer(twice)
-    with conditions(layer, noise=0.1, method="sampled"), pytest.raises(ValueError, match="choose method=density"):
-        layer(torch.zeros(1, 1))
-    layer, x = made(ENCODED_FIRST)
-    with conditions(layer, noise=Noise(readout=(0.1, 0.2))), pytest.raises(ValueError, match="give one probability"):
-        layer(x)
 
 
 def test_a_layer_trains_with_shots_whose_gradients_are_exact() -> None:

@@ -7,10 +7,12 @@ The files, in the order in which a circuit passes through them. The description:
 
 Data re-uploading circuits: `initial_angles`, `normal_form` (what is left after merging gates), `cones` (which inputs an
 output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on the CPU),
-`statevector` (the plain PyTorch reference), `noise`, `density`, `pauli_errors` and `measurement` (noise and shots).
+`statevector` (the plain PyTorch reference) and `pauli_errors` (noise as other angles).
 
 Any other circuit: `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (the
-engine and its reference).
+engine and its reference), `carried_errors` (noise as signs of angles).
+
+Hardware: `noise` (what goes wrong), `density` (exact; the reference of sampled noise), `readout`, `measurement`.
 
 PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
 `pennylane_device` bring its circuits here. `diagnostics` says what a circuit can express and how it learns.

@@ -1,24 +1,30 @@
-"""Exact expectation values of noisy circuits by density matrices, in plain PyTorch (complex128).
+"""Exact outputs of noisy circuits by density matrices, in plain PyTorch (complex128).
 
-The density matrices (2^n, 2^n, B) run forward to the last encoding, with B = 1 up to the first one. The observables
-are carried back to the same place by the adjoint channels, once for all samples. What does not depend on the input is
-thus computed once. Noise does not widen light cones, so with S = 1 the interpolation grid is enough.
+The density matrices (2^n, 2^n, B) run forward to the last gate that takes a feature, with B = 1 up to the first one.
+The observables are carried back to the same place by the adjoint channels, once for all samples. What does not depend
+on the input is thus computed once. Noise does not widen light cones, so re-uploading circuits with S = 1 need the
+interpolation grid alone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import reduce
 
 import torch
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations
+from qnerf.quantum.circuit import Circuit, Expression, Gate, Hamiltonian, Observable, Probabilities
 from qnerf.quantum.cones import TooLarge
+from qnerf.quantum.expression_table import ExpressionTable
 from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import cnot_permutation, cz_signs
+from qnerf.quantum.pauli_form import Word, as_gates
+from qnerf.quantum.pauli_statevector import PauliCircuit, action, flat_weights
 
 CHUNK_BYTES = 2**27
 SECONDS = 3e-7  # for each wire and entry of a density matrix, one core; within a factor of 3 at 4 to 8 wires
+SECONDS_ANY = 3.7e-8  # of any other circuit, for each entry and each factor of a gate or channel, one core
 QUICK_GRID, QUICK_SAMPLE = 60.0, 1e-3  # seconds
 
 _PAULIS = {
@@ -30,9 +36,10 @@ _PAULIS = {
 
 
 def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: dict[bytes, Tensor]) -> Tensor:
-    """Noisy expectation values (B, outputs) for x (B, n) and stacked weights (rows, 3, n), without gradients.
+    """Noisy outputs (B, outputs) for x (B, features), without gradients; errors of the readout are not among them.
 
-    `cache` takes the coefficients of circuits with small light cones, so that only the first batch pays for them.
+    The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other. `cache` takes the
+    coefficients of circuits with small light cones, so that only the first batch pays for them.
     """
     x64, w64 = x.detach().double().cpu(), weights.detach().double().cpu()
     try:
@@ -48,46 +55,65 @@ def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: 
 
 
 def is_quick(circuit: Circuit) -> bool:
-    """Whether it takes at most a minute once, for circuits with small light cones, or a millisecond a sample.
+    """Whether it takes at most a minute once, for re-uploading circuits with small cones, or a millisecond a sample.
 
     >>> from qnerf.quantum.circuit import ANSATZE
     >>> [is_quick(ANSATZE.build("qiren", *size)) for size in ((8, 1), (4, 2), (8, 2), (12, 1))]
     [True, True, False, False]
     """
     seconds = SECONDS * circuit.wires * 4.0**circuit.wires
+    if not circuit.reuploading:
+        return SECONDS_ANY * _factors(circuit) * 4.0**circuit.wires <= QUICK_SAMPLE
     try:
         return len(interpolation(circuit).points) * seconds <= QUICK_GRID
     except TooLarge:
         return seconds <= QUICK_SAMPLE
 
 
+def _factors(circuit: Circuit) -> int:
+    """How often all entries are gone through for a sample."""
+    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
+    whole = [len(gate.wires) == 1 or gate.name in ("CZ", "CNOT") for gate in gates]
+    return sum(len(g.wires) + (1 if one else 2 * len(g.rotations)) for g, one in zip(gates, whole, strict=True))
+
+
 @torch.no_grad()
 def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
-    n = circuit.wires
-    memory.require(f"a density matrix of {n} wires", 2 * 16 * 4.0**n, hint="choose method=sampled")
-    channels = {size: [_superoperator(operators) for operators in noise.kraus_operators(size)] for size in (1, 2)}
-    encodings = [i for i, operation in enumerate(circuit.operations) if isinstance(operation, Encoding)]
-    first, last = (encodings[0], encodings[-1] + 1) if encodings else (0, 0)
+    n, flat = circuit.wires, flat_weights(circuit, weights)
+    memory.require(f"a density matrix of {n} wires", (2 + circuit.outputs) * 16 * 4.0**n, hint="choose method=sampled")
+    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
+    moving = [k for k, gate in enumerate(gates) if any(Expression.of(angle).features for angle in gate.angles)]
+    first, last = (moving[0], moving[-1] + 1) if moving else (0, 0)
+    sizes = {len(gate.wires) for gate in gates}
+    noises = {size: [_superoperator(operators) for operators in noise.kraus_operators(size)] for size in sizes}
 
-    def run(matrix: Tensor, operations: tuple[Operation, ...], inputs: Tensor) -> Tensor:
-        for operation in operations:
-            for channel in _channels_of(operation, n, inputs, weights, channels):
-                matrix = channel(matrix, False)
-        return matrix
+    def channels(part: Sequence[Gate], inputs: Tensor) -> "list[Channel]":
+        return [channel for gate in part for channel in _channels_of(gate, circuit, inputs, flat, noises)]
 
-    observables = _observables(circuit)
-    for operation in reversed(circuit.operations[last:]):
-        for channel in reversed(_channels_of(operation, n, x, weights, channels)):
-            observables = channel(observables, True)
-    flat = observables.transpose(0, 1).reshape(4**n, -1)
-    start = torch.zeros(2**n, 2**n, 1, dtype=torch.complex128)
-    start[0, 0] = 1
-    start = run(start, circuit.operations[:first], x)
+    def run(matrix: Tensor, part: Sequence[Gate], inputs: Tensor) -> Tensor:
+        return reduce(lambda m, channel: channel(m, False), channels(part, inputs), matrix)
+
+    observables = torch.stack([m for o in circuit.observables for m in _matrices(o, n)], -1)
+    for channel in reversed(channels(gates[last:], x[:1])):
+        observables = channel(observables, True)
+    measured = observables.transpose(0, 1).reshape(4**n, -1)
+    plain = PauliCircuit(circuit)
+    fixed = None if plain.starts_move else run(_start(plain, x[:1], flat), gates[:first], x[:1])
     out = []
     for part in x.split(max(1, CHUNK_BYTES // (16 * 4**n))):
-        rho = run(start, circuit.operations[first:last], part)
-        out.append((rho.reshape(4**n, -1).T @ flat).real.expand(len(part), -1))
+        start = run(_start(plain, part, flat), gates[:first], part[:1]) if fixed is None else fixed
+        rho = run(start, gates[first:last], part)
+        out.append((rho.reshape(4**n, -1).T @ measured).real.expand(len(part), -1))
     return torch.cat(out)
+
+
+def _start(plain: PauliCircuit, x: Tensor, weights: Tensor) -> Tensor:
+    """(2^n, 2^n, 1 or B)."""
+    state = plain.start(x, weights)
+    if state is None:
+        state = torch.zeros(1, 2**plain.circuit.wires, dtype=torch.complex128)
+        state[0, 0] = 1
+    return torch.einsum("Ba,Bb->abB", state, state.conj())
 
 
 Channel = Callable[[Tensor, bool], Tensor]
@@ -95,35 +121,42 @@ Channel = Callable[[Tensor, bool], Tensor]
 
 
 def _channels_of(
-    operation: Operation, n: int, x: Tensor, weights: Tensor, noise: dict[int, list[Tensor]]
+    gate: Gate, circuit: Circuit, x: Tensor, weights: Tensor, noises: dict[int, list[Tensor]]
 ) -> list[Channel]:
-    """The gates of one operation and the noise after each, in the order in which they act on a state."""
-    channels: list[Channel] = []
+    """The gate and the noise after it, in the order in which they act on a state."""
+    n, channels = circuit.wires, list[Channel]()
 
     def add(superoperator: Tensor, wire: int) -> None:
         channels.append(lambda matrix, adjoint: _apply(matrix, superoperator, wire, n, adjoint))
 
-    def add_noise(*wires: int) -> None:
-        for wire in wires:
-            for superoperator in noise[len(wires)]:
-                add(superoperator, wire)
+    def add_rotation(word: Word, angle: Tensor) -> None:
+        channels.append(lambda matrix, adjoint: _turn(matrix, word, -angle if adjoint else angle, n))
 
-    if isinstance(operation, Entangler):
-        for pair in operation.pairs:
-            # CZ and CNOT are their own adjoints.
-            channels.append(lambda matrix, adjoint, pair=pair: _entangle(matrix, operation.gate, pair, n))  # type: ignore[misc]
-            add_noise(*pair)
+    if gate.name in ("CZ", "CNOT"):  # their own adjoints
+        channels.append(lambda matrix, _: _entangle(matrix, gate.name, (gate.wires[0], gate.wires[1]), n))
     else:
-        for wire in range(n):
-            if isinstance(operation, Rotations):
-                phi, theta, omega = weights[operation.row, :, wire]
-                unitary = _rotation("Z", omega) @ _rotation("Y", theta) @ _rotation("Z", phi)
-            else:
-                assert isinstance(operation, Encoding), "a data re-uploading circuit"
-                unitary = _rotation(operation.axis, operation.scales[wire] * x[:, wire])
-            add(_superoperator([unitary]), wire)
-            add_noise(wire)
+        expressions = [gate.angle_of(part) for part in gate.rotations]
+        fixed = not any(expression.features for expression in expressions)
+        angles = ExpressionTable(expressions, circuit.parameters, fixed)(x, weights).T
+        if len(gate.wires) == 1:
+            turns = [_rotation(part.letters, angle) for part, angle in zip(gate.rotations, angles, strict=True)]
+            unitary = reduce(lambda before, turn: turn @ before, turns)
+            add(_superoperator([unitary[0] if fixed else unitary]), gate.wires[0])
+        else:
+            for part, angle in zip(gate.rotations, angles, strict=True):
+                add_rotation(Word.of(part.letters, gate.wires, n), angle)
+    for wire in gate.wires:
+        for superoperator in noises[len(gate.wires)]:
+            add(superoperator, wire)
     return channels
+
+
+def _turn(matrix: Tensor, word: Word, angle: Tensor, n: int) -> Tensor:
+    """U M U^dagger of matrices (2^n, 2^n, B), where U is the rotation about `word` by `angle` (1 or B,)."""
+    index, phases = action(word, n, matrix.device, matrix.dtype)
+    c, s = (angle / 2).cos(), -1j * (angle / 2).sin()
+    matrix = c * matrix + s * (phases[:, None, None] * matrix[index])
+    return c * matrix - s * (phases.conj()[None, :, None] * matrix[:, index])
 
 
 def _rotation(axis: str, angle: Tensor) -> Tensor:
@@ -159,12 +192,14 @@ def _entangle(matrix: Tensor, gate: str, pair: tuple[int, int], n: int) -> Tenso
     return matrix[index][:, index]
 
 
-def _observables(circuit: Circuit) -> Tensor:
-    """The matrices of the measured Pauli words, (2^n, 2^n, outputs)."""
-    matrices = []
-    for word in circuit.words:
-        matrix = torch.eye(1, dtype=torch.complex128)
-        for wire in range(circuit.wires):
-            matrix = torch.kron(matrix, _PAULIS[dict(word).get(wire, "I")])
-        matrices.append(matrix)
-    return torch.stack(matrices, -1)
+def _matrices(observable: Observable, n: int) -> list[Tensor]:
+    """The matrices (2^n, 2^n) whose expectation values are the outputs of an observable."""
+    if isinstance(observable, Probabilities):
+        basis, outcome = torch.arange(2**n), torch.zeros(2**n, dtype=torch.int64)
+        for wire in observable.wires:
+            outcome = 2 * outcome + (basis >> (n - 1 - wire) & 1)
+        return [torch.diag((outcome == k).to(torch.complex128)) for k in range(2 ** len(observable.wires))]
+    sums = observable if isinstance(observable, Hamiltonian) else Hamiltonian((1.0,), (observable,))
+    letters = [[dict(word).get(wire, "I") for wire in range(n)] for word in sums.words]
+    words = [reduce(torch.kron, [_PAULIS[letter] for letter in word]) for word in letters]
+    return [sum((c * word for c, word in zip(sums.coefficients, words, strict=True)), torch.zeros_like(words[0]))]

@@ -115,8 +115,6 @@ class QuantumLayer(nn.Module):
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
             own = measurement.Conditions(**measured, joint=False, patterns=patterns, gradients=True)
             if own.shots is not None or own.noisy:
-                if own.noisy and not self.circuit.reuploading:
-                    raise ValueError(f"noise expects a data re-uploading circuit, got {self.circuit.name}")
                 self.conditions = own
         self._simulator = None if method == "pennylane" else Simulator(self.circuit, method, backend)
         for name, values in _initial_weights(self.circuit, init).items():

@@ -8,12 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.quantum import density, pauli_errors, statevector
+from qnerf.quantum import carried_errors, density, pauli_errors, statevector
 from qnerf.quantum.circuit import Circuit, Probabilities
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form, z_eigenvalues
 from qnerf.quantum.pennylane import check_shots
-from qnerf.quantum.registers import measured
+from qnerf.quantum.readout import Readout
+from qnerf.quantum.registers import Measured, measured
 from qnerf.quantum.simulator import Simulator
 
 CHUNK = 4096  # samples whose probabilities are computed at once
@@ -31,7 +32,7 @@ class Conditions:
         joint: True reads all wires in every shot, as a device does. False draws each output from its own binomial,
             which is faster. Every single output has the same distribution either way; only the correlations between
             the outputs of one sample differ. Noisy shots are always drawn independently. Circuits that are no data
-            re-uploading circuits take `shots` for each Pauli word and for each of their probabilities, either way.
+            re-uploading circuits take `shots` for each Pauli word and for each of the `Probabilities`, either way.
         seed: of the shots and of sampled noise; None draws from torch's global generator.
         method: of noisy gates. density is exact, by density matrices; sampled draws `patterns` of Pauli errors, with a
             standard error; auto takes density where it is quick (`density.is_quick`).
@@ -98,75 +99,86 @@ class _WithoutGradient(torch.autograd.Function):
 
 
 def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions) -> Tensor:
-    """Outputs (B, outputs) for x (B, n) and stacked weights (rows, 3, n).
+    """Outputs (B, outputs) for x (B, features).
 
-    `exact` computes the exact expectation values. See `Conditions` for derivatives.
+    The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other. `exact` computes the exact
+    outputs. See `Conditions` for derivatives.
     """
     if conditions.seed is None:
         conditions.random = np.random.default_rng(int(torch.randint(2**62, ())))
+    found = _values_of(circuit)
+    if not found.values or (conditions.shots is None and not conditions.noisy):
+        out = exact(x, weights)
+        return out if conditions.gradients else _without_gradient(out, x, weights)
     if conditions.gradients:
-        values = _expected(circuit, x, weights, exact, conditions)
+        values = _expected(circuit, found, x, weights, exact, conditions)
         with torch.no_grad():
-            drawn = _drawn(circuit, x, weights, values, conditions)
-        return values if drawn is values else values + (drawn - values).detach()
+            drawn = _drawn(circuit, found, x, weights, values, conditions)
+        return found.outputs(values if drawn is values else values + (drawn - values).detach())
     with torch.no_grad():
-        joint = conditions.joint or not circuit.reuploading
-        drawn_from_states = conditions.shots is not None and joint and not conditions.noisy  # needs no exact values
-        values = x if drawn_from_states else _expected(circuit, x, weights, exact, conditions)
-        drawn = _drawn(circuit, x, weights, values, conditions)
-    out: Tensor = _WithoutGradient.apply(drawn, x, weights)
-    return out
+        from_states = conditions.joint and not conditions.noisy and circuit.reuploading  # needs no exact values
+        values = x if from_states else _expected(circuit, found, x, weights, exact, conditions)
+        drawn = _drawn(circuit, found, x, weights, values, conditions)
+    return _without_gradient(found.outputs(drawn), x, weights)
+
+
+def _without_gradient(out: Tensor, x: Tensor, weights: Tensor) -> Tensor:
+    without: Tensor = _WithoutGradient.apply(out.detach(), x, weights)
+    return without
+
+
+def _values_of(circuit: Circuit) -> Measured:
+    """The values that are measured one by one; of a re-uploading circuit these are its outputs."""
+    if not circuit.reuploading:
+        return measured(circuit)
+    count = len(circuit.words)
+    return Measured(circuit.words, tuple(range(count)), count, None, np.zeros(count))
 
 
 def _expected(
-    circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions
+    circuit: Circuit, found: Measured, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions
 ) -> Tensor:
-    """Expectation values with the errors of gates and of the readout."""
-    noise = conditions.noise
-    if noise is None or not noise.any:
-        return exact(x, weights)
-    if not circuit.reuploading:
-        raise ValueError(f"noise expects a data re-uploading circuit, got {circuit.name}")
-    scale, shift = _readout(circuit, noise)
-    if conditions.is_sampled(circuit):
-        values, errors = pauli_errors.evaluate(
-            exact, circuit, x, weights, noise, conditions.patterns, conditions.random
-        )
+    """The exact values (B, values), with the errors of gates and of the readout."""
+    noise = conditions.noise or Noise()
+    read = Readout(found.observables, noise)
+    own = replace(circuit, observables=read.observables)
+    if own.observables != circuit.observables:
+        exact = _simulator(own)
+    if conditions.is_sampled(own):
+        final = lambda values: found.outputs(read(values))  # noqa: E731
+        arguments = own, x, weights, noise, conditions.patterns, conditions.random, final
+        folds = pauli_errors.folds(own)
+        values, errors = pauli_errors.evaluate(exact, *arguments) if folds else carried_errors.evaluate(*arguments)
         if not conditions.gradients:  # reading the number would make a GPU wait
-            conditions.squared_errors += float((errors * scale.to(errors)).square().sum())
+            conditions.squared_errors += float(errors.square().sum())
             conditions.outputs += errors.numel()
     elif noise.gates:
-        values = density.evaluate(circuit, x, weights, noise, conditions.noisy_coefficients)
+        values = density.evaluate(own, x, weights, noise, conditions.noisy_coefficients)
     else:
         values = exact(x, weights)
-    return values * scale.to(values) + shift.to(values)
+    return read(values)
 
 
-def _readout(circuit: Circuit, noise: Noise) -> tuple[Tensor, Tensor]:
-    """What readout errors make of each output: it is multiplied by the first and shifted by the second (outputs,).
-
-    Raises:
-        ValueError: two different probabilities for a product of several wires, which mixes it with other products.
-    """
-    scale, shift = noise.readout_factors
-    wires = torch.tensor([len(word) for word in circuit.words], dtype=torch.float64)
-    if shift and not bool((wires == 1).all()):
-        raise ValueError(
-            f"noise: two probabilities of readout={noise.readout} expect outputs of one wire each, "
-            f"ansatz {circuit.name} has products; give one probability"
-        )
-    return scale**wires, torch.full_like(wires, shift)
-
-
-def _drawn(circuit: Circuit, x: Tensor, weights: Tensor, expected: Tensor, conditions: Conditions) -> Tensor:
-    """Means of finitely many shots; `expected` itself without a number of shots."""
-    if conditions.shots is None:
+def _drawn(
+    circuit: Circuit, found: Measured, x: Tensor, weights: Tensor, expected: Tensor, conditions: Conditions
+) -> Tensor:
+    """Values that are means of finitely many shots; `expected` itself without a number of shots."""
+    shots = conditions.shots
+    if shots is None:
         return expected
-    if not circuit.reuploading:
-        return _measure_any(circuit, x, weights, conditions)
-    if conditions.joint and not conditions.noisy:
+    if circuit.reuploading and conditions.joint and not conditions.noisy:
         return torch.cat([_measure_all_wires(circuit, part, weights, conditions) for part in x.split(CHUNK)])
-    return binomial(expected, conditions.shots, conditions.random)
+    if circuit.reuploading:
+        return binomial(expected, shots, conditions.random)
+    drawn = []
+    for observable, first in zip(found.observables, found.places, strict=True):
+        if isinstance(observable, Probabilities):
+            exact = expected[:, first : first + 2 ** len(observable.wires)].detach()
+            counts = multinomial(shots, np.nan_to_num(exact.double().cpu().numpy()), conditions.random)
+            drawn.append((torch.from_numpy(counts / shots).to(x)).where(exact == exact, torch.nan))
+        else:
+            drawn.append(binomial(expected[:, first : first + 1], shots, conditions.random))
+    return torch.cat(drawn, 1)
 
 
 def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
@@ -175,22 +187,6 @@ def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
     up = random.binomial(shots, np.clip(np.nan_to_num((1 + values) / 2), 0, 1))
     means = np.where(np.isnan(values), np.nan, 2 * up / shots - 1)
     return torch.from_numpy(means).to(exact)
-
-
-def _measure_any(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:
-    """Shots for each Pauli word, and for each of the `Probabilities`, by themselves; of any circuit."""
-    found, shots = measured(circuit), conditions.shots
-    assert shots is not None
-    values = _simulator(replace(circuit, observables=found.observables))(x, weights).detach()
-    drawn = []
-    for observable, first in zip(found.observables, found.places, strict=True):
-        if isinstance(observable, Probabilities):
-            exact = values[:, first : first + 2 ** len(observable.wires)]
-            counts = multinomial(shots, np.nan_to_num(exact.double().cpu().numpy()), conditions.random)
-            drawn.append((torch.from_numpy(counts / shots).to(x)).where(exact == exact, torch.nan))
-        else:
-            drawn.append(binomial(values[:, first : first + 1], shots, conditions.random))
-    return found.outputs(torch.cat(drawn, 1))
 
 
 @lru_cache(maxsize=64)

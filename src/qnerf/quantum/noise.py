@@ -29,7 +29,7 @@ class Noise:
 
     Args:
         depolarizing, amplitude_damping, phase_damping, bit_flip: probabilities in [0, 1], as PennyLane defines them.
-        two_qubit: probability of the depolarizing channel after two-qubit gates; None for that of `depolarizing`.
+        two_qubit: probability of the depolarizing channel after gates on two or more wires; None for `depolarizing`.
         readout: probability that a wire is read wrongly, or two of them: of reading 1 for 0, and 0 for 1.
         t1, t2: relaxation and dephasing times, seconds; t2 <= 2 t1. None: no relaxation, no dephasing beyond it.
         one_qubit_time, two_qubit_time: duration of a gate, seconds. Wires relax during their own gates; those that
@@ -106,13 +106,13 @@ class Noise:
         return bool(self.after(1) or self.after(2))
 
     def after(self, wires: int) -> list[tuple[str, float]]:
-        """PennyLane's name and the parameter of each channel on each wire of a gate on 1 or 2 wires.
+        """PennyLane's name and the parameter of each channel on each wire of a gate on that many wires.
 
         Thermal relaxation for a time t is amplitude damping by 1 - exp(-t / T1) and phase damping by
         1 - exp(-2 t (1 / T2 - 1 / (2 T1))): populations decay with T1, coherences with T2.
         """
         named = {name: vars(self)[name] for name in CHANNELS}
-        if wires == 2 and self.two_qubit is not None:
+        if wires > 1 and self.two_qubit is not None:
             named["depolarizing"] = self.two_qubit
         found = [(CHANNELS[name], probability) for name, probability in named.items()]
         time = self.one_qubit_time if wires == 1 else self.two_qubit_time

@@ -1,4 +1,4 @@
-"""Noise by sampled Pauli errors: as fast as the exact engines, with a standard error.
+"""Noise of re-uploading circuits by sampled Pauli errors: as fast as the exact engines, with a standard error.
 
 A channel that mixes Pauli errors is a lottery: after each gate an X, Y or Z happens on the wire, or nothing. A
 draw for all gates is a pattern, and the noisy expectation value is the mean over patterns. A Pauli error between two
@@ -11,7 +11,7 @@ the engines need not know of it. The share of runs without any error, P0, is cou
 error are drawn, and the result is P0 exact + (1 - P0) mean. It has the derivatives of what was drawn.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from math import pi
 from typing import NamedTuple
@@ -28,42 +28,60 @@ Exact = Callable[[Tensor, Tensor], Tensor]
 """Inputs (B, n) and stacked weights (rows, 3, n) -> outputs (B, outputs), without noise."""
 
 
+Final = Callable[[Tensor], Tensor]
+"""An affine function of outputs (B, outputs)."""
+
+
 def evaluate(
-    exact: Exact, circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, patterns: int, random: np.random.Generator
-) -> tuple[Tensor, Tensor]:
-    """Outputs (B, outputs) with sampled gate errors, and their standard errors (B, outputs), NaN for one pattern.
+    exact: Exact, circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, patterns: int,
+    random: np.random.Generator, final: Final,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """Outputs (B, outputs) with sampled gate errors, and the standard errors of final(outputs), NaN for one pattern.
 
-    All samples share the patterns, so that each pattern is one call of `exact`.
-
-    Raises:
-        ValueError: an error of the circuit reaches no trainable rotation of its own.
+    The circuit `folds`. All samples share the patterns, so that each pattern is one call of `exact`.
     """
-    clean, x_errors, z_errors = draw(circuit, noise, patterns, random)
-    signs, shifts = fold(circuit, x_errors, z_errors)
-    without = exact(x, weights)
-    if not len(signs):
-        return without, torch.zeros_like(without)
-    mean, squares = torch.zeros_like(without), torch.zeros_like(without)
-    for number, (sign, shift) in enumerate(zip(signs, shifts, strict=True), start=1):
-        values = exact(x, weights * torch.from_numpy(sign).to(weights) + torch.from_numpy(shift).to(weights))
-        change = values - mean
-        mean = mean + change / number
-        squares += (change * (values - mean)).detach()
-    error = (1 - clean) * (squares / (patterns - 1) / patterns).sqrt() if patterns > 1 else squares * torch.nan
+    gates = _gates(circuit)
+    assert gates is not None, "a circuit that folds"
+    sizes = [2 if isinstance(gate.operation, Entangler) else 1 for gate in gates for _ in gate.wires]
+    clean, x_errors, z_errors = draw(sizes, noise, patterns, random)
+    folded = zip(*fold(circuit, x_errors, z_errors), strict=True)
+    of_patterns = (
+        exact(x, weights * torch.from_numpy(sign).to(weights) + torch.from_numpy(shift).to(weights))
+        for sign, shift in folded
+    )
+    return mean_of(clean, exact(x, weights), of_patterns, final)
+
+
+def mean_of(clean: float, without: Tensor, of_patterns: Iterable[Tensor], final: Final) -> tuple[Tensor, Tensor]:
+    """The mean outputs of all runs, and the standard errors of final(outputs).
+
+    clean: the share of runs without an error, whose outputs are `without`. of_patterns: outputs with drawn errors.
+    """
+    mean, count = torch.zeros_like(without), 0
+    center = squares = torch.zeros_like(final(without).detach())
+    for count, values in enumerate(of_patterns, start=1):
+        mean = mean + (values - mean) / count
+        out = final(values).detach()
+        change = out - center
+        center = center + change / count
+        squares = squares + change * (out - center)
+    if not count:
+        return without, squares
+    error = (1 - clean) * (squares / (count - 1) / count).sqrt() if count > 1 else squares * torch.nan
     return clean * without + (1 - clean) * mean, error
 
 
 def draw(
-    circuit: Circuit, noise: Noise, patterns: int, random: np.random.Generator
+    sizes: Sequence[int], noise: Noise, patterns: int, random: np.random.Generator
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """The probability of no error at all, and patterns that have one.
 
     The patterns are two boolean arrays (patterns, spots), an X part and a Z part; both make a Y. The spots are the
-    wires of each gate in the order in which the gates are applied. There are no patterns where no error can happen.
+    wires of each gate in the order in which the gates are applied, `sizes` the wires of the gate at each spot. There
+    are no patterns where no error can happen.
     """
-    rates = {size: noise.pauli_probabilities(size) for size in (1, 2)}
-    sizes = [2 if isinstance(gate.operation, Entangler) else 1 for gate in _gates(circuit) for _ in gate.wires]
-    probabilities = np.array([rates[size] for size in sizes])
+    rates = {size: noise.pauli_probabilities(size) for size in set(sizes)}
+    probabilities = np.array([rates[size] for size in sizes]).reshape(-1, 3)
     total = probabilities.sum(1)
     clean_before = np.concatenate([[1.0], np.cumprod(1 - total)])
     clean = float(clean_before[-1])
@@ -76,6 +94,11 @@ def draw(
     upper = np.cumsum(probabilities, 1) / np.where(total > 0, total, 1)[:, None]
     letter = random.random((patterns, len(total)))
     return clean, happens & (letter < upper[:, 1]), happens & (letter >= upper[:, 0])
+
+
+def folds(circuit: Circuit) -> bool:
+    """Whether the errors of a circuit can become part of its angles; `carried_errors` takes any other circuit."""
+    return circuit.reuploading and _gates(circuit) is not None
 
 
 class NoisyGate(NamedTuple):
@@ -108,6 +131,7 @@ def fold(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> tuple[
         x[:], z[:] = False, False
 
     gates = _gates(circuit)
+    assert gates is not None, "a circuit that folds"
     for gate in gates:
         if isinstance(gate.operation, Rotations):
             absorb(gate.operation.row, PHI)
@@ -137,15 +161,11 @@ def _carry(x: np.ndarray, z: np.ndarray, gate: NoisyGate) -> None:
 
 
 @lru_cache(maxsize=256)
-def _gates(circuit: Circuit) -> tuple[NoisyGate, ...]:
-    """All gates in order.
-
-    Raises:
-        ValueError: an error reaches no rotation, or a row of the weights is used twice.
-    """
+def _gates(circuit: Circuit) -> tuple[NoisyGate, ...] | None:
+    """All gates in order; None if an error reaches no rotation, or a row of the weights is used twice."""
     rows = [operation.row for operation in circuit.operations if isinstance(operation, Rotations)]
     if len(set(rows)) < len(rows):
-        raise ValueError(f"sampled noise: ansatz {circuit.name} uses a row of its weights twice; choose method=density")
+        return None
     gates: list[NoisyGate] = []
     backwards = waiting = False
     for operation in circuit.operations:
@@ -162,8 +182,4 @@ def _gates(circuit: Circuit) -> tuple[NoisyGate, ...]:
         for wires in operation.pairs if isinstance(operation, Entangler) else everything:
             start = gates[-1].spots.stop if gates else 0
             gates.append(NoisyGate(operation, wires, slice(start, start + len(wires)), backwards))
-    if waiting:
-        raise ValueError(
-            f"sampled noise: ansatz {circuit.name} has an encoding that no rotations follow; choose method=density"
-        )
-    return tuple(gates)
+    return None if waiting else tuple(gates)

@@ -113,11 +113,11 @@ def clifford_frame(gate: Gate) -> _Frame | None:
 def _fixed_frame(name: str, word: str, n: int, angles: tuple[float, ...]) -> _Frame | None:
     gate, frame = Gate(name, tuple(range(n)), angles, word), _Frame(n)
     for part in gate.rotations:
-        quarters = _quarters(gate.angle_of(part))
-        if quarters is None:
+        turned = quarters(gate.angle_of(part))
+        if turned is None:
             return None
-        if quarters:
-            frame.append(Word.of(part.letters, gate.wires, n), quarters)
+        if turned:
+            frame.append(Word.of(part.letters, gate.wires, n), turned)
     return frame
 
 
@@ -252,10 +252,10 @@ class _Rotations:
 
     def add(self, frame: _Frame, word: Word, angle: Expression) -> None:
         """A rotation at the end of the circuit, before the frame; a Clifford operation joins the frame."""
-        quarters = _quarters(angle)
-        if quarters is not None:
-            if quarters:
-                frame.append(word, quarters)
+        turned = quarters(angle)
+        if turned is not None:
+            if turned:
+                frame.append(word, turned)
             return
         image = frame(word)
         self._merge(Rotation(image.letters, angle * image.sign))
@@ -292,7 +292,7 @@ class _Rotations:
         return kept[::-1]
 
 
-def _quarters(angle: Expression) -> int | None:
+def quarters(angle: Expression) -> int | None:
     """0..3 if the angle is a multiple of pi/2, else None."""
     constant = angle.constant
     if constant is None:

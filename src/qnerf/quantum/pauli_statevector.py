@@ -41,6 +41,7 @@ class PauliCircuit:
             self.columns.append((kind, counts[kind]))
             counts[kind] += 1
         self.starts = [_Start(part, circuit) for part in self.form.start]
+        self.starts_move = any(not start.table.fixed for start in self.starts)
         used = [*angles, *(Expression.of(angle) for part in self.form.start for angle in part.angles)]
         measures = self.form.combination.shape[1] > 0
         self.takes_all = measures and any(a.features for a in used) and any(a.weights for a in used)
@@ -96,7 +97,7 @@ class PauliCircuit:
         state = self._final_state(fixed, moving, start, dtype).expand(-1, moving.shape[0])
         values = []
         for word in self.form.words:
-            index, phases = _action(word, self.form.wires, state.device, state.dtype)
+            index, phases = action(word, self.form.wires, state.device, state.dtype)
             product = state.conj() * state[index] * phases[:, None]
             values.append(product.real.sum(0))
         if self.form.tables:
@@ -117,7 +118,7 @@ class PauliCircuit:
         cosines = [(angles / 2).cos().to(dtype) for angles in (fixed, moving)]
         sines = [(angles / 2).sin().to(dtype) for angles in (fixed, moving)]
         for (word, _), (kind, column) in zip(self.form.rotations, self.columns, strict=True):
-            index, phases = _action(word, self.form.wires, state.device, state.dtype)
+            index, phases = action(word, self.form.wires, state.device, state.dtype)
             c, s = cosines[kind][:, column], sines[kind][:, column]
             state = c * state + s * (-1j * phases[:, None] * state[index])
         return state
@@ -143,13 +144,18 @@ def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
         start = torch.nn.functional.pad(torch.ones_like(x[:1, :0].sum(1, keepdim=True)), (0, 2**n - 1))
     state = start.to(torch.complex128).expand(x.shape[0], -1).T
     for column, (word, _) in enumerate(rotations):
-        index, phases = _action(word, n, x.device, torch.complex128)
+        index, phases = action(word, n, x.device, torch.complex128)
         half = angles[:, column] / 2
         state = half.cos() * state + half.sin() * (-1j * phases[:, None] * state[index])
     return state.T
 
 
-def _action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+def flat_weights(circuit: Circuit, weights: Tensor) -> Tensor:
+    """The flat weights, from the stacked ones (rows, 3, n) of a re-uploading circuit or from flat ones."""
+    return weights.transpose(1, 2).flatten() if circuit.reuploading else weights
+
+
+def action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """The word on a state a as (index, phases): phases * a[index]."""
     return (_kept_action if wires <= KEPT_WIRES else _new_action)(word, wires, device, dtype)
 

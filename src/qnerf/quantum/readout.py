@@ -1,0 +1,83 @@
+"""Errors of the readout: what they make of Pauli words and of probabilities, exactly.
+
+Each wire is read wrongly by itself: 1 for 0 with probability u, 0 for 1 with probability d. So a letter P on a wire is
+read as a P + b with a = 1 - u - d and b = d - u, and a word of k letters as the product of k such factors. With u = d
+that is a^k times the word; otherwise the words of fewer letters come in.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.quantum.circuit import Observable, PauliWord, Probabilities
+from qnerf.quantum.noise import Noise
+
+MAX_LETTERS = 10  # of a word that is read with two different probabilities: it becomes 2^letters words
+
+
+class Readout:
+    """How Pauli words and `Probabilities` are read.
+
+    Attributes:
+        observables: what must be known to compute them, words first.
+
+    Raises:
+        ValueError: two different probabilities, and a word of more than 10 letters.
+    """
+
+    def __init__(self, observables: tuple[Observable, ...], noise: Noise) -> None:
+        a, b = noise.readout_factors
+        up = (1 - a - b) / 2
+        self.confusion = torch.tensor([[1 - up, 1 - a - up], [up, a + up]], dtype=torch.float64)  # [read, is]
+        self.sizes = [2 ** len(o.wires) if isinstance(o, Probabilities) else 1 for o in observables]
+        self.tables = [isinstance(o, Probabilities) for o in observables]
+        index: dict[PauliWord, int] = {}
+        entries: list[tuple[int, int, float]] = []
+        self.constants = torch.zeros(len(observables) - sum(self.tables), dtype=torch.float64)
+        words = [o for o in observables if isinstance(o, tuple)]
+        for row, word in enumerate(words):
+            if b and len(word) > MAX_LETTERS:
+                raise ValueError(
+                    f"noise: two probabilities of readout={noise.readout} expect words of at most {MAX_LETTERS} "
+                    f"letters, got one of {len(word)}; give one probability"
+                )
+            for size in range(len(word) + 1) if b else (len(word),):
+                factor = a**size * b ** (len(word) - size)
+                if not size:
+                    self.constants[row] += factor
+                    continue
+                for part in combinations(word, size):
+                    entries.append((row, index.setdefault(part, len(index)), factor))
+        matrix = np.zeros((len(words), len(index)))
+        for row, column, factor in entries:
+            matrix[row, column] += factor
+        self.matrix = torch.from_numpy(matrix)
+        self.observables: tuple[Observable, ...] = (*index, *(o for o in observables if isinstance(o, Probabilities)))
+        self.observables = self.observables or ((),)
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """The values (B, values) that are read, from those of `observables`."""
+        matrix, count = self.matrix.to(values), self.matrix.shape[1]
+        scale = matrix.diagonal()
+        diagonal = len(matrix) == count and bool((self.matrix == self.matrix.diagonal().diag()).all())
+        words = values[:, :count] * scale if diagonal else values[:, :count] @ matrix.T
+        words = words + self.constants.to(values)
+        read, first, row = [], count, 0
+        for size, is_table in zip(self.sizes, self.tables, strict=True):
+            if is_table:
+                read.append(self._confused(values[:, first : first + size]))
+                first += size
+            else:
+                read.append(words[:, row : row + 1])
+                row += 1
+        return torch.cat(read, 1)
+
+    def _confused(self, probabilities: Tensor) -> Tensor:
+        """Probabilities (B, 2^k) of the bit strings that are read."""
+        confusion, (batch, size) = self.confusion.to(probabilities), probabilities.shape
+        for wire in range(size.bit_length() - 1):
+            view = probabilities.reshape(batch * 2**wire, 2, size >> (wire + 1))
+            probabilities = torch.einsum("ri,bia->bra", confusion, view)
+        return probabilities.reshape(batch, size)
