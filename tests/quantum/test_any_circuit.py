@@ -1,9 +1,11 @@
 """Circuits beyond re-uploading: engine against engine, all derivatives, and what a wrong description says."""
 
+import copy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pennylane as qml
 import pytest
 import torch
@@ -256,6 +258,12 @@ def test_any_batch_shape_and_number_of_weights() -> None:
         (lambda: feature(0) / feature(1), "cannot divide"),
         (lambda: Weights("a b", (2,)), "an identifier, got 'a b'"),
         (lambda: Hamiltonian((1.0,), ()), "one finite coefficient for each word"),
+        (lambda: Gate("X", "a"), "X expects wires as integers from 0, got 'a'"),
+        (lambda: of(measured="ZZ"), "observable 'ZZ' expects pairs of a wire and a letter"),
+        (lambda: of(measured=(0, "Z")), r"observable \(0, 'Z'\) expects pairs of a wire and a letter"),
+        (lambda: of(measured=qml.Z(0)), r"or a Hamiltonian, or Probabilities"),
+        (lambda: QuantumLayer(of())(np.zeros((1, 2))), r"tensor \(..., 2\) of angles in radians, got ndarray"),
+        (lambda: QuantumLayer(of())(torch.zeros(1, 2).int()), "got a tensor of torch.int32"),
         (lambda: of(Gate("X", (2,))), "needs wires below 2"),
         (lambda: of(Gate("RX", (0,), (feature(2),))), "the input has 2 features"),
         (lambda: of(Gate("RX", (0,), (weight("v", 0),))), r"declared weights: w with 6"),
@@ -273,6 +281,47 @@ def test_wrong_descriptions_say_what_is_wrong(make: Callable[[], Any], message: 
 
 def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
     return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
+
+
+def test_lists_single_wires_rows_of_weights_and_long_names_are_taken() -> None:
+    v = Weights("v", 3)
+    loose = Circuit(
+        "loose", 2, features=2, weights=W,  # one for all
+        operations=[
+            Gate("Hadamard", 0), Gate("Rot", [1], W[1]), Gate("RX", 0, feature(1)), Gate("PauliX", np.int64(1)),
+            Gate("CRot", range(2), [0.5, W[0, 1], np.pi * feature(0)]),
+        ],
+        observables=[[[0, "Z"]], Hamiltonian([1, 2.0], [[(0, "X")], [(1, "Y")]]), Probabilities([1])],
+    )  # fmt: skip
+    strict = Circuit(
+        "loose", 2, features=2, weights=(W,),
+        operations=(
+            Gate("H", (0,)), Gate("Rot", (1,), (W[1, 0], W[1, 1], W[1, 2])), Gate("RX", (0,), (feature(1),)),
+            Gate("X", (1,)), Gate("CRot", (0, 1), (0.5, W[0, 1], np.pi * feature(0))),
+        ),
+        observables=(((0, "Z"),), Hamiltonian((1.0, 2.0), (((0, "X"),), ((1, "Y"),))), Probabilities((1,))),
+    )  # fmt: skip
+    assert loose == strict
+    assert (v.shape, len(v), len(W), list(v)) == ((3,), 3, 2, [v[0], v[1], v[2]])
+    assert Circuit("one", 1, observables=Probabilities(0)).outputs == 2
+    for index in (2, (0, 3), (0, 0, 0), (0, slice(None))):
+        with pytest.raises(IndexError, match=r"weights w have shape \(2, 3\), got the index"):
+            W[index]  # type: ignore[index]
+
+
+def test_a_circuit_without_features_needs_no_input() -> None:
+    layer = QuantumLayer(Circuit("vqe", 1, 0, 0, (Gate("RX", 0, W[0, 0]),), (((0, "Z"),),), 0, W))
+    assert torch.allclose(layer(), layer.w[0, 0].cos()[None])
+    with pytest.raises(
+        ValueError, match=r"expects a floating-point tensor \(..., 4\) of angles in radians, got NoneType"
+    ):
+        QuantumLayer(MIXED)()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of torch.jit
+def test_a_trace_that_would_hold_constants_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"torch\.compile takes a QuantumLayer"):
+        torch.jit.trace(QuantumLayer(MIXED), torch.rand(3, FEATURES))
 
 
 UNTRACED = {
@@ -342,7 +391,10 @@ def test_from_qnode_has_the_shapes_of_torch_layer() -> None:
     [
         (lambda x: qml.RX(torch.sin(x[0]), wires=0), "cannot be traced: sin"),
         (lambda x: qml.RX(1 / x[0], wires=0), "cannot be traced: unsupported operand"),
-        (lambda x: qml.measure(0), "MidMeasure"),
+        (lambda x: qml.measure(0), "MidMeasureMP is no gate; qml.defer_measurements"),
+        (lambda x: qml.BitFlip(0.1, wires=0), "BitFlip is no gate; noise is an argument of QuantumLayer"),
+        (lambda x: qml.AmplitudeEmbedding(x, wires=0, pad_with=0.0), "a state of 1 wires has 2 amplitudes, got 3"),
+        (lambda x: qml.AngleEmbedding(x, wires=[0]), "Features must be of length 1 or less; got length 3.$"),
     ],
 )
 def test_from_qnode_names_what_it_cannot_take(operation: Callable[[Any], Any], message: str) -> None:
@@ -352,7 +404,47 @@ def test_from_qnode_names_what_it_cannot_take(operation: Callable[[Any], Any], m
 
     device = qml.device("default.qubit", wires=1)
     with pytest.raises(ValueError, match=message) as error:
-        from_qnode(qml.QNode(function, device), {})(torch.rand(4, 2))
+        from_qnode(qml.QNode(function, device), {})(torch.rand(4, 3))
     assert "\n" not in str(error.value)
     with pytest.raises(ValueError, match="got a QNode with shots=10"):
         from_qnode(qml.set_shots(qml.QNode(function, device), 10), {})
+
+
+@pytest.mark.parametrize(
+    ("function", "shapes", "message"),
+    [
+        (
+            lambda params: qml.expval(qml.Z(0)),
+            {"params": 2},
+            'a circuit without data runs on qml.device\\("qnerf.fast"',
+        ),
+        (lambda inputs, w, v: qml.expval(qml.Z(0)), {"w": 2}, "for the parameters w, v, misses v"),
+        (lambda inputs, w: qml.expval(qml.Z(0)), {"w": 2, "u": 1}, "for the parameters w, got u"),
+        (lambda inputs: None, {}, "returns no measurement; known: expval, var, probs"),
+        (lambda inputs: qml.state(), {}, "the measurement State is not computed; known: expval, var, probs"),
+    ],
+)
+def test_from_qnode_says_what_the_function_misses(function: Any, shapes: dict[str, int], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        from_qnode(qml.QNode(function, qml.device("default.qubit", wires=1)), shapes)(torch.rand(2, 1))
+
+
+def test_from_qnode_takes_defaults_any_names_and_empty_batches() -> None:
+    def function(inputs: Any, depth: int = 2, **weights: Any) -> Any:
+        for _ in range(depth):
+            qml.RX(inputs[..., 0] + weights["a"], wires=0)
+        return [qml.expval(qml.Z(0)), qml.probs(wires=0)]
+
+    layer = from_qnode(qml.QNode(function, qml.device("default.qubit", wires=1)), {"a": ()})
+    x = torch.rand(3, 2, requires_grad=True)
+    torch.testing.assert_close(layer(x)[:, 0], (2 * (x[:, 0] + layer.a)).cos())
+    assert layer(x[:0]).shape == (0, 3)
+    assert layer(x[None, :0]).shape == (1, 0, 3)
+    assert copy.deepcopy(layer)(x).shape == (3, 3)
+    compiled = torch.compile(layer, backend="aot_eager")
+    torch.testing.assert_close(compiled(x.detach()), layer(x))
+    for wrong, kind in ((x.int(), "a tensor of torch.int32"), (np.zeros((2, 2)), "ndarray")):
+        with pytest.raises(ValueError, match=f"floating-point tensor .*, got {kind}"):
+            layer(wrong)
+    with pytest.raises(ValueError, match="expects a QNode, as"):
+        from_qnode(function, {})

@@ -192,8 +192,8 @@ def test_wrong_arguments_say_what_is_wrong(arguments: tuple[Any, ...], options: 
     [
         (torch.zeros(4, 2), r"expects shape \(..., 3\), got \(4, 2\)"),
         (torch.zeros(()), r"expects shape \(..., 3\), got \(\)"),
-        (torch.zeros(4, 3, dtype=torch.int64), "floating-point tensor of angles in radians, got torch.int64"),
-        (torch.zeros(4, 3, dtype=torch.complex64), "got torch.complex64"),
+        (torch.zeros(4, 3, dtype=torch.int64), "angles in radians, got a tensor of torch.int64"),
+        (torch.zeros(4, 3, dtype=torch.complex64), "got a tensor of torch.complex64"),
     ],
 )
 def test_wrong_inputs_say_what_is_wrong(x: torch.Tensor, message: str) -> None:

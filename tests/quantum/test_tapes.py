@@ -147,6 +147,16 @@ def test_other_interfaces_differentiate_by_parameter_shift() -> None:
     assert np.isclose(qml.grad(node)(angle), -np.sin(0.4))
 
 
+@pytest.mark.parametrize("method", ["adjoint", "device", "best"])
+def test_methods_of_other_simulators_are_taken(method: str) -> None:
+    node = qml.QNode(lambda x: qml.RX(x, wires=0) and qml.expval(qml.Z(0)), FastDevice(wires=1), diff_method=method)
+    x = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
+    node(x).backward()
+    assert x.grad is not None
+    assert np.isclose(x.grad, -np.sin(0.4))
+    assert np.isclose(qml.grad(node)(qml.numpy.array(0.4, requires_grad=True)), -np.sin(0.4))
+
+
 def test_float32_parameters_are_computed_in_float32() -> None:
     node = qml.QNode(lambda x: qml.RX(x, wires=0) and qml.expval(qml.Z(0)), FastDevice(wires=1))
     x = torch.linspace(0, 3, 7)

@@ -31,12 +31,13 @@ Operations of both kinds go together:
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
-from typing import Annotated, Literal, get_args
+from operator import index
+from typing import Annotated, Any, Literal, get_args
 
 from annotated_types import Interval
 
 from qnerf.quantum.expressions import Expression, Weights
-from qnerf.quantum.gates import Amplitudes, Gate
+from qnerf.quantum.gates import Amplitudes, Gate, as_wires
 
 MAX_WIRES = 20  # of a state
 MAX_WIDTH = 1024  # wires of a circuit
@@ -90,6 +91,8 @@ class Hamiltonian:
     words: tuple[PauliWord, ...]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", tuple(map(float, self.coefficients)))
+        object.__setattr__(self, "words", tuple(map(_as_word, self.words)))
         if len(self.coefficients) != len(self.words) or not all(map(isfinite, self.coefficients)):
             raise ValueError(f"{self} needs one finite coefficient for each word")
 
@@ -100,8 +103,29 @@ class Probabilities:
 
     wires: tuple[int, ...]
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "wires", as_wires("probabilities", self.wires))
+
 
 Observable = PauliWord | Hamiltonian | Probabilities
+
+
+def _as_word(word: Any) -> PauliWord:
+    """
+    >>> _as_word([[0, "X"], [2, "Z"]])
+    ((0, 'X'), (2, 'Z'))
+    """
+    try:
+        return tuple((index(wire), str(letter)) for wire, letter in word)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"observable {word!r} expects pairs of a wire and a letter, as in ((0, 'Z'), (1, 'Z')); "
+            "or a Hamiltonian, or Probabilities"
+        ) from None
+
+
+def _as_observable(observable: Any) -> "Observable":
+    return observable if isinstance(observable, Hamiltonian | Probabilities) else _as_word(observable)
 
 
 @dataclass(frozen=True)
@@ -115,9 +139,9 @@ class Circuit:
         sublayers: L, the sublayers of each of the S + 1 trainable blocks, where there are `Rotations`. Their angles are
             `weights1` (S, L, n, 3) and `weights2` (L, n, 3), stacked in this order: row r = block * L + sublayer.
         operations: in the order in which they act on |0...0>.
-        observables: a Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities` of k wires
-            are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
-        features: length of the input; by default n.
+        observables: at least one. A Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities`
+            of k wires are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
+        features: length of the input; by default n. Lists may stand for tuples.
         weights: the trainable weights of the gates. Those of `Rotations` need no entry.
 
     Raises:
@@ -136,6 +160,15 @@ class Circuit:
 
     def __post_init__(self) -> None:
         check_wires(self.wires)
+        kinds: dict[str, Any] = {
+            "operations": Operation,
+            "weights": Weights,
+            "observables": Hamiltonian | Probabilities,
+        }
+        for name, kind in kinds.items():
+            value = getattr(self, name)
+            object.__setattr__(self, name, (value,) if isinstance(value, kind) else tuple(value))
+        object.__setattr__(self, "observables", tuple(map(_as_observable, self.observables)))
         if self.features is None:
             object.__setattr__(self, "features", self.wires)
         elif isinstance(self.features, bool) or not isinstance(self.features, int) or self.features < 0:

@@ -102,11 +102,11 @@ class Expression:
 
 @dataclass(frozen=True)
 class Weights:
-    """A tensor of trainable weights with a name; `w[0, 1]` is the angle that its entry gives.
+    """A tensor of trainable weights with a name; `w[0, 1]` is the angle that its entry gives, `w[0]` a tuple of them.
 
     Args:
         name: of the parameter in the state_dict.
-        shape: of the tensor, () for one number.
+        shape: of the tensor, () for one number; an integer for a vector.
         initial: where all entries start; None draws each from [0, 2 pi).
     """
 
@@ -117,6 +117,7 @@ class Weights:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ValueError(f"weights expect a name that is an identifier, got {self.name!r}")
+        object.__setattr__(self, "shape", tuple(self.shape) if hasattr(self.shape, "__iter__") else (self.shape,))
         if any(isinstance(size, bool) or not isinstance(size, int) or size < 1 for size in self.shape):
             raise ValueError(f"weights {self.name} expect a shape of positive integers, got {self.shape}")
 
@@ -124,10 +125,16 @@ class Weights:
     def size(self) -> int:
         return prod(self.shape)
 
-    def __getitem__(self, index: int | tuple[int, ...]) -> Expression:
+    def __len__(self) -> int:
+        return self.shape[0] if self.shape else 1
+
+    def __getitem__(self, index: int | tuple[int, ...]) -> Any:
         where = index if isinstance(index, tuple) else (index,)
-        if len(where) != len(self.shape) or not all(-s <= i < s for i, s in zip(where, self.shape, strict=True)):
+        inside = all(hasattr(i, "__index__") and -s <= i < s for i, s in zip(where, self.shape, strict=False))
+        if len(where) > len(self.shape) or not inside:
             raise IndexError(f"weights {self.name} have shape {self.shape}, got the index {index}")
+        if len(where) < len(self.shape):
+            return tuple(self[(*where, i)] for i in range(self.shape[len(where)]))
         flat = 0
         for i, size in zip(where, self.shape, strict=True):
             flat = flat * size + i % size

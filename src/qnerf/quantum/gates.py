@@ -11,7 +11,8 @@ A Clifford gate is a product of such rotations by multiples of pi/2, so one tabl
 from dataclasses import dataclass
 from itertools import product
 from math import pi
-from typing import NamedTuple
+from operator import index
+from typing import Any, NamedTuple
 
 from qnerf.quantum.expressions import Expression
 
@@ -115,6 +116,26 @@ GATES: dict[str, GateKind] = {
 }  # fmt: skip
 """The gates by PennyLane's short names. MultiRZ and PauliRot take any number of wires, so their rows hold none."""
 
+SHORT_NAMES = {"Hadamard": "H", "PauliX": "X", "PauliY": "Y", "PauliZ": "Z"}
+"""PennyLane's longer names."""
+
+
+def as_wires(what: str, wires: Any) -> tuple[int, ...]:
+    """A tuple of wires, from one wire or several.
+
+    >>> as_wires("RX", 2), as_wires("CNOT", [0, 1])
+    ((2,), (0, 1))
+
+    Raises:
+        ValueError: a wire that is no integer.
+    """
+    if type(wires) is tuple and all(type(wire) is int for wire in wires):
+        return wires
+    try:
+        return tuple(map(index, wires)) if hasattr(wires, "__iter__") else (index(wires),)
+    except TypeError:
+        raise ValueError(f"{what} expects wires as integers from 0, got {wires!r}") from None
+
 
 @dataclass(frozen=True)
 class Gate:
@@ -125,9 +146,9 @@ class Gate:
     Gate(name='CRX', wires=(0, 1), angles=(x[3],), word='')
 
     Args:
-        name: a name in `GATES`.
-        wires: all different.
-        angles: expressions or numbers, one for each parameter of the gate.
+        name: a name in `GATES`, or one of PennyLane's longer names.
+        wires: all different; one wire may stand alone.
+        angles: expressions or numbers, one for each parameter of the gate; one may stand alone.
         word: of PauliRot, a letter of X, Y, Z, I for each wire.
 
     Raises:
@@ -140,6 +161,10 @@ class Gate:
     word: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", SHORT_NAMES.get(self.name, self.name))
+        object.__setattr__(self, "wires", as_wires(self.name, self.wires))
+        if isinstance(self.angles, Expression) or not hasattr(self.angles, "__len__"):
+            object.__setattr__(self, "angles", (self.angles,))
         if self.name not in GATES:
             raise ValueError(f"unknown gate {self.name!r}; known: {', '.join(GATES)}")
         kind = GATES[self.name]
@@ -189,6 +214,7 @@ class Amplitudes:
     imaginary: tuple[Expression | float, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "wires", as_wires("amplitudes", self.wires))
         size = 2 ** len(self.wires)
         if not self.wires or len(set(self.wires)) != len(self.wires):
             raise ValueError(f"amplitudes expect different wires, got {self.wires}")

@@ -22,6 +22,8 @@ Method = Literal["auto", "lightcone", "statevector", "pennylane"]
 class QuantumLayer(nn.Module):
     """The outputs of a trainable circuit: (..., features) angles in radians -> (..., outputs), by default in [-1, 1].
 
+    A circuit of no features needs no input.
+
     >>> layer = QuantumLayer(8, 2)  # 8 wires, the input encoded twice
     >>> x = torch.randn(64, 3, 8, requires_grad=True)
     >>> y = layer(x)
@@ -160,11 +162,17 @@ class QuantumLayer(nn.Module):
             self._node = pennylane.make_node(self.circuit, **self._node_options)
         self._number = operator.register(self)  # a copy is another layer
 
-    def forward(self, x: Tensor) -> Tensor:
-        if not torch.is_tensor(x) or not x.is_floating_point():
-            kind = x.dtype if torch.is_tensor(x) else type(x).__name__
-            raise ValueError(f"QuantumLayer expects a floating-point tensor of angles in radians, got {kind}")
+    def forward(self, x: Tensor | None = None) -> Tensor:
+        if torch.jit.is_tracing():
+            raise ValueError("torch.jit.trace would keep the outputs of one input; torch.compile takes a QuantumLayer")
         features = self.circuit.features
+        if x is None and not features:
+            x = next(self.parameters(), torch.empty(0)).new_empty(0)
+        if not torch.is_tensor(x) or not x.is_floating_point():
+            kind = f"a tensor of {x.dtype}" if torch.is_tensor(x) else type(x).__name__
+            raise ValueError(
+                f"QuantumLayer expects a floating-point tensor (..., {features}) of angles in radians, got {kind}"
+            )
         if x.ndim == 0 or x.shape[-1] != features:
             raise ValueError(f"QuantumLayer expects shape (..., {features}), got {tuple(x.shape)}")
         parameters = [getattr(self, name) for name in self.circuit.parameters]

@@ -242,8 +242,8 @@ def _check_channels(device: Any) -> None:
         ) from error
 
 
-def draw(circuit: Circuit) -> str:
-    """The circuit as `qml.draw` shows it, without angles.
+def draw(circuit: Circuit | Any) -> str:
+    """The circuit, or that of a layer, as `qml.draw` shows it, without angles.
 
     >>> from qnerf.quantum.circuit import ANSATZE
     >>> print(draw(ANSATZE.build("rx", 2, 1)))
@@ -252,6 +252,7 @@ def draw(circuit: Circuit) -> str:
     """
     import pennylane as qml
 
+    circuit = circuit if isinstance(circuit, Circuit) else circuit.circuit
     shape = (circuit.rows, circuit.wires, 3) if circuit.reuploading else (sum(map(prod, circuit.parameters.values())),)
     node = qml.QNode(_quantum_function(circuit, None), qml.device("default.qubit", wires=circuit.wires))
     return str(qml.draw(node, decimals=None, max_length=200)(torch.ones(circuit.features or 0), torch.zeros(shape)))

@@ -18,6 +18,7 @@ from pennylane.devices import Device, ExecutionConfig
 from pennylane.devices.modifiers import simulator_tracking, single_tape_support
 from pennylane.devices.preprocess import no_sampling, validate_device_wires, validate_measurements
 from pennylane.exceptions import DeviceError
+from pennylane.gradients import param_shift
 from pennylane.tape import QuantumScript
 from pennylane.transforms.core import CompilePipeline
 from torch import Tensor
@@ -26,6 +27,8 @@ from qnerf.quantum.circuit import Operation, Weights, feature, weight
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.simulator import Simulator
 from qnerf.quantum.tapes import Measured, circuit_of, decomposed, described, is_measurement, places_of
+
+OWN_METHODS = {"adjoint", "device"}  # scripts for other simulators name these: exact derivatives, whichever way
 
 
 @simulator_tracking
@@ -55,20 +58,20 @@ class FastDevice(Device):
     def supports_derivatives(
         self, execution_config: ExecutionConfig | None = None, circuit: QuantumScript | None = None
     ) -> bool:
-        """Backprop, through PyTorch."""
+        """Backprop through PyTorch, which stands for a simulator's own methods as well."""
         if execution_config is None:
             return True
-        others = (math.Interface.AUTOGRAD, math.Interface.JAX, math.Interface.JAX_JIT, math.Interface.TF)
-        return execution_config.interface not in others and execution_config.gradient_method in {"backprop", "best"}
+        method = execution_config.gradient_method
+        return method in OWN_METHODS or (method in {"backprop", "best"} and _follows(execution_config.interface))
 
     def setup_execution_config(
         self, config: ExecutionConfig | None = None, circuit: QuantumScript | None = None
     ) -> ExecutionConfig:
-        """Backprop where no method is named and the interface is PyTorch."""
+        """Backprop where no other method is named and the interface is PyTorch."""
         config = config or ExecutionConfig()
-        method = config.gradient_method
-        if method == "best":
-            method = "backprop" if self.supports_derivatives(config, circuit) else "parameter-shift"
+        method: Any = config.gradient_method
+        if method == "best" or method in OWN_METHODS:
+            method = "backprop" if _follows(config.interface) else param_shift
         backprop = method == "backprop"
         return replace(config, gradient_method=method, use_device_gradient=backprop, convert_to_numpy=not backprop)
 
@@ -103,6 +106,11 @@ class FastDevice(Device):
         if not (is_torch or slots.is_torch):
             return _one_or_all([value.detach().numpy() for value in results])
         return _one_or_all(results)
+
+
+def _follows(interface: Any) -> bool:
+    """Whether derivatives can go through PyTorch."""
+    return interface not in (math.Interface.AUTOGRAD, math.Interface.JAX, math.Interface.JAX_JIT, math.Interface.TF)
 
 
 def _one_or_all(results: list[Any]) -> Any:

@@ -18,7 +18,12 @@ from torch import Tensor, nn
 from qnerf.quantum.circuit import Circuit, Weights, feature
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.simulator import Simulator
-from qnerf.quantum.tapes import Measured, circuit_of, decomposed, described, places_of
+from qnerf.quantum.tapes import KNOWN_MEASUREMENTS, Measured, circuit_of, decomposed, described, places_of
+
+ADVICE = (
+    "; an angle is a polynomial of inputs and weights: take other functions of them before the layer, "
+    'or run the QNode on qml.device("qnerf.fast")'
+)
 
 Shape = int | tuple[int, ...]
 
@@ -42,19 +47,48 @@ def from_qnode(
 
     Args:
         qnode: a QNode whose function takes `inputs`, of one sample or of a batch (..., features), and the weights by
-            name. Its device and its diff_method do not matter.
+            name. Other parameters keep their defaults. Its device and its diff_method do not matter.
         weight_shapes: name -> shape of each weight.
         init_method: as that of TorchLayer; by default every weight is uniform in [0, 2 pi].
 
     Raises:
-        ValueError: transforms or shots on the QNode. At the first call: an angle that is no polynomial of weights and
-            features, or an operation or measurement that cannot be run, by its name.
+        ValueError: no QNode, transforms or shots on it, a weight without a shape. At the first call: an angle that is
+            no polynomial of weights and features, or an operation or measurement that cannot be run, by its name.
     """
+    if not isinstance(qnode, qml.QNode):
+        raise ValueError(f"from_qnode expects a QNode, as qml.QNode(function, device) gives one, got {qnode!r}")
+    _check_names(qnode, weight_shapes)
     if len(qnode.compile_pipeline):
         raise ValueError(f"from_qnode expects a QNode without transforms, got {qnode.compile_pipeline}")
     if qnode.shots:
         raise ValueError(f"from_qnode is exact, got a QNode with shots={qnode.shots.total_shots}")
     return QnodeLayer(qnode, weight_shapes, init_method)
+
+
+def _check_names(qnode: Any, weight_shapes: Mapping[str, Shape]) -> None:
+    """ValueError unless the function takes inputs, and every other parameter has a shape or a default."""
+    name, own = QnodeLayer._input_arg, _parameters(qnode)
+    if name not in own:
+        raise ValueError(
+            f"from_qnode expects a function of `{name}` and of weights, got {', '.join(own) or 'no parameters'}; "
+            'a circuit without data runs on qml.device("qnerf.fast")'
+        )
+    known = [key for key in own if key != name]
+    missing = [key for key in known if key not in weight_shapes and own[key].default is inspect.Parameter.empty]
+    unknown = [] if _takes_any(qnode) else [key for key in weight_shapes if key not in known]
+    if missing or unknown:
+        which = f"misses {', '.join(missing)}" if missing else f"got {', '.join(unknown)}"
+        raise ValueError(f"from_qnode expects weight_shapes for the parameters {', '.join(known) or 'none'}, {which}")
+
+
+def _parameters(qnode: Any) -> dict[str, inspect.Parameter]:
+    """The named parameters of the function."""
+    parameters = inspect.signature(qnode.func).parameters
+    return {name: own for name, own in parameters.items() if own.kind is not inspect.Parameter.VAR_KEYWORD}
+
+
+def _takes_any(qnode: Any) -> bool:
+    return len(_parameters(qnode)) < len(inspect.signature(qnode.func).parameters)
 
 
 class QnodeLayer(qml.qnn.TorchLayer):
@@ -63,6 +97,20 @@ class QnodeLayer(qml.qnn.TorchLayer):
     def __init__(self, qnode: Any, weight_shapes: Mapping[str, Shape], init_method: Any = None) -> None:
         super().__init__(qnode, dict(weight_shapes), init_method)
         self.qnode = _Traced(qnode, {name: tuple(value.shape) for name, value in self.qnode_weights.items()})
+
+    def _signature_validation(self, qnode: Any, weight_shapes: dict[str, Any]) -> None:
+        """`from_qnode` has checked the names, and lets parameters keep their defaults."""
+
+    @torch.compiler.disable  # the engines are no operations of PyTorch, and following them takes minutes
+    def forward(self, inputs: Tensor) -> Tensor:
+        if not torch.is_tensor(inputs) or not inputs.is_floating_point():
+            kind = f"a tensor of {inputs.dtype}" if torch.is_tensor(inputs) else type(inputs).__name__
+            raise ValueError(f"from_qnode: the layer expects a floating-point tensor (..., features), got {kind}")
+        if not inputs.numel() and inputs.ndim > 1:  # TorchLayer cannot reshape an empty batch
+            one: Tensor = super().forward(inputs.new_zeros(1, inputs.shape[-1]))
+            return one[:0].reshape(*inputs.shape[:-1], *one.shape[1:]) + inputs.sum()
+        out: Tensor = super().forward(inputs)
+        return out
 
     def circuit(self, features: int) -> Circuit:
         """The circuit for an input of that many features."""
@@ -100,12 +148,14 @@ class _Traced:
     def _trace(self, features: int) -> tuple[Circuit, Measured, type]:
         weights = {name: Weights(name, shape) for name, shape in self.shapes.items()}
         traced: dict[str, Any] = {name: _entries(own) for name, own in weights.items()}
-        (input_name,) = set(inspect.signature(self.func).parameters) - set(traced)
+        input_name = QnodeLayer._input_arg
         x = np.array([feature(index) for index in range(features)], dtype=object)
         try:
             tape, kind = _run(self.func, traced | {input_name: x})
         except IndexError:  # the function expects a batch
             tape, kind = _run(self.func, traced | {input_name: x[None]})
+        if not tape.measurements:
+            raise ValueError(f"from_qnode: {self.func.__name__} returns no measurement; known: {KNOWN_MEASUREMENTS}")
         places = places_of(tape, self.labels)
         measured = Measured(tape.measurements, places)
         operations = described(decomposed(tape.operations), places, _read)
@@ -132,7 +182,10 @@ def _run(function: Callable[..., Any], arguments: dict[str, Any]) -> tuple[Any, 
         raise
     except Exception as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"from_qnode: {function.__name__} cannot be traced: {reason}") from error
+        said = isinstance(error, ValueError)  # of PennyLane or of an expression, about a shape or an operand
+        raise ValueError(
+            f"from_qnode: {function.__name__} cannot be traced: {reason}{'' if said else ADVICE}"
+        ) from error
     return tape, type(returned[0])
 
 
@@ -157,8 +210,11 @@ def _unnormalised_amplitudes() -> Iterator[None]:
         values = np.asarray(state)
         if values.dtype != object:
             return _preprocess.__func__(state, wires, pad_with, normalize, validate_norm)
+        count = len(qml.wires.Wires(wires))
+        if values.shape[-1] > 2**count:
+            raise ValueError(f"a state of {count} wires has {2**count} amplitudes, got {values.shape[-1]}")
         if pad_with is not None:
-            missing = [(0, 0)] * (values.ndim - 1) + [(0, 2 ** len(wires) - values.shape[-1])]
+            missing = [(0, 0)] * (values.ndim - 1) + [(0, 2**count - values.shape[-1])]
             values = np.pad(values, missing, constant_values=pad_with)
         return values
 

@@ -14,12 +14,13 @@ from torch import Tensor
 
 from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Operation, PauliWord, Probabilities, Weights
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.gates import GATES
+from qnerf.quantum.gates import GATES, SHORT_NAMES
 
-SHORT_NAMES = {"Hadamard": "H", "PauliX": "X", "PauliY": "Y", "PauliZ": "Z"}
 WITHOUT_EFFECT = frozenset({"Identity", "GlobalPhase", "Barrier", "WireCut"})
 STATES = frozenset({"StatePrep", "AmplitudeEmbedding"})
 MEASUREMENTS = (qml.measurements.ExpectationMP, qml.measurements.VarianceMP, qml.measurements.ProbabilityMP)
+REFUSED = {"MidMeasureMP": "qml.defer_measurements replaces measurements in the middle of a circuit"}
+KNOWN_MEASUREMENTS = "expval, var, probs"
 MAX_MATRIX_WIRES = 6  # of an operation or an observable that is a matrix: it has 4^wires entries
 
 Read = Callable[[Any], Expression]
@@ -48,6 +49,11 @@ def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Itera
             used.update(operation.wires)
             yield operation
             continue
+        if operation.name in REFUSED or isinstance(operation, qml.operation.Channel):
+            advice = REFUSED.get(
+                operation.name, "noise is an argument of QuantumLayer, and default.mixed takes channels"
+            )
+            raise ValueError(f"{operation.name} is no gate; {advice}")
         try:
             parts = _controlled_rotation(operation) or _decomposition(operation)
         except Exception as error:
@@ -114,7 +120,8 @@ class Measured:
         self.parts: list[tuple[str, Any]] = []
         for measurement in measurements:
             if not is_measurement(measurement):
-                raise ValueError(f"{type(measurement).__name__} is not among expval, var and probs")
+                name = type(measurement).__name__.removesuffix("MP")
+                raise ValueError(f"the measurement {name} is not computed; known: {KNOWN_MEASUREMENTS}")
             if isinstance(measurement, qml.measurements.ProbabilityMP):
                 if measurement.obs is not None:
                     raise ValueError(f"probabilities of {measurement.obs.name} are not supported; give wires")
