@@ -106,7 +106,7 @@ def test_the_page_s_signal_trains_resumes_and_is_shown(folder):
     assert records.read_summary(run)["largest_error"] == finished["largest_error"]
     again = qnerf(folder, "reproduce", str(run), "plugins=[my_signal]")
     assert "bit for bit" in again.stdout, again.stdout + again.stderr
-    for words in (["runs", "--columns", "largest_error"], ["tables", "runs", *TABLE], ["show", str(run)], ["report"]):
+    for words in (["runs", "--columns", "largest_error"], ["tables", "runs", *TABLE], ["show", str(run)]):
         shown = qnerf(folder, *words)
         assert shown.returncode == 0, shown.stderr
         assert words[0] not in ("runs", "tables") or f"{finished['largest_error']:.3g}" in shown.stdout
@@ -172,3 +172,19 @@ def test_an_option_without_a_default_has_to_be_given(monkeypatch):
 
     monkeypatch.setattr("qnerf.cli.plugins.groups", lambda: {"encoder": registry})
     assert node("encoder", "needy") == {"name": "needy", "size": "???", "shape": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    ("raising", "told"),
+    [
+        ("{}['missing']", r"my_module\.SineHead\.forward, line \d+: KeyError: 'missing'"),
+        ("torch.sin('a')", r"my_module\.SineHead\.forward, line \d+: TypeError: .*"),
+        ("raise ValueError('not today')", r"my_module\.SineHead\.forward, line \d+: not today"),
+    ],
+)
+def test_an_error_in_a_module_is_one_line_that_names_it(folder, raising, told):
+    file = folder / "my_module.py"
+    file.write_text(file.read_text().replace("return self.readout", f"{raising}\n        return self.readout"))
+    failed = qnerf(folder, "run", "plugins=[my_module]", "scene=photograph", "head=sine", "run.progress=false")
+    assert failed.returncode == 2
+    assert re.fullmatch(rf"error: {told}\n", failed.stderr)
