@@ -1,4 +1,4 @@
-"""`plugins=[my_module]`: the example of docs/extending.md, trained as a user would."""
+"""`plugins=[my_module]`: the examples of docs/extending.md, trained as a user would."""
 
 import os
 import re
@@ -16,21 +16,28 @@ from qnerf.config.registry import Registry
 from tests.helpers.configs import ROOT, TINY, composed
 from tests.helpers.processes import call
 
+MODULES = ("my_module.py", "my_signal.py")  # as the page names its blocks of code
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SMALL = (
     "plugins=[my_module]", "scene=poster", "scene.views=6", "scene.width=9", "scene.height=16", "scene.supersample=1",
     "train.steps=2", "train.rays=8", "train.eval_every=0", "visibility.resolution=16", "device=cpu", "threads=1",
     "run.progress=false", *TINY,
 )  # fmt: skip
+TABLE = ("--metric", "largest_error", "--values", "largest_error")
 RUN = "from qnerf.cli.main import run; run()"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With the page's module in it, and nothing else."""
-    (module,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    (tmp_path / "my_module.py").write_text(module)
+    """With the page's modules in it, and nothing else."""
+    for name, module in zip(MODULES, re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL), strict=True):
+        (tmp_path / name).write_text(module)
     return tmp_path
+
+
+def typed_on_the_page(module: str) -> list[str]:
+    (command,) = re.findall(rf"^    python -m src\.run (plugins=\[{module}\].*)", PAGE, re.MULTILINE)
+    return command.split()
 
 
 def qnerf(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -39,8 +46,7 @@ def qnerf(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_page_s_components_train_and_their_runs_are_not_imported_unasked(folder):
-    (command,) = re.findall(r"^    python -m src\.run (plugins=.*)", PAGE, re.MULTILINE)
-    trained = qnerf(folder, "run", *command.split(), *SMALL)
+    trained = qnerf(folder, "run", *typed_on_the_page("my_module"), *SMALL)
     assert trained.returncode == 0, trained.stderr
     (run,) = records.runs(folder / "runs")
     summary = records.read_summary(run)
@@ -81,6 +87,42 @@ def test_a_module_that_is_not_there_is_one_line(folder):
     (folder / "broken.py").write_text("import nothing_of_that_name\n")
     missing = qnerf(folder, "run", "plugins=[broken]")
     assert "plugins: broken imports nothing_of_that_name, which is not installed here" in missing.stderr
+
+
+def test_the_page_s_signal_trains_resumes_and_is_shown(folder):
+    small = ("train.steps=4", "train.eval_every=2", "device=cpu", "threads=1", "run.progress=false")
+    trained = qnerf(folder, "run", *typed_on_the_page("my_signal"), *small)
+    assert trained.returncode == 0, trained.stderr
+    assert re.search(r"step 2: largest error \d", trained.stdout)
+    (run,) = records.runs(folder / "runs")
+    config = records.read_config(run)
+    assert config["scene"] == {"name": "wave", "periods": 3, "samples": 64}
+    assert (config["encoder"]["name"], config["train"]["name"], config["head"]["name"]) == ("signed", "fit", "siren")
+    finished = records.read_summary(run)
+    status = run / "status.json"
+    status.write_text(status.read_text().replace('"finished"', '"interrupted"'))
+    resumed = qnerf(folder, "resume", str(run), "plugins=[my_signal]")
+    assert resumed.returncode == 0, resumed.stderr
+    assert records.read_summary(run)["largest_error"] == finished["largest_error"]
+    again = qnerf(folder, "reproduce", str(run), "plugins=[my_signal]")
+    assert "bit for bit" in again.stdout, again.stdout + again.stderr
+    for words in (["runs", "--columns", "largest_error"], ["tables", "runs", *TABLE], ["show", str(run)]):
+        shown = qnerf(folder, *words)
+        assert shown.returncode == 0, shown.stderr
+        assert words[0] not in ("runs", "tables") or f"{finished['largest_error']:.3g}" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('declare(Metric("largest_error"', 'declare(Metric("other"'), ('headline = "largest', 'headline = "smallest')],
+)
+def test_a_signal_s_metrics_are_declared(folder, old, new):
+    module = (folder / "my_signal.py").read_text()
+    assert old in module
+    (folder / "my_signal.py").write_text(module.replace(old, new))
+    failed = qnerf(folder, "run", *typed_on_the_page("my_signal"), "train.steps=2", "run.progress=false")
+    assert failed.returncode == 2
+    assert re.fullmatch(r"error: Wave: metric '\w+est_error' must be one that .*; known: psnr.*\n", failed.stderr)
 
 
 @pytest.mark.parametrize("stored", [["a", "b"], "a", 3, {"a": 1}, None])
@@ -130,3 +172,19 @@ def test_an_option_without_a_default_has_to_be_given(monkeypatch):
 
     monkeypatch.setattr("qnerf.cli.plugins.groups", lambda: {"encoder": registry})
     assert node("encoder", "needy") == {"name": "needy", "size": "???", "shape": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    ("raising", "told"),
+    [
+        ("{}['missing']", r"my_module\.SineHead\.forward, line \d+: KeyError: 'missing'"),
+        ("torch.sin('a')", r"my_module\.SineHead\.forward, line \d+: TypeError: .*"),
+        ("raise ValueError('not today')", r"my_module\.SineHead\.forward, line \d+: not today"),
+    ],
+)
+def test_an_error_in_a_module_is_one_line_that_names_it(folder, raising, told):
+    file = folder / "my_module.py"
+    file.write_text(file.read_text().replace("return self.readout", f"{raising}\n        return self.readout"))
+    failed = qnerf(folder, "run", "plugins=[my_module]", "scene=photograph", "head=sine", "run.progress=false")
+    assert failed.returncode == 2
+    assert re.fullmatch(rf"error: {told}\n", failed.stderr)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from qnerf import experiment
 from qnerf.building import components
 from qnerf.building import scene as building_scene
-from qnerf.building.components import COMPONENTS, SHARED
+from qnerf.building.components import REGISTRIES, SHARED
 from qnerf.building.model import build_model, parameter_counts, ray_table
 from qnerf.building.scene import prepare
 from qnerf.config import memory
@@ -91,7 +91,7 @@ def settings_declarations(config: dict[str, Any]) -> Iterator[tuple[Keys, Any]]:
 
 
 def component_declarations(config: dict[str, Any]) -> Iterator[tuple[Keys, Any]]:
-    components = [item for item in COMPONENTS.items() if item[0] in config]
+    components = [item for item in REGISTRIES.items() if item[0] in config]
     chosen = [(group, registry, config[group]["name"]) for group, registry in components]
     shared = [(group, *of) for group, of in SHARED.items() if group in config]
     parts = [((group,), registry.get(name)) for group, registry, name in chosen + shared if name in registry.names()]
@@ -114,7 +114,7 @@ def holder(config: dict[str, Any], path: Keys) -> dict[str, Any]:
 def configurations(draw: st.DrawFn) -> dict[str, Any]:
     """A configuration, some of whose components and options were replaced."""
     config = copy.deepcopy(base(*draw(st.sampled_from(choices()))))
-    for group, registry in COMPONENTS.items():
+    for group, registry in REGISTRIES.items():
         if group != "scene" and group in config and draw(st.integers(0, 3)) == 0:
             name = draw(st.sampled_from(registry.names()))
             config[group] = {"name": name} | {

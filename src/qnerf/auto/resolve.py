@@ -14,7 +14,8 @@ from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import Scene
 
 AUTO = "auto"
-COMPONENTS: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS, "shading": SHADINGS}
+CHOSEN_BY_RULES: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS, "shading": SHADINGS}
+"""Group whose component a rule may choose -> the registry of its components."""
 
 
 def asked(config: Mapping[str, Any]) -> list[str]:
@@ -57,7 +58,7 @@ def replace(config: dict[str, Any], option: str, decided: Mapping[str, Any]) -> 
     node = config[group] if group else config
     node[key] = decided["value"]
     if key == "name":
-        known = COMPONENTS[group].options(node["name"])
+        known = CHOSEN_BY_RULES[group].options(node["name"])
         config[group] = {k: v for k, v in {**decided, **node}.items() if k == "name" or k in known}
     if group == "hash" and config["encoder"].get(key) == AUTO:
         config["encoder"][key] = node[key]

@@ -26,7 +26,7 @@ def component(registry: Any, node: Mapping[str, Any], *wiring: Any) -> Any:
     return registry.build(node["name"], *wiring, **options)
 
 
-COMPONENTS: dict[str, Registry[Any]] = {
+REGISTRIES: dict[str, Registry[Any]] = {
     "contraction": CONTRACTIONS,
     "encoder": ENCODERS,
     "scene": SCENES,
@@ -65,7 +65,7 @@ def check_components(config: Mapping[str, Any], undecided: Collection[str] = ())
         heads = "density and color" if "head" in config else "head"
         name = config["scene"]["name"]
         raise ValueError(f"scene={name} needs the group {heads}; choose it with scene={name}, not by scene.name")
-    for group, registry in COMPONENTS.items():
+    for group, registry in REGISTRIES.items():
         if group not in config:
             continue
         names = registry.names() if f"{group}.name" in undecided else [config[group]["name"]]

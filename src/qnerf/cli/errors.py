@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from qnerf.cli.ends import OUTPUT_LOST
 from qnerf.cli.streams import escape_unencodable
+from qnerf.config.plugins import raised_in
 
 MAX_MESSAGE = 2000  # characters; a file can hold a name of a megabyte
 OWN_PACKAGES = ("qnerf", "analysis")
@@ -18,8 +19,8 @@ def exit_code(command: Callable[[], int | None]) -> int:
     """Runs a command and returns its exit code.
 
     A user's mistake (ValueError), an unreadable file (OSError) and a missing package are printed as one line on
-    standard error, with exit code 2, and so is a limit of the system. Any other exception is a bug and keeps its
-    traceback.
+    standard error, with exit code 2, and so is a limit of the system and any error in a user's module. Any other
+    exception is a bug and keeps its traceback.
     """
     escape_unencodable()
     try:
@@ -34,7 +35,7 @@ def exit_code(command: Callable[[], int | None]) -> int:
         return report(error)
     except Exception as error:
         missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] not in OWN_PACKAGES
-        if not missing and not is_shortage(error):
+        if not missing and not is_shortage(error) and not raised_in(error):
             raise
         return report(error)
 
@@ -92,7 +93,7 @@ def is_shortage(error: BaseException) -> bool:
 
 
 def one_line(error: Exception) -> str:
-    """The error's message on one line of printable characters."""
+    """The error's message on one line of printable characters, after the place where a plugin raised it."""
     if is_shortage(error):  # nothing more can be imported then
         text = " ".join(str(error).split()) or "not enough memory"
         return f"a limit of this system is reached (see `ulimit -a`): {ascii(text[:300])[1:-1]}"
@@ -103,6 +104,9 @@ def one_line(error: Exception) -> str:
     message, _, rest = files.one_line(error).partition(" full_key: ")  # OmegaConf's, too
     key = rest.partition(" ")[0]
     text = f"{key}: {message}" if key else message
+    if place := raised_in(error):
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        text = f"{place}: {kind}{text}"
     if len(text) > MAX_MESSAGE:  # what is wrong stands at either end
         half = MAX_MESSAGE // 2
         text = f"{text[: half - 1]}{printable.ELLIPSIS}{text[-half:]}"

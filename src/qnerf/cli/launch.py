@@ -43,6 +43,7 @@ from qnerf.cli.sweep import Sweep, check_file
 from qnerf.config import bounds
 from qnerf.config.bounds import PositiveInt
 from qnerf.config.folders import CONF
+from qnerf.config.plugins import raised_in
 
 LAUNCHERS = {
     "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
@@ -258,6 +259,8 @@ def _is_abandoned() -> bool:
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.auto import asked
+    from qnerf.building.acting import idle
+    from qnerf.building.components import check_components
     from qnerf.cli.display import LiveDisplay, print_outcome
     from qnerf.cli.text import tree
     from qnerf.config.settings import check_settings, only_acting
@@ -278,6 +281,9 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         console.rule(" ".join(overrides), align="left")
     check_settings(config, asked(config))  # also those that are read here
     plugins.load(config["plugins"])  # a launcher's process has not imported them
+    check_components(config, asked(config))
+    if sweep is None and (without := idle(config, overrides)):  # some jobs of a sweep always have such options
+        print(f"note: no effect with the chosen components: {', '.join(without)}", file=sys.stderr)
     cpus = os.environ.get("SLURM_CPUS_PER_TASK")
     if cpus is not None and config["threads"] is None:
         if not re.fullmatch("[0-9]{1,9}", cpus):
@@ -310,7 +316,7 @@ def _judge(sweep: Sweep | None, store: str) -> Any:
 
 def _is_known(error: Exception) -> bool:
     """Whether one line is enough for the user to act on; any other error is a bug."""
-    if is_shortage(error):
+    if is_shortage(error) or raised_in(error):
         return True
     from qnerf.training.trainer import Diverged
 

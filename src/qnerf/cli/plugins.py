@@ -8,8 +8,17 @@ from typing import Any
 from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry
 
-PACKAGES = {"ansatz": "qiren"}
-"""Group -> where the configuration has its options, if not under the group's name."""
+SIGNAL = {
+    "defaults": [
+        {"/head": "mlp"},
+        {"override /encoder": "signed"},
+        {"override /train": "fit"},
+        {"override /sampler": None},
+        "_self_",
+    ],
+    "head": {"activation": "linear", "mlp": {"init": "he"}},
+}
+"""What every YAML of a signal in conf/scene has, besides the group `scene`."""
 
 
 def groups() -> Mapping[str, Registry[Any]]:
@@ -53,7 +62,7 @@ def load(names: Sequence[str]) -> None:
         for name in registry.names():
             if not is_choice(group, name):
                 ConfigStore.instance().store(
-                    name=name, node=node(group, name), group=group, package=PACKAGES.get(group)
+                    name=name, node=node(group, name), group=group, package=_package(group, name)
                 )
 
 
@@ -66,6 +75,19 @@ def is_choice(group: str, name: object) -> bool:
     return (CONF / group / f"{name}.yaml").is_file() or f"{name}.yaml" in ConfigStore.instance().repo.get(group, {})
 
 
+def _package(group: str, name: str) -> str | None:
+    """Where the configuration has the component's options, if not under the group's name."""
+    if group == "ansatz":
+        return "qiren"
+    return "_global_" if _is_signal(group, name) else None
+
+
+def _is_signal(group: str, name: str) -> bool:
+    from qnerf.signals import is_signal
+
+    return group == "scene" and is_signal({"name": name})
+
+
 def node(group: str, name: str) -> dict[str, Any]:
     """What conf/<group>/<name>.yaml would contain, from the component's signature; ??? stands for a missing default."""
     registry = groups()[group]
@@ -75,6 +97,8 @@ def node(group: str, name: str) -> dict[str, Any]:
     }
     if group == "ansatz":
         return {"ansatz": name, "ansatz_options": {name: options} if options else {}}
+    if _is_signal(group, name):
+        return {**SIGNAL, "scene": {"name": name, **options}}
     if group != "head":
         return {"name": name, **options}
     for ancestor in getattr(registry.get(name), "__mro__", ())[1:]:

@@ -1,7 +1,10 @@
 """User modules that register components when they are imported."""
 
 import importlib
+import traceback
 from collections.abc import Sequence
+
+_imported: set[str] = set()
 
 
 def import_plugins(names: Sequence[str]) -> None:
@@ -9,6 +12,7 @@ def import_plugins(names: Sequence[str]) -> None:
     for name in names:
         if not all(part.isidentifier() for part in name.split(".")):
             raise ValueError(f"plugins: expected names of modules such as my_module or package.module, got {name!r}")
+        _imported.add(name)
         try:
             importlib.import_module(name)
         except ModuleNotFoundError as error:
@@ -18,6 +22,18 @@ def import_plugins(names: Sequence[str]) -> None:
                 f"plugins: no module {name!r}; expected {name.replace('.', '/')}.py in the current folder, or an "
                 "installed module"
             ) from error
+
+
+def raised_in(error: BaseException | None) -> str:
+    """The innermost place in a user's module that led to the error, `my_module.Mine.forward, line 14`; else nothing."""
+    place = ""
+    while error is not None:
+        for frame, line in traceback.walk_tb(error.__traceback__):
+            module = frame.f_globals.get("__name__", "")
+            if any(f"{module}.".startswith(f"{name}.") for name in _imported):
+                place = f"{module}.{frame.f_code.co_qualname}, line {line}"
+        error = error.__cause__
+    return place
 
 
 def check_plugins(run: object, stored: object, repeated: Sequence[str]) -> None:

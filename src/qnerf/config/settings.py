@@ -169,7 +169,7 @@ class OneHead(Component):
     activation: Name
 
 
-COMPONENTS: dict[str, type] = dict.fromkeys(
+COMPONENT_GROUPS: dict[str, type] = dict.fromkeys(
     ("contraction", "encoder", "scene", "sampler", "shading", "cameras"), Component
 ) | {"density": Density, "color": Color, "head": OneHead}
 """Group that chooses a component -> what it holds besides the component's options."""
@@ -295,7 +295,7 @@ def check_settings(config: Mapping[str, Any], undecided: Collection[str] = ()) -
     _check_group("", kind, config, undecided)
     for group, component in _groups(kind).items():
         _check_group(f"{group}.", component, config[group], undecided)
-    for group in filter(config.__contains__, COMPONENTS):
+    for group in filter(config.__contains__, COMPONENT_GROUPS):
         require(group, config[group], declared(group))
         for key, hint in declared(group).items():
             if f"{group}.{key}" not in undecided:
@@ -310,8 +310,8 @@ def _groups(kind: type) -> dict[str, type]:
 
 
 def declared(group: str) -> dict[str, Any]:
-    """Option -> annotation of what a group in `COMPONENTS` holds besides the component's options."""
-    return get_type_hints(COMPONENTS[group], include_extras=True)
+    """Option -> annotation of what a group in `COMPONENT_GROUPS` holds besides the component's options."""
+    return get_type_hints(COMPONENT_GROUPS[group], include_extras=True)
 
 
 def _check_group(prefix: str, component: type, node: Mapping[str, Any], undecided: Collection[str]) -> None:

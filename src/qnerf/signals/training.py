@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config.settings import Fit, SignalSettings
+from qnerf.metrics import quality_metrics
 from qnerf.signals.base import Signal
 from qnerf.signals.model import SignalModel
 from qnerf.timing import Stopwatch
@@ -80,6 +81,13 @@ class SignalEvaluator:
         self.model.eval()
         self.watch.begin(measure=False)
         measured, panels = self.scene.evaluate(self)
+        declared = [metric.key for metric in quality_metrics()]
+        for key in (*measured, self.scene.headline):
+            if key not in measured or key not in declared:
+                raise ValueError(
+                    f"{type(self.scene).__name__}: metric {key!r} must be one that `evaluate` returns and "
+                    f"`qnerf.metrics.declare` knows; returned: {', '.join(measured)}; known: {', '.join(declared)}"
+                )
         self.model.train(training)
         yield FittedView(0, panels), {"image": self.scene.name, **measured}
 
