@@ -10,7 +10,7 @@ output depends on), `cost_model` (which engine), `compiled.engine` and `lightcon
 `statevector` (the plain PyTorch reference) and `pauli_errors` (noise as other angles).
 
 Any other circuit: `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (the
-engine and its reference), `carried_errors` (noise as signs of angles).
+engine and its reference), `carried_errors` (noise as signs of angles), `pauli_cost`.
 
 Hardware: `noise` (what goes wrong), `density` (exact; the reference of sampled noise), `readout`, `measurement`.
 

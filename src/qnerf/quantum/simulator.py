@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.quantum import lightcone, operator, statevector
+from qnerf.quantum import lightcone, operator, pauli_cost, statevector
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.compiled import pauli_engine
@@ -49,7 +49,7 @@ class Simulator:
             memory.require(what, statevector_memory(normal_form(circuit), 1))
             self._engine = compiled.StatevectorEngine(normal_form(circuit))
         else:
-            memory.require(what, pauli_engine.memory_bytes(pauli_form(circuit), 1))
+            memory.require(what, pauli_cost.memory_bytes(pauli_form(circuit), 1))
             self._pauli = pauli_engine.PauliEngine(PauliCircuit(circuit))
 
     @property
@@ -78,7 +78,7 @@ class Simulator:
                 costs = [own.cost(batch, device, dtype, transformed) for _, own in self.parts]
                 self._costs[key] = of_registers(costs, self.circuit, dtype)
             else:
-                self._costs[key] = pauli_engine.cost(self._pauli.form, batch, dtype, compiled)
+                self._costs[key] = pauli_cost.cost(self._pauli.form, batch, dtype, compiled)
         return self._costs[key]
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:

@@ -11,18 +11,11 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
-from qnerf.quantum import statevector
 from qnerf.quantum.compiled import pauli_sweeps
 from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
-from qnerf.quantum.compiled.simd import VECTOR_BYTES, lanes
-from qnerf.quantum.cost_model import Cost
-from qnerf.quantum.pauli_form import PauliForm, Word
+from qnerf.quantum.compiled.simd import lanes
+from qnerf.quantum.pauli_form import Word
 from qnerf.quantum.pauli_statevector import PauliCircuit
-
-# Bytes of multiply-add operands a second and thread, measured on one core; less than `cost_model.RATE`, because every
-# rotation reads and writes the whole state.
-RATE = 3e9 * VECTOR_BYTES
-OVERHEAD = 5e-4  # seconds a step: Python, autograd, the angles
 
 
 class PauliEngine:
@@ -49,33 +42,6 @@ class PauliEngine:
 
 def _row(word: Word) -> tuple[int, int, int, int]:
     return word.x, word.z, word.phase % 2, word.phase // 2
-
-
-def operations(form: PauliForm) -> int:
-    """Multiply-adds for each sample, forward and backward."""
-    size, moving = 2**form.wires, len(form.rotations) - form.fixed_rotations
-    return size * (4 * moving + 3 * len(form.words) + 4 * moving + 11 * moving + 4 * len(form.words))
-
-
-def memory_bytes(form: PauliForm, batch: int, itemsize: int = 4) -> int:
-    """Bytes of work space, at most: three states of a block of samples for each thread, angles, starts."""
-    blocks = -(-batch * itemsize // VECTOR_BYTES)
-    states = 6 * min(torch.get_num_threads(), blocks) + (5 * blocks if form.start else 0)
-    values = len(form.words) + form.outcomes + 6 * len(form.rotations)
-    parts = 2 * 8 * min(32, blocks) * 2**form.wires
-    return (states * 2**form.wires + blocks * values) * VECTOR_BYTES + parts
-
-
-def cost(form: PauliForm, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
-    """What a batch costs, forward and backward."""
-    itemsize = torch.finfo(dtype).bits // 8
-    count = operations(form)
-    padded = -(-batch * itemsize // VECTOR_BYTES) * VECTOR_BYTES  # whole blocks of samples
-    threads = min(torch.get_num_threads(), max(1, padded // VECTOR_BYTES))
-    seconds = OVERHEAD + count * padded / (RATE * threads) if compiled else float("nan")
-    needed = memory_bytes(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
-    reason = f"{len(form.rotations)} rotations about Pauli words"
-    return Cost("statevector", "compiled" if compiled else "torch", batch, count, 0, needed, seconds, reason)
 
 
 class _Run:
