@@ -199,6 +199,7 @@ def test_fine_levels_are_released_while_training_goes_on(tiny):
         (lambda state: state.update(step=float("nan")), "step: expected an integer from 0 to 2, got nan"),
         (lambda state: state["optimiser"]["state"][0].update(exp_avg=torch.zeros(3)), "got float32 of shape \\[3\\]"),
         (lambda state: state["optimiser"]["state"][0].pop("exp_avg_sq"), "lacks exp_avg_sq"),
+        (lambda state: state["optimiser"]["state"][0]["exp_avg_sq"].fill_(math.nan), "exp_avg_sq: not finite"),
         (lambda state: state["optimiser"]["state"].pop(0), "a parameter has no moments"),
         (lambda state: state["model"].popitem(), "model: lacks"),
         (lambda state: next(iter(state["model"].values())).fill_(math.nan), "not finite"),
