@@ -149,32 +149,6 @@ def test_heads_see_the_evaluated_samples_alone_and_each_ray_keeps_its_last(field
     assert bool((color[evaluated] > 0).all())
 
 
-@pytest.mark.parametrize("masked", [False, True])
-def test_an_unlikely_sample_has_no_density_and_no_gradient(field, points, masked):
-    likely = torch.rand(5, 7, generator=torch.Generator().manual_seed(1)) < 0.5
-    expected = likely.clone()
-    if masked:
-        grid = torch.zeros(2, 2, 2, dtype=torch.bool)
-        grid[1] = True
-        field.mask = SpaceMask(grid)
-        expected &= points[..., 0] > 0
-
-    def gradients(density):
-        field.zero_grad()
-        density.square().sum().backward()
-        return [p.grad.clone() for p in field.parameters() if p.grad is not None]
-
-    density, geometry, evaluated = field.geometry(points, last=False, likely=likely)
-    spared = gradients(density)
-    field.mask = None
-    whole = field.geometry(points)[0] * expected
-    assert torch.equal(evaluated, expected)
-    assert not bool(geometry[~expected].any())
-    torch.testing.assert_close(density, whole)
-    torch.testing.assert_close(spared, gradients(whole))
-    assert bool(field.geometry(points, likely=likely)[2][:, -1].all())
-
-
 def test_an_infinite_density_where_none_may_be_is_none(field, points):
     field.mask = SpaceMask(torch.zeros(2, 2, 2, dtype=torch.bool))
     field.density_activation = lambda raw: torch.full_like(raw, float("inf"))

@@ -2,7 +2,6 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -11,7 +10,7 @@ from torch import Tensor
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.visibility import SpaceMask
-from qnerf.rendering.pdf import sample_edges, sample_edges_reference, weights_between
+from qnerf.rendering.pdf import sample_edges, sample_edges_reference
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, even_edges
 from qnerf.training.losses import interlevel
@@ -195,37 +194,6 @@ def half_space() -> SpaceMask:
     grid = torch.zeros(4, 4, 4, dtype=torch.bool)
     grid[2:] = True
     return SpaceMask(grid)
-
-
-def test_samples_to_which_the_last_network_gives_no_weight_are_unlikely() -> None:
-    sampler, rays = make("proposal", anneal_steps=10), make_rays()
-    sampled = sampler(rays, shell, step=10)
-    assert sampled.likely is None
-    last, weights = sampled.proposals[-1]
-    expected = weights_between(sampled.samples.spacing, last.spacing, weights)
-    sampler.skip_weight = float(expected.median())
-    assert sampler(rays, shell, step=9).likely is None
-    assert torch.equal(sampler(rays, shell, step=10).likely, expected >= sampler.skip_weight)
-    with torch.no_grad():
-        sampler.networks[-1].out.bias.fill_(-50)
-    assert not bool(sampler(rays, shell, step=10).likely.any())
-
-
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_weights_between_edges_are_differences_of_the_cumulative_weight(dtype: torch.dtype) -> None:
-    generator = torch.Generator().manual_seed(2)
-    s = torch.rand(20, 13, dtype=dtype, generator=generator).sort(-1).values
-    s[:, 4] = s[:, 5]  # an empty interval
-    w = torch.rand(20, 12, dtype=dtype, generator=generator)
-    w[:, 4] = 0
-    edges = s[:, :1] + (s[:, -1:] - s[:, :1]) * torch.rand(20, 9, dtype=dtype, generator=generator).sort(-1).values
-    edges[:, 0], edges[:, -1], edges[:, 3] = s[:, 0], s[:, -1], edges[:, 4]
-    between = weights_between(edges, s, w)
-    for ray in range(20):
-        cumulative = np.concatenate([[0.0], np.cumsum(w[ray].double().numpy())])
-        expected = np.diff(np.interp(edges[ray].double().numpy(), s[ray].double().numpy(), cumulative))
-        np.testing.assert_allclose(between[ray].numpy(), expected, atol=50 * torch.finfo(dtype).eps)
-    torch.testing.assert_close(between.sum(-1), w.sum(-1))
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

@@ -80,10 +80,8 @@ def build_model(settings: Settings, scene: Scene) -> Model:
 
 def check_samples_of_a_step(settings: Settings, model: Model) -> None:
     """ValueError if a circuit head could get too few samples in a training step."""
-    # Where samples are skipped, only the last one of each ray is sure to be evaluated. Shadings make sure of enough
-    # colours.
-    skips = model.field.mask is not None or getattr(model.sampler, "skip_weight", 0) > 0
-    rendered = 1 if skips else samples_per_ray(model.sampler)[0]
+    # With a mask, only the last sample of each ray is sure to be evaluated. Shadings make sure of enough colours.
+    rendered = 1 if model.field.mask is not None else samples_per_ray(model.sampler)[0]
     heads = [model.field.density_head, *([model.field.color_head] if settings.shading["name"] == "none" else [])]
     if any(isinstance(module, Normalisation) for head in heads for module in head.modules()):
         check_samples(settings.train.rays * rendered)

@@ -60,7 +60,6 @@ ADDED: dict[str, Any] = {
         }
     },
     "scene.width": Of(("nerfstudio", "blender"), None),
-    "sampler.skip_weight": Of(("proposal",), 0.0),
     "qiren.shots": None,
     "qiren.patterns": 4,
     "qiren.noise": {

@@ -57,27 +57,24 @@ class Field(nn.Module):
         self.mask: SpaceMask | None = None
         """Where density may be; None: everywhere."""
 
-    def geometry(
-        self, points: Tensor, *, last: bool = True, likely: Tensor | None = None
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
+    def geometry(self, points: Tensor, *, last: bool = True) -> tuple[Tensor, Tensor, Tensor | None]:
         """Density and geometry features of R rays.
 
-        Samples where density is impossible by the mask or unlikely are not evaluated: density and features are 0.
+        With a mask, samples where density is impossible are not evaluated: their density and features are 0.
 
         Args:
             points: (R, K, 3) world units.
             last: always evaluate each ray's last sample, whose colour can be the background.
-            likely: (R, K) bool, which samples may have density, by the sampler; None: all.
 
         Returns:
             Density (R, K) per world unit, features (R, K, G), and which samples were evaluated, (R, K) bool; None: all.
         """
         shape = points.shape[:-1]
         unit = self.contraction(points)
-        inside = likely if self.mask is None else self.mask(unit) if likely is None else self.mask(unit) & likely
-        if inside is None:
+        if self.mask is None:
             raw = self.density_head(self.encoder(unit.reshape(-1, 3))).view(*shape, -1)
             return self._activated(raw[..., 0]), raw[..., 1:], None
+        inside = self.mask(unit)
         evaluated = inside.clone()
         if last or int(inside.sum()) < MIN_BATCH:
             evaluated[:, -1] = True

@@ -85,9 +85,8 @@ def needed(settings: Settings, field: Field, sampler: Sampler, pixels: int) -> I
     )
     yield Need("the samples of a view", view * rendered * PER_SAMPLE * size, "train.chunk or the samples")
 
-    # Where samples are skipped, only the last one of each ray is sure to be evaluated.
+    # With a mask, only the last sample of each ray is sure to be evaluated.
     masked = settings.visibility.cameras or settings.visibility.alpha or settings.occupancy.every
-    masked = masked or getattr(sampler, "skip_weight", 0) > 0
     evaluated = rays * (1 if masked else rendered)
     width = field.encoder.out_dim + activations(field.density_head, size)
     yield Need("the density head's activations", evaluated * width * size, "train.rays, the samples or the head")

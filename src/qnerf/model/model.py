@@ -69,9 +69,7 @@ class Model(nn.Module):
         samples = sampled.samples
         with watch.stage("field"):
             points = rays.along(samples.mids)
-            density, geometry, evaluated = self.field.geometry(
-                points, last=background == "last_sample", likely=sampled.likely
-            )
+            density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
             weights = volume_weights(density, samples.deltas)
             shaded = self.shading(color_shares(weights, background), geometry, evaluated)
             color = self.field.color(shaded.geometry, rays.directions, rays.cameras, shaded.mask)

@@ -34,29 +34,6 @@ def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jit
     return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)
 
 
-def weights_between(edges: Tensor, s: Tensor, w: Tensor) -> Tensor:
-    """The weight of a histogram that falls into other intervals, where each of its weights is spread evenly.
-
-    >>> weights_between(torch.tensor([[0.0, 0.25, 1.0]]), torch.tensor([[0.0, 0.5, 1.0]]), torch.tensor([[0.4, 0.2]]))
-    tensor([[0.2000, 0.4000]])
-
-    Args:
-        edges: (R, K + 1) non-decreasing, within [s_0, s_J].
-        s: (R, J + 1) edges of the histogram.
-        w: (R, J) weights >= 0.
-
-    Returns:
-        (R, K) >= 0, detached.
-    """
-    edges, s, w = edges.detach().contiguous(), s.detach().contiguous(), w.detach()
-    j = torch.searchsorted(s, edges, right=True).sub_(1).clamp_(0, w.shape[-1] - 1)
-    below = torch.nn.functional.pad(w.cumsum(-1)[:, :-1], (1, 0))
-    low = s.gather(-1, j)
-    share = ((edges - low) / (s.gather(-1, j + 1) - low)).nan_to_num_(0, 0, 0)
-    reached = below.gather(-1, j) + share * w.gather(-1, j)
-    return reached.diff(dim=-1).clamp_(min=0)
-
-
 def sample_edges_reference(s: Tensor, w: Tensor, count: int, *, padding: float, jitter: Tensor | None) -> Tensor:
     """`sample_edges` in plain PyTorch."""
     w = w + padding

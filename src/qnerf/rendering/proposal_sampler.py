@@ -6,11 +6,11 @@ import torch
 from annotated_types import Interval, Len
 from torch import Tensor, nn
 
-from qnerf.config.bounds import Count, NonNegativeFactor, NonNegativeInt, PositiveInt, Share
+from qnerf.config.bounds import Count, NonNegativeFactor, NonNegativeInt, PositiveInt
 from qnerf.encoders.hash import EntryFeatures, HashEncoder, Levels, Log2Size, Resolution
 from qnerf.heads.activations import trunc_exp
 from qnerf.kernels import compiled, proposal
-from qnerf.rendering.pdf import sample_edges, weights_between
+from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
 from qnerf.rendering.spacing import SPACINGS
@@ -56,8 +56,6 @@ class ProposalSampler(Sampler):
         anneal_steps: steps until a is 1; 0: it always is.
         anneal_slope: slope of a(x) at x = 0.
         padding: added to every weight before drawing.
-        skip_weight: samples to which the last network gives less weight are not evaluated, once a is 1. Their density
-            is 0 and has no gradient, so in training a network that misses a surface is not corrected there. 0: none.
         levels, base_resolution, max_resolutions, log2_table_size, features: of the networks' hash grids; there is one
             finest resolution for each network.
         hidden: units of the networks' hidden layer.
@@ -75,7 +73,6 @@ class ProposalSampler(Sampler):
         anneal_steps: NonNegativeInt = 1000,
         anneal_slope: Annotated[float, Interval(ge=1, le=10**6)] = 10.0,
         padding: NonNegativeFactor = 0.01,
-        skip_weight: Share = 0.0,
         levels: Levels = 5,
         base_resolution: Resolution = 16,
         max_resolutions: list[Resolution] = [128, 256],  # noqa: B006
@@ -92,7 +89,6 @@ class ProposalSampler(Sampler):
         SPACINGS.get(spacing)
         self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
         self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope
-        self.skip_weight = skip_weight
         self._warmup_updates = _warmup_updates(update_every, update_warmup)
         grid = {"levels": levels, "min_resolution": base_resolution, "features": features}
         self.networks = nn.ModuleList(
@@ -145,11 +141,7 @@ class ProposalSampler(Sampler):
                 annealed = weights if exponent == 1 else weights.pow(exponent)
                 s = sample_edges(s, annealed, count + 1, padding=self.padding, jitter=jitter)
         with torch.no_grad():
-            likely = None
-            if self.skip_weight and exponent == 1:
-                last, weights = proposals[-1]
-                likely = weights_between(s, last.spacing, weights) >= self.skip_weight
-            return SampledRays(Samples(spacing.to_world(s), s), proposals, likely)
+            return SampledRays(Samples(spacing.to_world(s), s), proposals)
 
 
 def _warmup_updates(every: int, warmup: int) -> list[int]:

@@ -26,7 +26,6 @@ class SampledRays:
 
     samples: Samples
     proposals: list[tuple[Samples, Tensor]]  # weights (R, J) each, with a gradient in steps that train the proposals
-    likely: Tensor | None = None  # (R, K) bool: samples worth evaluating, the others have density 0; None: all
 
 
 class Sampler(nn.Module):
