@@ -97,7 +97,7 @@ def _encode(points, count, table, resolutions, dense, nf, row, weight, fraction,
     zero = points.dtype.type(0)
     for level in range(levels):
         direct = dense and (resolutions[level] + 1) ** 3 <= size
-        _corners(points, np.int64(0), count, resolutions[level], direct, mask, row, weight, fraction)
+        _corners(points, 0, count, resolutions[level], direct, mask, row, weight, fraction)
         entry = table[U(level) * width : U(level + 1) * width]
         base = U(level) * nf * b
         if nf == U(2):

@@ -7,14 +7,11 @@ arranged so that each chunk of the states is loaded once.
 
 from typing import Any
 
-import numpy as np
-
 from qnerf.quantum.compiled.forward_passes import z_sums
 from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.wire_blocks import add_x_block, ry_gradient_block
 
 LOW = 5  # wires whose amplitudes (2^LOW vectors of two states) stay in the first-level cache
-NO_WIRES = np.int64(0)  # for a literal 0 Numba compiles a function once more
 
 
 @inner
@@ -68,7 +65,7 @@ def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int)
     low = min(n, LOW)
     chunk = width << low
     for c in range(1 << (n - low)):
-        _ry_gradients(x, state + c * chunk, adjoint + c * chunk, low, NO_WIRES, size, width, out + (n - low) * width)
+        _ry_gradients(x, state + c * chunk, adjoint + c * chunk, low, 0, size, width, out + (n - low) * width)
     _ry_gradients(x, state, adjoint, n - low, low, size, width, out)
 
 
@@ -189,6 +186,6 @@ def apply_observables(x: Any, state: int, adjoint: int, n: int, width: int, weig
             store(x, adjoint + i, a * load(x, state + i))
             store(x, adjoint + size + i, a * load(x, state + size + i))
         for part in range(first, first + 2 * size, size):
-            _add_x(x, state + part, adjoint + part, low, NO_WIRES, width, flip + high * width)
+            _add_x(x, state + part, adjoint + part, low, 0, width, flip + high * width)
     for part in range(0, 2 * size, size):
         _add_x(x, state + part, adjoint + part, high, low, width, flip)

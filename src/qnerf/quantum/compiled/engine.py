@@ -21,7 +21,7 @@ from torch import Tensor
 from qnerf.kernels.jit import run
 from qnerf.quantum import statevector
 from qnerf.quantum.compiled.simd import lanes
-from qnerf.quantum.compiled.sweeps import Layout, backward, forward, layout
+from qnerf.quantum.compiled.sweeps import backward, forward, prepare, prepare_backward
 from qnerf.quantum.compiled.tables import (
     START,
     CircuitArrays,
@@ -56,57 +56,33 @@ class BoundEngine:
         tangents, diagonals = np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n))
         flip_masks, self.angle_signs = np.zeros(steps, dtype=np.int64), np.zeros((steps, n))
         last_layer, eigenvalues = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)
-        amplitude = bind_weights(
+        self.amplitude = bind_weights(
             arrays.codes, arrays.weight_ranges, arrays.weight_rows, arrays.constants, arrays.cz_signs, arrays.cnots,
             arrays.eigenvalues, arrays.form.measures_last_layer, weights, tangents, diagonals, flip_masks,
             self.angle_signs, last_layer, eigenvalues,
         )  # fmt: skip
         cast = [array.astype(self.dtype) for array in (diagonals, tangents, self.angle_signs)]
         self.tables = cast[0], cast[1], flip_masks, cast[2], arrays.permutations
-        eigenvalues, last_layer = eigenvalues.astype(self.dtype), last_layer.astype(self.dtype)
-        self.measurement = arrays.form.measures_last_layer, arrays.wires, eigenvalues, last_layer
-        encodings = len(arrays.encoding_scales)
-        self.forward_layout = layout(n, self.width, 2, encodings, 0)
-        self.backward_layout = layout(n, self.width, arrays.stored_states, encodings, steps)
-        self.none = np.empty((0, 2**n), self.dtype)
-        self._prepare(amplitude)
-
-    def _prepare(self, amplitude: float) -> None:
-        """The state that all samples start from, `start`: one sample of a block without inputs or outputs."""
-        arrays, n, width = self.arrays, self.n, self.width
-        zero = np.zeros((2, 2**n), self.dtype)
-        zero[0, 0] = amplitude
-        trig, expectations = np.empty((1, 0, 2, n, width), self.dtype), np.empty((0, 2, n, width), self.dtype)
-        _, wires, eigenvalues, last_layer = self.measurement
-        measurement = False, wires[:0], eigenvalues[:0], last_layer
-        self.once = n, width, trig, zero, self.tables, measurement, expectations
-        self.no_outputs = np.empty((1, 0, width), self.dtype)
-        self.start = np.empty_like(zero)
-        forward(0, 1, 1, arrays.once, self.forward_layout, *self.once, self.no_outputs, self.start)
+        measures_last_layer = arrays.form.measures_last_layer
+        self.measurement = (
+            measures_last_layer, arrays.wires, eigenvalues.astype(self.dtype), last_layer.astype(self.dtype)
+        )  # fmt: skip
+        self.psi = np.empty((2, 2**n), self.dtype)
+        prepare(arrays.once, n, self.width, self.amplitude, self.psi, self.tables, self.psi)
         code, step, _, _ = arrays.per_sample[0]
-        # The fixed phases of a first encoding that is diagonal belong to this state.
-        self.first_diagonal = self.tables[0][step] if code == START and step >= 0 else None
+        # The fixed phases of a first encoding that is diagonal belong to the state that all samples start from.
+        self.first_diagonal = cast[0][step] if code == START and step >= 0 else None
+        self.start = self.psi
         if self.first_diagonal is not None:
             u, v = self.first_diagonal
-            real, imaginary = self.start
-            self.start = np.stack([u * real - v * imaginary, u * imaginary + v * real])
+            self.start = np.empty_like(self.psi)
+            self.start[0] = u * self.psi[0] - v * self.psi[1]
+            self.start[1] = u * self.psi[1] + v * self.psi[0]
 
-    def _prepare_backward(self, adjoint: np.ndarray, sums: np.ndarray) -> None:
-        """Adds the gradients of the angles in `_prepare` to `sums` (steps, n), from the adjoint of `start` (2, 2^n)."""
-        if self.first_diagonal is not None:
-            u, v = self.first_diagonal.astype(np.float64)
-            adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
-        inputs, own, unused = np.empty((1, self.n, self.width), self.dtype), np.zeros((1, *sums.shape)), adjoint[None]
-        backward(
-            0, 1, 1, self.arrays.once, self.backward_layout, *self.once, self.arrays.input_scales, self.no_outputs,
-            adjoint.astype(self.dtype), inputs, own, np.empty_like(unused),
-        )  # fmt: skip
-        sums += own[0]
-
-    def _shared(self, trig: np.ndarray, layout: Layout) -> tuple[Any, ...]:
+    def _shared(self, trig: np.ndarray) -> tuple[Any, ...]:
         """Arguments that `forward` and `backward` begin with."""
-        parts, operations = parts_of(trig), self.arrays.per_sample
-        return parts, parts, operations, layout, self.n, self.width, trig, self.start, self.tables, self.measurement
+        parts = parts_of(trig)
+        return parts, parts, self.arrays.per_sample, self.n, self.width, trig, self.start, self.tables, self.measurement
 
     def forward(self, trig: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """trig (blocks, encodings, 2, n, width) -> outputs (blocks, outputs, width), and what `backward` needs.
@@ -116,7 +92,7 @@ class BoundEngine:
         blocks = trig.shape[0] if self.arrays.form.measures_last_layer else 0
         expectations = np.empty((blocks, 2, self.n, self.width), self.dtype)
         out = np.empty((trig.shape[0], len(self.arrays.wires), self.width), self.dtype)
-        run(forward, *self._shared(trig, self.forward_layout), expectations, out, self.none)
+        run(forward, *self._shared(trig), expectations, out)
         return out, expectations
 
     def backward(
@@ -128,11 +104,16 @@ class BoundEngine:
         inputs = np.empty((blocks, n, self.width), self.dtype)
         sums, adjoints = np.zeros((parts, len(arrays.codes), n)), np.zeros((parts, 2, 2**n))
         run(
-            backward, *self._shared(trig, self.backward_layout), expectations, arrays.input_scales, gradient, self.none,
-            inputs, sums, adjoints,
+            backward, *self._shared(trig), expectations, arrays.stored_states, arrays.input_scales, gradient, inputs,
+            sums, adjoints,
         )  # fmt: skip
         total, adjoint = (sums[0], adjoints[0]) if parts == 1 else (sums.sum(0), adjoints.sum(0))
-        self._prepare_backward(adjoint, total)
+        if self.first_diagonal is not None:
+            u, v = self.first_diagonal.astype(np.float64)
+            adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
+        prepare_backward(
+            arrays.once, n, self.width, self.amplitude, self.psi, self.tables, adjoint, arrays.input_scales, total
+        )
         weights = np.zeros((arrays.form.circuit.rows * 3, n))
         add_weight_gradients(arrays.weight_ranges, arrays.weight_rows, self.angle_signs, total, weights)
         return inputs, weights

@@ -32,14 +32,6 @@ def inner(function: Callable[..., Any]) -> Callable[..., Any]:
     return jit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-def spliced(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`inner` for functions that are long and called from few places: they become part of each caller.
-
-    LLVM compiles what a function calls once more with every function above it; one level less saves a tenth of that.
-    """
-    return jit(function, inline="always")
-
-
 def lanes(itemsize: int) -> int:
     """Elements of one vector."""
     return VECTOR_BYTES // itemsize

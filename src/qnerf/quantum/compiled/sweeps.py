@@ -7,14 +7,13 @@ gate by gate, so that every gradient is one inner product of the two states.
 Shapes: n wires; `width` samples in a block; `encodings` different scales of the input; `steps` of the normal form.
 """
 
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from qnerf.kernels.jit import jit
 from qnerf.quantum.compiled import backward_passes, forward_passes
-from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, spliced, start_of_line, store
+from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, start_of_line, store
 from qnerf.quantum.compiled.tables import (
     DIAGONAL,
     PERMUTATION,
@@ -46,21 +45,29 @@ class Layout(NamedTuple):
     end: int
 
 
-def layout(n: int, width: int, states: int, encodings: int, steps: int) -> Layout:
-    """The layout of a work array that stores `states` states and sums over `steps` steps."""
+@inner
+def _layout(start: int, n: int, width: int, states: int, encodings: int, steps: int) -> Layout:
     size = width << n
-    vectors = n * width
-    sizes = (
-        2 * states * size, 4 * size, size + width, 2 * size, encodings * size, 2 * encodings * vectors, 2 * vectors,
-        steps * vectors, vectors, 2 * vectors, 2 * vectors,
-    )  # fmt: skip
-    return Layout(*accumulate(sizes, initial=0))
+    adjoint = start + 2 * states * size
+    scratch = adjoint + 4 * size
+    first_adjoint = scratch + size + width
+    phases = first_adjoint + 2 * size
+    trig = phases + encodings * size
+    half_angles = trig + 2 * encodings * n * width
+    sums = half_angles + 2 * n * width
+    inputs = sums + steps * n * width
+    gradients = inputs + n * width
+    factors = gradients + 2 * n * width
+    end = factors + 2 * n * width
+    return Layout(
+        start, adjoint, scratch, first_adjoint, phases, trig, half_angles, sums, inputs, gradients, factors, end
+    )
 
 
 @inner
-def _work(x: Any) -> Any:
-    """The work array in `x`, which is a cache line longer: it starts where a line starts."""
-    return x[start_of_line(x) :]
+def _size(n: int, width: int, states: int, encodings: int, steps: int) -> int:
+    """Elements of the work array; 64 more than the layout, because it starts at a cache line."""
+    return _layout(0, n, width, states, encodings, steps).end + 64
 
 
 @inner
@@ -75,12 +82,13 @@ def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: An
         store(x, out + (n + j) * width, u * s + v * c)
 
 
-@spliced
+@inner
 def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, psi: Any, store_states: bool) -> int:
     """Runs the operations and returns where the final state lies.
 
     With `store_states` the state before each operation that is no diagonal stays in the work array.
     """
+    keep_apart()
     diagonals, tangents, flip_masks, angle_signs, permutations = tables
     pair = 2 * (width << n)
     here = at.state
@@ -107,7 +115,7 @@ def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: An
     return here
 
 
-@spliced
+@inner
 def _backward(
     x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, input_scales: Any, here: int
 ) -> None:
@@ -115,6 +123,7 @@ def _backward(
 
     Adds to the work array's `sums`, `first_adjoint` and `inputs`.
     """
+    keep_apart()
     diagonals, tangents, flip_masks, angle_signs, permutations = tables
     pair = 2 * (width << n)
     adjoint, scratch, d = at.adjoint, at.scratch, at.gradients
@@ -167,6 +176,45 @@ def _sum(x: Any, first: int, width: int) -> float:
     return value
 
 
+@jit
+def prepare(operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, psi: Any) -> None:
+    """Fills psi (2, 2^n), real and imaginary parts: the state before the first encoding."""
+    x = np.empty(_size(n, width, 2, 0, 0), like.dtype)
+    at = _layout(start_of_line(x), n, width, 2, 0, 0)
+    size = width << n
+    zero = np.zeros((2, 1 << n), like.dtype)
+    zero[0, 0] = amplitude
+    end = _forward(x, at, n, width, operations, tables, zero, NOT_STORED)
+    for b in range(1 << n):
+        psi[0, b] = x[end + b * width]
+        psi[1, b] = x[end + size + b * width]
+
+
+@jit
+def prepare_backward(
+    operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, adjoint: Any, input_scales: Any,
+    sums_out: Any,
+) -> None:  # fmt: skip
+    """Adds the gradients of the angles before the first encoding to `sums_out` (steps, n).
+
+    `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes.
+    """
+    steps, states = len(sums_out), 1 + len(operations)
+    x = np.zeros(_size(n, width, states, 0, steps), like.dtype)
+    at = _layout(start_of_line(x), n, width, states, 0, steps)
+    size = width << n
+    zero = np.zeros((2, 1 << n), like.dtype)
+    zero[0, 0] = amplitude
+    end = _forward(x, at, n, width, operations, tables, zero, STORED)
+    for b in range(1 << n):
+        x[at.adjoint + b * width] = adjoint[0, b]
+        x[at.adjoint + size + b * width] = adjoint[1, b]
+    _backward(x, at, n, width, operations, tables, input_scales, end)
+    for step in range(steps):
+        for j in range(n):
+            sums_out[step, j] += x[at.sums + (step * n + j) * width]
+
+
 @inner
 def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
     """Copies a block's cosines and sines, and forms the phases of all basis states."""
@@ -183,26 +231,23 @@ def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
 
 @jit
 def forward(
-    first: int, last: int, parts: int, operations: Any, at: Layout, n: int, width: int, trig: Any, psi: Any,
-    tables: Any, measurement: Any, expectations: Any, out: Any, final: Any,
+    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Any,
+    measurement: Any, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
     """The blocks of samples in the parts first..last.
 
     trig (blocks, encodings, 2, n, width): cos and sin of half the encoding angles
     expectations (blocks, 2, n, width): <Z> and <X> before the last RY layer, if it is part of the measurement
     out (blocks, outputs, width)
-    final (2, 2^n): real and imaginary parts of the first sample's state; empty if they are not wanted
     """
     measures_last_layer, wires, eigenvalues, last_layer = measurement
-    blocks = trig.shape[0]
-    x = _work(np.empty(at.end + 64, psi.dtype))
+    blocks, encodings = trig.shape[0], trig.shape[1]
+    x = np.empty(_size(n, width, 2, encodings, 0), psi.dtype)
+    at = _layout(start_of_line(x), n, width, 2, encodings, 0)
     q, d = at.scratch, at.gradients
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, trig[block], n, width)
         end = _forward(x, at, n, width, operations, tables, psi, NOT_STORED)
-        for part in range(len(final)):
-            for b in range(1 << n):
-                final[part, b] = x[end + ((part << n) + b) * width]
         forward_passes.probabilities(x, end, n, width, q)
         if measures_last_layer:
             forward_passes.z_sums(x, q, n, width, d)
@@ -228,21 +273,21 @@ def forward(
 
 @jit
 def backward(
-    first: int, last: int, parts: int, operations: Any, at: Layout, n: int, width: int, trig: Any, psi: Any,
-    tables: Any, measurement: Any, expectations: Any, input_scales: Any, gradient: Any, final: Any, inputs_out: Any,
-    sums_out: Any, adjoint_out: Any,
+    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Any,
+    measurement: Any, expectations: Any, states: int, input_scales: Any, gradient: Any, inputs_out: Any, sums_out: Any,
+    adjoint_out: Any,
 ) -> None:  # fmt: skip
     """Gradients from those of the outputs, `gradient` (blocks, outputs, width); the others as in `forward`.
 
-    final (2, 2^n): the adjoint of the first sample's state, from what `forward` gave; empty if it gave none
     inputs_out (blocks, n, width): of the inputs
     sums_out (parts, steps, n): of the angles, summed over each part
     adjoint_out (parts, 2, 2^n): of psi, summed over each part
     """
     measures_last_layer, wires, eigenvalues, last_layer = measurement
-    blocks, steps = trig.shape[0], sums_out.shape[1]
+    blocks, encodings, steps = trig.shape[0], trig.shape[1], sums_out.shape[1]
     size = width << n
-    x = _work(np.zeros(at.end + 64, psi.dtype))
+    x = np.zeros(_size(n, width, states, encodings, steps), psi.dtype)
+    at = _layout(start_of_line(x), n, width, states, encodings, steps)
     adjoint, d = at.adjoint, at.gradients
     for part in range(first, last):
         _fill_zero(x, at.sums, steps * n, width)
@@ -277,9 +322,6 @@ def backward(
                         store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
                         i += size
                         store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
-            for side in range(len(final)):
-                for b in range(1 << n):
-                    x[adjoint + ((side << n) + b) * width] += final[side, b]
             _fill_zero(x, at.inputs, n, width)
             _backward(x, at, n, width, operations, tables, input_scales, end)
             for j in range(n):

@@ -69,8 +69,8 @@ class CircuitArrays:
 
     @cached_property
     def stored_states(self) -> int:
-        """States that a backward pass stores: the first one, and one before every operation that is no diagonal."""
-        return 1 + max(int((operations[:, 0] != DIAGONAL).sum()) for operations in (self.once, self.per_sample))
+        """States that the backward pass stores: the first one, and one before every operation that is no diagonal."""
+        return 1 + int((self.per_sample[:, 0] != DIAGONAL).sum())
 
 
 def circuit_arrays(form: NormalForm) -> CircuitArrays:
