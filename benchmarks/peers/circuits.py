@@ -133,6 +133,9 @@ def tensorcircuit_jax(wires: int, spectral: int, chunk: int = 512) -> Step:
 
 
 def torchquantum(wires: int, spectral: int) -> Step:
+    from benchmarks.peers import stand_ins
+
+    stand_ins.install(("qiskit", "qiskit_aer", "qiskit_ibm_runtime", "torchpack", "torchvision"), ())
     import torchquantum as tq
     import torchquantum.functional as tqf
 

@@ -1,6 +1,7 @@
-"""Empty stand-ins for packages that nerfstudio imports but its models do not use: viewers, images, rasterisers.
+"""Empty stand-ins for packages that peers import but do not use where we run them.
 
-With them nerfstudio's models can be imported without a display, CUDA or a full installation.
+With them nerfstudio's models can be imported without a display, CUDA or a full installation (viewers, images and
+rasterisers are missing), and TorchQuantum without the old Qiskit that it wants.
 """
 
 import importlib.abc
@@ -16,15 +17,24 @@ ALWAYS = ("torchmetrics",)
 IF_MISSING = ("boto3", "cv2", "gsplat", "matplotlib", "mediapy", "nerfacc", "tensorboard", "torchvision", "viser")
 
 
+class _Nothing(type):
+    """Of classes whose every other attribute is None."""
+
+    def __getattr__(cls, name: str) -> None:
+        if name.startswith("__"):
+            raise AttributeError(name)
+
+
 class _Empty(ModuleType):
     """A module in which every name is a class that takes any arguments and does nothing."""
 
     __path__: list[str] = []  # noqa: RUF012 (the type that modules declare)
+    __file__ = ""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        nothing = type(name, (), {"__init__": _ignore, "__call__": _ignore})
+        nothing = _Nothing(name, (), {"__init__": _ignore, "__call__": _ignore})
         setattr(self, name, nothing)
         return nothing
 
@@ -48,7 +58,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def exec_module(self, module: ModuleType) -> None: ...
 
 
-def install() -> None:
-    """Makes the packages importable. Call it before anything of nerfstudio is imported."""
-    missing = [name for name in IF_MISSING if importlib.util.find_spec(name) is None]
-    sys.meta_path.insert(0, _Finder([*ALWAYS, *missing]))
+def install(always: Sequence[str] = ALWAYS, if_missing: Sequence[str] = IF_MISSING) -> None:
+    """Makes the packages importable, by default those of nerfstudio. Call it before the peer is imported."""
+    missing = [name for name in if_missing if importlib.util.find_spec(name) is None]
+    sys.meta_path.insert(0, _Finder([*always, *missing]))
