@@ -172,9 +172,9 @@ QUESTIONS = {
         tuple(
             sweep("heads", heads, scene)
             for scene in (
-                "scene=blender scene.path=DIR",
-                "scene=colmap scene.path=DIR scene.model=sparse scene.width=64",
-                "scene=nerfstudio scene.path=DIR scene.width=64",
+                "scene=blender scene.path=CHAIR",
+                "scene=colmap scene.path=KING scene.model=sparse scene.width=64",
+                "scene=nerfstudio scene.path=TERRACE scene.width=64",
             )
             for heads in ("head@density=mlp,amplitude", "density=amplitude density.amplitude.unitary=identity")
         ),

@@ -54,15 +54,14 @@ class Readout:
         for row, column, factor in entries:
             matrix[row, column] += factor
         self.matrix = torch.from_numpy(matrix)
+        self.is_diagonal = len(words) == len(index) and np.array_equal(matrix, np.diag(matrix.diagonal()))
         self.observables: tuple[Observable, ...] = (*index, *(o for o in observables if isinstance(o, Probabilities)))
         self.observables = self.observables or ((),)
 
     def __call__(self, values: Tensor) -> Tensor:
         """The values (B, values) that are read, from those of `observables`."""
         matrix, count = self.matrix.to(values), self.matrix.shape[1]
-        scale = matrix.diagonal()
-        diagonal = len(matrix) == count and bool((self.matrix == self.matrix.diagonal().diag()).all())
-        words = values[:, :count] * scale if diagonal else values[:, :count] @ matrix.T
+        words = values[:, :count] * matrix.diagonal() if self.is_diagonal else values[:, :count] @ matrix.T
         words = words + self.constants.to(values)
         read, first, row = [], count, 0
         for size, is_table in zip(self.sizes, self.tables, strict=True):
