@@ -139,6 +139,7 @@ def news(store: str, address: str, repeats: int) -> list[float]:
             value = 10 + step / 100
             claim.run.log(step, 0.1 * step, {"eval/psnr": value})
             claim.run.flush()
+            claim.run.status(step=step)  # as with each heartbeat
             start = time.monotonic()
             shown = f"return document.getElementById('training').textContent.includes('{value:.2f}')"
             wait(lambda: driver.execute_script(shown))  # noqa: B023

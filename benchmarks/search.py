@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
-from analysis.markdown import markdown
 
 from analysis import load
 from qnerf.records import RunStore
@@ -69,7 +68,7 @@ def main() -> None:
             )
     table = pd.DataFrame(rows)
     table.to_parquet(RESULTS / "search.parquet", index=False)
-    print(markdown(table))
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
 
 
 def read(store: str) -> pd.DataFrame:
@@ -81,9 +80,8 @@ def read(store: str) -> pd.DataFrame:
 
 def replay(grid: pd.DataFrame, sampler: str, percentile: float, seed: int) -> tuple[float, int]:
     """A search over the grid of one scene until it has used the compute: its best PSNR (dB) and its trials."""
-    space: Space = {
-        key: Choices(tuple(map(str, values)), tuple(values)) for key in KEYS for values in [sorted(grid[key].unique())]
-    }
+    values = {key: sorted(grid[key].unique().tolist()) for key in KEYS}
+    space: Space = {key: Choices(tuple(map(str, own)), tuple(own)) for key, own in values.items()}
     trained = {
         tuple(map(str, point)): runs.sort_values("step")  # type: ignore[arg-type]
         for point, runs in grid.groupby(KEYS)
@@ -99,8 +97,8 @@ def replay(grid: pd.DataFrame, sampler: str, percentile: float, seed: int) -> tu
             (point,) = points
             peers = [name for trial in trials if trial.state == "finished" for name in trial.runs]
             judge = Judge(store.root, ["psnr"], peers, percentile) if percentile else None
-            layers, gain, rate = (space[key].drawn(text) for key, text in zip(KEYS, point, strict=True))
-            config = {"qiren": {"layers": layers, "gain": gain}, "train": {"lr": rate}, "seed": 0}
+            layers, gain, rate = point
+            config = {"qiren": {"layers": int(layers), "gain": int(gain)}, "train": {"lr": float(rate)}, "seed": 0}
             run = store.claim(name(point), config).run
             assert run is not None
             for step, value in trained[point][["step", "curve"]].itertuples(index=False):
