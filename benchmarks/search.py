@@ -31,11 +31,11 @@ RESULTS = Path(__file__).parent / "results"
 KEYS = ["qiren.layers", "qiren.gain", "train.lr"]
 COMPUTE = 15  # runs
 SEARCHES = {
-    "tpe": ("tpe", 50.0),
-    "tpe, nothing given up": ("tpe", 0.0),
-    "gp": ("gp", 50.0),
-    "random": ("random", 50.0),
-    "random, nothing given up": ("random", 0.0),
+    "tpe, giving up": ("tpe", 50.0),
+    "tpe, to the end": ("tpe", 0.0),
+    "gp, giving up": ("gp", 50.0),
+    "random, giving up": ("random", 50.0),
+    "random, to the end": ("random", 0.0),
 }
 """Name -> sampler, percentile of `hydra.sweeper.prune`."""
 
