@@ -1,10 +1,9 @@
 """How soon the live page shows a large store, and what is new in it: `python -m benchmarks.live_page STORE`.
 
 A headless Chromium opens `qnerf serve STORE` and notes when the first rows of the table are there. Then a new run logs
-a value every few seconds, and the page is watched until it shows it. STORE is filled to `--runs` runs first. With
-`--mlflow-python` and `--mlflow-database` (`python -m benchmarks.tracking` makes it), the same Chromium opens MLflow's
-own page of the same runs. Needs chromium, chromedriver and Selenium. Prints a table of medians and maxima, and saves it
-as benchmarks/results/live_page.parquet.
+a value every few seconds, and the page is watched until it shows it. STORE is filled to `--runs` runs first. Needs
+chromium, chromedriver and Selenium. Prints a table of medians and maxima, and saves it as
+benchmarks/results/live_page.parquet.
 """
 
 import argparse
@@ -36,7 +35,7 @@ WATCH = """
 const look = () => document.querySelector(%r) ? (window.__first = performance.now()) : requestAnimationFrame(look)
 look()
 """
-ROWS = {"qnerf": "#runs-body tr", "MLflow": "[data-testid=runs-name-cell], .ag-center-cols-container .ag-row a"}
+ROWS = "#runs-body tr"
 
 
 def main() -> None:
@@ -44,8 +43,6 @@ def main() -> None:
     parser.add_argument("store", help="folder of the runs; made where it is not there")
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--mlflow-python", metavar="PYTHON", help="interpreter of an environment that has MLflow")
-    parser.add_argument("--mlflow-database", type=Path, help="SQLite file with the same runs")
     options = parser.parse_args()
     generate(options.store, options.runs)
     rows: list[dict[str, Any]] = []
@@ -56,13 +53,8 @@ def main() -> None:
     runs = len(RunStore(options.store).runs())
     command = [sys.executable, "-m", "analysis.serve", options.store, "--port"]
     with served(command) as address:
-        add("qnerf", "first rows", first_rows("qnerf", address, options.repeats), runs)
+        add("qnerf", "first rows", first_rows(address, options.repeats), runs)
         add("qnerf", "a new value", news(options.store, address, options.repeats), runs)
-    if options.mlflow_python:
-        database = f"sqlite:///{options.mlflow_database.absolute()}"
-        command = [options.mlflow_python, "-m", "mlflow", "ui", "--backend-store-uri", database, "--port"]
-        with served(command) as address:
-            add("MLflow", "first rows", first_rows("MLflow", f"{address}/#/experiments/0/runs", options.repeats), runs)
     table = pd.DataFrame(rows).assign(load=os.getloadavg()[0], cores=os.cpu_count())
     table.to_parquet(RESULTS / "live_page.parquet", index=False)
     print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
@@ -116,12 +108,12 @@ def browser() -> Iterator[webdriver.Chrome]:
             driver.quit()
 
 
-def first_rows(tool: str, address: str, repeats: int) -> list[float]:
+def first_rows(address: str, repeats: int) -> list[float]:
     """Seconds from opening the address to the first row, in a new browser each time."""
     found = []
     for _ in range(repeats):
         with browser() as driver:
-            driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH % ROWS[tool]})
+            driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH % ROWS})
             driver.get(address)
             wait(lambda: driver.execute_script("return window.__first"))
             found.append(driver.execute_script("return window.__first") / 1000)
