@@ -1,16 +1,18 @@
 """Which runs a table or figure uses, which are left out and why, and which must not be averaged together."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from qnerf.records.filters import check_column
 
-from .settings import LABELS, acting, configuration, effective, what_acts
+from .settings import LABELS, configuration, distinct, effective
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
@@ -39,19 +41,19 @@ def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
     A run is left out if another has the same seed and the same effective settings. Settings without effect are None.
     ValueError as `finite` raises it.
     """
-    known = _remembered.get()
-    if known is None:
-        return _select(frame, metric)
-    key = (id(frame), metric)
-    if key not in known:
-        known[key] = (frame, _select(frame, metric))  # an id belongs to the frame as long as it is kept
-    found = known[key][1]
+    found: Selection = _once(frame, metric, partial(_select, frame, metric))
     return Selection(found.runs.copy(), found.left_out)
+
+
+def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Scene -> its runs."""
+    scenes: dict[str, pd.DataFrame] = _once(frame, "scenes", lambda: dict(list(frame.groupby("scene_name"))))
+    return scenes
 
 
 @contextlib.contextmanager
 def remembering() -> Iterator[None]:
-    """Inside it, `select` works once for each table: for a caller in whose tables nothing changes meanwhile."""
+    """Inside it, `select` and `by_scene` work once for each table: for a caller in whose tables nothing changes."""
     token = _remembered.set({})
     try:
         yield
@@ -59,15 +61,25 @@ def remembering() -> Iterator[None]:
         _remembered.reset(token)
 
 
-_remembered: ContextVar[dict[tuple[int, str], tuple[pd.DataFrame, Selection]] | None]
+_remembered: ContextVar[dict[tuple[int, str], tuple[pd.DataFrame, Any]] | None]
 _remembered = ContextVar("_remembered", default=None)
+
+
+def _once(frame: pd.DataFrame, what: str, make: Callable[[], Any]) -> Any:
+    known = _remembered.get()
+    if known is None:
+        return make()
+    key = (id(frame), what)
+    if key not in known:
+        known[key] = (frame, make())  # an id belongs to the frame as long as it is kept
+    return known[key][1]
 
 
 def _select(frame: pd.DataFrame, metric: str) -> Selection:
     runs, left_out = finite(frame, metric)
-    repeated = what_acts(runs).duplicated()
-    left_out["repeating another"] = int(repeated.sum())
-    return Selection(acting(runs[~repeated]), {reason: count for reason, count in left_out.items() if count})
+    selected = distinct(runs)
+    left_out["repeating another"] = len(runs) - len(selected)
+    return Selection(selected, {reason: count for reason, count in left_out.items() if count})
 
 
 def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, int]]:

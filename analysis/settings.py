@@ -6,6 +6,7 @@ over circuits therefore trains the same classical field several times; such runs
 
 from collections.abc import Collection
 
+import numpy as np
 import pandas as pd
 
 LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
@@ -54,14 +55,20 @@ def without_constants(frame: pd.DataFrame, keep: Collection[str] = ()) -> pd.Dat
 def effective(runs: pd.DataFrame) -> pd.DataFrame:
     """The settings that influence each run's result, as text; "" where one has no effect in that run."""
     keys = [key for key in configuration(runs) if not key.startswith(_SOURCES)]
-    table = pd.DataFrame({key: _texts(runs[key]) for key in keys}, index=runs.index)
+    idle: dict[str, np.ndarray] = {}
     for head, circuits in QUANTUM.items():
-        quantum = runs["field"].isin(circuits)
-        table.loc[~quantum, [key for key in keys if key.startswith(f"{head}.qiren.")]] = ""
-        table.loc[quantum, [key for key in keys if key.startswith(f"{head}.mlp.")]] = ""
-    if {"color.directions", "color.direction_scale"} <= set(table):
-        table.loc[table["color.directions"] != "raw", "color.direction_scale"] = ""
-    return table
+        quantum = runs["field"].isin(circuits).to_numpy()
+        idle |= {f"{head}.qiren.": ~quantum, f"{head}.mlp.": quantum}
+    if "color.directions" in runs:
+        idle["color.direction_scale"] = runs["color.directions"].ne("raw").to_numpy()
+    columns = {}
+    for key in keys:
+        text = np.array(_texts(runs[key]), dtype=object)
+        for start, without_effect in idle.items():
+            if key.startswith(start):
+                text[without_effect] = ""
+        columns[key] = text
+    return pd.DataFrame(columns, index=runs.index)
 
 
 def _texts(column: pd.Series) -> list[str]:
@@ -70,36 +77,41 @@ def _texts(column: pd.Series) -> list[str]:
     return [known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in column.tolist()]
 
 
-def what_acts(runs: pd.DataFrame) -> pd.DataFrame:
-    """Scene, seed and all effective settings: runs that agree in them computed the same."""
-    settings = effective(runs)
-    labels = _without_idle(runs, settings).filter(["scene_name", "seed", *LABELS])
-    return pd.concat([labels, settings.add_prefix("setting ")], axis=1)
-
-
 def first_of_each(frame: pd.DataFrame) -> pd.Series:
     """For a run that repeats another: the `run_id` of the first finished run with its settings; else None."""
     finished = frame[frame["state"] == "finished"]
     if finished.empty:
         return pd.Series(None, index=frame.index, dtype=object)
-    keys = what_acts(finished)
+    keys = _keys(*_acting(finished))
     firsts = finished["run_id"].groupby([keys[name] for name in keys], dropna=False).transform("first")
     return firsts.where(firsts != finished["run_id"]).reindex(frame.index).astype(object)
 
 
+def distinct(runs: pd.DataFrame) -> pd.DataFrame:
+    """`acting`, without runs that repeat an earlier one."""
+    table, settings = _acting(runs)
+    return table[~_keys(table, settings).duplicated()]
+
+
 def acting(runs: pd.DataFrame) -> pd.DataFrame:
     """The runs with None for settings, and their labels, that have no effect in them."""
-    return _without_idle(runs, effective(runs))
+    return _acting(runs)[0]
 
 
-def _without_idle(runs: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
+def _keys(acting_runs: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
+    """Scene, seed and all effective settings: runs that agree in them computed the same."""
+    return pd.concat([acting_runs.filter(["scene_name", "seed", *LABELS]), settings.add_prefix("setting ")], axis=1)
+
+
+def _acting(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """`acting` and `effective` of the runs."""
+    settings = effective(runs)
     table = runs.drop(columns=[name for name in configuration(runs) if name not in settings])
-    for name in settings:
-        idle = settings[name] == ""
-        if idle.any():
-            table[name] = table[name].astype(object).mask(idle, None)
+    idle = settings == ""
+    idle = idle.loc[:, idle.any()]
+    table = table.assign(**{str(name): table[name].astype(object).mask(idle[name], None) for name in idle})
     if {"qiren", "field"} <= set(table):
         table["qiren"] = table["qiren"].mask(table["field"] == "classical", None)
     if {"hash", "encoder"} <= set(table):
         table["hash"] = table["hash"].where(table["encoder"] == "hash", None)
-    return table.copy()  # in one block; pandas warns of frames whose columns were set one by one
+    return table.copy(), settings  # in one block; pandas warns of frames whose columns were set one by one

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
+from ..selection import by_scene
 from .accuracy import accuracy_vs_speed
 from .capacity import capacity_vs_psnr, hash_configurations
 from .colors import hsv_study
@@ -53,7 +54,7 @@ class Entry:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with those of a scene."""
         if not (self.one_scene or self.probe) or runs["scene_name"].nunique() < 2:
             return {name: runs}
-        return {f"{name}_{scene}": own for scene, own in runs.groupby("scene_name")}
+        return {f"{name}_{scene}": own for scene, own in by_scene(runs).items()}
 
 
 _COLOR, _DENSITY = {"part": "color"}, {"part": "density"}

@@ -85,7 +85,7 @@ def names(
     settings = _settings(table, runs, ignored)
     alike = [table["scene_name"], texts]
     several = settings.groupby(alike).transform("nunique") > 1
-    for key in settings:
+    for key in several.columns[several.any()]:
         told = several[key] & (settings[key] != "")
         texts = texts.where(~told, texts + f", {key}=" + settings[key])
     return texts

@@ -9,7 +9,7 @@ from .. import hsv
 from ..figures import FIGURES, colors
 from ..load import NEEDED
 from ..paper import PAPER_TABLES
-from ..selection import remembering
+from ..selection import by_scene, remembering
 from ..settings import without_constants
 from ..tables import Table
 from ..tables.smallest import TOLERANCE
@@ -72,7 +72,7 @@ def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
     colours.tables = [
         attempt(f"Hue, saturation and value: {scene}", _hsv_table, own, str(scene))
-        for scene, own in frame.groupby("scene_name")
+        for scene, own in by_scene(frame).items()
     ]
     advance()
     colours.draw(COLOURS, frame, advance)
@@ -92,7 +92,7 @@ def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
 
 def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.DataFrame) -> list[ShownTable]:
     """A table of the paper for each scene that has runs in it."""
-    scenes = dict(list(frame.groupby("scene_name")))
+    scenes = by_scene(frame)
     names = [title] if len(scenes) == 1 else [f"{title}: {scene}" for scene in scenes]
     made = [attempt(name, make, own) for name, own in zip(names, scenes.values(), strict=True)]
     return [table for table in made if _has_ours(table)]
