@@ -1,9 +1,9 @@
 """How soon the live page shows a large store, and what is new in it: `python -m benchmarks.live_page STORE`.
 
 A headless Chromium opens `qnerf serve STORE` and notes when the first rows of the table are there. Then a new run logs
-a value every few seconds, and the page is watched until it shows it. STORE is filled to `--runs` runs first. Needs
-chromium, chromedriver and Selenium. Prints a table of medians and maxima, and saves it as
-benchmarks/results/live_page.parquet.
+a value every few seconds, and the page is watched until it shows it. STORE is filled to `--runs` runs first. With
+`--mlflow-python`, the same runs are written into MLflow, and its server's page of runs is opened, too. Needs chromium,
+chromedriver and Selenium. Prints a table of medians and maxima, and saves it as benchmarks/results/live_page.parquet.
 """
 
 import argparse
@@ -26,6 +26,7 @@ import pandas as pd
 from selenium import webdriver
 
 from benchmarks.many_runs import generate
+from benchmarks.tracking_mlflow import mlflow, write_lines
 from qnerf.records import RunStore
 
 RESULTS = Path(__file__).parent / "results"
@@ -36,6 +37,8 @@ const look = () => document.querySelector(%r) ? (window.__first = performance.no
 look()
 """
 ROWS = "#runs-body tr"
+MLFLOW_ROWS = ".ag-center-cols-container .ag-row"
+MLFLOW_PAGE = "/#/experiments/0/runs?workflowType=machine_learning"
 
 
 def main() -> None:
@@ -43,6 +46,8 @@ def main() -> None:
     parser.add_argument("store", help="folder of the runs; made where it is not there")
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--mlflow-python", metavar="PYTHON", help="python of an environment that has MLflow")
+    parser.add_argument("--mlflow-database", type=Path, help="SQLite file, filled first (default: beside the store)")
     options = parser.parse_args()
     generate(options.store, options.runs)
     rows: list[dict[str, Any]] = []
@@ -55,6 +60,14 @@ def main() -> None:
     with served(command) as address:
         add("qnerf", "first rows", first_rows(address, options.repeats), runs)
         add("qnerf", "a new value", news(options.store, address, options.repeats), runs)
+    if options.mlflow_python:
+        database = options.mlflow_database or Path(options.store).with_suffix(".mlflow.db")
+        lines = database.with_suffix(".json")
+        runs = write_lines(options.store, lines)
+        mlflow(options.mlflow_python, "write", database, "--runs", str(lines))
+        server = [options.mlflow_python, "-m", "mlflow", "server", "--workers", "1"]
+        with served([*server, "--backend-store-uri", f"sqlite:///{database.absolute()}", "--port"]) as address:
+            add("MLflow", "first rows", first_rows(address + MLFLOW_PAGE, options.repeats, MLFLOW_ROWS), runs)
     table = pd.DataFrame(rows).assign(load=os.getloadavg()[0], cores=os.cpu_count())
     table.to_parquet(RESULTS / "live_page.parquet", index=False)
     print(table.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
@@ -108,12 +121,12 @@ def browser() -> Iterator[webdriver.Chrome]:
             driver.quit()
 
 
-def first_rows(address: str, repeats: int) -> list[float]:
+def first_rows(address: str, repeats: int, rows: str = ROWS) -> list[float]:
     """Seconds from opening the address to the first row, in a new browser each time."""
     found = []
     for _ in range(repeats):
         with browser() as driver:
-            driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH % ROWS})
+            driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH % rows})
             driver.get(address)
             wait(lambda: driver.execute_script("return window.__first"))
             found.append(driver.execute_script("return window.__first") / 1000)
