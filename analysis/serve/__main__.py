@@ -79,13 +79,13 @@ def make(options: argparse.Namespace) -> tuple["Server", str | None]:
         if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
             raise
         raise ValueError("qnerf serve needs another package: pip install 'qnerf[serve]'") from error
-    store = WatchedStore(options.store)
+    answers = Answers(WatchedStore(options.store), options.title)
     token = None if options.host in LOOPBACK else secrets.token_urlsafe(24)
     config = uvicorn.Config(
-        application(Answers(store, options.title), token), log_level="error", access_log=False, ws="none",
+        application(answers, token), log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
-    return Server(config, store), token
+    return Server(config, answers), token
 
 
 if __name__ == "__main__":

@@ -50,12 +50,7 @@ class Answers:
 
     def page(self) -> dict[str, Any]:
         """The values of the page's template. Its table may be a little old; `news` is what has changed since."""
-        with self._lock:
-            changes = self.store.changes(self._snapshot[0])
-            if len(changes.rows) + len(changes.named) + len(changes.removed) > MANY_ROWS:
-                self._snapshot = self._packed()
-                changes = self.store.changes(self._snapshot[0])
-            _, data = self._snapshot
+        data, changes = self.table()
         return {
             "live": True,
             "title": self._title,
@@ -64,6 +59,15 @@ class Answers:
             "sections": SECTIONS,
             "data": data | {"version": f"{self._boot}-{changes.version}", "news": _plain(changes)},
         }
+
+    def table(self) -> tuple[dict[str, Any], Changes]:
+        """The packed table of runs, and what has changed since. Packs it anew where that is much."""
+        with self._lock:
+            changes = self.store.changes(self._snapshot[0])
+            if len(changes.rows) + len(changes.named) + len(changes.removed) > MANY_ROWS:
+                self._snapshot = self._packed()
+                changes = self.store.changes(self._snapshot[0])
+            return self._snapshot[1], changes
 
     def changes(self, since: str) -> dict[str, Any]:
         """What a page of version `since` does not know: rows, names of configurations, removed runs.
