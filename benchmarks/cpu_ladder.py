@@ -38,7 +38,10 @@ from qnerf.timing import load
 RESULTS = Path(__file__).parent / "results" / "cpu_ladder.parquet"
 CASES = {  # name -> who trains, overrides
     "qnerf classical": ("qnerf", "field=classical"),
-    "qnerf amplitude density": ("qnerf", "density=amplitude color=mlp color.directions=raw color.mlp.init=he"),
+    "qnerf amplitude density": (
+        "qnerf",
+        "head@density=amplitude head@color=mlp color.directions=raw color.mlp.init=he",
+    ),
     "qnerf qcolor": ("qnerf", "field=qcolor"),
     "plain PyTorch classical": ("plain", "field=classical"),
     "Nerfacto": ("nerfstudio", "train=paper field=classical"),

@@ -29,7 +29,7 @@ class _Empty(ModuleType):
     """A module in which every name is a class that takes any arguments and does nothing."""
 
     __path__: list[str] = []  # noqa: RUF012 (the type that modules declare)
-    __file__ = ""
+    __file__ = "stand-in"  # "" reads as a module built into Python, which has no source
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
