@@ -188,11 +188,25 @@ QUESTIONS = {
         (
             sweep("heads_color"),
             sweep("heads_color", "color=amplitude color.amplitude.registers=[5]"),
+            sweep("heads_color", "head@color=mlp color.mlp.layers=3 color.mlp.width=20"),
         ),
         ("scene_name", "color"),
         {"color": "2x58"},
         values=(*QUALITY, "params.color"),
         failures=True,
+    ),
+    "heads_photograph": Question(
+        "Which head holds a photograph of 32 x 32 grey pixels best, and is it the circuit?",
+        tuple(
+            f"python -m src.run -cd sweeps -cn heads_photograph scene.path=camera,astronaut train.rates.head=0.3,1.0{more}"
+            for more in (
+                "",
+                " head=amplitude,qvf,qnerf,reupload,parallel,product head.amplitude.unitary=identity",
+                " head=siren encoder=signed",
+            )
+        ),
+        ("scene_name", "encoder", "head", "train.rates.head"),
+        values=(*QUALITY, "params.head"),
     ),
     "small_heads": Question(
         "Is a quantum colour head as good as MLPs of at most 700 parameters?",
