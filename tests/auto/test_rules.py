@@ -113,6 +113,13 @@ def test_tables_hold_half_as_many_numbers_as_were_observed(pixels):
     assert size in (10, 19) or half / 2 < numbers <= half
 
 
+@pytest.mark.parametrize(("pixels", "steps"), [(1000, 3000), (100_000, 3000), (1_600_000, 6000), (2e12, 30_000)])
+def test_sixteen_times_the_pixels_take_twice_the_steps(pixels, steps):
+    measured = Measured(FLOOR)
+    measured.observed = 3 * int(pixels)
+    assert RULES["train.steps"](measured, AUTO).value == steps
+
+
 @pytest.mark.parametrize(
     ("option", "table", "message"),
     [

@@ -175,6 +175,16 @@ def log2_table_size(data: Measured, config: Config) -> Decision:
     return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"observed_values": float(data.observed)})
 
 
+PIXELS, STEPS, MOST_STEPS = 100_000, 3000, 30_000  # training pixels for which the quick recipe's steps suffice
+
+
+@rule("train.steps")
+def steps(data: Measured, config: Config) -> Decision:
+    pixels = data.observed / 3
+    needed = STEPS * max(1.0, pixels / PIXELS) ** 0.25
+    return Decision(min(MOST_STEPS, 100 * round(needed / 100)), {"pixels": pixels})
+
+
 @rule("encoder.max_exponent")
 def max_exponent(data: Measured, config: Config) -> Decision:
     cycles = unit_resolution(data, config) / OVERSAMPLING / 2
