@@ -38,17 +38,16 @@ KEYS = ["scene", "size", "recipe", "steps_given", "seed", "extra"]
 
 def image_size(scene: Path) -> tuple[int, int]:
     """Width and height of the scene's first image."""
-    file = next(scene.glob("transforms*.json"))
-    name = json.loads(file.read_text())["frames"][0]["file_path"]
-    image = next(path for path in (scene / name, scene / f"{name}.png") if path.is_file())
-    with Image.open(image) as opened:
+    frames = json.loads(next(scene.glob("transforms*.json")).read_text())["frames"]
+    files = (scene / f"{frame['file_path']}{ending}" for frame in frames for ending in ("", ".png"))
+    with Image.open(next(file for file in files if file.is_file())) as opened:
         return opened.size
 
 
 def source(scene: Path, width: int) -> str:
     """The options that read the scene with images of this width."""
     kind = "blender scene.eval_views=5" if (scene / "transforms_train.json").exists() else "nerfstudio"
-    return f"scene={kind} scene.path={scene.absolute()} scene.width={width}"
+    return f"scene={kind} scene.path={scene.absolute()} scene.width={width} scene.skip_missing=true"
 
 
 def train(overrides: str) -> dict[str, Any]:
