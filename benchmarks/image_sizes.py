@@ -96,7 +96,19 @@ def save(path: Path, row: dict[str, Any]) -> None:
 
 def report(rows: pd.DataFrame) -> None:
     """Prints a row a training."""
-    columns = ["scene", "size", "recipe", "seed", "steps", "psnr", "cpu_s", "peak_mb", "training_pixels", "parameters"]
+    columns = [
+        "scene",
+        "size",
+        "recipe",
+        "extra",
+        "seed",
+        "steps",
+        "psnr",
+        "cpu_s",
+        "peak_mb",
+        "training_pixels",
+        "parameters",
+    ]
     print(rows.sort_values(["scene", "recipe", "size", "steps"])[columns].round(2).to_string(index=False))
 
 
