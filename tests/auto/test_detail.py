@@ -9,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from qnerf.auto.detail import WORTH, above, cells_per_world_unit, finest_frequency, focus_distance
+from qnerf.auto.detail import (
+    WORTH,
+    above,
+    cells_per_world_unit,
+    finest_frequency,
+    focus_distance,
+    world_units_along_the_cube,
+)
+from qnerf.geometry.contraction import CONTRACTIONS
 from tests.helpers.worlds import ball, cameras, constant, floor, look_at, ring, scene
 
 
@@ -73,3 +81,12 @@ def test_cameras_without_a_common_focus_are_taken_to_look_a_unit_away():
     for of in (outward, parallel, passing):
         world = scene(torch.zeros(len(of), of.height, of.width, 3, dtype=torch.uint8), of)
         assert focus_distance(world) == 1.0
+
+
+def test_a_contraction_squeezes_what_is_far_away():
+    linf, box = CONTRACTIONS.build("linf"), CONTRACTIONS.build("box", half_extent=0.5)
+    assert world_units_along_the_cube(linf, None) == pytest.approx(4)
+    assert world_units_along_the_cube(linf, np.array([0.3, -0.9, 0.0])) == pytest.approx(4)
+    far = np.array([0.0, 5.0, 0.0])  # across: x / 5 (2 - 1/5)
+    assert world_units_along_the_cube(linf, far) == pytest.approx(4 * 5 / 1.8)
+    assert world_units_along_the_cube(box, far) == pytest.approx(1)

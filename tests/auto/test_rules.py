@@ -105,12 +105,19 @@ def test_the_finest_grid_is_bounded():
 
 
 @pytest.mark.parametrize("pixels", [1, 30, 1000])
-def test_tables_hold_half_as_many_numbers_as_were_observed(pixels):
+def test_tables_hold_as_many_numbers_as_were_observed(pixels):
     world = constant(0, views=11, width=pixels, height=pixels)
     size = decided("hash.log2_table_size", world, hashed(levels=6, features=2)).value
-    numbers, half = 6 * 2 * 2**size, 3 * 10 * pixels**2 / 2
+    numbers, observed = 6 * 2 * 2**size, 3 * 10 * pixels**2
     assert 10 <= size <= 19
-    assert size in (10, 19) or half / 2 < numbers <= half
+    assert size in (10, 19) or observed / 2 < numbers <= observed
+
+
+@pytest.mark.parametrize(("pixels", "steps"), [(1000, 3000), (100_000, 3000), (1_600_000, 6000), (2e12, 30_000)])
+def test_sixteen_times_the_pixels_take_twice_the_steps(pixels, steps):
+    measured = Measured(FLOOR)
+    measured.observed = 3 * int(pixels)
+    assert RULES["train.steps"](measured, AUTO).value == steps
 
 
 @pytest.mark.parametrize(

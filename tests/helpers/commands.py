@@ -16,6 +16,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
+from qnerf.auto import asked
 from qnerf.cli import main as cli
 from qnerf.config.settings import check_settings, only_acting
 from tests.helpers.configs import ROOT, composed, swept
@@ -78,9 +79,8 @@ def check_training(words: list[str]) -> None:
     several = [each_value(override) for override in overrides]
     for number in range(max(map(len, several), default=1)):
         job = [values[min(number, len(values) - 1)] for values in several]
-        config = composed(*job, sweep="" if sweep == "NAME" else sweep)
-        if "auto" not in " ".join(words):  # which is decided from the scene
-            check_settings(only_acting(config))
+        config = only_acting(composed(*job, sweep="" if sweep == "NAME" else sweep))
+        check_settings(config, asked(config))  # what is `auto` is decided from the scene
 
 
 def each_value(override: Override) -> list[str]:

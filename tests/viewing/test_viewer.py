@@ -16,12 +16,15 @@ import torch
 from PIL import Image
 
 from qnerf.cli import main
+from qnerf.experiment import run
 from qnerf.geometry.camera_paths import Camera
 from qnerf.probes import load
 from qnerf.training.evaluation import shade_error
 from qnerf.viewing.frames import Renderer, as_bytes
 from qnerf.viewing.painter import Painter, Shown
 from qnerf.viewing.viewer import Viewer, camera_of, quaternion, require_free, sharpen
+from tests.helpers.configs import TINY, composed
+from tests.helpers.scenes import write_scene
 
 DEADLINE = 60.0  # seconds, for a busy machine
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -197,35 +200,83 @@ def test_the_server_sends_coarse_then_sharp_pictures_of_where_the_camera_is(view
         assert np.abs(depth.astype(int) - there).mean() > 1
 
 
-@pytest.mark.filterwarnings("default")
-@pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="chromium and chromedriver are not installed")
-def test_a_camera_move_changes_the_picture_in_a_browser(viewer, tmp_path):
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.support.wait import WebDriverWait
+class Page:
+    """The viewer's page in a real browser."""
 
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for argument in (*BROWSER, f"--user-data-dir={tmp_path}"):
-        options.add_argument(argument)
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    try:
-        driver.get(viewer.address)
-        wait = WebDriverWait(driver, DEADLINE, 0.2)
-        canvas = wait.until(lambda _: driver.find_elements(By.TAG_NAME, "canvas"))[0]
+    def __init__(self, address: str, folder) -> None:
+        from selenium import webdriver
+        from selenium.webdriver.common.by import By
+        from selenium.webdriver.support.wait import WebDriverWait
 
-        def middle() -> np.ndarray:
-            """Of the page, below its messages and left of its controls."""
-            page = np.asarray(Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB"), int)
-            return page[-250:-20, 50:-350]
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for argument in (*BROWSER, f"--user-data-dir={folder}"):
+            options.add_argument(argument)
+        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.wait = WebDriverWait(self.driver, DEADLINE, 0.2)
+        self.driver.get(address)
+        self.canvas = self.wait.until(lambda _: self.driver.find_elements(By.TAG_NAME, "canvas"))[0]
 
+    def middle(self) -> np.ndarray:
+        """Pixels of the page, below its messages and left of its controls."""
+        page = np.asarray(Image.open(io.BytesIO(self.driver.get_screenshot_as_png())).convert("RGB"), int)
+        return page[-250:-20, 50:-350]
+
+    def drag(self) -> None:
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        held = ActionChains(self.driver).move_to_element_with_offset(self.canvas, -150, 50).click_and_hold()
+        held.move_by_offset(90, 40).release().perform()
+
+    def until(self, what, message: str) -> None:
+        self.wait.until(lambda _: what(self.middle()), message)
+
+
+@pytest.fixture
+def browse(tmp_path):
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("chromium and chromedriver are not installed")
+    pages = []
+
+    def opened(viewer: Viewer) -> Page:
+        pages.append(Page(viewer.address, tmp_path / "browser"))
         viewer.cameras.value = False
-        wait.until(lambda _: middle().std() > 3, "no picture came")
-        before = middle()
-        ActionChains(driver).move_to_element_with_offset(canvas, -150, 50).click_and_hold().move_by_offset(
-            90, 40
-        ).release().perform()
-        wait.until(lambda _: np.abs(middle() - before).mean() > 3, "the picture stayed")
+        return pages[-1]
+
+    yield opened
+    for page in pages:
+        page.driver.quit()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_camera_move_changes_the_picture_in_a_browser(viewer, browse):
+    page = browse(viewer)
+    page.until(lambda picture: picture.std() > 3, "no picture came")
+    before = page.middle()
+    page.drag()
+    page.until(lambda picture: np.abs(picture - before).mean() > 3, "the picture stayed")
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_run_that_trains_is_followed_in_a_browser(tmp_path, browse):
+    """The run stops after its first step, is opened, and goes on: what it has learnt is seen without a reload."""
+    pytest.importorskip("viser", reason="viser is not installed")
+    scene = write_scene(tmp_path / "scene", width=12, height=8)
+    options = ("train.steps=120", "train.rays=64", "train.eval_every=0", "device=cpu", "hash=C7")
+    config = composed("scene=nerfstudio", f"scene.path={scene}", *TINY, *options, f"store={tmp_path / 'runs'}")
+    steps = iter(range(2))
+    begun = run(config, stopping=lambda: next(steps, None) is None)
+    assert begun.state == "interrupted"
+    viewer = Viewer([Renderer(load(begun.path, unfinished=True))], port=free_port(), width=64)
+    try:
+        page = browse(viewer)
+        page.until(lambda picture: picture.std() > 1, "no picture came")
+        before = page.middle()
+        assert "interrupted, checkpoint of step" in viewer.text.content
+        assert run(config).state == "finished"
+        page.until(lambda picture: np.abs(picture - before).mean() > 3, "the picture stayed")
+        page.wait.until(lambda _: "finished, checkpoint of step 120 of 120" in viewer.text.content)
+        assert "step 120 of 120" in page.driver.page_source
     finally:
-        driver.quit()
+        viewer.stop()

@@ -1,10 +1,12 @@
 """How fine the hash grid has to be: the finest detail in the images, in cells per world unit."""
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from qnerf.auto.views import grey
 from qnerf.geometry.camera_paths import focus
+from qnerf.geometry.contraction import Contraction
 from qnerf.scenes import Scene
 
 WORTH = 1e-4  # mean squared error at 40 dB; the highest frequencies that together have less power are ignored
@@ -38,10 +40,15 @@ def above(radius: NDArray[np.float64], power: NDArray[np.float64]) -> float:
     return 0.0 if within == len(order) else min(0.5, float(radius[order][within]))
 
 
+def focus_point(scene: Scene) -> NDArray[np.float64] | None:
+    """The point (3,), in world units, that the training cameras look at; None if there is none."""
+    return focus(scene.cameras.poses.numpy()[scene.train])
+
+
 def focus_distance(scene: Scene) -> float:
     """Median distance, in world units, from the training cameras to the point that they look at; 1 if there is none."""
     poses = scene.cameras.poses.numpy()[scene.train]
-    point = focus(poses)
+    point = focus_point(scene)
     return 1.0 if point is None else float(np.median(-((point - poses[:, :, 3]) * poses[:, :, 2]).sum(-1)))
 
 
@@ -49,3 +56,14 @@ def cells_per_world_unit(scene: Scene) -> float:
     """Two cells per period of the finest frequency, at the distance that the cameras focus on."""
     focal = float(scene.cameras.fx[scene.train].median())
     return 2 * finest_frequency(scene) * focal / focus_distance(scene)
+
+
+def world_units_along_the_cube(contraction: Contraction, point: NDArray[np.float64] | None) -> float:
+    """Length in the world that the side of the unit cube would have at a point (3,): 4 in the middle of a contraction.
+
+    It grows with the distance from the middle, because a contraction squeezes what is far away. The direction that is
+    squeezed least counts. point: in world units; None: the middle.
+    """
+    at = torch.zeros(3, dtype=torch.float64) if point is None else torch.as_tensor(point, dtype=torch.float64)
+    jacobian = torch.autograd.functional.jacobian(contraction, at)
+    return 1 / float(torch.linalg.matrix_norm(jacobian, ord=2))

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from qnerf.auto import detail, exposure, poses, space
-from qnerf.geometry.contraction import CONTRACTIONS, Box
+from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.rays import TrainingPixels
 from qnerf.scenes import Scene
 
@@ -138,10 +138,10 @@ OVERSAMPLING = 2.0  # cells per cell of the sampling theorem, because interpolat
 
 
 def unit_resolution(data: Measured, config: Config) -> float:
-    """Cells per axis of the unit cube that resolve the finest detail of the images."""
+    """Cells per axis of the unit cube that resolve the finest detail of the images where the cameras look."""
     options = dict(config["contraction"])
     contraction = CONTRACTIONS.build(options.pop("name"), **options)
-    side = 2 * contraction.half_extent if isinstance(contraction, Box) else 4.0  # world units along the cube
+    side = detail.world_units_along_the_cube(contraction, detail.focus_point(data.scene))
     return OVERSAMPLING * side * data.cells_per_world_unit
 
 
@@ -166,13 +166,23 @@ def levels(data: Measured, config: Config) -> Decision:
     return Decision(1 + math.ceil(math.log(max(growth, 1)) / math.log(GROWTH)), {"growth": GROWTH})
 
 
-ENTRIES_PER_VALUE = 0.5  # table numbers per observed colour value
+NUMBERS_PER_VALUE = 1.0  # in all tables, for each observed colour value
 
 
 @rule("hash.log2_table_size")
 def log2_table_size(data: Measured, config: Config) -> Decision:
-    entries = ENTRIES_PER_VALUE * data.observed / (hash_option(config, "levels") * hash_option(config, "features"))
+    entries = NUMBERS_PER_VALUE * data.observed / (hash_option(config, "levels") * hash_option(config, "features"))
     return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"observed_values": float(data.observed)})
+
+
+PIXELS, STEPS, MOST_STEPS = 100_000, 3000, 30_000  # training pixels for which the quick recipe's steps suffice
+
+
+@rule("train.steps")
+def steps(data: Measured, config: Config) -> Decision:
+    pixels = data.observed / 3
+    needed = STEPS * max(1.0, pixels / PIXELS) ** 0.25
+    return Decision(min(MOST_STEPS, 100 * round(needed / 100)), {"pixels": pixels})
 
 
 @rule("encoder.max_exponent")
