@@ -198,14 +198,14 @@ QUESTIONS = {
     "heads_photograph": Question(
         "Which head holds a photograph of 32 x 32 grey pixels best, and is it the circuit?",
         tuple(
-            f"python -m src.run -cd sweeps -cn heads_photograph scene.path=camera,astronaut train.rates.head=0.3,1.0{more}"
+            f"python -m src.run -cd sweeps -cn heads_photograph scene.path=camera,astronaut {more}"
             for more in (
-                "",
-                " head=amplitude,qvf,qnerf,reupload,parallel,product head.amplitude.unitary=identity",
-                " head=siren encoder=signed",
+                "train.rates.head=0.3,1.0",
+                "train.rates.head=1.0 head=amplitude,qvf,qnerf,reupload,parallel,product "
+                "++head.amplitude.unitary=identity",
             )
         ),
-        ("scene_name", "encoder", "head", "train.rates.head"),
+        ("scene_name", "head", "train.rates.head"),
         values=(*QUALITY, "params.head"),
     ),
     "small_heads": Question(

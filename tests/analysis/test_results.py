@@ -76,7 +76,9 @@ def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
         if "src.run" not in words:
             continue
         sweep = words[words.index("-cn") + 1] if "-cn" in words else ""
-        choices = (swept(sweep) if sweep else {}) | dict(word.split("=", 1) for word in words if "=" in word)
+        choices = (swept(sweep) if sweep else {}) | dict(
+            word.lstrip("+").split("=", 1) for word in words if "=" in word
+        )
         choices.pop("seed", None)
         for values in itertools.product(*(some(key, text.split(","), question) for key, text in choices.items())):
             job = (f"{key}={value}" for key, value in zip(choices, values, strict=True))

@@ -1,5 +1,6 @@
 """Small stores of runs through the real writer, with the numbers that a test asks for."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def write_run(
     counts["params.total"] = sum(counts.values())
     name = "-".join([scene, field, f"s{seed}", *(f"{key}{value}" for key, value in (columns or {}).items())])
     claim = RunStore(store).claim(
-        name.replace(".", ""), settings, columns=names | {"train": "quick"} | counts | dict(columns or {})
+        re.sub("[.=]", "", name), settings, columns=names | {"train": "quick"} | counts | dict(columns or {})
     )
     with claim.run as run:
         run.write_eval([{"image": f"{view}.png", "psnr": value, "ssim": value / 40} for view, value in enumerate(psnr)])
