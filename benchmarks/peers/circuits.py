@@ -218,5 +218,5 @@ PEERS: dict[str, tuple[Callable[[int, int], Step], str, int | None]] = {
     "tensorcircuit-ng jax jit vmap": (tensorcircuit_jax, "tensorcircuit", None),
     "torchquantum": (torchquantum, "torchquantum", None),
     "deepquantum": (deepquantum, "deepquantum", None),
-    "pyqtorch": (pyqtorch, "pyqtorch", None),
+    "pyqtorch": (pyqtorch, "pyqtorch", 512),
 }

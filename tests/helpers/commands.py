@@ -77,6 +77,8 @@ def check_training(words: list[str]) -> None:
     overrides = OverridesParser.create().parse_overrides([word for word in words if "=" in word])
     overrides = [override for override in overrides if not override.key_or_group.startswith("hydra")]
     several = [each_value(override) for override in overrides]
+    # Hydra composes what is not swept first, to see whether the configuration asks for a sweep.
+    composed(*(text for (text, *others) in several if not others), sweep="" if sweep == "NAME" else sweep)
     for number in range(max(map(len, several), default=1)):
         job = [values[min(number, len(values) - 1)] for values in several]
         config = only_acting(composed(*job, sweep="" if sweep == "NAME" else sweep))
