@@ -183,11 +183,15 @@ class QirenHead(Head):
     @torch.no_grad()
     def center(self) -> None:
         """Sets the last bias so that angles of 0, the mean of normalised inputs, give 0."""
+        self.readout.bias.copy_(-nn.functional.linear(self.resting() * self.gain, self.readout.weight)[0])
+
+    @torch.no_grad()
+    def resting(self) -> Tensor:
+        """(1, values): what the last linear map gets, before the gain, for angles of 0 in every circuit."""
         circuits = [module for module in self.modules() if isinstance(module, QuantumLayer)]
         with hardware_conditions.conditions(self):  # exact, also where the head has shots or noise
-            resting = [circuit(torch.zeros(1, circuit.wires)) for circuit in circuits]
-        values = torch.stack(resting).sum(0) if self.sum_layers else resting[-1]
-        self.readout.bias.copy_(-nn.functional.linear(values * self.gain, self.readout.weight)[0])
+            values = [circuit(torch.zeros(1, circuit.wires)) for circuit in circuits]
+        return torch.stack(values).sum(0) if self.sum_layers else values[-1]
 
     def described(self, circuit: Circuit) -> Circuit:
         """The circuit of every layer; a head that measures other values overrides this."""
@@ -199,10 +203,14 @@ class QirenHead(Head):
         """The `index`-th layer; a head with other preprocessing overrides this."""
         return HybridLayer(in_dim, wires, circuit, input_scale=input_scale, statistics=statistics)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """(N, in_dim) -> (N, out_dim)."""
+    def measured(self, features: Tensor) -> Tensor:
+        """(N, in_dim) -> (N, values): of the last circuit, or the sum over all."""
         values = total = self.hybrid[0](features)
         for layer in self.hybrid[1:]:
             values = layer(values)
             total = total + values
-        return self.readout((total if self.sum_layers else values) * self.gain)
+        return total if self.sum_layers else values
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(N, in_dim) -> (N, out_dim)."""
+        return self.readout(self.measured(features) * self.gain)

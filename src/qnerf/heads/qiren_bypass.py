@@ -47,6 +47,8 @@ class QirenBypassHead(QirenHead):
             options["qubits"] = min(in_dim, MAX_WIRES)
         super().__init__(in_dim, out_dim, **options)
         self.bypass = nn.Linear(in_dim, out_dim, bias=False) if bypass else None
+        self.rest: Tensor | None
+        self.register_buffer("rest", self.resting() if from_zero else None)
         if from_zero:
             nn.init.zeros_(self.readout.weight)
             nn.init.zeros_(self.readout.bias)
@@ -60,5 +62,8 @@ class QirenBypassHead(QirenHead):
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
-        values = super().forward(features)
-        return values if self.bypass is None else values + self.bypass(features)
+        values = self.measured(features)
+        if self.rest is not None:  # a bias that cancels it, as without `from_zero`, would lag behind the growing weights
+            values = values - self.rest
+        out: Tensor = self.readout(values * self.gain)
+        return out if self.bypass is None else out + self.bypass(features)
