@@ -47,6 +47,7 @@ class Question:
 
     rows: the keys that distinguish the rows of each table.
     baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
+    metric: what the tables compare and rank.
     values: the columns; those that no run has are left out.
     failures, units, hardware: whether to add the table of that name.
     paper: the names of the paper's tables to add.
@@ -56,6 +57,7 @@ class Question:
     commands: tuple[str, ...]
     rows: tuple[str, ...]
     baseline: Mapping[str, object] | None = None
+    metric: str = "psnr"
     values: tuple[str, ...] = QUALITY
     failures: bool = False
     units: bool = False
@@ -66,8 +68,9 @@ class Question:
     def tables(self, frame: pd.DataFrame) -> list[Table]:
         """The tables of the question's runs, as `load.runs` gives them."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
-        tables = [ablation(frame, self.rows, values=values, baseline=self.baseline)]
-        tables += [ablation(frame, self.rows, values=("psnr",), baseline=other) for other in self.other_baselines]
+        tables = [ablation(frame, self.rows, metric=self.metric, values=values, baseline=self.baseline)]
+        for other in self.other_baselines:
+            tables.append(ablation(frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other))
         wanted = ((self.failures, stability), (self.units, units), (self.hardware, shots_and_noise))
         tables += [make(frame, self.rows) for wants, make in wanted if wants]
         return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
@@ -75,6 +78,8 @@ class Question:
     def table_commands(self, name: str) -> list[str]:
         """The commands that make its tables over seeds from the packed runs in docs/results/`name`."""
         command = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
+        if self.metric != "psnr":
+            command += f" --metric {self.metric} --values {','.join(self.values)}"
         if self.baseline is None:
             return [command]
         baselines = [self.baseline, *self.other_baselines]
@@ -207,6 +212,21 @@ QUESTIONS = {
         ),
         ("scene_name", "head", "train.rates.head"),
         values=(*QUALITY, "params.head"),
+    ),
+    "heads_distance": Question(
+        "Which head fits the signed distance of a shape best, and is it the circuit?",
+        tuple(
+            f"python -m src.run -cd sweeps -cn heads_distance {more}"
+            for more in (
+                "train.rates.head=1.0",
+                "train.rates.head=0.1 head=siren",
+                "train.rates.head=1.0 head=amplitude,qvf,qnerf,reupload,parallel,product "
+                "++head.amplitude.unitary=identity",
+            )
+        ),
+        ("scene.shape", "head", "train.rates.head"),
+        metric="distance_error",
+        values=("distance_error", "iou", "params.head"),
     ),
     "small_heads": Question(
         "Is a quantum colour head as good as MLPs of at most 700 parameters?",
