@@ -63,7 +63,7 @@ def test_a_question_can_be_asked_of_its_sweep(name, tmp_path):
     """The rows tell all that the sweep varies, and the baseline is one of them."""
     question = QUESTIONS[name]
     for number, (columns, config) in enumerate(jobs(question)):
-        write_run(tmp_path, columns={"number": number, **columns}, config=config)
+        write_run(tmp_path, columns={"number": number, **columns}, config=config, results={question.metric: 0.5})
     question = dataclasses.replace(question, units=False, hardware=False)  # the sweep does not probe its runs
     titles = [table.title for table in question.tables(load.runs(tmp_path))]
     assert len(titles) == 1 + len(question.other_baselines) + question.failures + len(question.paper)

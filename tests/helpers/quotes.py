@@ -234,7 +234,8 @@ def result_rows(table: str, baseline: str) -> list[Row]:
     header, _, *lines = [
         [cell.strip() for cell in line.strip().strip("|").split("|")] for line in table.strip().splitlines()
     ]
-    start = next((i for i, name in enumerate(header) if name.startswith(("PSNR", "exact", "KS", "distance error"))), len(header))
+    measured = ("PSNR", "exact", "KS", "distance error")
+    start = next((i for i, name in enumerate(header) if name.startswith(measured)), len(header))
     rows = []
     for cells in lines:
         cells = [cell.replace("**", "") for cell in cells]

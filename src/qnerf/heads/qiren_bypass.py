@@ -63,7 +63,7 @@ class QirenBypassHead(QirenHead):
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
         values = self.measured(features)
-        if self.rest is not None:  # a bias that cancels it, as without `from_zero`, would lag behind the growing weights
+        if self.rest is not None:  # a bias that cancels it would lag behind the growing weights
             values = values - self.rest
         out: Tensor = self.readout(values * self.gain)
         return out if self.bypass is None else out + self.bypass(features)
