@@ -123,6 +123,9 @@ SIGMOID = (
 )
 """What `train=paper` was before the published code was followed."""
 
+UPLOAD = "density.amplitude.registers=[5] density.amplitude.uploads=1"
+GROWN = "density.qiren_bypass.from_zero=false"
+WIRES = "density.qiren_bypass.wire_per_feature=true qiren.spectral=1"
 SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
 
 QUESTIONS = {
@@ -187,6 +190,41 @@ QUESTIONS = {
         {"density": "2x64"},
         values=(*QUALITY, "params.density"),
         other_baselines=({"density": "amplitude6-identity"},),
+    ),
+    "heads_reupload": Question(
+        "Does a circuit pay that the linear map cannot absorb?",
+        (
+            sweep("heads_control", f"{UPLOAD} density.amplitude.unitary=identity,circuit,local,random"),
+            sweep("heads"),
+        ),
+        ("scene_name", "density"),
+        {"density": "amplitude5-identity-uploads=1"},
+        values=(*QUALITY, "params.density"),
+        other_baselines=({"density": "2x64"},),
+    ),
+    "heads_qiren": Question(
+        "What limits QIREN as a density head?",
+        (
+            sweep("heads", "head@density=mlp,qiren"),
+            sweep("heads", f"head@density=qiren_bypass {GROWN}"),
+            sweep("heads", f"head@density=qiren_bypass {GROWN} {WIRES}"),
+            sweep("heads", "density=mlp density.mlp.layers=3 density.mlp.width=8"),
+        ),
+        ("scene_name", "density"),
+        {"density": "3x8"},
+        values=(*QUALITY, "params.density"),
+        other_baselines=({"density": "2x64"},),
+    ),
+    "heads_time": Question(
+        "Do amplitude heads pay against an MLP that trains as long?",
+        (
+            sweep("heads", "head@density=mlp train.steps=1650,3000"),
+            sweep("heads", "head@density=amplitude,reupload"),
+            sweep("heads", "density=amplitude density.amplitude.unitary=identity"),
+        ),
+        ("scene_name", "density", "train.steps"),
+        {"density": "2x64", "train.steps": "1650"},
+        other_baselines=({"density": "2x64", "train.steps": "3000"},),
     ),
     "heads_color": Question(
         "Which colour head pays beside an MLP for density?",

@@ -261,6 +261,14 @@ def test_the_cost_of_an_amplitude_head_includes_the_preparation():
         cost.circuit_of(HEADS.build("amplitude", 8, 3, unitary="dense").systems[0])
 
 
+@pytest.mark.parametrize("head", ["amplitude", "reupload", "parallel", "product", "frequencies", "qvf", "qiren_bypass"])
+def test_every_sample_of_a_view_costs_one_evaluation_of_each_circuit(tiny, head):
+    trained = load(run(tiny(f"head@density={head}", "qiren.qubits=2", "qiren.layers=1", "visibility.cameras=0")).path)
+    table = PROBES["cost"](trained)
+    samples = len(trained.ray_table().view(0)) * trained.settings.sampler["final"]
+    assert set(table["view"]) == {samples}
+
+
 def test_the_command_knows_every_probe():
     assert set(probe_command.PROBES) == set(PROBES)
 

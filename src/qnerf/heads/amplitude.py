@@ -289,7 +289,7 @@ class AmplitudeHead(Head):
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
-        return self._evaluated(features, System.forward)
+        return self._evaluated(features, System.__call__)
 
     def plain(self, features: Tensor) -> Tensor:
         """`forward` with the states prepared and the circuits run gate by gate: its reference."""
