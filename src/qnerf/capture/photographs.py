@@ -7,7 +7,7 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures import TimeoutError as Unfinished
 from concurrent.futures.process import BrokenProcessPool
@@ -20,6 +20,7 @@ from typing import Any, Literal
 from PIL import Image, ImageOps
 
 from qnerf.capture import steps
+from qnerf.capture.masks import collect_masks
 from qnerf.capture.steps import Model
 from qnerf.capture.video import extract_frames
 from qnerf.config.checks import at_least
@@ -45,6 +46,7 @@ class Captured:
     others: list[str]  # of photographs without a pose
     groups: list[int]  # photographs in each group that shows nothing of the others; the first group is the scene
     error: float  # mean distance of features from their projected points, pixels
+    masked: int = 0  # photographs that had a mask
 
 
 def capture(
@@ -54,6 +56,7 @@ def capture(
     frames: int = 150,
     lens: Literal["auto", "shared", "each"] = "auto",
     order: Literal["auto", "any", "sequence"] = "auto",
+    masks: Path | None = None,
     progress: Progress = lambda what, done, total: None,
 ) -> Captured:
     """Finds the poses of photographs, undoes lens distortion, and writes a folder that scene=nerfstudio reads.
@@ -68,10 +71,12 @@ def capture(
             shared if all have one size.
         order: sequence: a photograph is compared with its neighbours only, in the order of names; any: with all others;
             auto: for a video sequence, and any if that leaves more than a tenth without a pose; else any.
+        masks: a folder of masks, see `collect_masks`; photographs without one count whole. Black pixels give no
+            features, and the scene's frames name the masks.
 
     Raises:
-        ValueError: pycolmap is missing, `out` is not empty, or the photographs cannot be read or posed. Then nothing
-            has been written.
+        ValueError: pycolmap is missing, `out` is not empty, or the photographs or masks cannot be read, or the
+            photographs not posed. Then nothing has been written.
     """
     if importlib.util.find_spec("pycolmap") is None:
         raise ValueError('pycolmap is not installed here: pip install "qnerf[capture]"')
@@ -79,13 +84,16 @@ def capture(
         raise ValueError(f"{out} exists already; choose a new folder")
     at_least("frames", frames, MIN_VIEWS)
     video = source.is_file() and source.suffix.lower() not in PHOTOGRAPHS
+    if video and masks is not None:
+        raise ValueError("masks are for a folder of photographs, got a video")
     if not video:
         _check_photographs(source)
     out.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:
-        taken = work / "photographs"
+        taken, black = work / "photographs", work / "masks"
         taken.mkdir()
+        black.mkdir()
         if video:
             extract_frames(source, taken, frames, progress)
         else:
@@ -93,18 +101,19 @@ def capture(
         names = [path.name for path in photographs(taken)]
         if len(names) < MIN_VIEWS:
             raise ValueError(f"{source}: expected at least {MIN_VIEWS} photographs, got {len(names)}")
+        masked = collect_masks(masks, taken, black) if masks is not None else 0
         one_size = len({_size(taken / name) for name in names}) == 1
         shared = lens == "shared" or (lens == "auto" and one_size)
-        matchings = {"sequence": ["sequential"], "any": ["exhaustive"]}.get(order, ["exhaustive"])
-        if order == "auto" and video:
-            matchings = ["sequential", "exhaustive"]
+        matchings = {"sequence": ["sequential"], "auto": ["sequential", "exhaustive"] if video else ["exhaustive"]}
         others = active_children()
         # Another process, because COLMAP ends its own where it fails, and because a second copy of SQLite must not read
         # a database in the process that writes it.
         with ProcessPoolExecutor(1, get_context("spawn"), steps.begin, (work / "log.txt",)) as colmap:
             try:
-                models = _reconstruct(colmap, taken, names, work, shared, matchings, progress)
-                running = colmap.submit(steps.undistort, models[0].folder, taken, work / "scene", JPEG_QUALITY)
+                models = _reconstruct(
+                    colmap, taken, names, work, shared, black, matchings.get(order, ["exhaustive"]), progress
+                )
+                running = colmap.submit(steps.undistort, models[0].folder, taken, work / "scene", JPEG_QUALITY, black)
                 _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
             except KeyboardInterrupt:  # of SIGTERM, say, which COLMAP's process does not get
                 for process in active_children():
@@ -112,12 +121,7 @@ def capture(
                         process.kill()
                 raise
         posed = set(models[0].posed)
-        scene = work / "written"
-        scene.mkdir()
-        os.replace(work / "scene" / "images", scene / "images")
-        content = transforms(read_model(work / "scene" / "sparse"))
-        (scene / "transforms.json").write_text(json.dumps(content, indent=1))
-        scene.chmod(0o777 & ~_umask())
+        scene = _write(work / "scene", work / "written")
         if out.is_dir():
             out.rmdir()
         os.replace(scene, out)
@@ -128,11 +132,29 @@ def capture(
         others=[name for name in names if name not in posed],
         groups=[len(model.posed) for model in models],
         error=models[0].error,
+        masked=masked,
     )
 
 
-def transforms(content: dict[str, Any]) -> dict[str, Any]:
-    """A transforms file from what `read_model` returns: names in `images`, sorted; keys that all frames share once."""
+def _write(undistorted: Path, scene: Path) -> Path:
+    """Moves what `steps.undistort` wrote to the folder `scene`, and writes transforms.json beside it."""
+    scene.mkdir()
+    os.replace(undistorted / "images", scene / "images")
+    masks = undistorted / "masks"
+    masked = {path.name for path in masks.iterdir()}
+    content = transforms(read_model(undistorted / "sparse"), masked)
+    if masked:
+        os.replace(masks, scene / "masks")
+    (scene / "transforms.json").write_text(json.dumps(content, indent=1))
+    scene.chmod(0o777 & ~_umask())
+    return scene
+
+
+def transforms(content: dict[str, Any], masked: Collection[str] = ()) -> dict[str, Any]:
+    """A transforms file from what `read_model` returns: names in `images`, sorted; keys that all frames share once.
+
+    masked: NAME.png for each image NAME that has a mask in `masks`.
+    """
     frames = sorted(content["frames"], key=lambda frame: str(frame["file_path"]))
     own = {"file_path", "transform_matrix"}
     shared = {
@@ -143,6 +165,7 @@ def transforms(content: dict[str, Any]) -> dict[str, Any]:
     listed = [
         {key: value for key, value in frame.items() if key not in shared}
         | {"file_path": f"images/{frame['file_path']}"}
+        | ({"mask_path": f"masks/{frame['file_path']}.png"} if f"{frame['file_path']}.png" in masked else {})
         for frame in frames
     ]
     return {**shared, "frames": listed}
@@ -190,6 +213,7 @@ def _reconstruct(
     names: list[str],
     work: Path,
     shared: bool,
+    masks: Path,
     matchings: list[str],
     progress: Progress,
 ) -> list[Model]:
@@ -198,13 +222,13 @@ def _reconstruct(
     matchings: "sequential" or "exhaustive". The next is tried where one leaves more than a tenth without a pose.
     """
     database, total = work / "database.db", len(names)
-    running = colmap.submit(steps.extract, database, folder, names, shared)
+    running = colmap.submit(steps.extract, database, folder, names, shared, masks)
     _follow(running, progress, "features", total, lambda: _count(database, "keypoints"))
     rich = _count(database, "keypoints", f"rows >= {MIN_FEATURES}")
     if rich < MIN_VIEWS:
         raise ValueError(
             f"{rich} of {total} photographs have {MIN_FEATURES} features or more, {MIN_VIEWS} are needed: blank walls, "
-            "blur and darkness show none"
+            f"blur and darkness show none{', nor does what is black in a mask' if any(masks.iterdir()) else ''}"
         )
     models: list[Model] = []
     for matching in matchings:
