@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from qnerf.auto import poses
+from qnerf.auto import exposure, poses
 from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
 from qnerf.building.scene import id_of, prepare, prepare_signal
 from qnerf.config.identity import picture_names
@@ -188,8 +188,9 @@ def run(
         store.write_environment(capture(settings.seed), dirty_diff())
         if isinstance(scene, Scene):
             store.write_transform(scene.transform.numpy())
-            if not store.resumed and config["scene"].get("path") and (doubt := poses.warning(scene)):
-                display.note(f"warning: {doubt}")
+            if not store.resumed and config["scene"].get("path"):
+                for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
+                    display.note(f"warning: {doubt}")
         return _execute(task, store, display, lambda: bool(stops) or stopping(), unpromising)
 
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qnerf.auto.exposure import best_shift, coarse, exposure_spread, gain, overlap
+from qnerf.auto.exposure import best_shift, coarse, exposure_spread, gain, overlap, warning
 from qnerf.auto.rules import EXPOSURE
 from tests.helpers.worlds import ball, brightened, constant, floor, texture
 
@@ -27,6 +27,14 @@ def test_one_exposure_is_below_the_limit_and_fifteen_percent_are_above(world):
 def test_the_poster_has_one_exposure_until_it_is_given_several(poster):
     assert exposure_spread(poster) < 0.5 * EXPOSURE
     assert exposure_spread(brightened(poster, 0.15)) > EXPOSURE
+
+
+def test_a_spread_that_harms_is_one_line(world, poster):
+    assert warning(poster) is None
+    assert warning(constant(200)) is None
+    told = warning(brightened(world, 0.3))
+    assert "from one photograph to another" in told
+    assert "\n" not in told
 
 
 def test_it_measures_the_spread(world):

@@ -9,6 +9,7 @@ from qnerf.scenes import Scene
 PAIRS = 30  # most pairs of neighbouring views to compare
 COARSE = 64  # pixels: greatest height at which views are compared
 ALIKE = 0.6  # correlation above which two views show the same thing
+VARIES = 0.1  # a spread that harms every model
 DARK, BRIGHT = 0.08, 0.92  # darker or brighter pixels say nothing about exposure
 
 
@@ -25,6 +26,17 @@ def exposure_spread(scene: Scene) -> float:
     if len(known) < 3:
         return float("nan")
     return float(np.sqrt(np.mean(known**2) / 2))
+
+
+def warning(scene: Scene) -> str | None:
+    """One line if brightness differs so much between views that held-out views cannot be predicted well; else None."""
+    spread = exposure_spread(scene)
+    if not spread > VARIES:  # also NaN
+        return None
+    return (
+        f"the same surfaces are {np.expm1(spread):.0%} brighter or darker from one photograph to another, which keeps "
+        "every held-out PSNR low, also with appearance=16; fix exposure and white balance of the camera"
+    )
 
 
 def coarse(image: NDArray[np.float64]) -> NDArray[np.float64]:
