@@ -40,6 +40,29 @@ def unlike(views: int = 3) -> list[np.ndarray]:
     return [np.kron(random.integers(0, 255, (30, 40, 3), np.uint8), np.ones((4, 4, 1), np.uint8)) for _ in range(views)]
 
 
+def above_a_floor(lens: float = 0.0, turning: bool = False) -> tuple[Cameras, list[np.ndarray]]:
+    """Cameras above a textured floor and around it, and their photographs (120, 160, 3).
+
+    lens: k1 of its distortion; turning: all are in one place.
+    """
+    angles = np.linspace(0, 1.2, 7)
+    centres = [
+        (0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.8 + 0.1 * (number % 3)) for number, angle in enumerate(angles)
+    ]
+    poses = [worlds.look_at(centre, np.zeros(3)) for centre in centres]
+    if turning:
+        poses = [worlds.look_at((0.3, 0.0, 0.8), np.array([0, 0.4 * number / 7, 0])) for number in range(7)]
+    of = worlds.cameras(np.stack(poses), 160, 120, 150.0)
+    of.distortion[:, 0] = lens
+    images = []
+    for view in range(len(of)):
+        origins, directions = worlds.pixel_rays(of, view)
+        hit = (origins - directions * (origins[..., 2:] / directions[..., 2:])).numpy()
+        bump = worlds.texture(hit[..., 0], hit[..., 1], 30.0)
+        images.append(np.repeat((255 * bump).round().astype(np.uint8)[..., None], 3, axis=2))
+    return of, images
+
+
 @pytest.mark.parametrize(
     ("images", "message"),
     [
@@ -48,8 +71,9 @@ def unlike(views: int = 3) -> list[np.ndarray]:
         (unlike(1) * 3, "the poses of fewer than 3 of 3 photographs can be found"),
         (wall(1), "expected a folder of at least 3 photographs .*, got 1"),
         ([], "expected a folder of at least 3 photographs .*, got 0"),
+        (above_a_floor(turning=True)[1], "fewer than 3 of 7 photographs can be found: .* the camera only turned"),
     ],
-    ids=["wall", "nothing in common", "one place", "one image", "no image"],
+    ids=["wall", "nothing in common", "one place", "one image", "no image", "turning"],
 )
 def test_photographs_that_cannot_be_posed_are_one_line_and_leave_nothing(
     tmp_path: Path, images: list[np.ndarray], message: str
@@ -74,6 +98,8 @@ def test_sources_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
             capture(bad, tmp_path / "out")
     with pytest.raises(ValueError, match=r"images exists already; choose a new folder"):
         capture(source, source)
+    with pytest.raises(ValueError, match=r"00.png/out cannot be made: .*: .*00.png"):
+        capture(source, source / "00.png" / "out")
     with pytest.raises(ValueError, match="frames must be at least 3, got 0"):
         capture(source, tmp_path / "out", frames=0)
     assert list(tmp_path.iterdir()) == [source]
@@ -119,23 +145,6 @@ def test_what_all_frames_share_is_written_once() -> None:
     }
 
 
-def above_a_floor(lens: float = 0.0) -> tuple[Cameras, list[np.ndarray]]:
-    """Cameras above a textured floor and around it, and their photographs (120, 160, 3); lens: k1 of its distortion."""
-    angles = np.linspace(0, 1.2, 7)
-    centres = [
-        (0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.8 + 0.1 * (number % 3)) for number, angle in enumerate(angles)
-    ]
-    of = worlds.cameras(np.stack([worlds.look_at(centre, np.zeros(3)) for centre in centres]), 160, 120, 150.0)
-    of.distortion[:, 0] = lens
-    images = []
-    for view in range(len(of)):
-        origins, directions = worlds.pixel_rays(of, view)
-        hit = (origins - directions * (origins[..., 2:] / directions[..., 2:])).numpy()
-        bump = worlds.texture(hit[..., 0], hit[..., 1], 30.0)
-        images.append(np.repeat((255 * bump).round().astype(np.uint8)[..., None], 3, axis=2))
-    return of, images
-
-
 def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One photograph shows something else, one was taken sideways."""
     of, images = above_a_floor()
@@ -161,6 +170,22 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
         found, expected = (of_all[view].T @ of_all[view + 1] for of_all in (turns, truth))
         assert np.degrees(np.arccos(np.clip((np.trace(found.T @ expected) - 1) / 2, -1, 1))) < 0.5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "out"]
+
+
+def test_two_scenes_in_one_folder_and_exposure_that_varies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The larger group becomes the scene. The brightness of its photographs differs by up to a half."""
+    images = above_a_floor()[1]
+    others = [255 - image[::-1, :, ::-1] for image in images[1:5]]  # negatives have other features
+    others = [np.repeat((image[..., :1] // 2 + 60), 3, axis=2) for image in others]
+    varied = [(image * gain).astype(np.uint8) for image, gain in zip(images, np.linspace(0.6, 1.2, 7), strict=True)]
+    source = write(tmp_path / "images", *varied, *others)
+    assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "7 of 11 photographs were posed" in told
+    assert "not posed: 07.png, 08.png, 09.png, 10.png" in told
+    assert "2 groups that share nothing, of 7, 4; the first was taken" in told
+    scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))
+    assert scene.names == [f"images/{number:02d}.png" for number in range(7)]
 
 
 def test_masks_hide_features_and_follow_the_undistorted_photographs(

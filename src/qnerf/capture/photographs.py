@@ -88,7 +88,10 @@ def capture(
         raise ValueError("masks are for a folder of photographs, got a video")
     if not video:
         _check_photographs(source)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{out} cannot be made: {error.strerror}: {error.filename}") from error
     work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:
         taken, black = work / "photographs", work / "masks"

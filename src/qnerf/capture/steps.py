@@ -11,6 +11,7 @@ from PIL import Image
 
 MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
 NEIGHBOURS = 20  # with which an image of a sequence is compared: the next ten, and those 2, 4, 8, ... on
+MIN_POINTS = 40  # of a model; a camera that only turns yields a handful from noise
 # For small or few photographs, where COLMAP's own limits leave no pair to begin with.
 RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": 4.0, "abs_pose_min_num_inliers": 15}
 PLACED = "placed"  # a file with a byte for each photograph that has been posed so far
@@ -22,6 +23,7 @@ class Model:
 
     folder: Path  # of the model, binary
     posed: list[str]  # names
+    points: int  # in space, each seen by two photographs or more
     error: float  # mean distance of features from their projected points, pixels
 
 
@@ -65,7 +67,10 @@ def match(database: Path, matching: str) -> None:
 
 
 def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relaxed: bool) -> list[Model]:
-    """Poses the photographs, and writes models of at least `min_views` of them into `place`; the largest first."""
+    """Poses the photographs, and writes models of at least `min_views` of them into `place`; the largest first.
+
+    Models of fewer than `MIN_POINTS` points are left out.
+    """
     import pycolmap as sfm
 
     pipeline = sfm.IncrementalPipelineOptions(min_model_size=min_views, random_seed=0)
@@ -80,14 +85,15 @@ def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relax
             str(database), str(folder), str(place), options=pipeline, next_image_callback=one_more
         )
     models = [_written(model, place / f"model{number}") for number, model in found.items()]
-    return sorted((model for model in models if len(model.posed) >= min_views), key=lambda model: -len(model.posed))
+    sound = [model for model in models if len(model.posed) >= min_views and model.points >= MIN_POINTS]
+    return sorted(sound, key=lambda model: -len(model.posed))
 
 
 def _written(model: Any, folder: Path) -> Model:
     folder.mkdir()
     model.write(str(folder))
     posed = [image.name for image in model.images.values() if image.has_pose]
-    return Model(folder, posed, float(model.compute_mean_reprojection_error()))
+    return Model(folder, posed, len(model.points3D), float(model.compute_mean_reprojection_error()))
 
 
 def placed(place: Path) -> int:

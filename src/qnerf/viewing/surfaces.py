@@ -120,7 +120,10 @@ def mesh(renderer: Renderer, hits: Hits, cells: int = CELLS, level: float | None
     try:
         surface = marched(grid, low, cell, level)
     except ValueError:
-        raise ValueError(f"the density is {level:g} per world unit nowhere in the scene; set another --level") from None
+        span = f"it lies between {grid.min():g} and {grid.max():g} there"
+        raise ValueError(
+            f"the density is {level:g} per world unit nowhere in the scene: {span}; set another --level"
+        ) from None
     return seen(renderer, surface, 2 * cell)
 
 

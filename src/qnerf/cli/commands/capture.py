@@ -71,6 +71,8 @@ def main(options: argparse.Namespace) -> None:
     if captured.others:
         more = f" and {len(captured.others) - NAMED} more" if len(captured.others) > NAMED else ""
         print(f"not posed: {', '.join(map(printable, captured.others[:NAMED]))}{more}")
+    if len(captured.posed) < total / 2:
+        print("less than half were posed: take more photographs in between, so that neighbours overlap by half or more")
     if len(captured.groups) > 1:
         sizes = ", ".join(map(str, captured.groups))
         print(f"they fall into {len(captured.groups)} groups that share nothing, of {sizes}; the first was taken")
