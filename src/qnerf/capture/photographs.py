@@ -88,11 +88,7 @@ def capture(
         raise ValueError("masks are for a folder of photographs, got a video")
     if not video:
         _check_photographs(source)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"{out} cannot be made: {error.strerror}: {error.filename}") from error
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    work = _beside(out)
     try:
         taken, black = work / "photographs", work / "masks"
         taken.mkdir()
@@ -137,6 +133,15 @@ def capture(
         error=models[0].error,
         masked=masked,
     )
+
+
+def _beside(out: Path) -> Path:
+    """A new hidden folder beside `out`, so that the finished scene can be moved there at once."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    except OSError as error:
+        raise ValueError(f"{out} cannot be made: {error.strerror}: {error.filename}") from error
 
 
 def _write(undistorted: Path, scene: Path) -> Path:
