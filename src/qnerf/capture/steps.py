@@ -11,9 +11,10 @@ from PIL import Image
 
 MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
 NEIGHBOURS = 20  # with which an image of a sequence is compared: the next ten, and those 2, 4, 8, ... on
-MIN_POINTS = 40  # of a model; a camera that only turns yields a handful from noise
+MIN_POINTS = 40  # of a model
+MIN_ANGLE = 4.0  # degrees between the rays to a point; a camera that only turns yields 2 to 3 from noise
 # For small or few photographs, where COLMAP's own limits leave no pair to begin with.
-RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": 4.0, "abs_pose_min_num_inliers": 15}
+RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": MIN_ANGLE, "abs_pose_min_num_inliers": 15}
 PLACED = "placed"  # a file with a byte for each photograph that has been posed so far
 
 
@@ -25,6 +26,7 @@ class Model:
     posed: list[str]  # names
     points: int  # in space, each seen by two photographs or more
     error: float  # mean distance of features from their projected points, pixels
+    angle: float  # widest between rays to a point, median over points, degrees
 
 
 def begin(log: Path) -> None:
@@ -69,7 +71,8 @@ def match(database: Path, matching: str) -> None:
 def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relaxed: bool) -> list[Model]:
     """Poses the photographs, and writes models of at least `min_views` of them into `place`; the largest first.
 
-    Models of fewer than `MIN_POINTS` points are left out.
+    Models of few points (`MIN_POINTS`), or of points seen from nearly one direction (`MIN_ANGLE`), are noise and
+    left out.
     """
     import pycolmap as sfm
 
@@ -85,7 +88,11 @@ def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relax
             str(database), str(folder), str(place), options=pipeline, next_image_callback=one_more
         )
     models = [_written(model, place / f"model{number}") for number, model in found.items()]
-    sound = [model for model in models if len(model.posed) >= min_views and model.points >= MIN_POINTS]
+    sound = [
+        model
+        for model in models
+        if len(model.posed) >= min_views and model.points >= MIN_POINTS and model.angle >= MIN_ANGLE
+    ]
     return sorted(sound, key=lambda model: -len(model.posed))
 
 
@@ -93,7 +100,17 @@ def _written(model: Any, folder: Path) -> Model:
     folder.mkdir()
     model.write(str(folder))
     posed = [image.name for image in model.images.values() if image.has_pose]
-    return Model(folder, posed, len(model.points3D), float(model.compute_mean_reprojection_error()))
+    return Model(folder, posed, len(model.points3D), float(model.compute_mean_reprojection_error()), _angle(model))
+
+
+def _angle(model: Any) -> float:
+    centres = {image: model.images[image].projection_center() for image in model.reg_image_ids()}
+    widest = []
+    for point in model.points3D.values():
+        rays = np.stack([centres[seen.image_id] for seen in point.track.elements]) - point.xyz
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        widest.append(np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1).min())))
+    return float(np.median(widest)) if widest else 0.0
 
 
 def placed(place: Path) -> int:
