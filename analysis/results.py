@@ -191,6 +191,23 @@ QUESTIONS = {
         values=(*QUALITY, "params.density"),
         other_baselines=({"density": "amplitude6-identity"},),
     ),
+    "needs": Question(
+        "Does needs=auto pay on scenes of different kinds?",
+        tuple(
+            f"python -m src.run -m needs=none,auto field=qcolor budget=short seed=0,1,2{scene}"
+            for scene in (
+                "",
+                " scene=nerfstudio scene.path=FOX",
+                " scene=blender scene.path=CHAIR",
+                " scene=llff scene.path=FERN scene.width=64",
+                " scene=colmap scene.path=KING scene.model=sparse scene.width=64",
+                " scene=nerfstudio scene.path=TERRACE scene.width=64",
+            )
+        ),
+        ("scene_name", "needs.name"),
+        {"needs.name": "none"},
+        values=(*QUALITY, "step_cpu_ms"),
+    ),
     "heads_reupload": Question(
         "Does a circuit pay that the linear map cannot absorb?",
         (
