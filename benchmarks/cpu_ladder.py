@@ -38,6 +38,7 @@ from qnerf.timing import load
 RESULTS = Path(__file__).parent / "results" / "cpu_ladder.parquet"
 CASES = {  # name -> who trains, overrides
     "qnerf classical": ("qnerf", "field=classical"),
+    "qnerf classical, large": ("qnerf", "train=large field=classical"),
     "qnerf amplitude density": (
         "qnerf",
         "head@density=amplitude head@color=mlp color.directions=raw color.mlp.init=he",

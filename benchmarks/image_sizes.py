@@ -26,6 +26,7 @@ import pandas as pd
 import torch
 from PIL import Image
 
+from analysis import figures
 from benchmarks.training import build
 from qnerf.timing import load, peak_memory_mb
 from qnerf.training.image_metrics import psnr
@@ -122,6 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--overrides", default="", help="of all configurations")
     parser.add_argument("--again", action="store_true", help="repeat what is saved")
     parser.add_argument("--out", type=Path, default=RESULTS, help="file of the results")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="also draw train=large: a png, pdf or svg file")
     parser.add_argument("--one", metavar="OVERRIDES", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.one:
@@ -145,7 +147,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         row = json.loads(answer.splitlines()[-1])
         save(options.out, keys | row | {"load": load()})
         print(f"{scene.name} {size} px, {recipe}: {row['psnr']:.2f} dB, {row['cpu_s']:.0f} s of CPU", flush=True)
-    report(stored(options.out))
+    rows = stored(options.out)
+    report(rows)
+    if options.figure:
+        figures.image_sizes(rows).savefig(options.figure, dpi=200)
 
 
 if __name__ == "__main__":

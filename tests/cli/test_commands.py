@@ -156,7 +156,7 @@ def test_how_a_command_ends(capsys: pytest.CaptureFixture[str]) -> None:
             exit_code(failing(bug))
 
 
-@pytest.mark.parametrize("arguments", [["runs"], ["run", "--help"]])
+@pytest.mark.parametrize("arguments", [["runs"], ["run", "--help"], ["--help"], ["--version"]])
 def test_a_closed_pipe_ends_a_command_quietly(tmp_path: Path, arguments: list[str]) -> None:
     for name in (f"r{number}" for number in range(3)):
         (tmp_path / "runs" / name).mkdir(parents=True)

@@ -70,7 +70,13 @@ def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_ru
     out = tmp_path / "out"
     assert main.dispatch("export", [str(tiny_run), "--to", "points", "--within", "900", "--out", str(out)]) == 0
     assert "step 3, " in capsys.readouterr().out
-    written = ply.decode((out / f"{tiny_run.name}.ply").read_bytes())
+    content = (out / f"{tiny_run.name}.ply").read_bytes()
+    file = tmp_path / "one.ply"
+    assert main.dispatch("export", [str(tiny_run), "--to", "points", "--within", "900", "--out", str(file)]) == 0
+    assert file.read_bytes() == content
+    assert main.dispatch("export", [*[str(tiny_run)] * 2, "--to", "points", "--out", str(file)]) == 2
+    assert "expected a folder for 2 runs" in capsys.readouterr().err
+    written = ply.decode(content)
     mine = surfaces.cloud(surfaces.ray_ends(Renderer(trained), 10**6, 900))
     homogeneous = np.concatenate([written.points, np.ones((len(written.points), 1))], axis=1)
     np.testing.assert_allclose(

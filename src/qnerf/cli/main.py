@@ -45,9 +45,9 @@ def main() -> None:
         print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
         command = RENAMED[command]
     if command in ("-h", "--help", "help"):
-        print(usage())
+        sys.exit(exit_code(lambda: print(usage())))
     elif command == "--version":
-        print(f"qnerf {__version__}")
+        sys.exit(exit_code(lambda: print(f"qnerf {__version__}")))
     elif command == "run":
         sys.argv = ["qnerf run", *arguments]
         run()

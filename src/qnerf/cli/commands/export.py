@@ -25,7 +25,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_many_runs(parser)
     parser.add_argument("--to", required=True, choices=TARGETS, help="where the copies go")
-    parser.add_argument("--out", metavar="DIR", help="a folder, but for mlflow (default: exports/csv, ...)")
+    parser.add_argument(
+        "--out", metavar="DIR",
+        help="a folder, but for mlflow (default: exports/csv, ...); for points or a mesh of one run also NAME.ply",
+    )  # fmt: skip
     parser.add_argument("--uri", help="mlflow: tracking server or database (default: MLflow's own)")
     parser.add_argument("--experiment", metavar="NAME", help="mlflow: experiment to put the runs into (default: qnerf)")
     parser.add_argument(
@@ -77,12 +80,15 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
-    """Writes `<out>/<run id>.ply` of each run."""
+    """Writes `<out>/<run id>.ply` of each run, or the file `out` of a single one."""
     from qnerf.cli.upgrade_config import load_stored
     from qnerf.viewing import ply, surfaces
     from qnerf.viewing.frames import Renderer
 
     out = Path(options.out or f"exports/{options.to}")
+    single = out.suffix == ".ply" and not out.is_dir()
+    if single and len(folders) > 1:
+        raise ValueError(f"--out: expected a folder for {len(folders)} runs, got the file {printable(out)}")
     for folder in folders:
         trained = load_stored(folder, [name for name in options.runs if name.startswith("plugins=")])
         renderer = Renderer(trained)
@@ -91,7 +97,7 @@ def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
             surface = surfaces.cloud(hits)
         else:
             surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level)
-        file = out / f"{folder.name}.ply"
+        file = out if single else out / f"{folder.name}.ply"
         ply.write(file, surfaces.world(trained, surface))
         triangles = "" if surface.faces is None else f", {len(surface.faces):,} triangles"
         print(f"{folder.name}: step {trained.step:,}, {len(surface.points):,} points{triangles} -> {printable(file)}")
