@@ -23,9 +23,9 @@ import pandas as pd
 import torch
 from scipy.optimize import least_squares
 
+from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import pauli_cost
 from qnerf.quantum.circuit import ANSATZE, Amplitudes, Circuit, Gate, Hamiltonian, Probabilities, Weights, feature
-from qnerf.quantum.compiled.simd import VECTOR_BYTES
 from qnerf.quantum.cost_model import Rates, choose_engine, expected_seconds, forms_of
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.pauli_cost import PauliRates

@@ -199,3 +199,21 @@ def _python(code: str, *folders: Path, **environment: str) -> subprocess.Complet
     variables = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     variables |= {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1", **environment}
     return subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, timeout=120)
+
+
+def test_a_cache_that_cannot_be_read_is_made_anew(tmp_path):
+    """It may be cut off, or name a class of the package that has moved since."""
+    (tmp_path / "loops.py").write_text("from qnerf.kernels.jit import jit\n\n@jit\ndef twice(x):\n    return 2 * x\n")
+    environment = os.environ | {"PYTHONPATH": f"{SOURCE}{os.pathsep}{tmp_path}"}
+
+    def call() -> str:
+        command = [sys.executable, "-c", "import loops; print(loops.twice(21))"]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert call() == "42\n"
+    (index,) = tmp_path.rglob("*.nbi")
+    whole = index.read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"", whole.replace(b"numba", b"nimba")):
+        index.write_bytes(damaged)
+        assert call() == "42\n"
+        assert index.read_bytes() != damaged

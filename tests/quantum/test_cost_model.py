@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from benchmarks.cost_model import RESULT, RESULT_ANY, circuit_of, expected, expected_any
+from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import QuantumLayer, pauli_cost
-from qnerf.quantum.compiled.simd import VECTOR_BYTES
 from qnerf.quantum.cost_model import RATES
 
 

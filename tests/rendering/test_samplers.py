@@ -10,6 +10,7 @@ from torch import Tensor
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.visibility import SpaceMask
+from qnerf.kernels import plain
 from qnerf.rendering.pdf import sample_edges, sample_edges_reference
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, even_edges
@@ -206,11 +207,16 @@ def test_the_loop_of_a_proposal_network_agrees_with_its_modules(dtype, masked, f
     network = sampler.networks[0]
     with torch.no_grad():
         network.encoder.table.uniform_(-1, 1)
-    points = 3 * torch.randn(1, count, 3, dtype=dtype, generator=torch.Generator().manual_seed(2))
-    plain = sampler.proposed(network, points)
-    with torch.no_grad():
-        fast = sampler.proposed(network, points)
-    torch.testing.assert_close(fast, plain.detach(), rtol=20 * torch.finfo(dtype).eps, atol=0)
+    unit = torch.rand(1, count, 3, dtype=dtype, generator=torch.Generator().manual_seed(2))
+    inside = sampler.mask(unit) if sampler.mask is not None else None
+    fast = sampler.proposed(network, unit, inside)
+    with plain():
+        slow = sampler.proposed(network, unit, inside)
+    torch.testing.assert_close(fast, slow, rtol=20 * torch.finfo(dtype).eps, atol=0)
+    parameters = list(network.parameters())
+    gradients = [torch.autograd.grad(density.sin().sum(), parameters) for density in (fast, slow)]
+    for ours, theirs in zip(*gradients, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=200 * torch.finfo(dtype).eps * count)
     assert not masked or bool((fast == 0).any())
 
 

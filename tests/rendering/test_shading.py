@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 from qnerf.building.model import build_model, ray_table
 from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
+from qnerf.kernels.merging import Merge
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.render import color_shares, render, volume_weights
-from qnerf.rendering.shading import SHADINGS, SMALL
+from qnerf.rendering.shading import SHADINGS, SMALL, merge_reference
 from qnerf.timing import Stopwatch
 from qnerf.types import Samples
 from tests.helpers.configs import TINY
@@ -164,6 +165,23 @@ def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
     filled = merged.sum(-1) > 0
     assert torch.equal(mask[filled], merged[filled] > 0)
     assert int(mask.sum()) >= min(2, mask.numel())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**20), samples=st.integers(1, 30), parts=st.integers(1, 12), features=st.integers(1, 6))
+def test_the_loop_that_merges_agrees_with_its_reference(dtype, seed, samples, parts, features):
+    share = color_shares(along(70, samples, seed)[0], "last_sample").to(dtype).requires_grad_()
+    generator = torch.Generator().manual_seed(seed)
+    geometry = torch.randn(70, samples, features, dtype=torch.float64, generator=generator).to(dtype).requires_grad_()
+    fast, slow = Merge.apply(share, geometry, parts, SMALL / parts), merge_reference(share, geometry, parts)
+    same = (fast[0] - slow[0]).detach().abs().amax(-1) < 1e-5  # rounding may move a sample into the next part
+    assert bool(same.sum() >= 66)
+    upstream = [torch.linspace(-1, 1, value.numel(), dtype=dtype).view_as(value) for value in slow]
+    found, expected = (torch.autograd.grad(values, (share, geometry), upstream) for values in (fast, slow))
+    for ours, theirs in zip((*fast, *found), (*slow, *expected), strict=True):
+        scale = float(theirs.detach().abs().max()) + 1
+        torch.testing.assert_close(ours[same], theirs[same], rtol=0, atol=100 * scale * torch.finfo(dtype).eps)
 
 
 def test_merging_into_parts_no_larger_than_a_sample_is_no_merging():

@@ -30,7 +30,7 @@ class SpaceMask(nn.Module):
     @torch.no_grad()
     def forward(self, points: Tensor) -> Tensor:
         n = self.grid.shape[0]
-        cell = (points * n).long().clamp_(0, n - 1)
+        cell = (points * n).nan_to_num(nan=0.0).clamp_(0, n - 1).long()
         return self.grid.view(-1)[(cell[..., 0] * n + cell[..., 1]) * n + cell[..., 2]]
 
 

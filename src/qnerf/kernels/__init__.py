@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 _plain = False
 
@@ -14,6 +14,11 @@ def compiled(*tensors: Tensor) -> bool:
     dtype = tensors[0].dtype
     known = dtype in (torch.float32, torch.float64)
     return known and not _plain and all(t.device.type == "cpu" and t.dtype == dtype for t in tensors)
+
+
+def replaceable(*modules: nn.Module) -> bool:
+    """Whether a loop may compute what these modules do without calling them: nobody watches them by a hook."""
+    return not any(part._forward_hooks or part._forward_pre_hooks for module in modules for part in module.modules())
 
 
 @contextlib.contextmanager

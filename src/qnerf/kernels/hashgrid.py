@@ -24,6 +24,18 @@ from torch import Tensor
 from qnerf.kernels import compiled
 from qnerf.kernels.buffer_pool import pooled_empty
 from qnerf.kernels.jit import jit, run
+from qnerf.kernels.simd import (
+    VECTOR_BYTES,
+    gather,
+    gather_pairs,
+    join,
+    load,
+    load_pair,
+    load_twice,
+    pair,
+    store,
+    store_split,
+)
 
 PRIMES = (1, 2654435761, 805459861)
 CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]
@@ -105,7 +117,7 @@ class _HashEncode(torch.autograd.Function):
     def forward(ctx: Any, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool) -> Tensor:
         levels, _, features = table.shape
         out = points.new_empty(points.shape[0], levels * features)
-        arrays = (_flat(points), _flat(table), _flat(resolutions), dense, features, _flat(out))
+        arrays = (flat(points), flat(table), flat(resolutions), dense, features, flat(out))
         run(_forward, len(points), *arrays, grain=GRAIN)
         ctx.save_for_backward(points, table, resolutions)
         ctx.dense = dense
@@ -119,16 +131,16 @@ class _HashEncode(torch.autograd.Function):
             gradients = _differentiable_gradients(wanted, gradient, points, table, resolutions, ctx.dense)
             return *gradients, None, None
         levels, _, features = table.shape
-        common = (_flat(points), _flat(gradient), _flat(resolutions), ctx.dense, features)
+        common = (flat(points), flat(gradient), flat(resolutions), ctx.dense, features)
         to_points = to_table = None
         if ctx.needs_input_grad[1]:
             to_table = pooled_empty(
-                tuple(table.shape), _flat(table).dtype
+                tuple(table.shape), flat(table).dtype
             )  # each level is zeroed by the thread that owns it
-            run(_table_gradient, levels, *common, _flat(to_table), grain=1)
+            run(_table_gradient, levels, *common, flat(to_table), grain=1)
         if ctx.needs_input_grad[0]:
             to_points = torch.empty(points.shape, dtype=points.dtype)
-            run(_points_gradient, len(points), *common, _flat(table), _flat(to_points), grain=GRAIN)
+            run(_points_gradient, len(points), *common, flat(table), flat(to_points), grain=GRAIN)
         return to_points, to_table, None, None
 
 
@@ -141,7 +153,7 @@ def _differentiable_gradients(
     return next(gradients) if needed[0] else None, next(gradients) if needed[1] else None
 
 
-def _flat(tensor: Tensor) -> np.ndarray:
+def flat(tensor: Tensor) -> np.ndarray:
     return tensor.detach().reshape(-1).numpy()
 
 
@@ -150,54 +162,103 @@ U = np.uintp
 
 
 @jit
-def _corners(points, first, count, resolution, direct, mask, row, weight, fraction):  # type: ignore[no-untyped-def]
+def _cell(x, cells, last):  # type: ignore[no-untyped-def]
+    """The cell of a coordinate, as uint32, and the position in it, from 0 to 1."""
+    number = type(x)
+    zero, one = number(0), number(1)
+    # Both comparisons are false for NaN, so that it stays; its cell is that of 0, because a NaN has no integer.
+    # float64 holds the product of a float32 and the resolution exactly.
+    place = (zero if x < zero else (one if x > one else x)) * cells
+    cell = min(np.int32(place if place >= 0 else 0.0), last)
+    return np.uint32(cell), number(place - cell)
+
+
+@jit
+def corners(points, first, count, resolution, direct, mask, row, weight, fraction):  # type: ignore[no-untyped-def]
     """For points first..first + count: rows and weights of the 8 corners (8, BLOCK), and `fraction` (3, BLOCK).
 
-    `fraction` is the position in the cell along each axis, in [0, 1].
+    `fraction` is the position in the cell along each axis, in [0, 1]. Each product and sum of rows is cut to 32 bits at
+    once, because Numba's are 64 bits wide, of which a vector holds half as many.
     """
-    number = points.dtype.type
-    zero, one, cells = number(0), number(1), np.float64(resolution)
-    last = np.int32(resolution - 1)
-    side = np.uint32(resolution + 1)
-    plane = side * side
-    prime_y, prime_z = np.uint32(2654435761), np.uint32(805459861)
-    u1 = np.uint32(1)
+    u32 = np.uint32
+    one, cells, last = points.dtype.type(1), np.float64(resolution), np.int32(resolution - 1)
+    side = u32(resolution + 1)
+    plane = u32(side * side)
+    prime_y, prime_z, u1 = u32(2654435761), u32(805459861), u32(1)
     b = U(BLOCK)
+    if direct:
+        for i in range(U(count)):
+            j = U(3) * (U(first) + i)
+            x, fraction[i] = _cell(points[j], cells, last)
+            y, fraction[b + i] = _cell(points[j + U(1)], cells, last)
+            z, fraction[U(2) * b + i] = _cell(points[j + U(2)], cells, last)
+            low = u32(u32(x + u32(y * side)) + u32(z * plane))
+            high = u32(low + plane)
+            row[i], row[b + i] = low, u32(low + u1)
+            row[U(2) * b + i], row[U(3) * b + i] = u32(low + side), u32(u32(low + side) + u1)
+            row[U(4) * b + i], row[U(5) * b + i] = high, u32(high + u1)
+            row[U(6) * b + i], row[U(7) * b + i] = u32(high + side), u32(u32(high + side) + u1)
+    else:
+        for i in range(U(count)):
+            j = U(3) * (U(first) + i)
+            x, fraction[i] = _cell(points[j], cells, last)
+            y, fraction[b + i] = _cell(points[j + U(1)], cells, last)
+            z, fraction[U(2) * b + i] = _cell(points[j + U(2)], cells, last)
+            x0, x1 = u32(x & mask), u32(u32(x + u1) & mask)
+            y0, z0 = u32(y * prime_y), u32(z * prime_z)
+            y1, z1 = u32(y0 + prime_y), u32(z0 + prime_z)
+            yz00, yz10 = u32(u32(y0 ^ z0) & mask), u32(u32(y1 ^ z0) & mask)
+            yz01, yz11 = u32(u32(y0 ^ z1) & mask), u32(u32(y1 ^ z1) & mask)
+            row[i], row[b + i] = u32(x0 ^ yz00), u32(x1 ^ yz00)
+            row[U(2) * b + i], row[U(3) * b + i] = u32(x0 ^ yz10), u32(x1 ^ yz10)
+            row[U(4) * b + i], row[U(5) * b + i] = u32(x0 ^ yz01), u32(x1 ^ yz01)
+            row[U(6) * b + i], row[U(7) * b + i] = u32(x0 ^ yz11), u32(x1 ^ yz11)
     for i in range(U(count)):
-        j = U(3) * (U(first) + i)
-        x, y, z = points[j], points[j + U(1)], points[j + U(2)]
-        # Both comparisons are false for NaN, so that it stays; its cell is that of 0, because a NaN has no integer.
-        # float64 holds the product of a float32 and the resolution exactly.
-        x = (zero if x < zero else (one if x > one else x)) * cells
-        y = (zero if y < zero else (one if y > one else y)) * cells
-        z = (zero if z < zero else (one if z > one else z)) * cells
-        ix = min(np.int32(x if x >= 0 else 0.0), last)
-        iy = min(np.int32(y if y >= 0 else 0.0), last)
-        iz = min(np.int32(z if z >= 0 else 0.0), last)
-        fx, fy, fz = number(x - ix), number(y - iy), number(z - iz)
-        x0, y0, z0 = np.uint32(ix), np.uint32(iy), np.uint32(iz)
-        if direct:
-            low = x0 + y0 * side + z0 * plane
-            high = low + plane
-            row[i], row[b + i] = low, low + u1
-            row[U(2) * b + i], row[U(3) * b + i] = low + side, low + side + u1
-            row[U(4) * b + i], row[U(5) * b + i] = high, high + u1
-            row[U(6) * b + i], row[U(7) * b + i] = high + side, high + side + u1
-        else:
-            x1 = x0 + u1
-            y0, z0 = y0 * prime_y, z0 * prime_z
-            y1, z1 = y0 + prime_y, z0 + prime_z
-            row[i], row[b + i] = (x0 ^ y0 ^ z0) & mask, (x1 ^ y0 ^ z0) & mask
-            row[U(2) * b + i], row[U(3) * b + i] = (x0 ^ y1 ^ z0) & mask, (x1 ^ y1 ^ z0) & mask
-            row[U(4) * b + i], row[U(5) * b + i] = (x0 ^ y0 ^ z1) & mask, (x1 ^ y0 ^ z1) & mask
-            row[U(6) * b + i], row[U(7) * b + i] = (x0 ^ y1 ^ z1) & mask, (x1 ^ y1 ^ z1) & mask
-        fraction[i], fraction[b + i], fraction[U(2) * b + i] = fx, fy, fz
+        fx, fy, fz = fraction[i], fraction[b + i], fraction[U(2) * b + i]
         gx, gy, gz = one - fx, one - fy, one - fz
         w00, w10, w01, w11 = gy * gz, fy * gz, gy * fz, fy * fz
         weight[i], weight[b + i] = gx * w00, fx * w00
         weight[U(2) * b + i], weight[U(3) * b + i] = gx * w10, fx * w10
         weight[U(4) * b + i], weight[U(5) * b + i] = gx * w01, fx * w01
         weight[U(6) * b + i], weight[U(7) * b + i] = gx * w11, fx * w11
+
+
+@jit
+def interpolate(points, count, table, resolutions, dense, features, row, weight, fraction, encoded):  # type: ignore[no-untyped-def]
+    """Writes the features (L F, BLOCK) of the first `count` points.
+
+    `row` is valid throughout, also before the first call: whole vectors of rows are read.
+    """
+    levels = resolutions.size
+    width = U(table.size // levels)
+    nf = U(features)
+    size = table.size // (levels * features)
+    mask = np.uint32(size - 1)
+    b, lanes = U(BLOCK), U(VECTOR_BYTES // points.itemsize)
+    for level in range(levels):
+        direct = dense and (resolutions[level] + 1) ** 3 <= size
+        corners(points, 0, count, resolutions[level], direct, mask, row, weight, fraction)
+        entry = table[U(level) * width : U(level + 1) * width]
+        base = U(level) * nf * b
+        if nf == U(1):
+            for i in range(U(0), U(count), lanes):
+                total = load(weight, i) * gather(entry, row, i)
+                for c in range(b, U(8) * b, b):
+                    total = total + load(weight, c + i) * gather(entry, row, c + i)
+                store(encoded, base + i, total)
+        elif nf == U(2):
+            for i in range(U(0), U(count), lanes // U(2)):
+                total = load_twice(weight, i) * gather_pairs(entry, row, i)
+                for c in range(b, U(8) * b, b):
+                    total = total + load_twice(weight, c + i) * gather_pairs(entry, row, c + i)
+                store_split(encoded, base + i, base + b + i, total)
+        else:
+            for f in range(nf):
+                for i in range(U(count)):
+                    encoded[base + f * b + i] = weight[i] * entry[nf * U(row[i]) + f]
+                for c in range(U(1), U(8)):
+                    for i in range(U(count)):
+                        encoded[base + f * b + i] += weight[c * b + i] * entry[nf * U(row[c * b + i]) + f]
 
 
 @jit
@@ -218,7 +279,7 @@ def _forward(start, stop, points, table, resolutions, dense, features, out):  # 
         count = min(BLOCK, stop - first)
         for level in range(levels):
             direct = dense and (resolutions[level] + 1) ** 3 <= size
-            _corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
             entry = table[U(level) * width : U(level + 1) * width]
             base = U(first) * stride + U(level) * nf
             if features == 1:
@@ -251,6 +312,32 @@ def _forward(start, stop, points, table, resolutions, dense, features, out):  # 
 
 
 @jit
+def add_gradient(entry, gradient, base, point, feature, count, features, row, weight):  # type: ignore[no-untyped-def]
+    """Adds the gradients of a block of points to one level's `entry`.
+
+    The gradient of feature f of point i is gradient[base + i * point + f * feature].
+    """
+    b = U(BLOCK)
+    if features == U(1):
+        for i in range(U(count)):
+            g = gradient[base + i * point]
+            for c in range(U(8)):
+                entry[row[c * b + i]] += weight[c * b + i] * g
+    elif features == U(2):
+        for i in range(U(count)):
+            both = join(gradient[base + i * point], gradient[base + i * point + feature])
+            for c in range(U(8)):
+                k = U(2) * U(row[c * b + i])
+                store(entry, k, load_pair(entry, k) + pair(weight[c * b + i]) * both)
+    else:
+        for i in range(U(count)):
+            for c in range(U(8)):
+                k, w = features * U(row[c * b + i]), weight[c * b + i]
+                for f in range(features):
+                    entry[k + f] += w * gradient[base + i * point + f * feature]
+
+
+@jit
 def _table_gradient(start, stop, points, gradient, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
     """Writes the table's gradient of levels start..stop; adds the points in their order."""
     levels = resolutions.size
@@ -258,7 +345,7 @@ def _table_gradient(start, stop, points, gradient, resolutions, dense, features,
     size = out.size // (levels * features)
     mask = np.uint32(size - 1)
     stride = U(levels * features)
-    b, nf = U(BLOCK), U(features)
+    nf = U(features)
     row = np.empty(8 * BLOCK, np.uint32)
     weight = np.empty(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
@@ -269,26 +356,9 @@ def _table_gradient(start, stop, points, gradient, resolutions, dense, features,
         direct = dense and (resolutions[level] + 1) ** 3 <= size
         for first in range(0, count_all, BLOCK):
             count = min(BLOCK, count_all - first)
-            _corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
             base = U(first) * stride + U(level) * nf
-            if features == 1:
-                for i in range(U(count)):
-                    g = gradient[base + i * stride]
-                    for c in range(U(8)):
-                        entry[row[c * b + i]] += weight[c * b + i] * g
-            elif features == 2:
-                for i in range(U(count)):
-                    even, odd = gradient[base + i * stride], gradient[base + i * stride + U(1)]
-                    for c in range(U(8)):
-                        k, w = U(2) * U(row[c * b + i]), weight[c * b + i]
-                        entry[k] += w * even
-                        entry[k + U(1)] += w * odd
-            else:
-                for i in range(U(count)):
-                    for c in range(U(8)):
-                        k, w = nf * U(row[c * b + i]), weight[c * b + i]
-                        for f in range(nf):
-                            entry[k + f] += w * gradient[base + i * stride + f]
+            add_gradient(entry, gradient, base, stride, U(1), count, nf, row, weight)
 
 
 @jit
@@ -313,7 +383,7 @@ def _points_gradient(start, stop, points, gradient, resolutions, dense, features
         for level in range(levels):
             direct = dense and (resolutions[level] + 1) ** 3 <= size
             cells = number(resolutions[level])
-            _corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
             entry = table[U(level) * width : U(level + 1) * width]
             base = U(first) * stride + U(level) * nf
             for c in range(U(0), U(8) * b, b):

@@ -32,11 +32,29 @@ def jit(function: Kernel, **options: Any) -> Kernel:
     options |= {"nogil": True, "error_model": "numpy"}
     try:
         kernel: Any = numba.njit(function, cache=True, **options)
+        kernel._cache.load_overload = _or_nothing(kernel._cache)
     except RuntimeError:  # "no locator available": no folder for the cache can be written
         kernel = numba.njit(function, cache=False, **options)
         _uncached.add(kernel)
     _kernels.add(kernel)
     return kernel
+
+
+def _or_nothing(cache: Any) -> Callable[..., Any]:
+    """The cache's `load_overload`, which finds nothing where its files cannot be read.
+
+    They may be cut off, or name a class that a newer version of this package has moved. Numba raises an error then.
+    """
+    load = cache.load_overload
+
+    def load_overload(*arguments: Any) -> Any:
+        try:
+            return load(*arguments)
+        except Exception:
+            cache.flush()
+            return None
+
+    return load_overload
 
 
 class _Announcer(event.Listener):

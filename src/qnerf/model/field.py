@@ -9,6 +9,9 @@ from qnerf.encoders import Encoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.heads.base import MIN_BATCH
+from qnerf.heads.on_grid import layers_on_grid
+from qnerf.kernels import compiled
+from qnerf.kernels.grid_mlp import grid_mlp
 
 
 class Field(nn.Module):
@@ -69,19 +72,34 @@ class Field(nn.Module):
         Returns:
             Density (R, K) per world unit, features (R, K, G), and which samples were evaluated, (R, K) bool; None: all.
         """
-        shape = points.shape[:-1]
         unit = self.contraction(points)
-        if self.mask is None:
-            raw = self.density_head(self.encoder(unit.reshape(-1, 3))).view(*shape, -1)
-            return self._activated(raw[..., 0]), raw[..., 1:], None
-        inside = self.mask(unit)
-        evaluated = inside.clone()
-        if last or int(inside.sum()) < MIN_BATCH:
-            evaluated[:, -1] = True
-        index = evaluated.flatten().nonzero()[:, 0]
-        raw = self.density_head(self.encoder(unit.reshape(-1, 3)[index]))
-        density = scatter(self._activated(raw[:, 0]), index, shape).masked_fill(~inside, 0)
-        return density, scatter(raw[:, 1:], index, shape), evaluated
+        return self.geometry_at(unit, None if self.mask is None else self.mask(unit), last=last)
+
+    def geometry_at(
+        self, unit: Tensor, inside: Tensor | None, *, last: bool = True
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """`geometry` at points (R, K, 3) of the unit cube, of which those `inside` (R, K) are in the mask."""
+        shape = unit.shape[:-1]
+        points = unit.reshape(-1, 3)
+        evaluated = None
+        if inside is not None:
+            evaluated = inside.clone()
+            if last or int(inside.sum()) < MIN_BATCH:
+                evaluated[:, -1] = True
+        layers = layers_on_grid(self.encoder, self.density_head)
+        if layers is not None and compiled(points) and not points.requires_grad:
+            raw = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *layers).view(*shape, -1)
+            density, features = self._activated(raw[..., 0]), raw[..., 1:]
+        elif evaluated is None:
+            raw = self.density_head(self.encoder(points)).view(*shape, -1)
+            density, features = self._activated(raw[..., 0]), raw[..., 1:]
+        else:
+            index = evaluated.flatten().nonzero()[:, 0]
+            raw = self.density_head(self.encoder(points[index]))
+            density, features = scatter(self._activated(raw[:, 0]), index, shape), scatter(raw[:, 1:], index, shape)
+        if inside is not None:
+            density = density.masked_fill(~inside, 0)
+        return density, features, evaluated
 
     def _activated(self, raw: Tensor) -> Tensor:
         density = self.density_activation(raw)

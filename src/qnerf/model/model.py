@@ -5,6 +5,7 @@ from torch import Tensor, nn
 
 from qnerf.encoders import Encoder
 from qnerf.geometry.pose_refinement import PoseRefinement
+from qnerf.geometry.unit_points import unit_points
 from qnerf.model.field import Field
 from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.samplers import SampledRays, Sampler
@@ -68,8 +69,8 @@ class Model(nn.Module):
             sampled = self.sampler(rays, self.field.density, generator=generator, step=step)
         samples = sampled.samples
         with watch.stage("field"):
-            points = rays.along(samples.mids)
-            density, geometry, evaluated = self.field.geometry(points, last=background == "last_sample")
+            points = unit_points(rays, samples, self.field.contraction, self.field.mask)
+            density, geometry, evaluated = self.field.geometry_at(*points, last=background == "last_sample")
             weights = volume_weights(density, samples.deltas)
             shaded = self.shading(color_shares(weights, background), geometry, evaluated)
             color = self.field.color(shaded.geometry, rays.directions, rays.cameras, shaded.mask)

@@ -23,9 +23,9 @@ from math import isnan
 
 import torch
 
+from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
-from qnerf.quantum.compiled.simd import VECTOR_BYTES
 from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import interpolation, polynomial_form
 from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
+from qnerf.kernels.simd import lanes
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.compiled import polynomial
@@ -32,7 +33,6 @@ from qnerf.quantum.compiled.engine import (
     parts_of,
     to_blocks,
 )
-from qnerf.quantum.compiled.simd import lanes
 from qnerf.quantum.cones import Cone, Cones, TooLarge, find_cones
 from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.registers import is_split, measured, registers

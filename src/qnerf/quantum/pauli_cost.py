@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import torch
 
+from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Expression
-from qnerf.quantum.compiled.simd import VECTOR_BYTES
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.pauli_form import PauliForm
 

@@ -8,8 +8,10 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, NonNegativeFactor, NonNegativeInt, PositiveInt
 from qnerf.encoders.hash import EntryFeatures, HashEncoder, Levels, Log2Size, Resolution
+from qnerf.geometry.contraction import Contraction
+from qnerf.geometry.unit_points import unit_points
 from qnerf.heads.activations import trunc_exp
-from qnerf.kernels import compiled, proposal
+from qnerf.kernels import compiled, grid_mlp
 from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
@@ -31,11 +33,11 @@ class ProposalNetwork(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         return trunc_exp(self.out(self.hidden(self.encoder(points)).relu_())[:, 0])
 
-    def tensors(self) -> tuple[Any, ...]:
-        """The arguments of `kernels.proposal.propose`."""
-        grid, hidden, out = self.encoder, self.hidden, self.out
-        layers = (hidden.weight, hidden.bias), (out.weight, out.bias)
-        return grid.table, grid.resolutions, grid.dense, *layers
+    def inside(self, points: Tensor, inside: Tensor | None) -> Tensor:
+        """The same in a compiled loop; the density is 0 at points that are not `inside` (N,)."""
+        grid = grid_mlp.Grid(self.encoder.table, self.encoder.resolutions, self.encoder.dense)
+        layers = (grid_mlp.Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out))
+        return trunc_exp(grid_mlp.grid_mlp(points, inside, grid, *layers)[:, 0])
 
 
 @SAMPLERS.register("proposal")
@@ -63,7 +65,7 @@ class ProposalSampler(Sampler):
 
     def __init__(
         self,
-        contraction: nn.Module,
+        contraction: Contraction,
         *,
         samples: Annotated[list[Count], Len(1, 16)] = [256, 96],  # noqa: B006 (read only)
         final: Count = 48,
@@ -108,17 +110,14 @@ class ProposalSampler(Sampler):
         x = step / self.anneal_steps
         return self.anneal_slope * x / ((self.anneal_slope - 1) * x + 1)
 
-    def proposed(self, network: nn.Module, points: Tensor) -> Tensor:
-        """Density (R, K) of a proposal network at world points (R, K, 3)."""
-        unit = self.contraction(points).reshape(-1, 3)
-        if compiled(unit) and not torch.is_grad_enabled():
+    def proposed(self, network: nn.Module, unit: Tensor, inside: Tensor | None) -> Tensor:
+        """Density (R, K) of a proposal network at points (R, K, 3) of the unit cube; 0 where not `inside` (R, K)."""
+        points = unit.reshape(-1, 3)
+        if compiled(points):
             assert isinstance(network, ProposalNetwork)
-            raw = proposal.propose(unit, None if self.mask is None else self.mask.grid, *network.tensors())
-            return raw.exp_().view(points.shape[:-1])
-        density = network(unit)
-        if self.mask is not None:
-            density = density.masked_fill(~self.mask(unit), 0)  # infinity times 0 would be NaN
-        return density.view(points.shape[:-1])
+            return network.inside(points, None if inside is None else inside.reshape(-1)).view(unit.shape[:-1])
+        density = network(points).view(unit.shape[:-1])
+        return density if inside is None else density.masked_fill(~inside, 0)  # infinity times 0 would be NaN
 
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0
@@ -133,9 +132,9 @@ class ProposalSampler(Sampler):
         for network, jitter, count in zip(self.networks, others, (*self.samples[1:], self.final), strict=True):
             with torch.no_grad():
                 intervals = Samples(spacing.to_world(s), s)
-                points = rays.along(intervals.mids)
+                points = unit_points(rays, intervals, self.contraction, self.mask)
             with torch.set_grad_enabled(learns):
-                weights = volume_weights(self.proposed(network, points), intervals.deltas)
+                weights = volume_weights(self.proposed(network, *points), intervals.deltas)
             proposals.append((intervals, weights))
             with torch.no_grad():
                 annealed = weights if exponent == 1 else weights.pow(exponent)

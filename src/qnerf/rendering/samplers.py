@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, NonNegativeFactor
 from qnerf.config.registry import Registry
+from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.render import volume_weights
@@ -35,7 +36,7 @@ class Sampler(nn.Module):
         contraction: world points (..., 3) -> the unit cube (..., 3), for samplers with networks.
     """
 
-    def __init__(self, contraction: nn.Module) -> None:
+    def __init__(self, contraction: Contraction) -> None:
         super().__init__()
         self.contraction = contraction
         self.mask: SpaceMask | None = None
@@ -79,7 +80,7 @@ class SpacedSampler(Sampler):
 
     spacing: str
 
-    def __init__(self, contraction: nn.Module, *, samples: Count = 128) -> None:
+    def __init__(self, contraction: Contraction, *, samples: Count = 128) -> None:
         super().__init__(contraction)
         self.samples = samples
 
@@ -109,7 +110,7 @@ class VanillaSampler(Sampler):
 
     def __init__(
         self,
-        contraction: nn.Module,
+        contraction: Contraction,
         *,
         coarse: Count = 64,
         fine: Count = 128,

@@ -13,6 +13,8 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Count
 from qnerf.config.registry import Registry
 from qnerf.heads.base import MIN_BATCH
+from qnerf.kernels import compiled
+from qnerf.kernels.merging import Merge
 
 SHADINGS: "Registry[Shading]" = Registry("shading")
 
@@ -120,18 +122,27 @@ class MergeShading(Shading):
         self.parts = parts
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
-        tiny = torch.finfo(shares.dtype).tiny
-        with torch.no_grad():
-            middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
-            part = (middle * self.parts).long().clamp_(0, self.parts - 1)
-        merged = shares.new_zeros(len(shares), self.parts).scatter_add(1, part, shares)
-        own = merged.gather(1, part)  # (R, K) the share of each sample's part
-        with torch.no_grad():
-            weight = shares / own.clamp(min=tiny)
-        weight = weight + (shares - weight * own) / own.detach().clamp(min=SMALL / self.parts)
-        mean = geometry.new_zeros(len(shares), self.parts, geometry.shape[-1])
-        mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
+        if compiled(shares, geometry):
+            merged, mean = Merge.apply(shares, geometry, self.parts, SMALL / self.parts)
+        else:
+            merged, mean = merge_reference(shares, geometry, self.parts)
         mask = merged > 0
         if int(mask.sum()) < MIN_BATCH:  # all rays are empty
             mask[:, 0] = True
         return Shaded(merged, mean, mask)
+
+
+def merge_reference(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tensor, Tensor]:
+    """Shares (R, M) and mean geometry (R, M, G) of `MergeShading`'s parts in plain PyTorch."""
+    tiny = torch.finfo(shares.dtype).tiny
+    with torch.no_grad():
+        middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
+        part = (middle * parts).long().clamp_(0, parts - 1)
+    merged = shares.new_zeros(len(shares), parts).scatter_add(1, part, shares)
+    own = merged.gather(1, part)  # (R, K) the share of each sample's part
+    with torch.no_grad():
+        weight = shares / own.clamp(min=tiny)
+    weight = weight + (shares - weight * own) / own.detach().clamp(min=SMALL / parts)
+    mean = geometry.new_zeros(len(shares), parts, geometry.shape[-1])
+    mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
+    return merged, mean

@@ -308,7 +308,9 @@ class Trainer(Loop):
         terms = {"mse": mse(rendering.color, target)}
         if self.train.distortion:
             terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
-        if self.train.interlevel and sampled.proposals:
+        learns = any(weights.requires_grad for _, weights in sampled.proposals)
+        # In other steps it has no gradient, and is computed only to be logged.
+        if self.train.interlevel and sampled.proposals and (learns or self.watch.active):
             terms["interlevel"] = self.train.interlevel * interlevel(
                 sampled.samples, rendering.weights, sampled.proposals
             )

@@ -7,8 +7,8 @@ arranged so that each chunk of the states is loaded once.
 
 from typing import Any
 
+from qnerf.kernels.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.forward_passes import z_sums
-from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.wire_blocks import add_x_block, ry_gradient_block
 
 LOW = 5  # wires whose amplitudes (2^LOW vectors of two states) stay in the first-level cache

@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
+from qnerf.kernels.simd import lanes
 from qnerf.quantum import statevector
-from qnerf.quantum.compiled.simd import lanes
 from qnerf.quantum.compiled.sweeps import backward, forward, prepare, prepare_backward
 from qnerf.quantum.compiled.tables import (
     START,

@@ -11,7 +11,7 @@ four operations. The missing cosines are factors of the diagonal before (`tables
 
 from typing import Any
 
-from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, store
+from qnerf.kernels.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.wire_blocks import ry_block, x_block
 
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.jit import run
+from qnerf.kernels.simd import lanes
 from qnerf.quantum.compiled import pauli_sweeps
 from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
-from qnerf.quantum.compiled.simd import lanes
 from qnerf.quantum.pauli_form import Word
 from qnerf.quantum.pauli_statevector import PauliCircuit
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from numba import types
 
-from qnerf.quantum.compiled.simd import inner, intrinsic, keep_apart, load, splat, store
+from qnerf.kernels.simd import inner, intrinsic, keep_apart, load, splat, store
 
 
 @intrinsic

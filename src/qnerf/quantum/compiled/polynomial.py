@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from qnerf.kernels.jit import jit
-from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, start_of_line, store
+from qnerf.kernels.simd import inner, keep_apart, load, splat, start_of_line, store
 
 
 @inner

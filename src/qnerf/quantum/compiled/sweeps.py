@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qnerf.kernels.jit import jit
+from qnerf.kernels.simd import inner, keep_apart, load, splat, start_of_line, store
 from qnerf.quantum.compiled import backward_passes, forward_passes
-from qnerf.quantum.compiled.simd import inner, keep_apart, load, splat, start_of_line, store
 from qnerf.quantum.compiled.tables import (
     DIAGONAL,
     PERMUTATION,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from qnerf.kernels.jit import jit
-from qnerf.quantum.compiled.simd import inner
+from qnerf.kernels.simd import inner
 from qnerf.quantum.normal_form import (
     CNOTs,
     Diagonal,

@@ -10,7 +10,7 @@ from typing import Any
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 
-from qnerf.quantum.compiled.simd import intrinsic, pointer
+from qnerf.kernels.simd import intrinsic, pointer
 
 FUSED = ("contract",)
 

@@ -1,0 +1,99 @@
+"""Neighbouring samples of a ray merged into parts of equal weight: a compiled CPU loop each way.
+
+The plain PyTorch reference is in `qnerf.rendering.shading`.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.kernels.hashgrid import U, flat
+from qnerf.kernels.jit import jit, run
+
+GRAIN = 64  # rays that are worth waking a thread for
+
+
+class Merge(torch.autograd.Function):
+    """Shares (R, K), geometry (R, K, G) -> the parts' shares (R, M) and mean geometry (R, M, G); see `MergeShading`.
+
+    Args:
+        parts: M.
+        floor: the smallest share of a part by which the derivative of its mean is divided.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, shares: Tensor, geometry: Tensor, parts: int, floor: float) -> tuple[Tensor, Tensor]:
+        rays, count = shares.shape
+        merged = shares.new_empty(rays, parts)
+        mean = shares.new_empty(rays, parts, geometry.shape[-1])
+        part = np.empty(shares.numel(), np.int32)
+        tiny = torch.finfo(shares.dtype).tiny
+        arrays = (flat(shares), flat(geometry), count, parts, tiny, part, flat(merged), flat(mean))
+        run(_merge, rays, *arrays, grain=GRAIN)
+        ctx.save_for_backward(shares, geometry, merged, mean)
+        ctx.part, ctx.floor = part, floor
+        return merged, mean
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, to_merged: Tensor, to_mean: Tensor) -> tuple[Tensor, Tensor, None, None]:
+        shares, geometry, merged, mean = ctx.saved_tensors
+        to_shares = torch.empty_like(shares, memory_format=torch.contiguous_format)
+        to_geometry = torch.empty_like(geometry, memory_format=torch.contiguous_format)
+        tiny = torch.finfo(shares.dtype).tiny
+        inputs = (flat(shares), flat(geometry), flat(merged), flat(mean), ctx.part, flat(to_merged), flat(to_mean))
+        sizes = (shares.shape[1], merged.shape[1], tiny, ctx.floor)
+        run(_merge_gradient, len(shares), *inputs, *sizes, flat(to_shares), flat(to_geometry), grain=GRAIN)
+        return to_shares, to_geometry, None, None
+
+
+@jit
+def _merge(start, stop, shares, geometry, count, parts, tiny, part, merged, mean):  # type: ignore[no-untyped-def]
+    number = shares.dtype.type
+    features = U(mean.size // merged.size)
+    n, m = U(count), U(parts)
+    for ray in range(U(start), U(stop)):
+        first, out = ray * n, ray * m
+        total = number(0)
+        for i in range(first, first + n):
+            total += shares[i]
+        total = max(total, number(tiny))
+        for j in range(out, out + m):
+            merged[j] = number(0)
+        before = number(0)
+        for i in range(first, first + n):
+            before += shares[i]
+            middle = (before - shares[i] / number(2)) / total
+            own = min(max(np.int64(middle * number(parts)), 0), parts - 1)
+            part[i] = own
+            merged[out + U(own)] += shares[i]
+        for j in range(out * features, (out + m) * features):
+            mean[j] = number(0)
+        for i in range(first, first + n):
+            own = out + U(part[i])
+            weight = shares[i] / max(merged[own], number(tiny))
+            for f in range(features):
+                mean[own * features + f] += weight * geometry[i * features + f]
+
+
+@jit
+def _merge_gradient(  # type: ignore[no-untyped-def]
+    start, stop, shares, geometry, merged, mean, part, to_merged, to_mean, count, parts, tiny, floor, to_shares,
+    to_geometry,
+):  # fmt: skip
+    """The derivative of a part's mean m by a sample's share is (g - m) / S, with S of at least `floor`."""
+    number = shares.dtype.type
+    features = U(mean.size // merged.size)
+    n, m = U(count), U(parts)
+    for ray in range(U(start), U(stop)):
+        for i in range(ray * n, (ray + U(1)) * n):
+            own = ray * m + U(part[i])
+            weight = shares[i] / max(merged[own], number(tiny))
+            inner = number(0)
+            for f in range(features):
+                g = to_mean[own * features + f]
+                inner += g * (geometry[i * features + f] - mean[own * features + f])
+                to_geometry[i * features + f] = g * weight
+            to_shares[i] = to_merged[own] + inner / max(merged[own], number(floor))

@@ -1,0 +1,98 @@
+"""Where the samples of rays lie in the unit cube: a compiled CPU loop and its plain PyTorch reference."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.kernels import compiled
+from qnerf.kernels.hashgrid import U, flat
+from qnerf.kernels.jit import jit, run
+
+GRAIN = 64  # rays that are worth waking a thread for
+CUBE, BOX = 0, 1  # contractions that the loop knows
+
+
+def unit_points(
+    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    """The midpoints of intervals on R rays, in the unit cube (R K, 3), and which of them are inside the mask (R K,).
+
+    The points equal those of `Rays.along` and of the contraction to the last bit.
+
+    Args:
+        origins, directions: (R, 3), world units.
+        edges: (R, K + 1) distances along the rays.
+        contraction: CUBE: all of space by the largest coordinate; BOX: [-h, h]^3.
+        half_extent: h of a box, world units.
+        mask: (n, n, n) bool over the unit cube; None: everywhere.
+    """
+    rays, count = edges.shape[0], edges.shape[1] - 1
+    unit = edges.new_empty(rays * count, 3)
+    inside = None if mask is None else torch.empty(rays * count, dtype=torch.bool)
+    grid, cells = (np.ones(1, np.bool_), 0) if mask is None else (flat(mask), mask.shape[0])
+    flags = np.empty(0, np.bool_) if inside is None else inside.numpy()
+    arrays = (flat(origins), flat(directions), flat(edges), count, contraction, half_extent, grid, cells)
+    run(_place, rays, *arrays, flat(unit), flags, grain=GRAIN)
+    return unit, inside
+
+
+def takes(*tensors: Tensor) -> bool:
+    """Whether `unit_points` takes these tensors: compiled loops do, and none needs a gradient."""
+    return compiled(*tensors) and not (torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors))
+
+
+@jit
+def _place(start, stop, origins, directions, edges, count, contraction, half_extent, grid, cells, unit, inside):  # type: ignore[no-untyped-def]
+    """Writes the points of rays start..stop."""
+    number = edges.dtype.type
+    one, two, half, quarter = number(1), number(2), number(0.5), number(0.25)
+    largest = number(np.finfo(edges.dtype).max / 4)
+    span = number(2 * half_extent)
+    n = U(count)
+    x, y, z = np.empty(count, edges.dtype), np.empty(count, edges.dtype), np.empty(count, edges.dtype)
+    last, side = np.int32(cells - 1), number(cells)
+    for ray in range(U(start), U(stop)):
+        r, e = U(3) * ray, ray * (n + U(1))
+        ox, oy, oz = origins[r], origins[r + U(1)], origins[r + U(2)]
+        dx, dy, dz = directions[r], directions[r + U(1)], directions[r + U(2)]
+        for k in range(n):
+            t = half * (edges[e + k + U(1)] + edges[e + k])
+            x[k], y[k], z[k] = ox + dx * t, oy + dy * t, oz + dz * t
+        if contraction == CUBE:
+            for k in range(n):
+                px, py, pz = _bounded(x[k], largest), _bounded(y[k], largest), _bounded(z[k], largest)
+                norm = max(max(abs(px), abs(py)), max(abs(pz), one))
+                norm += number(0) * (px + py + pz)  # NaN stays
+                rest = two - one / norm
+                x[k] = (px / norm * rest + two) * quarter
+                y[k] = (py / norm * rest + two) * quarter
+                z[k] = (pz / norm * rest + two) * quarter
+        else:
+            for k in range(n):
+                x[k], y[k], z[k] = x[k] / span + half, y[k] / span + half, z[k] / span + half
+        first = ray * n
+        for k in range(n):
+            p = U(3) * (first + k)
+            unit[p], unit[p + U(1)], unit[p + U(2)] = x[k], y[k], z[k]
+        if inside.size:
+            for k in range(n):
+                cx, cy, cz = _cell(x[k] * side, last), _cell(y[k] * side, last), _cell(z[k] * side, last)
+                inside[first + k] = grid[U((cx * cells + cy) * cells + cz)]
+
+
+@jit
+def _cell(place, last):  # type: ignore[no-untyped-def]
+    """The nearest cell from 0 to `last`; 0 for NaN."""
+    if place >= last:
+        return last
+    return np.int32(place if place > 0 else 0)
+
+
+@jit
+def _bounded(value, largest):  # type: ignore[no-untyped-def]
+    """`value` between -largest and largest; NaN stays."""
+    if value > largest:
+        return largest
+    if value < -largest:
+        return -largest
+    return value

@@ -1,0 +1,263 @@
+"""Explicit SIMD for Numba kernels: values that hold one machine vector of consecutive floats.
+
+LLVM does not vectorise loops that read and write at many distances, such as those of quantum gates, and chooses narrow
+vectors on some processors. Here a kernel says which vectors it wants:
+
+    a, b = load(x, i), load(x, j)  # `lanes` consecutive elements each
+    store(x, i, a - t * b)         # element by element; a multiplication and an addition are fused
+
+A vector is VECTOR_BYTES wide and holds float32 or float64, as the array does. If the machine has narrower registers,
+LLVM splits it.
+"""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm  # type: ignore[import-untyped]
+from llvmlite import ir
+from numba import extending, types
+from numba.extending import lower_builtin, models, register_model, type_callable
+
+from qnerf.kernels.jit import jit
+
+intrinsic: Any = extending.intrinsic
+
+VECTOR_BYTES = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
+"""Bytes of one vector, which holds one number of each sample of a block."""
+
+
+def inner(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`jit` for functions that only compiled code calls. What Python would need to call them is not compiled."""
+    return jit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def lanes(itemsize: int) -> int:
+    """Elements of one vector."""
+    return VECTOR_BYTES // itemsize
+
+
+class Vector(types.Type):
+    """Numba's type of a vector of `dtype`, by default one machine vector."""
+
+    def __init__(self, dtype: Any, lanes: int | None = None) -> None:
+        self.dtype = dtype
+        self.lanes = lanes or VECTOR_BYTES * 8 // dtype.bitwidth
+        super().__init__(name=f"Vector({dtype}, {self.lanes})")
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Vector) -> None:
+        super().__init__(manager, kind, ir.VectorType(manager.lookup(kind.dtype).get_value_type(), kind.lanes))
+
+
+def pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: Any) -> Any:
+    """The address of the vector that starts at array[index], as an LLVM value."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), context.get_value_type(vector).as_pointer())
+
+
+def _load(array: Any, vector: Vector) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address = pointer(context, builder, array, arguments[0], arguments[1], vector)
+        return builder.load(address, align=array.dtype.bitwidth // 8)
+
+    return vector(array, types.intp), generate
+
+
+@intrinsic
+def load(typing_context: Any, array: Any, index: Any) -> Any:
+    """The vector at array[index : index + lanes] of a flat, contiguous array. No bounds are checked."""
+    return _load(array, Vector(array.dtype))
+
+
+@intrinsic
+def load_pair(typing_context: Any, array: Any, index: Any) -> Any:
+    """array[index] and array[index + 1] as a vector of two."""
+    return _load(array, Vector(array.dtype, 2))
+
+
+@intrinsic
+def store(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
+    """array[index : index + lanes] = value."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address = pointer(context, builder, array, arguments[0], arguments[1], value)
+        builder.store(arguments[2], address, align=array.dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, value), generate
+
+
+def _splat(scalar: Any, vector: Vector) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = context.get_value_type(vector)
+        undefined = ir.Constant(kind, ir.Undefined)
+        first = builder.insert_element(undefined, arguments[0], ir.Constant(ir.IntType(32), 0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), [0] * vector.lanes)
+        return builder.shuffle_vector(first, undefined, zeros)
+
+    return vector(scalar), generate
+
+
+@intrinsic
+def splat(typing_context: Any, scalar: Any) -> Any:
+    """The vector whose elements are all `scalar`."""
+    return _splat(scalar, Vector(scalar))
+
+
+@intrinsic
+def pair(typing_context: Any, scalar: Any) -> Any:
+    """A vector of two that are both `scalar`."""
+    return _splat(scalar, Vector(scalar, 2))
+
+
+@intrinsic
+def gather(typing_context: Any, array: Any, rows: Any, index: Any) -> Any:
+    """The vector of array[rows[index]], array[rows[index + 1]], ... with `rows` of uint32, all below 2^31."""
+    return _gather(Vector(array.dtype), array, rows, group=1)
+
+
+@intrinsic
+def gather_pairs(typing_context: Any, array: Any, rows: Any, index: Any) -> Any:
+    """As `gather`, of rows of two numbers: the vector of array[2 r], array[2 r + 1], r = rows[index], and so on."""
+    return _gather(Vector(array.dtype), array, rows, group=2)
+
+
+def _gather(vector: Vector, array: Any, rows: Any, group: int) -> Any:
+    bits = vector.dtype.bitwidth * group
+    count = vector.lanes // group
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        integer, kind = ir.IntType(32), context.get_value_type(vector)
+        data = context.make_array(array)(context, builder, arguments[0]).data
+        places = Vector(rows.dtype, count)
+        start = pointer(context, builder, rows, arguments[1], arguments[2], places)
+        numbers = builder.load(start, align=rows.dtype.bitwidth // 8)
+        if VECTOR_BYTES == 64 and bits <= 64:
+            item = ir.FloatType() if bits == 32 else ir.DoubleType()
+            items, byte = ir.VectorType(item, count), ir.IntType(8).as_pointer()
+            mask = ir.VectorType(ir.IntType(1), count)
+            name = f"llvm.x86.avx512.mask.gather.d{'ps' if bits == 32 else 'pd'}.512"
+            kinds = ir.FunctionType(items, [items, byte, ir.VectorType(integer, count), mask, integer])
+            function = builder.module.globals.get(name) or ir.Function(builder.module, kinds, name)
+            everywhere, zero = ir.Constant(mask, [True] * count), ir.Constant(items, None)
+            size = ir.Constant(integer, bits // 8)
+            found = builder.call(function, [zero, builder.bitcast(data, byte), numbers, everywhere, size])
+            return builder.bitcast(found, kind)
+        value = ir.Constant(kind, ir.Undefined)
+        for lane in range(count):
+            number = builder.zext(builder.extract_element(numbers, ir.Constant(integer, lane)), ir.IntType(64))
+            first = builder.mul(number, ir.Constant(ir.IntType(64), group))
+            for part in range(group):
+                element = builder.load(builder.gep(data, [builder.add(first, ir.Constant(ir.IntType(64), part))]))
+                value = builder.insert_element(value, element, ir.Constant(integer, lane * group + part))
+        return value
+
+    return vector(array, rows, types.intp), generate
+
+
+@intrinsic
+def load_twice(typing_context: Any, array: Any, index: Any) -> Any:
+    """The vector of array[index], array[index], array[index + 1], array[index + 1], ..."""
+    vector = Vector(array.dtype)
+    half = Vector(array.dtype, vector.lanes // 2)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        start = pointer(context, builder, array, arguments[0], arguments[1], half)
+        value = builder.load(start, align=array.dtype.bitwidth // 8)
+        order = [lane // 2 for lane in range(vector.lanes)]
+        return builder.shuffle_vector(value, value, ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), order))
+
+    return vector(array, types.intp), generate
+
+
+@intrinsic
+def store_split(typing_context: Any, array: Any, even: Any, odd: Any, value: Any) -> Any:
+    """Writes the elements 0, 2, 4, ... of a vector from array[even] on, and the others from array[odd] on."""
+    half = Vector(value.dtype, value.lanes // 2)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        for parity in range(2):
+            order = [2 * lane + parity for lane in range(half.lanes)]
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), half.lanes), order)
+            part = builder.shuffle_vector(arguments[3], arguments[3], mask)
+            start = pointer(context, builder, array, arguments[0], arguments[1 + parity], half)
+            builder.store(part, start, align=array.dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, value), generate
+
+
+@intrinsic
+def join(typing_context: Any, first: Any, second: Any) -> Any:
+    """A vector of two."""
+    vector = Vector(first, 2)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = ir.Constant(context.get_value_type(vector), ir.Undefined)
+        for i, part in enumerate(arguments):
+            value = builder.insert_element(value, part, ir.Constant(ir.IntType(32), i))
+        return value
+
+    return vector(first, second), generate
+
+
+@intrinsic
+def where_positive(typing_context: Any, vector: Any, values: Any) -> Any:
+    """`values` where `vector` is above 0 or NaN, else 0. `where_positive(x, x)` is ReLU."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        zero = ir.Constant(arguments[0].type, None)
+        positive = builder.fcmp_unordered(">", arguments[0], zero)
+        return builder.select(positive, arguments[1], zero)
+
+    return vector(vector, values), generate
+
+
+def _operator(symbol: Any, instruction: str) -> None:
+    @type_callable(symbol)
+    def typing(context: Any) -> Any:
+        def kind(a, b):  # type: ignore[no-untyped-def]  # Numba compares the argument lists, annotations included
+            return a if isinstance(a, Vector) and isinstance(b, Vector) else None
+
+        return kind
+
+    @lower_builtin(symbol, Vector, Vector)
+    def lowering(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return getattr(builder, instruction)(*arguments, flags=("contract",))  # a * b + c may become one instruction
+
+
+_operator(operator.add, "fadd")
+_operator(operator.sub, "fsub")
+_operator(operator.mul, "fmul")
+
+
+@intrinsic
+def keep_apart(typing_context: Any) -> Any:
+    """Keeps the function that calls this from being inlined: large passes would be compiled again in every caller."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic
+def address(typing_context: Any, array: Any) -> Any:
+    """Address of the first element."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(array)(context, builder, arguments[0]).data
+        return builder.ptrtoint(data, ir.IntType(64))
+
+    return types.int64(array), generate
+
+
+@inner
+def start_of_line(array: Any) -> int:
+    """First index of `array` at the start of a cache line (64 bytes). Vectors across two lines are slow."""
+    misplaced = address(array) % 64
+    return 0 if misplaced == 0 else (64 - misplaced) // array.itemsize

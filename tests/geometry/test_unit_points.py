@@ -1,0 +1,59 @@
+"""Points of rays in the unit cube: the compiled loop against rays, contraction and mask."""
+
+import pytest
+import torch
+
+from qnerf.geometry.contraction import CONTRACTIONS, Box
+from qnerf.geometry.unit_points import unit_points
+from qnerf.geometry.visibility import SpaceMask
+from qnerf.kernels import plain
+from qnerf.types import Rays, Samples
+
+
+def along(dtype: torch.dtype, longest: float) -> tuple[Rays, Samples]:
+    """Rays with intervals from 1e-3 to `longest` world units; one ray is not a number."""
+    generator = torch.Generator().manual_seed(0)
+    rays, samples = 70, 37
+    origins = torch.randn(rays, 3, generator=generator, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(torch.randn(rays, 3, generator=generator, dtype=torch.float64), dim=-1)
+    directions[5] = torch.nan
+    exponents = torch.rand(rays, samples + 1, generator=generator, dtype=torch.float64).sort(-1).values
+    edges = (1e-3 * (longest / 1e-3) ** exponents).to(dtype)
+    bounds = torch.full((rays, 1), 1e-3, dtype=dtype), torch.full((rays, 1), longest, dtype=dtype)
+    views = torch.zeros(rays, dtype=torch.int64)
+    return Rays(origins.to(dtype), directions.to(dtype), views, *bounds), Samples(edges, edges)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("name", CONTRACTIONS.names())
+@pytest.mark.parametrize("longest", [3.0, 1e6, 1e38])
+def test_the_loop_gives_the_points_of_the_modules_to_the_last_bit(dtype, name, longest):
+    rays, samples = along(dtype, longest)
+    contraction = CONTRACTIONS.build(name)
+    mask = SpaceMask(torch.rand(6, 6, 6, generator=torch.Generator().manual_seed(1)) < 0.5)
+    fast = unit_points(rays, samples, contraction, mask)
+    with plain():
+        slow = unit_points(rays, samples, contraction, mask)
+    torch.testing.assert_close(fast, slow, rtol=0, atol=0, equal_nan=True)
+    assert fast[0][5].isnan().all()
+    assert unit_points(rays, samples, contraction, None)[1] is None
+
+
+def test_a_contraction_of_ones_own_is_called():
+    class Half(Box):
+        def forward(self, points: torch.Tensor) -> torch.Tensor:
+            return super().forward(points) / 2
+
+    rays, samples = along(torch.float32, 3.0)
+    halved, whole = (unit_points(rays, samples, contraction, None)[0] for contraction in (Half(), Box()))
+    torch.testing.assert_close(2 * halved, whole, equal_nan=True)
+
+
+def test_rays_keep_their_gradient():
+    rays, samples = along(torch.float64, 3.0)
+    moved = Rays(
+        rays.origins.requires_grad_(), *(getattr(rays, name) for name in ("directions", "cameras", "near", "far"))
+    )
+    unit, _ = unit_points(moved, samples, Box(), None)
+    unit.sum().backward()
+    assert rays.origins.grad is not None

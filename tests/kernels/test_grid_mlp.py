@@ -1,0 +1,134 @@
+"""A hash grid with an MLP in one loop against its plain PyTorch reference: kernels/grid_mlp.py."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.autograd import gradcheck, gradgradcheck
+
+from qnerf.encoders import HashEncoder
+from qnerf.heads import MLPHead
+from qnerf.heads.on_grid import layers_on_grid
+from qnerf.kernels import plain
+from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp, grid_mlp_reference
+
+CASES = {
+    "count": st.integers(0, 1500),
+    "share": st.sampled_from([0.0, 0.1, 0.9, 1.0, None]),
+    "levels": st.integers(1, 6),
+    "features": st.sampled_from([1, 2, 3]),
+    "units": st.integers(1, 19),
+    "outputs": st.integers(1, 7),
+    "dense": st.booleans(),
+    "seed": st.integers(0, 2**31),
+}
+
+
+def case(count, share, levels, features, units, outputs, dense, seed, dtype):
+    """Random points, which of them are inside, and parameters with gradients."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64).to(dtype).requires_grad_()
+
+    points = torch.rand(count, 3, generator=generator, dtype=torch.float64).to(dtype)
+    inside = None if share is None else torch.rand(count, generator=generator) < share
+    grid = Grid(normal(levels, 2**7, features), torch.arange(2, 2 + 3 * levels, 3), dense)
+    return (
+        points,
+        inside,
+        grid,
+        Layer(normal(units, levels * features), normal(units)),
+        Layer(normal(outputs, units), normal(outputs)),
+    )
+
+
+def parameters(grid, hidden, out):
+    return [grid.table, *hidden, *out]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@settings(max_examples=40, deadline=None)
+@given(**CASES)
+def test_values_and_gradients_are_those_of_the_reference(dtype, **options):
+    points, inside, *layers = case(**options, dtype=dtype)
+    fast, slow = grid_mlp(points, inside, *layers), grid_mlp_reference(points, inside, *layers)
+    eps = torch.finfo(dtype).eps
+    assert fast.dtype == dtype
+    torch.testing.assert_close(fast, slow, rtol=0, atol=200 * eps)
+    evaluated = torch.ones(len(points), dtype=torch.bool) if inside is None else inside
+    assert bool((fast[~evaluated, 0] == -torch.inf).all())
+    upstream = torch.where(
+        evaluated[:, None], torch.linspace(-1, 1, fast.numel(), dtype=dtype).view_as(fast), torch.nan
+    )
+    # The reference would multiply the NaN of points that are not inside by 0; the loop never reads it.
+    found = torch.autograd.grad(fast, parameters(*layers), upstream)
+    expected = torch.autograd.grad(slow, parameters(*layers), upstream.nan_to_num())
+    for ours, theirs in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=200 * eps * max(len(points), 1))
+
+
+def test_derivatives_of_first_and_second_order_are_those_of_finite_differences():
+    points, inside, grid, hidden, out = case(40, 0.7, 2, 2, 5, 2, False, 3, torch.float64)
+
+    def values(table, *layers):
+        raw = grid_mlp(points, inside, Grid(table, *grid[1:]), Layer(*layers[:2]), Layer(*layers[2:]))
+        return torch.where(inside[:, None], raw, 0.0)
+
+    assert gradcheck(values, parameters(grid, hidden, out))
+    assert gradgradcheck(values, parameters(grid, hidden, out))
+
+
+def test_the_number_of_threads_does_not_change_a_bit():
+    points, inside, *layers = case(5000, 0.6, 4, 2, 16, 3, True, 1, torch.float32)
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            values = grid_mlp(points, inside, *layers)
+            upstream = torch.linspace(-1, 1, values.numel()).view_as(values)
+            results.append([values, *torch.autograd.grad(values, parameters(*layers), upstream)])
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
+
+
+def test_a_point_that_is_not_a_number_has_values_that_are_none():
+    points, _, *layers = case(200, None, 2, 1, 4, 2, True, 1, torch.float32)
+    points[3] = torch.nan
+    values = grid_mlp(points, None, *layers)
+    assert values[3].isnan().all()
+    assert values[[*range(3), *range(4, 200)]].isfinite().all()
+
+
+def test_points_that_want_a_gradient_are_refused():
+    points, inside, *layers = case(10, None, 2, 1, 4, 2, True, 1, torch.float32)
+    with pytest.raises(ValueError, match="points without gradient expected"):
+        grid_mlp(points.requires_grad_(), inside, *layers)
+
+
+@pytest.mark.parametrize(
+    ("encoder", "head", "fits"),
+    [
+        ({}, {"layers": 2}, True),
+        ({}, {"layers": 3}, False),
+        ({"frequency_window": 0.5}, {"layers": 2}, False),
+    ],
+)
+def test_which_heads_the_loop_takes(encoder, head, fits):
+    grid = HashEncoder(3, levels=2, max_resolution=16, log2_table_size=6, **encoder)
+    assert (layers_on_grid(grid, MLPHead(grid.out_dim, 4, width=8, **head)) is not None) == fits
+
+
+def test_encoder_and_head_are_called_where_somebody_watches_them():
+    grid = HashEncoder(3, levels=2, max_resolution=16, log2_table_size=6)
+    head = MLPHead(grid.out_dim, 4, width=8)
+    handle = head.net[0].register_forward_hook(lambda *_: None)
+    assert layers_on_grid(grid, head) is None
+    handle.remove()
+    points = torch.rand(30, 3)
+    layers = layers_on_grid(grid, head)
+    assert layers is not None
+    torch.testing.assert_close(grid_mlp(points, None, *layers), head(grid(points)))
+    with plain():
+        torch.testing.assert_close(grid_mlp(points, None, *layers), head(grid(points)))
