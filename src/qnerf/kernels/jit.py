@@ -151,14 +151,15 @@ def split(items: int, parts: int) -> list[tuple[int, int]]:
 def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
     """Calls `kernel(start, stop, *arguments)` over range(items), on as many threads as PyTorch uses.
 
-    A thread takes about `grain` items at a time; by default each takes an equal share. Pass it where items cost
-    different amounts, or where few items are not worth waking a thread for.
+    A thread takes at least about `grain` items at a time; by default each takes an equal share. Pass it where items cost
+    different amounts, or where few items are not worth waking a thread for. There are at most two parts for a thread:
+    between parts the threads wait for each other, because Python runs one at a time.
 
     The calling thread works too and waits only for parts that another thread has begun. It never needs a free thread,
     so kernels may run from any thread, even from inside another kernel's part.
     """
     threads = torch.get_num_threads()
-    parts = split(items, threads if grain is None else max(items // grain, 1))
+    parts = split(items, threads if grain is None else min(max(items // grain, 1), 2 * threads))
     if threads == 1 or len(parts) <= 1:
         if items > 0:
             kernel(0, items, *arguments)
