@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qnerf.kernels import jit as module
-from qnerf.kernels.jit import jit, run, split
+from qnerf.kernels.jit import jit, loop_threads, one_torch_thread, run, split
 
 SOURCE = Path(module.__file__).parents[2]
 
@@ -217,3 +217,20 @@ def test_a_cache_that_cannot_be_read_is_made_anew(tmp_path):
         index.write_bytes(damaged)
         assert call() == "42\n"
         assert index.read_bytes() != damaged
+
+
+def test_loops_keep_their_threads_where_pytorch_has_one(threads):
+    def counts() -> tuple[int, int]:
+        return torch.get_num_threads(), loop_threads()
+
+    threads(3)
+    with one_torch_thread(False):
+        assert counts() == (3, 3)
+    with one_torch_thread():
+        assert counts() == (1, 3)
+        with one_torch_thread():
+            assert counts() == (1, 3)
+        assert counts() == (1, 3)
+    assert counts() == (3, 3)
+    threads(2)
+    assert loop_threads() == 2

@@ -232,3 +232,34 @@ def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):
     taken.take_step(measure=False)
     other.take_step(measure=False)
     assert all(torch.equal(value, other.state()["model"][name]) for name, value in taken.state()["model"].items())
+
+
+@pytest.mark.parametrize(("products", "parameters", "expected"), [(None, None, (1, 1)), (0.0, 0.0, (3, 3))])
+def test_small_steps_run_pytorch_on_one_thread(tiny, monkeypatch, products, parameters, expected):
+    if products is not None:
+        monkeypatch.setattr("qnerf.training.trainer.MANY_PRODUCTS", products)
+        monkeypatch.setattr("qnerf.training.trainer.MANY_PARAMETERS", parameters)
+    taken = trainer(tiny("field=classical"))
+    seen = []
+    taken.model.register_forward_hook(lambda *_: seen.append(torch.get_num_threads()))
+    taken.optimiser.register_step_pre_hook(lambda *_: seen.append(torch.get_num_threads()))
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        taken.take_step(measure=False)
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+    assert tuple(seen) == expected
+
+
+def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):
+    taken = trainer(tiny("field=classical", "sampler.update_every=5"))
+    given = []
+    terms = taken.loss_terms
+    taken.loss_terms = lambda *arguments: given.append(terms(*arguments)) or given[-1]
+    for _ in range(13):
+        taken.take_step(measure=False)
+    assert not taken.model.sampler.learns(13)
+    assert taken.take_step(measure=True)["train/interlevel"] > 0
+    assert [("interlevel" in found) for found in given] == [True] * 10 + [False] * 3 + [True]

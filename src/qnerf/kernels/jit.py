@@ -5,10 +5,11 @@ result therefore does not depend on the number of threads. Kernels release the G
 second OpenMP pool would compete with PyTorch's.
 """
 
+import contextlib
 import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count, pairwise
 from queue import SimpleQueue
 from threading import Lock, Thread
@@ -20,6 +21,7 @@ from numba.core import event
 
 Kernel: TypeAlias = Callable[..., Any]
 
+_threads: int | None = None  # of compiled loops, where PyTorch has fewer
 _kernels: set[Any] = set()
 _uncached: set[Any] = set()
 
@@ -138,6 +140,32 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
     os.register_at_fork(after_in_child=lambda: _workers.__init__())  # type: ignore[misc]
 
 
+def loop_threads() -> int:
+    """How many threads share a compiled loop: as many as PyTorch has, also inside `one_torch_thread`."""
+    return _threads or torch.get_num_threads()
+
+
+@contextlib.contextmanager
+def one_torch_thread(active: bool = True) -> Iterator[None]:
+    """Inside, PyTorch's own operations run on one thread, if `active`; compiled loops keep theirs.
+
+    A step of training is hundreds of small operations. To wake a second thread for one of them takes longer than it
+    saves.
+    """
+    global _threads
+    outer, pytorch = _threads, torch.get_num_threads()
+    if not active or pytorch == 1:
+        yield
+        return
+    _threads = loop_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(pytorch)
+        _threads = outer
+
+
 def split(items: int, parts: int) -> list[tuple[int, int]]:
     """Contiguous ranges of nearly equal length that cover range(items), without empty ones.
 
@@ -151,21 +179,21 @@ def split(items: int, parts: int) -> list[tuple[int, int]]:
 def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
     """Calls `kernel(start, stop, *arguments)` over range(items), on as many threads as PyTorch uses.
 
-    A thread takes at least about `grain` items at a time; by default each takes an equal share. Pass it where items cost
+    A thread takes about `grain` items at a time or more; by default each takes an equal share. Pass it where items cost
     different amounts, or where few items are not worth waking a thread for. There are at most two parts for a thread:
     between parts the threads wait for each other, because Python runs one at a time.
 
     The calling thread works too and waits only for parts that another thread has begun. It never needs a free thread,
     so kernels may run from any thread, even from inside another kernel's part.
     """
-    threads = torch.get_num_threads()
-    parts = split(items, threads if grain is None else min(max(items // grain, 1), 2 * threads))
-    if threads == 1 or len(parts) <= 1:
+    count = loop_threads()
+    parts = split(items, count if grain is None else min(max(items // grain, 1), 2 * count))
+    if count == 1 or len(parts) <= 1:
         if items > 0:
             kernel(0, items, *arguments)
         return
     job = _Job(kernel, arguments, parts)
-    _workers.call(job, min(threads, len(parts)) - 1)
+    _workers.call(job, min(count, len(parts)) - 1)
     job.work()
     with job.running:
         pass

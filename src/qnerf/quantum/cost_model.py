@@ -23,6 +23,7 @@ from math import isnan
 
 import torch
 
+from qnerf.kernels.jit import loop_threads
 from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
@@ -118,7 +119,7 @@ def statevector_memory(form: NormalForm, batch: int, itemsize: int = 4) -> int:
     """Bytes of work space, at most, of the compiled state-vector engine: a block of samples for each thread."""
     blocks = -(-batch * itemsize // VECTOR_BYTES)
     vectors = 2 * (len(form.steps) + 2) + 10
-    blocks_at_once = min(torch.get_num_threads(), blocks)
+    blocks_at_once = min(loop_threads(), blocks)
     return blocks_at_once * vectors * 2**form.wires * VECTOR_BYTES + itemsize * batch * 4 * form.wires
 
 
@@ -137,7 +138,7 @@ def expected_seconds(
     """
     lanes = VECTOR_BYTES // itemsize
     blocks = -(-batch // lanes)  # one sample costs as much as a block
-    threads = min(torch.get_num_threads(), max(blocks, 1))
+    threads = min(loop_threads(), max(blocks, 1))
     once = sum(
         count * rates.table * len(form.steps) * 2**form.wires * _slow(form, rates) for form, count in forms.items()
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
+from qnerf.kernels.jit import loop_threads
 from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Expression
@@ -52,7 +53,7 @@ def operations(form: PauliForm) -> int:
 def memory_bytes(form: PauliForm, batch: int, itemsize: int = 4) -> int:
     """Bytes of work space, at most: three states of a block of samples for each thread, angles, starts."""
     blocks = -(-batch * itemsize // VECTOR_BYTES)
-    states = 6 * min(torch.get_num_threads(), blocks) + (5 * blocks if form.start else 0)
+    states = 6 * min(loop_threads(), blocks) + (5 * blocks if form.start else 0)
     values = len(form.words) + form.outcomes + 6 * len(form.rotations)
     parts = 2 * 8 * min(32, blocks) * 2**form.wires
     return (states * 2**form.wires + blocks * values) * VECTOR_BYTES + parts
@@ -62,7 +63,7 @@ def expected_seconds(form: PauliForm, batch: int, itemsize: int, rates: PauliRat
     """Forward and backward of the compiled engine."""
     size, lanes = 2**form.wires, VECTOR_BYTES // itemsize
     blocks = -(-batch // lanes)  # one sample costs as much as a block
-    threads = min(torch.get_num_threads(), max(blocks, 1))
+    threads = min(loop_threads(), max(blocks, 1))
     moving = [rotation.angle for rotation in form.rotations if rotation.angle.features]
     factors = sum(1 + len(features) for angle in moving for _, _, features in angle.terms)
     starts = [Expression.of(angle) for part in form.start for angle in part.angles]

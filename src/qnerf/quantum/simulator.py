@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
+from qnerf.kernels.jit import loop_threads
 from qnerf.quantum import lightcone, operator, pauli_cost, statevector
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.compiled import engine as compiled
@@ -67,7 +68,7 @@ class Simulator:
         on_cpu = device.type == "cpu"
         if self.backend == "compiled" and not on_cpu:
             raise ValueError(f"backend=compiled expects tensors on the CPU, got {device}; choose auto or torch")
-        key = batch, device, dtype, torch.get_num_threads(), transformed
+        key = batch, device, dtype, loop_threads(), transformed
         if key not in self._costs:
             if len(self._costs) > 1000:
                 self._costs.clear()

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.geometry.rays import RayTable
+from qnerf.kernels.jit import one_torch_thread
+from qnerf.model.memory import samples_per_ray
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.background import evaluation_background
@@ -33,6 +35,12 @@ from qnerf.types import Rendering
 ADVICE = (
     "repeat the same command with numerics.finite_checks=true: it resumes from the last checkpoint and names the tensor"
 )
+
+
+MANY_PRODUCTS = 5e8
+"""Multiplications of a step's linear layers, forward, that are worth PyTorch's threads."""
+MANY_PARAMETERS = 2e6
+"""Parameters whose update by Adam is."""
 
 
 class Diverged(RuntimeError):
@@ -72,6 +80,8 @@ class Loop:
 
     advice = ADVICE
     train: Schedule
+    points_a_step: int
+    """Points at which a step evaluates the model, known before `__init__`."""
 
     def __init__(self, model: Any, settings: Settings | SignalSettings, watch: Stopwatch, plateau: Plateau) -> None:
         self.model = model
@@ -83,6 +93,10 @@ class Loop:
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
+        weights = [part.weight for part in model.modules() if isinstance(part, nn.Linear)]
+        products = self.points_a_step * sum(weight.numel() for weight in weights)
+        self.small = products < MANY_PRODUCTS
+        self.small_update = sum(parameter.numel() for parameter in model.parameters()) < MANY_PARAMETERS
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
         self.streams = {
@@ -117,18 +131,19 @@ class Loop:
         start, cpu = self.watch.now(), time.process_time()
         self.watch.begin(measure=measure)
         rate = self.rate
-        with self.watch.stage("sampling"):
-            self.prepare_step()
-        terms = self.terms(self.streams, self.step)
-        with self.watch.stage("render"):
-            loss = torch.stack(list(terms.values())).sum()
-            value = float(loss.detach())
-        if not math.isfinite(value):
-            raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {self.advice}")
-        with self.watch.stage("backward"):
-            self.optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-        with self.watch.stage("optimiser"):
+        with one_torch_thread(self.small):
+            with self.watch.stage("sampling"):
+                self.prepare_step()
+            terms = self.terms(self.streams, self.step)
+            with self.watch.stage("render"):
+                loss = torch.stack(list(terms.values())).sum()
+                value = float(loss.detach())
+            if not math.isfinite(value):
+                raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {self.advice}")
+            with self.watch.stage("backward"):
+                self.optimiser.zero_grad(set_to_none=True)
+                loss.backward()
+        with self.watch.stage("optimiser"), one_torch_thread(self.small_update):
             self.optimiser.step()
         self._set_step(self.step + 1)
         seconds = self.watch.now() - start
@@ -283,6 +298,7 @@ class Trainer(Loop):
 
     def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
         stop = settings.stop
+        self.points_a_step = settings.train.rays * samples_per_ray(model.sampler)[0]
         super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
         self.table = table
         self.background = settings.render.background
