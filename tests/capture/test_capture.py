@@ -131,6 +131,20 @@ def test_the_sharpest_frame_of_each_part_of_a_video_is_taken(tmp_path: Path) -> 
     assert min(sharpness(np.asarray(Image.open(path).copy())) for path in found) > 2 * sharpness(blurred)
 
 
+def test_frames_at_uneven_times_are_each_taken_once(tmp_path: Path) -> None:
+    """As telephones film: three frames within a tenth of a second, then one a second."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    times = ["-vf", "setpts=max(N/30\\,N-3)/TB", "-fps_mode", "vfr"]
+    video = ffmpeg.write_frames(str(tmp_path / "walk.mp4"), (160, 112), fps=30, output_params=times)
+    video.send(None)
+    for image in unlike(8):
+        video.send(np.ascontiguousarray(image[:112]))
+    video.close()
+    (tmp_path / "frames").mkdir()
+    extract_frames(tmp_path / "walk.mp4", tmp_path / "frames", 100, lambda what, done, total: None)
+    assert len(folders.photographs(tmp_path / "frames")) == ffmpeg.count_frames_and_secs(tmp_path / "walk.mp4")[0] == 8
+
+
 def test_what_all_frames_share_is_written_once() -> None:
     frames = [
         {"file_path": name, "transform_matrix": [], "w": 8, "fl_x": focal} for name, focal in (("b", 2), ("a", 1))
