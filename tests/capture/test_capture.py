@@ -171,19 +171,20 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
             image, exif[0x0112] = image.transpose(Image.Transpose.ROTATE_90), 6
         image.save(source / f"{view}.png", exif=exif)
     Image.fromarray(unlike(1)[0]).save(source / "9.png")
-    assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "out")]) == 0
+    assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "my scene")]) == 0
     told = capsys.readouterr().out
     assert "pairs of photographs: 28" in told
+    assert f"next: qnerf run scene=nerfstudio 'scene.path={tmp_path}/my scene' scene.width=64" in told
     assert "7 of 8 photographs were posed" in told
     assert "not posed: 9.png" in told
-    scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))
-    assert "k1" not in json.loads((tmp_path / "out" / "transforms.json").read_text())
+    scene = SCENES.build("nerfstudio", path=str(tmp_path / "my scene"))
+    assert "k1" not in json.loads((tmp_path / "my scene" / "transforms.json").read_text())
     turns = scene.cameras.poses[:, :, :3].numpy()
     truth = of.poses[:, :, :3].numpy()
     for view in range(6):  # rotations between neighbours do not depend on the world's axes
         found, expected = (of_all[view].T @ of_all[view + 1] for of_all in (turns, truth))
         assert np.degrees(np.arccos(np.clip((np.trace(found.T @ expected) - 1) / 2, -1, 1))) < 0.5
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "out"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "my scene"]
 
 
 def test_two_scenes_in_one_folder_and_exposure_that_varies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
