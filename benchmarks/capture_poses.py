@@ -1,8 +1,8 @@
 """How well `qnerf capture` finds poses that are known: `python -m benchmarks.capture_poses poster --views 60`.
 
-Writes the images of a scene to a folder, gives `qnerf capture` no poses, moves the poses that it finds by the similarity
-that brings its camera centres closest to the true ones, and prints what is left: degrees between rotations, and
-distances between centres in per cent of the cameras' extent.
+Writes the images of a scene to a folder, gives `qnerf capture` no poses, moves the poses that it finds by the
+similarity that brings their camera centres closest to the true ones, and prints what is left: degrees between
+rotations, and distances between centres in per cent of the cameras' extent.
 """
 
 import argparse
