@@ -104,13 +104,15 @@ def test_the_finest_grid_is_bounded():
     assert decided("hash.max_resolution", constant(0), hashed(min_resolution=40)).value == 40
 
 
-@pytest.mark.parametrize("pixels", [1, 30, 1000])
-def test_tables_hold_as_many_numbers_as_were_observed(pixels):
+@pytest.mark.parametrize(("pixels", "steps"), [(1, 3000), (30, 3000), (1000, 10**6), (1000, 300)])
+def test_tables_hold_as_many_numbers_as_there_are_colour_values_in_training(pixels, steps):
     world = constant(0, views=11, width=pixels, height=pixels)
-    size = decided("hash.log2_table_size", world, hashed(levels=6, features=2)).value
-    numbers, observed = 6 * 2 * 2**size, 3 * 10 * pixels**2
+    config = hashed(levels=6, features=2) | {"train": AUTO["train"] | {"steps": steps, "rays": 256}}
+    size = decided("hash.log2_table_size", world, config).value
+    numbers, observed, drawn = 6 * 2 * 2**size, 3 * 10 * pixels**2, 3 * 256 * steps
+    values = min(observed, drawn)
     assert 10 <= size <= 19
-    assert size in (10, 19) or observed / 2 < numbers <= observed
+    assert size in (10, 19) or values / 2 < numbers <= values
 
 
 @pytest.mark.parametrize(("pixels", "steps"), [(1000, 3000), (100_000, 3000), (1_600_000, 6000), (2e12, 30_000)])

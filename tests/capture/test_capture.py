@@ -131,6 +131,20 @@ def test_the_sharpest_frame_of_each_part_of_a_video_is_taken(tmp_path: Path) -> 
     assert min(sharpness(np.asarray(Image.open(path).copy())) for path in found) > 2 * sharpness(blurred)
 
 
+def test_frames_at_uneven_times_are_each_taken_once(tmp_path: Path) -> None:
+    """As telephones film: three frames within a tenth of a second, then one a second."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    times = ["-vf", "setpts=max(N/30\\,N-3)/TB", "-fps_mode", "vfr"]
+    video = ffmpeg.write_frames(str(tmp_path / "walk.mp4"), (160, 112), fps=30, output_params=times)
+    video.send(None)
+    for image in unlike(8):
+        video.send(np.ascontiguousarray(image[:112]))
+    video.close()
+    (tmp_path / "frames").mkdir()
+    extract_frames(tmp_path / "walk.mp4", tmp_path / "frames", 100, lambda what, done, total: None)
+    assert len(folders.photographs(tmp_path / "frames")) == ffmpeg.count_frames_and_secs(tmp_path / "walk.mp4")[0] == 8
+
+
 def test_what_all_frames_share_is_written_once() -> None:
     frames = [
         {"file_path": name, "transform_matrix": [], "w": 8, "fl_x": focal} for name, focal in (("b", 2), ("a", 1))
@@ -157,19 +171,20 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
             image, exif[0x0112] = image.transpose(Image.Transpose.ROTATE_90), 6
         image.save(source / f"{view}.png", exif=exif)
     Image.fromarray(unlike(1)[0]).save(source / "9.png")
-    assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "out")]) == 0
+    assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "my scene")]) == 0
     told = capsys.readouterr().out
     assert "pairs of photographs: 28" in told
+    assert f"next: qnerf run scene=nerfstudio 'scene.path={tmp_path}/my scene' scene.width=64" in told
     assert "7 of 8 photographs were posed" in told
     assert "not posed: 9.png" in told
-    scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))
-    assert "k1" not in json.loads((tmp_path / "out" / "transforms.json").read_text())
+    scene = SCENES.build("nerfstudio", path=str(tmp_path / "my scene"))
+    assert "k1" not in json.loads((tmp_path / "my scene" / "transforms.json").read_text())
     turns = scene.cameras.poses[:, :, :3].numpy()
     truth = of.poses[:, :, :3].numpy()
     for view in range(6):  # rotations between neighbours do not depend on the world's axes
         found, expected = (of_all[view].T @ of_all[view + 1] for of_all in (turns, truth))
         assert np.degrees(np.arccos(np.clip((np.trace(found.T @ expected) - 1) / 2, -1, 1))) < 0.5
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "out"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["images", "my scene"]
 
 
 def test_two_scenes_in_one_folder_and_exposure_that_varies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,5 @@
 import json
+import math
 
 import numpy as np
 import pytest
@@ -48,6 +49,19 @@ def test_an_orbit_goes_all_around_where_cameras_are_and_back_where_they_end():
         np.testing.assert_allclose(offset[:, 2], 0.5, atol=1e-6)
         angles = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
         assert low < np.ptp(angles) < high
+
+
+def test_an_orbit_is_far_away_where_the_cameras_are():
+    near, far = ring(20, math.pi), ring(20, math.pi)
+    far[:, :, 3] = TARGET + 3 * (far[:, :, 3] - TARGET)
+    far[:, :2] *= -1  # half a turn about the target's axis
+    far[:, :2, 3] += 2 * TARGET[:2]
+    offset = PATHS["orbit"](np.concatenate([near, far]), 80)[:, :, 3] - TARGET
+    bearing, away = np.arctan2(offset[:, 1], offset[:, 0]), np.hypot(offset[:, 0], offset[:, 1])
+    for middle, radius in ((math.pi / 2, 2), (-math.pi / 2, 6)):
+        one = np.abs(bearing - middle).argmin()
+        np.testing.assert_allclose((away[one], offset[one, 2]), (radius, radius / 4), atol=0.05)
+    assert np.abs(np.diff(away)).max() < 0.6, "no jumps"
 
 
 def test_a_path_passes_through_the_cameras_in_the_shorter_order():

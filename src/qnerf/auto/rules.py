@@ -166,15 +166,6 @@ def levels(data: Measured, config: Config) -> Decision:
     return Decision(1 + math.ceil(math.log(max(growth, 1)) / math.log(GROWTH)), {"growth": GROWTH})
 
 
-NUMBERS_PER_VALUE = 1.0  # in all tables, for each observed colour value
-
-
-@rule("hash.log2_table_size")
-def log2_table_size(data: Measured, config: Config) -> Decision:
-    entries = NUMBERS_PER_VALUE * data.observed / (hash_option(config, "levels") * hash_option(config, "features"))
-    return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"observed_values": float(data.observed)})
-
-
 PIXELS, STEPS, MOST_STEPS = 100_000, 3000, 30_000  # training pixels for which the quick recipe's steps suffice
 
 
@@ -183,6 +174,17 @@ def steps(data: Measured, config: Config) -> Decision:
     pixels = data.observed / 3
     needed = STEPS * max(1.0, pixels / PIXELS) ** 0.25
     return Decision(min(MOST_STEPS, 100 * round(needed / 100)), {"pixels": pixels})
+
+
+NUMBERS_PER_VALUE = 1.0  # in all tables, for each colour value that training sees
+
+
+@rule("hash.log2_table_size")
+def log2_table_size(data: Measured, config: Config) -> Decision:
+    train = config["train"]
+    values = float(min(data.observed, 3 * train["rays"] * train["steps"]))
+    entries = NUMBERS_PER_VALUE * values / (hash_option(config, "levels") * hash_option(config, "features"))
+    return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"seen_values": values})
 
 
 @rule("encoder.max_exponent")

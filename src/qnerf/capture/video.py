@@ -35,7 +35,8 @@ def _write_sharpest(
 ) -> int:
     """Number of the frames written."""
     total, _ = ffmpeg.count_frames_and_secs(str(video))
-    stream = ffmpeg.read_frames(str(video), pix_fmt="rgb24")
+    once = ["-fps_mode", "passthrough"]  # frames at uneven times, as of a telephone, are not repeated to fill the gaps
+    stream = ffmpeg.read_frames(str(video), pix_fmt="rgb24", output_params=once)
     width, height = next(stream)["size"]
     best: tuple[float, Any] = (-1.0, None)
     written = 0

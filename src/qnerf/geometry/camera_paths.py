@@ -22,6 +22,7 @@ from qnerf.scenes.normalise import rigid
 from qnerf.types import Rays
 
 MAX_GAP = math.pi / 2  # radians without a camera, beyond which an orbit goes back and forth
+NEARBY = math.radians(20)  # standard deviation of the weights of cameras around a direction
 KEY_VIEWS = 12  # which a path interpolates
 MAX_FILE_BYTES = 2**26
 
@@ -88,9 +89,9 @@ def focus(poses: NDArray) -> NDArray | None:
 
 
 def orbit(poses: NDArray, frames: int) -> NDArray:
-    """Around the point that the cameras look at, at their median distance and height.
+    """Around the point that the cameras look at, at the mean distance and height of the cameras in that direction.
 
-    A full circle if there are cameras all around, else back and forth over the angles where there are any.
+    All the way around if there are cameras all around, else back and forth over the angles where there are any.
 
     Raises:
         ValueError: the cameras look at no common point.
@@ -99,8 +100,8 @@ def orbit(poses: NDArray, frames: int) -> NDArray:
     if target is None:
         raise ValueError("path=orbit: the cameras look at no common point to go around; use interpolate or spiral")
     x, y, z = (poses[:, :, 3] - target).T
-    radius, height = float(np.median(np.hypot(x, y))), float(np.median(z))
-    azimuth = np.sort(np.arctan2(y, x))
+    bearing = np.arctan2(y, x)
+    azimuth = np.sort(bearing)
     gaps = np.diff(azimuth, append=azimuth[0] + 2 * np.pi)
     widest = int(gaps.argmax())
     time = np.arange(frames) / frames
@@ -109,7 +110,11 @@ def orbit(poses: NDArray, frames: int) -> NDArray:
     else:
         arc = 2 * np.pi - gaps[widest]
         angles = azimuth[(widest + 1) % len(azimuth)] + arc * (1 - np.cos(2 * np.pi * time)) / 2
-    centres = target + np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(frames, height)], axis=1)
+    beside = np.angle(np.exp(1j * (angles[:, None] - bearing)))
+    share = np.exp(-((beside / NEARBY) ** 2) / 2)
+    share /= share.sum(1, keepdims=True)
+    radius, height = share @ np.hypot(x, y), share @ z
+    centres = target + np.stack([radius * np.cos(angles), radius * np.sin(angles), height], axis=1)
     return np.stack([look_at(centre, target, np.array([0.0, 0, 1])) for centre in centres])
 
 

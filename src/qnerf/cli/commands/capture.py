@@ -1,6 +1,7 @@
 """`qnerf capture IMAGES|VIDEO --out DIR`."""
 
 import argparse
+import shlex
 from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -76,4 +77,5 @@ def main(options: argparse.Namespace) -> None:
     if len(captured.groups) > 1:
         sizes = ", ".join(map(str, captured.groups))
         print(f"they fall into {len(captured.groups)} groups that share nothing, of {sizes}; the first was taken")
-    print(f"next: qnerf run scene=nerfstudio scene.path={printable(options.out)}")
+    folder = shlex.quote(f"scene.path={printable(options.out)}")
+    print(f"next: qnerf run scene=nerfstudio {folder} scene.width=64")
