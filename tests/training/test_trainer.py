@@ -8,6 +8,7 @@ from qnerf.config.settings import settings_from
 from qnerf.experiment import run
 from qnerf.records import read_metrics
 from qnerf.timing import STAGES, median_ms
+from qnerf.training.threads import few_products
 from qnerf.training.trainer import all_finite, learning_rate
 from tests.helpers.trainer import same, trainer
 
@@ -237,8 +238,8 @@ def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):
 @pytest.mark.parametrize(("products", "parameters", "expected"), [(None, None, (1, 1)), (0.0, 0.0, (3, 3))])
 def test_small_steps_run_pytorch_on_one_thread(tiny, monkeypatch, products, parameters, expected):
     if products is not None:
-        monkeypatch.setattr("qnerf.training.trainer.MANY_PRODUCTS", products)
-        monkeypatch.setattr("qnerf.training.trainer.MANY_PARAMETERS", parameters)
+        monkeypatch.setattr("qnerf.training.threads.MANY_PRODUCTS", products)
+        monkeypatch.setattr("qnerf.training.threads.MANY_PARAMETERS", parameters)
     taken = trainer(tiny("field=classical"))
     seen = []
     taken.model.register_forward_hook(lambda *_: seen.append(torch.get_num_threads()))
@@ -263,3 +264,26 @@ def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):
     assert not taken.model.sampler.learns(13)
     assert taken.take_step(measure=True)["train/interlevel"] > 0
     assert [("interlevel" in found) for found in given] == [True] * 10 + [False] * 3 + [True]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "few"),
+    [
+        (["field=qcolor"], True),
+        (["field=qcolor", "qiren.method=pennylane"], False),
+        (["field=classical", "color.mlp.width=1024", "color.mlp.layers=8"], False),
+    ],
+)
+def test_which_steps_are_small(tiny, overrides, few):
+    model = trainer(tiny(*overrides)).model
+    assert few_products(model, 8192) == few
+
+
+def test_a_step_with_a_module_of_ones_own_is_not_small(tiny):
+    class Own(torch.nn.Module):
+        pass
+
+    model = trainer(tiny("field=classical")).model
+    assert few_products(model, 8192)
+    model.own = Own()
+    assert not few_products(model, 8192)

@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.geometry.rays import RayTable
+from qnerf.kernels import compiled
 from qnerf.kernels.jit import one_torch_thread
 from qnerf.model.memory import samples_per_ray
 from qnerf.model.model import Model
@@ -30,17 +31,12 @@ from qnerf.training.state_checks import (
     first_non_finite,
 )
 from qnerf.training.stopping import Plateau
+from qnerf.training.threads import few_parameters, few_products
 from qnerf.types import Rendering
 
 ADVICE = (
     "repeat the same command with numerics.finite_checks=true: it resumes from the last checkpoint and names the tensor"
 )
-
-
-MANY_PRODUCTS = 5e8
-"""Multiplications of a step's linear layers, forward, that are worth PyTorch's threads."""
-MANY_PARAMETERS = 2e6
-"""Parameters whose update by Adam is."""
 
 
 class Diverged(RuntimeError):
@@ -93,10 +89,8 @@ class Loop:
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
-        weights = [part.weight for part in model.modules() if isinstance(part, nn.Linear)]
-        products = self.points_a_step * sum(weight.numel() for weight in weights)
-        self.small = products < MANY_PRODUCTS
-        self.small_update = sum(parameter.numel() for parameter in model.parameters()) < MANY_PARAMETERS
+        self.few_products = few_products(model, self.points_a_step)
+        self.few_parameters = few_parameters(model)
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
         self.streams = {
@@ -131,7 +125,7 @@ class Loop:
         start, cpu = self.watch.now(), time.process_time()
         self.watch.begin(measure=measure)
         rate = self.rate
-        with one_torch_thread(self.small):
+        with one_torch_thread(self.few_products and compiled(next(self.model.parameters()))):
             with self.watch.stage("sampling"):
                 self.prepare_step()
             terms = self.terms(self.streams, self.step)
@@ -143,7 +137,7 @@ class Loop:
             with self.watch.stage("backward"):
                 self.optimiser.zero_grad(set_to_none=True)
                 loss.backward()
-        with self.watch.stage("optimiser"), one_torch_thread(self.small_update):
+        with self.watch.stage("optimiser"), one_torch_thread(self.few_parameters):
             self.optimiser.step()
         self._set_step(self.step + 1)
         seconds = self.watch.now() - start

@@ -1,0 +1,29 @@
+"""When PyTorch's own threads pay in a training step: compiled loops always have theirs."""
+
+from torch import nn
+
+from qnerf.quantum import QuantumLayer
+
+MANY_PRODUCTS = 5e8
+"""Multiplications of a step's linear layers, in the forward direction, that are worth waking threads."""
+MANY_PARAMETERS = 2e6
+"""Parameters whose update by Adam is."""
+
+
+def few_products(model: nn.Module, points: int) -> bool:
+    """Whether a step that evaluates the model at `points` points is many small operations, and no large one.
+
+    Modules from outside this package may do anything, and PennyLane's circuits are large operations of PyTorch.
+    """
+    modules = list(model.modules())
+    circuits = [module for module in modules if isinstance(module, QuantumLayer)]
+    if any(circuit.method == "pennylane" or circuit.backend == "torch" for circuit in circuits):
+        return False
+    if any(type(module).__module__.split(".")[0] not in ("qnerf", "torch") for module in modules):
+        return False
+    return points * sum(module.weight.numel() for module in modules if isinstance(module, nn.Linear)) < MANY_PRODUCTS
+
+
+def few_parameters(model: nn.Module) -> bool:
+    """Whether Adam's update is a small operation."""
+    return sum(parameter.numel() for parameter in model.parameters()) < MANY_PARAMETERS
