@@ -5,12 +5,15 @@ where 2,048 lie on a side: gradients into poses through such a hash grid are rig
 of a border may take the slope of the neighbouring cell.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, Case, fast_and_plain, only, rounded
 from qnerf.encoders import ENCODERS, level_resolutions
 from qnerf.heads.activations import softplus, trunc_exp
+from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp, grid_mlp_reference
 from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
 
 PHASES = 5e-7
@@ -18,6 +21,8 @@ PHASES = 5e-7
 FEATURES = 16 * EPS
 """Relative to the table's largest entry, at any resolution. The place in the cell is rounded once, the weights of the 8
 corners four times more, their sum of 8 eight times."""
+LAYERS = 64 * EPS
+"""Relative to the largest value: the features' error, and that of sums of up to 64 products in any order."""
 ACTIVATED = 4 * EPS
 """Relative to each value."""
 
@@ -29,6 +34,31 @@ def hashed(name: str, points: Tensor, levels: tuple[int, int, int], log2_size: i
     table = 2 * torch.rand(levels[0], 2**log2_size, features, generator=generator) - 1
     variants = fast_and_plain(hash_encode, hash_encode_reference)
     return Case("hash grid", name, variants, (rounded(points), rounded(table), cells), FEATURES)
+
+
+def with_layers(
+    name: str, points: Tensor, levels: tuple[int, int, int], features: int, units: int, outputs: int
+) -> Case:
+    """A hash grid and two linear layers on it, with the weights that they start with."""
+    cells = torch.tensor(level_resolutions(*levels))
+    generator = torch.Generator().manual_seed(2)
+    inputs = levels[0] * features
+    table = 2 * torch.rand(levels[0], 2**15, features, generator=generator) - 1
+    w1, w2 = (
+        torch.randn(rows, columns, generator=generator) * (2 / columns) ** 0.5
+        for rows, columns in ((units, inputs), (outputs, units))
+    )
+    biases = torch.zeros(units), torch.zeros(outputs)
+
+    def on_grid(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+        def values(table: Tensor, w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor) -> Tensor:
+            return function(points.to(table.dtype), None, Grid(table, cells, True), Layer(w1, b1), Layer(w2, b2))
+
+        return values
+
+    variants = fast_and_plain(on_grid(grid_mlp), on_grid(grid_mlp_reference))
+    parameters = tuple(map(rounded, (table, w1, biases[0], w2, biases[1])))
+    return Case("hash grid with layers", name, variants, parameters, LAYERS)
 
 
 def phased(name: str, points: Tensor, **options: float) -> Case:
@@ -49,6 +79,8 @@ def cases() -> list[Case]:
         hashed("cell borders", borders, (4, 64, 512), 15, 2),
         hashed("0 and 1 exactly", corners, (12, 16, 1024), 15, 1),
         hashed("outside [0, 1]", 3 * points - 1, (12, 16, 1024), 15, 1),
+        with_layers("a proposal network", rounded(points), (5, 16, 128), 2, 16, 1),
+        with_layers("density, 2 x 64", rounded(points), (12, 16, 1024), 1, 64, 6),
         phased("pe", points),
         phased("rff", points, scale=4.0),
         Case("activations", "trunc_exp", only(trunc_exp), (x,), ACTIVATED),
