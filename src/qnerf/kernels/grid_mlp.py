@@ -150,14 +150,9 @@ def _packed(w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor) -> tuple[np.ndarray,
     """The layers with features and hidden units filled up with zeros to whole groups."""
     (units, inputs), outputs = w1.shape, w2.shape[0]
     rows, dtype = _padded(units), flat(w1).dtype
-    first, bias, last = (
-        np.zeros((rows, _padded(inputs)), dtype),
-        np.zeros(rows, dtype),
-        np.zeros((outputs, rows), dtype),
-    )
-    first[:units, :inputs], bias[:units] = w1.detach().numpy(), flat(b1)
-    last[:, :units] = w2.detach().numpy()
-    return first.reshape(-1), bias, last.reshape(-1), flat(b2)
+    hidden, bias, out = (np.zeros(shape, dtype) for shape in ((rows, _padded(inputs)), (rows,), (outputs, rows)))
+    hidden[:units, :inputs], bias[:units], out[:, :units] = w1.detach(), b1.detach(), w2.detach()
+    return hidden.reshape(-1), bias, out.reshape(-1), flat(b2)
 
 
 @inner
@@ -200,11 +195,11 @@ def _values(count, lanes, encoded, w1, b1, w2, b2, width, unit, total):  # type:
         for o in range(U(b2.size)):
             even, even2, odd, odd2 = splat(b2[o]), splat(b2[o]), zero, zero
             for h in range(U(0), rows, U(2)):
-                w, w2_ = splat(w2[o * rows + h]), splat(w2[o * rows + h + U(1)])
-                even = even + w * load(unit, h * pair)
-                even2 = even2 + w * load(unit, h * pair + lanes)
-                odd = odd + w2_ * load(unit, (h + U(1)) * pair)
-                odd2 = odd2 + w2_ * load(unit, (h + U(1)) * pair + lanes)
+                this, other = splat(w2[o * rows + h]), splat(w2[o * rows + h + U(1)])
+                even = even + this * load(unit, h * pair)
+                even2 = even2 + this * load(unit, h * pair + lanes)
+                odd = odd + other * load(unit, (h + U(1)) * pair)
+                odd2 = odd2 + other * load(unit, (h + U(1)) * pair + lanes)
             store(total, o * U(BLOCK) + k, even + odd)
             store(total, o * U(BLOCK) + k + lanes, even2 + odd2)
 
@@ -328,11 +323,11 @@ def _backward(  # type: ignore[no-untyped-def]
                 for f in range(width):
                     _add_products(end, lanes, slope, encoded, f * b, out, (h * width + f) * lanes, width * lanes)
                     w = h * width + f
-                    w0, w1_ = splat(w1[w]), splat(w1[w + width])
-                    w2_, w3 = splat(w1[w + U(2) * width]), splat(w1[w + U(3) * width])
+                    wa, wb = splat(w1[w]), splat(w1[w + width])
+                    wc, wd = splat(w1[w + U(2) * width]), splat(w1[w + U(3) * width])
                     for k in range(U(0), end, lanes):
-                        left = w0 * load(slope, k) + w1_ * load(slope, b + k)
-                        right = w2_ * load(slope, U(2) * b + k) + w3 * load(slope, U(3) * b + k)
+                        left = wa * load(slope, k) + wb * load(slope, b + k)
+                        right = wc * load(slope, U(2) * b + k) + wd * load(slope, U(3) * b + k)
                         _add(gradient, f * b + k, left + right)
         for number in range(U(sums.shape[1])):
             total_of_lanes = dtype.type(0)
