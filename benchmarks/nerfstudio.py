@@ -14,7 +14,7 @@ differs:
 PYTHON's environment needs qnerf, and nerfstudio without its viewer and rasterisers, which are replaced by empty
 stand-ins (`benchmarks.peers.stand_ins`):
 
-    pip install . jaxtyping tyro einops && pip install --no-deps nerfstudio==1.1.5
+    pip install . jaxtyping tyro einops tensorboard && pip install --no-deps nerfstudio==1.1.5
 
 Two parts, chosen by --only; rows of benchmarks/results/nerfstudio.parquet that are not measured again stay:
 

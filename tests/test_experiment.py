@@ -16,7 +16,7 @@ from qnerf import experiment
 from qnerf.building.scene import build_scene
 from qnerf.config.settings import settings_from
 from qnerf.experiment import run
-from qnerf.records import read_metrics, read_status, state
+from qnerf.records import details, read_metrics, read_status, state
 from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Diverged, Trainer
@@ -39,6 +39,17 @@ def logged(path: Path) -> pd.DataFrame:
     rows = read_metrics(path)
     timeless = rows[~rows["key"].str.startswith("time/") & (rows["key"] != "eval/eval_s")]
     return timeless[["step", "key", "value"]].reset_index(drop=True)
+
+
+def test_steps_that_are_left_to_the_scene_are_numbers_in_the_summary(tiny):
+    """`train=large` is a recipe of its own; tables and lists compute with the number of steps."""
+    config = tiny("train=large", "train.steps=auto", "hash=auto", "field=classical")
+    outcome = run(config, stopping=lambda: True)
+    assert outcome.summary["train.steps"] == 3000
+    assert details.read(outcome.path).steps == 3000
+    assert pd.read_parquet(outcome.path / "summary.parquet")["train.steps"].dtype == "int64"
+    again = run(config, stopping=lambda: True)
+    assert (again.run_id, again.state) == (outcome.run_id, "interrupted")
 
 
 @pytest.mark.parametrize("field", ["classical", "qboth"])

@@ -14,7 +14,7 @@ from typing import Any
 
 # Its PSNR of each step and its LPIPS are not used, and the latter needs a download.
 ALWAYS = ("torchmetrics",)
-IF_MISSING = ("boto3", "cv2", "gsplat", "matplotlib", "mediapy", "nerfacc", "tensorboard", "torchvision", "viser")
+IF_MISSING = ("boto3", "cv2", "gsplat", "matplotlib", "mediapy", "nerfacc", "torchvision", "viser")
 
 
 class _Nothing(type):

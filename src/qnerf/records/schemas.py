@@ -167,7 +167,7 @@ def summary(results: Mapping[str, Any], config: Mapping[str, Any]) -> pa.Table:
 
     The columns of `SUMMARY_COLUMNS` always exist, with their types. Other results: `params.*` are int64, text and
     booleans stay, everything else is float64, also absent values. Options keep their own type; an absent option has
-    Arrow's null type, which can be joined with any other.
+    Arrow's null type, which can be joined with any other. A number that was left to `auto` is what was decided.
     """
     columns: dict[str, pa.Array] = {}
     for name, value in {**dict.fromkeys(SUMMARY_COLUMNS), **plain(results, "summary")}.items():
@@ -175,8 +175,16 @@ def summary(results: Mapping[str, Any], config: Mapping[str, Any]) -> pa.Table:
             value = json.dumps(value)
         columns[name] = _array(name, [value], SUMMARY_COLUMNS.get(name) or _result_type(name, value))
     for name, value in flatten({key: value for key, value in config.items() if key != "hydra"}).items():
-        columns.setdefault(name, pa.array([value]))
+        columns.setdefault(name, pa.array([_decided(config, name, value)]))
     return pa.table(columns)
+
+
+def _decided(config: Mapping[str, Any], name: str, value: Any) -> Any:
+    """The value of an option; in place of `auto`, the number for it if tables and figures compute with it."""
+    decision = (config.get("needs") or {}).get(name)
+    if isinstance(decision, Mapping) and not isinstance(value, int) and known_kind(name) == "int":
+        return decision["value"]
+    return value
 
 
 def results(summary: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
