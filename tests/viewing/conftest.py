@@ -40,11 +40,12 @@ def ball(trained, monkeypatch) -> Renderer:
     """The tiny run's renderer with a field that is a coloured ball, dense inside."""
     field = trained.model.field
 
-    def geometry(points, *, last=True):
+    def geometry_at(unit, inside, *, last=True):
+        points = field.contraction.inverse(unit)
         density = 4000 * torch.sigmoid(60 * (RADIUS - (points - CENTRE).norm(dim=-1)))
         return density, points, None
 
-    monkeypatch.setattr(field, "geometry", geometry)
+    monkeypatch.setattr(field, "geometry_at", geometry_at)
     monkeypatch.setattr(field, "color", lambda points, *_: (points + 1) / 2)
     settings = dataclasses.replace(
         trained.settings, render=dataclasses.replace(trained.settings.render, background="white")

@@ -118,7 +118,7 @@ def test_the_threads_are_those_of_the_run(tiny, reproduce, monkeypatch):
     threads = []
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
     reproduce(run)
-    assert threads == [1]
+    assert threads[0] == 1  # steps then switch between that and PyTorch's own
 
 
 def test_the_second_run_can_be_kept(run, reproduce, tmp_path):
