@@ -259,8 +259,11 @@ def _forward(  # type: ignore[no-untyped-def]
             for f in range(U(width)):
                 for k in range(count, b):
                     encoded[f * b + k] = zero
-            kept_features[block] = encoded
-            number_of[block] = numbers[:BLOCK]
+            # Loops: for an assignment of arrays Numba would also compile the message of a wrong shape, which takes 2 s.
+            for i in range(encoded.size):
+                kept_features[block, i] = encoded[i]
+            for k in range(b):
+                number_of[block, k] = numbers[k]
             kept[block] = count
 
 

@@ -68,7 +68,7 @@ class BoundEngine:
             measures_last_layer, arrays.wires, eigenvalues.astype(self.dtype), last_layer.astype(self.dtype)
         )  # fmt: skip
         self.psi = np.empty((2, 2**n), self.dtype)
-        prepare(arrays.once, n, self.width, self.amplitude, self.psi, self.tables, self.psi)
+        prepare(arrays.once, n, self.width, self.amplitude, self.tables, self.psi)
         code, step, _, _ = arrays.per_sample[0]
         # The fixed phases of a first encoding that is diagonal belong to the state that all samples start from.
         self.first_diagonal = cast[0][step] if code == START and step >= 0 else None
@@ -112,8 +112,8 @@ class BoundEngine:
             u, v = self.first_diagonal.astype(np.float64)
             adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
         prepare_backward(
-            arrays.once, n, self.width, self.amplitude, self.psi, self.tables, adjoint, arrays.input_scales, total
-        )
+            arrays.once, n, self.width, self.amplitude, self.tables, adjoint, arrays.input_scales, total, self.dtype
+        )  # fmt: skip
         weights = np.zeros((arrays.form.circuit.rows * 3, n))
         add_weight_gradients(arrays.weight_ranges, arrays.weight_rows, self.angle_signs, total, weights)
         return inputs, weights

@@ -82,7 +82,7 @@ def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: An
         store(x, out + (n + j) * width, u * s + v * c)
 
 
-@inner
+@jit
 def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, psi: Any, store_states: bool) -> int:
     """Runs the operations and returns where the final state lies.
 
@@ -115,7 +115,7 @@ def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: An
     return here
 
 
-@inner
+@jit
 def _backward(
     x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, input_scales: Any, here: int
 ) -> None:
@@ -176,43 +176,45 @@ def _sum(x: Any, first: int, width: int) -> float:
     return value
 
 
-@jit
-def prepare(operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, psi: Any) -> None:
+def prepare(operations: np.ndarray, n: int, width: int, amplitude: float, tables: Any, psi: np.ndarray) -> None:
     """Fills psi (2, 2^n), real and imaginary parts: the state before the first encoding."""
-    x = np.empty(_size(n, width, 2, 0, 0), like.dtype)
-    at = _layout(start_of_line(x), n, width, 2, 0, 0)
-    size = width << n
-    zero = np.zeros((2, 1 << n), like.dtype)
-    zero[0, 0] = amplitude
-    end = _forward(x, at, n, width, operations, tables, zero, NOT_STORED)
-    for b in range(1 << n):
-        psi[0, b] = x[end + b * width]
-        psi[1, b] = x[end + size + b * width]
+    x, at = _work_array(n, width, 2, 0, psi.dtype)
+    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, psi.dtype), NOT_STORED)
+    psi[:] = _state(x, end, n, width)[..., 0]
 
 
-@jit
 def prepare_backward(
-    operations: Any, n: int, width: int, amplitude: float, like: Any, tables: Any, adjoint: Any, input_scales: Any,
-    sums_out: Any,
+    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Any, adjoint: np.ndarray,
+    input_scales: np.ndarray, sums_out: np.ndarray, dtype: Any,
 ) -> None:  # fmt: skip
     """Adds the gradients of the angles before the first encoding to `sums_out` (steps, n).
 
     `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes.
     """
-    steps, states = len(sums_out), 1 + len(operations)
-    x = np.zeros(_size(n, width, states, 0, steps), like.dtype)
-    at = _layout(start_of_line(x), n, width, states, 0, steps)
-    size = width << n
-    zero = np.zeros((2, 1 << n), like.dtype)
-    zero[0, 0] = amplitude
-    end = _forward(x, at, n, width, operations, tables, zero, STORED)
-    for b in range(1 << n):
-        x[at.adjoint + b * width] = adjoint[0, b]
-        x[at.adjoint + size + b * width] = adjoint[1, b]
+    steps = len(sums_out)
+    x, at = _work_array(n, width, 1 + len(operations), steps, dtype)
+    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, dtype), STORED)
+    _state(x, at.adjoint, n, width)[..., 0] = adjoint
     _backward(x, at, n, width, operations, tables, input_scales, end)
-    for step in range(steps):
-        for j in range(n):
-            sums_out[step, j] += x[at.sums + (step * n + j) * width]
+    sums_out += x[at.sums : at.sums + steps * n * width].reshape(steps, n, width)[..., 0]
+
+
+def _work_array(n: int, width: int, states: int, steps: int, dtype: Any) -> tuple[np.ndarray, Layout]:
+    """A work array for the steps before the first encoding, filled with zeros."""
+    layout: Any = _layout
+    x = np.zeros(layout.py_func(0, n, width, states, 0, steps).end + 64, dtype)
+    return x, layout.py_func(-x.ctypes.data % 64 // x.itemsize, n, width, states, 0, steps)
+
+
+def _ground_state(n: int, amplitude: float, dtype: Any) -> np.ndarray:
+    psi = np.zeros((2, 1 << n), dtype)
+    psi[0, 0] = amplitude
+    return psi
+
+
+def _state(x: np.ndarray, first: int, n: int, width: int) -> np.ndarray:
+    """The state (2, 2^n, width) that begins at x[first]."""
+    return x[first : first + 2 * (width << n)].reshape(2, 1 << n, width)
 
 
 @inner
