@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from qnerf.auto import exposure, poses
+from qnerf.building import first_use
 from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
 from qnerf.building.scene import id_of, prepare, prepare_signal
 from qnerf.config.identity import picture_names
@@ -91,10 +92,12 @@ class FieldTask:
     """Trains a radiance field on posed images. ValueError as `run`."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        self.config, self.settings, self.scene = prepare(config, begun=True)
-        if self.settings.threads is not None:
-            torch.set_num_threads(self.settings.threads)
-        self.model = build_model(self.settings, self.scene)
+        with first_use.two_processes(config) as finish_compiling:
+            self.config, self.settings, self.scene = prepare(config, begun=True)
+            if self.settings.threads is not None:
+                torch.set_num_threads(self.settings.threads)
+            self.model = build_model(self.settings, self.scene)
+            finish_compiling(self.model)
         check_samples_of_a_step(self.settings, self.model)
         self.table = ray_table(self.settings, self.scene)
         self.curve_views = self.settings.train.eval_views

@@ -59,6 +59,20 @@ def _or_nothing(cache: Any) -> Callable[..., Any]:
     return load_overload
 
 
+def keeps(kernel: Kernel) -> bool:
+    """Whether the kernel's machine code is kept for other processes."""
+    return kernel not in _uncached
+
+
+def is_cached(kernel: Kernel) -> bool:
+    """Whether the cache has machine code of this version of the kernel, for whatever types."""
+    cache: Any = kernel._cache  # type: ignore[attr-defined]
+    try:
+        return bool(cache._cache_file._load_index())
+    except Exception:  # unreadable, as for `_or_nothing`
+        return False
+
+
 class _Announcer(event.Listener):
     """Says once, on stderr, that kernels are being compiled. Numba sends the event on a cache miss only.
 
