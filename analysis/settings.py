@@ -106,12 +106,12 @@ def _keys(acting_runs: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
 def _acting(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """`acting` and `effective` of the runs."""
     settings = effective(runs)
-    table = runs.drop(columns=[name for name in configuration(runs) if name not in settings])
     idle = settings == ""
-    idle = idle.loc[:, idle.any()]
-    table = table.assign(**{str(name): table[name].astype(object).mask(idle[name], None) for name in idle})
-    if {"qiren", "field"} <= set(table):
-        table["qiren"] = table["qiren"].mask(table["field"] == "classical", None)
-    if {"hash", "encoder"} <= set(table):
-        table["hash"] = table["hash"].where(table["encoder"] == "hash", None)
+    masks = {str(name): idle[name] for name in idle.columns[idle.any()]}
+    for group, label, without in (("qiren", "field", "classical"), ("hash", "encoder", None)):
+        if label in runs:
+            mask = runs[label].eq(without) if without else runs[label].ne(group)
+            masks |= {name: mask for name in runs if name == group or name.startswith(f"{group}.")}
+    masked = {name: runs[name].astype(object).mask(mask, None) for name, mask in masks.items() if mask.any()}
+    table = runs.assign(**masked)
     return table.copy(), settings  # in one block; pandas warns of frames whose columns were set one by one

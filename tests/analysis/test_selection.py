@@ -73,3 +73,17 @@ def test_a_run_that_differs_in_nothing_that_acts_counts_once():
     assert selection.runs["psnr"].tolist() == [20.0, 21.0, 22.0, 23.0]
     assert selection.runs["qiren"].fillna("none").tolist() == ["none", "none", "none", "1L2S"]
     assert selection.runs["color.mlp.width"].astype(float).fillna(0).tolist() == [64, 64, 32, 0]
+
+
+def test_options_that_heads_copy_are_columns_too():
+    """`qiren.layers` is what a user sweeps; it acts through `color.qiren.layers`."""
+    base = {"state": "finished", "seed": 0, "encoder": "hash", "psnr": 20.0}
+    rows = [
+        base | {"field": "classical", "qiren.layers": 1, "hash.levels": 8},
+        base | {"field": "classical", "qiren.layers": 2, "hash.levels": 8},
+        base | {"field": "qcolor", "qiren.layers": 1, "color.qiren.layers": 1, "hash.levels": 8},
+        base | {"field": "qcolor", "qiren.layers": 2, "color.qiren.layers": 2, "hash.levels": 8, "encoder": "pe"},
+    ]
+    runs = select(pd.DataFrame(rows)).runs
+    assert runs["qiren.layers"].astype(float).fillna(0).tolist() == [0, 1, 2]
+    assert runs["hash.levels"].astype(float).fillna(0).tolist() == [8, 8, 0]
