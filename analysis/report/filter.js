@@ -33,7 +33,7 @@ function parseCondition(text) {
     if (Number.isNaN(limit)) throw new Error(`${text}: ${operator} compares numbers`);
     return (run) => typeof value(key, run) === "number" && ORDER[operator](value(key, run), limit);
   }
-  const tests = wanted.split(",").map(equals);
+  const tests = wanted.split(/,(?![^[]*\])/).map(equals);
   const found = (run) => tests.some((test) => test(value(key, run)));
   return operator === "=" ? found : (run) => !found(run);
 }
@@ -50,6 +50,7 @@ function equals(wanted) {
   const one = (v) => {
     if (v === null) return none;
     if (typeof v === "boolean") return wanted.toLowerCase() === String(v);
+    if (wanted.startsWith("[") && wanted.endsWith("]")) return String(v).replaceAll(" ", "") === wanted.replaceAll(" ", "");
     return number(v) === number(wanted) || (typeof v !== "number" && pattern.test(v));
   };
   return (v) => (Array.isArray(v) ? v.some(one) : one(v));

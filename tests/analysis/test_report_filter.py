@@ -22,6 +22,7 @@ RUNS = {
     "tags": [["good", "base"], None, ["base"], None],
     "mixed": ["10.0", "auto", "true", "a,b"],
     "two words": ["x y", "x", None, "none"],
+    "samples": ["[128, 64]", "[64]", None, "[1,2"],
     "scene.path": [None, "/data/a[1]", "/data/fox_64", "/data/b?"],
 }
 CONDITIONS = [
@@ -33,6 +34,8 @@ CONDITIONS = [
     "scene.path=/data/?*", "scene.path=*[!x]*", "field=1", "state=finished,seed=0", "seed=0,1,psnr>22",
     "psnr>high", "psnr<", "state='open",
     "seed=0  state=finished", "run_id=[odd]*", "psnr=nan", "mixed=a,b", "! =", "=x", ",seed=0",
+    "samples=[128,64]", "'samples=[128, 64]'", "samples=[64],[128,64]", "samples!=[64]", "samples=[128,64],seed=0",
+    "samples=[1,2", "samples=[*",
 ]  # fmt: skip
 
 PROGRAM = """
@@ -61,3 +64,4 @@ def test_both_languages_choose_the_same_runs() -> None:
     assert on_the_page == {text: in_python(text) for text in CONDITIONS}
     assert on_the_page["psnr>21.5"] == [0]
     assert on_the_page["psnr>high"] is None
+    assert on_the_page["samples=[64],[128,64]"] == [0, 1]

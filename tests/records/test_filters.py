@@ -16,6 +16,7 @@ FRAME = pd.DataFrame(
         "flag": [True, False, None],
         "tags": [("good", "base"), (), ("base",)],
         "train.lr": [0.01, 0.01, 0.001],
+        "sampler.samples": ["[128, 64]", "[64, 32]", None],
     }
 )
 
@@ -44,6 +45,9 @@ FRAME = pd.DataFrame(
         (["flag=true"], [0]),
         (["flag=none"], [2]),
         (["id=fox-*"], [2]),
+        (["sampler.samples=[128,64]"], [0]),
+        (["sampler.samples=[128,64],[64,32]"], [0, 1]),
+        (["sampler.samples=[64,32],seed=1"], [1]),
     ],
 )
 def test_rows_that_meet_every_condition(conditions, rows):

@@ -1,6 +1,7 @@
 """Which runs a user means: `field=qcolor`, `state=failed,interrupted`, `psnr>25`, or a part of their ids.
 
-key=value      the column has the value; with commas any of them, with * and ? a pattern, `none` for no value
+key=value      the column has the value; with commas any of them, with * and ? a pattern, `none` for no value; a list
+               as `[128,64]`
 key!=value     the opposite
 key<number     and <=, >, >=
 text           a part of the id
@@ -27,6 +28,7 @@ from qnerf.config.compatibility import today_noted
 ALIASES = {"id": "run_id", "tag": "tags"}
 HELP = "only these runs, as `qnerf runs` takes it: \"field=qcolor seed=0,1 'psnr>25'\""
 _CONDITION = re.compile(r"([^=<>!,]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
+_COMMA = re.compile(r",(?![^\[]*\])")  # not inside a list
 _NEXT_KEY = re.compile(r",(?=[^=<>!,]+(?:!=|>=|<=|=|>|<))")
 _ORDER: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt,
@@ -80,7 +82,7 @@ def _parse(text: str) -> Filter:
     key, comparison, value = (part.strip() for part in match.groups())
     if comparison in _ORDER and math.isnan(_number(value)):
         raise ValueError(f"{text}: {comparison} compares numbers, got {value!r}")
-    return Filter(column(key), comparison, (value,) if comparison in _ORDER else tuple(value.split(",")))
+    return Filter(column(key), comparison, (value,) if comparison in _ORDER else tuple(_COMMA.split(value)))
 
 
 def _alternatives(value: Any) -> tuple[str, ...]:
@@ -144,6 +146,8 @@ def _equals(value: Any, wanted: str) -> bool:
         return wanted.lower() in ("none", "null", "nan")
     if isinstance(value, (bool, np.bool_)):
         return wanted.lower() == str(value).lower()
+    if wanted.startswith("[") and wanted.endswith("]"):
+        return str(value).replace(" ", "") == wanted.replace(" ", "")
     # A column that is a number in some runs and text in others holds text: 10 is "10.0" there.
     return _number(value) == _number(wanted) or (
         not is_number(value) and fnmatchcase(str(value), wanted.replace("[", "[[]"))
