@@ -6,9 +6,10 @@ with more threads, seconds on the clock. Every budget of seconds is a training o
 budget does: the time of a step is measured first, in a process that is thrown away. Reading the scene, compiling,
 building the model and evaluation are not counted.
 
-The peer is nerfstudio's Nerfacto in its PyTorch implementation, with the recipe of its publication (`train=paper`) and
-with the sizes of our quick one; see `benchmarks.nerfstudio` for what both sides share and for the environment of
---peers-python. A model that cannot be trained on a scene gets a row with the error in place of numbers.
+The peers are nerfstudio's Nerfacto in its PyTorch implementation, with the recipe of its publication (`train=paper`)
+and with the sizes of our quick one, and its TensoRF with its own options, for scenes of synthetic NeRF. See
+`benchmarks.nerfstudio` for what both sides share and for the environment of --peers-python. A model that cannot be
+trained on a scene gets a row with the error in place of numbers.
 
 Rows of the results that are not measured again stay. A stopped benchmark continues with what is missing. Load is
 recorded with each row: with several threads, measure on a quiet machine.
@@ -33,6 +34,7 @@ from analysis.figures import psnr_vs_cpu_seconds
 from benchmarks.nerfstudio import rendered, settings_of, table_of
 from benchmarks.peers.serve import Remote
 from benchmarks.training import build
+from qnerf.scenes import Scene
 from qnerf.timing import load
 
 RESULTS = Path(__file__).parent / "results" / "cpu_ladder.parquet"
@@ -47,19 +49,30 @@ CASES = {  # name -> who trains, overrides
     "plain PyTorch classical": ("plain", "field=classical"),
     "Nerfacto": ("nerfstudio", "train=paper field=classical"),
     "Nerfacto, quick sizes": ("nerfstudio", "field=classical"),
+    "TensoRF": ("nerfstudio", "field=classical"),
 }
+TENSORF = {"rates": {"fields": 1e-3, "encodings": 2e-2}, "final_rate": 0.1, "eps": 1e-8}  # nerfstudio's own
+BOX = 1.5  # half the side of the cube that holds a scene of synthetic NeRF, in its units
 KEYS = ["scene", "width", "case", "budget_s", "seed", "threads", "overrides"]
 WARM, TIMED, BLOCK = 20, 20, 5  # steps
 BATCHES = 2000  # different batches of pixels that Nerfacto gets; then the first one comes again
 
 
 def overrides_of(scene: str, width: int, case: str, seed: int, steps: int, extra: str) -> str:
-    """The configuration of a training. scene: poster, or a folder that nerfstudio reads."""
+    """The configuration of a training. scene: poster, or a folder of nerfstudio or synthetic NeRF."""
     if scene == "poster":  # its pixels stay square
         source = f"scene=poster scene.height={width * 16 // 9}"
     else:
-        source = f"scene=nerfstudio scene.path={Path(scene).absolute()}"
+        layout = "blender" if (Path(scene) / "transforms_train.json").exists() else "nerfstudio"
+        source = f"scene={layout} scene.path={Path(scene).absolute()}"
     return f"{source} scene.width={width} {CASES[case][1]} seed={seed} train.steps={steps} device=cpu {extra}".strip()
+
+
+def box_of(scene: Scene) -> float:
+    """Half the side of the cube that holds the scene, in world units; ValueError where none is known."""
+    if not scene.has_alpha:
+        raise ValueError(f"scene {scene.name}: TensoRF needs a bounded scene, as those of synthetic NeRF are")
+    return BOX * float(torch.linalg.det(scene.transform[:3, :3])) ** (1 / 3)
 
 
 class Ladder:
@@ -82,9 +95,11 @@ class Ladder:
             return Remote([*module, *(["plain"] if side == "plain" else [])], threads)
         trainer, evaluator = build(overrides)
         np.savez(self.folder / "rays.npz", **table_of(trainer, evaluator, seed, BATCHES))  # type: ignore[arg-type]
-        settings = json.dumps(settings_of(case, trainer, seed, threads))
+        settings = settings_of(case, trainer, seed, threads)
+        if case == "TensoRF":
+            settings |= TENSORF | {"half_extent": box_of(evaluator.scene), "background": trainer.background}
         module = [self.options.peers_python, "-m", "benchmarks.peers.nerfstudio_models"]
-        return Remote([*module, str(self.folder / "rays.npz"), settings], threads)
+        return Remote([*module, str(self.folder / "rays.npz"), json.dumps(settings)], threads)
 
     def step_seconds(self, scene: str, width: int, case: str) -> float:
         """Mean time of a step after the first `WARM`, which compile."""
@@ -165,7 +180,7 @@ def report(rows: pd.DataFrame) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", nargs="+", default=["poster"], help="poster, or folders with a transforms.json")
+    parser.add_argument("--scenes", nargs="+", default=["poster"], help="poster, or folders")
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256], help="of the images, in pixels")
     parser.add_argument("--budgets", type=float, nargs="+", default=[15.0, 30.0, 60.0, 120.0], help="in seconds")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))

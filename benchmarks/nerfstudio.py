@@ -57,6 +57,7 @@ from qnerf.training.trainer import Trainer
 RESULTS = Path(__file__).parent / "results" / "nerfstudio.parquet"
 FIELDS = {"classical": "field=classical", "qcolor": "field=qcolor qiren=1L2S"}
 CASES = [f"{side} {field}" for field in FIELDS for side in ("qnerf", "nerfstudio")]
+BACKGROUNDS = {"white": 255.0, "black": 0.0}  # behind images with alpha
 METRICS = ["psnr", "ssim", "depth_error"]
 CASE = ["kind", "case", "scene", "overrides"]  # what makes two rows the same case
 KEYS = {"quality": [*CASE, "schedule", "seed", "step"], "time": [*CASE, "threads"]}
@@ -82,14 +83,16 @@ def table_of(trainer: Trainer, evaluator: Evaluator, seed: int, steps: int) -> d
     """The rays, colours and batches that nerfstudio's side needs; see `benchmarks.peers.nerfstudio_models`."""
     table, scene = trainer.table, evaluator.scene
     rays = [table.view(view) for view in range(len(scene.cameras))]
-    if table.colors.shape[-1] != 3:
-        raise ValueError(
-            f"scene {scene.name}: images without alpha expected, as nerfstudio's side composites them otherwise"
-        )
+    colors = table.colors
+    if colors.shape[-1] == 4:  # as nerfstudio does, when it reads the images
+        if trainer.background not in BACKGROUNDS:
+            raise ValueError(f"scene {scene.name} has alpha: render.background white or black expected")
+        color, alpha = colors[..., :3].float(), colors[..., 3:].float() / 255
+        colors = (color * alpha + BACKGROUNDS[trainer.background] * (1 - alpha)).round().to(torch.uint8)
     arrays = {
         "origins": torch.stack([view.origins[0] for view in rays]),
         "directions": torch.cat([view.directions for view in rays]),
-        "colors": table.colors,
+        "colors": colors,
         "batches": batches(table, trainer.train.rays, seed, steps).int(),
         "held_out": torch.tensor(scene.eval),
     }
@@ -115,6 +118,7 @@ def settings_of(case: str, trainer: Trainer, seed: int, threads: int) -> dict[st
         "final": sampler.final,
         "circuit": None if hybrid is None else [len(hybrid) - 1, hybrid[0].circuit.spectral],
         "options": {
+            "background_color": trainer.background,
             "near_plane": trainer.table.near,
             "far_plane": trainer.table.far,
             "proposal_net_args_list": [
@@ -132,7 +136,7 @@ def settings_of(case: str, trainer: Trainer, seed: int, threads: int) -> dict[st
         },
         "seed": seed,
         "rate": train.lr,
-        "final_rate": train.lr_final,
+        "final_rate": train.lr_final / train.lr,
         "eps": train.eps,
         "steps": train.steps,
         "near": trainer.table.near,

@@ -1,4 +1,4 @@
-"""nerfstudio's Nerfacto as a served model: `python -m benchmarks.peers.nerfstudio_models RAYS.npz SETTINGS.json`.
+"""nerfstudio's models as served ones: `python -m benchmarks.peers.nerfstudio_models RAYS.npz SETTINGS.json`.
 
 Runs in nerfstudio's environment. The files are written by `benchmarks.nerfstudio`. The model is built from nerfstudio's
 own classes, trained on the batches of pixels that the first file lists, with nerfstudio's callbacks and schedule of the
@@ -91,13 +91,34 @@ def quantum_head(in_dim: int, out_dim: int, layers: int, spectral: int, qubits: 
     return nn.Sequential(*steps, nn.Linear(in_dim, out_dim))
 
 
+def tensorf(settings: Mapping[str, Any]) -> Any:
+    """nerfstudio's TensoRF with the options of its own configuration, and with fixed poses.
+
+    Args:
+        settings: `half_extent` of the cube that holds the scene, in world units; `views`; `background`.
+    """
+    from nerfstudio.cameras.camera_optimizers import CameraOptimizerConfig
+    from nerfstudio.data.scene_box import SceneBox
+    from nerfstudio.models.tensorf import TensoRFModelConfig
+
+    config = TensoRFModelConfig(
+        regularization="tv",
+        camera_optimizer=CameraOptimizerConfig(mode="off"),
+        background_color=settings["background"],
+    )
+    half = settings["half_extent"]
+    box = SceneBox(aabb=torch.tensor([[-half] * 3, [half] * 3]))
+    return config.setup(scene_box=box, num_train_data=settings["views"])
+
+
 class Nerfstudio:
     """Trains the model as nerfstudio's trainer does, one batch of the table's pixels a step.
 
     Args:
         table: `origins` (V, 3), `directions` (V P, 3), `colors` (V P, 3) uint8, `batches` (steps, R): row-major numbers
             of training pixels among all V P, and `held_out`: the views to render.
-        settings: of `nerfacto`, and `seed`, `rate`, `final_rate`, `eps`, `steps`, `near`, `far`.
+        settings: of `nerfacto` or, with `rates`, of `tensorf`; and `seed`, `rate` or `rates` (by group of parameters),
+            `final_rate` (a fraction of the rate), `eps`, `steps`, `near`, `far`.
     """
 
     def __init__(self, table: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> None:
@@ -108,16 +129,20 @@ class Nerfstudio:
         self.table = {name: torch.from_numpy(array) for name, array in table.items()}
         self.pixels = len(self.table["colors"]) // len(self.table["origins"])
         torch.manual_seed(settings["seed"])
-        self.model = nerfacto(settings)
+        self.model = tensorf(settings) if "rates" in settings else nerfacto(settings)
         callbacks = self.model.get_training_callbacks(None)
         at = TrainingCallbackLocation
         self.before = [call for call in callbacks if at.BEFORE_TRAIN_ITERATION in call.where_to_run]
         self.after = [call for call in callbacks if at.AFTER_TRAIN_ITERATION in call.where_to_run]
-        groups = self.model.get_param_groups().values()
-        rate = settings["rate"]
-        self.optimisers = [torch.optim.Adam(group, lr=rate, eps=settings["eps"]) for group in groups if group]
-        decay = ExponentialDecaySchedulerConfig(lr_final=settings["final_rate"], max_steps=settings["steps"]).setup()
-        self.schedules = [decay.get_scheduler(optimiser, rate) for optimiser in self.optimisers]
+        self.optimisers, self.schedules = [], []
+        for name, group in self.model.get_param_groups().items():
+            if group:
+                rate = settings["rates"][name] if "rates" in settings else settings["rate"]
+                final = rate * settings["final_rate"]
+                optimiser = torch.optim.Adam(group, lr=rate, eps=settings["eps"])
+                decay = ExponentialDecaySchedulerConfig(lr_final=final, max_steps=settings["steps"]).setup()
+                self.optimisers.append(optimiser)
+                self.schedules.append(decay.get_scheduler(optimiser, rate))
         self.step = 0
         self.model.train()
 
@@ -127,13 +152,14 @@ class Nerfstudio:
 
         views = torch.div(numbers, self.pixels, rounding_mode="floor")
         ones = torch.ones(len(numbers), 1)
+        bounded = "half_extent" in self.settings  # the box gives the bounds
         return RayBundle(
             origins=self.table["origins"][views],
             directions=self.table["directions"][numbers],
             pixel_area=ones,
             camera_indices=views[:, None],
-            nears=ones * self.settings["near"],  # given, because its default in evaluation is 0
-            fars=ones * self.settings["far"],
+            nears=None if bounded else ones * self.settings["near"],  # given: its default in evaluation is 0
+            fars=None if bounded else ones * self.settings["far"],
         )
 
     def advance(self, step: int) -> None:
@@ -161,7 +187,8 @@ class Nerfstudio:
 
     @torch.no_grad()
     def render(self, path: str) -> None:
-        waiting = self.model.proposal_sampler._steps_since_update  # rendering resets it
+        sampler = getattr(self.model, "proposal_sampler", None)
+        waiting = getattr(sampler, "_steps_since_update", None)  # rendering resets it
         self.model.eval()
         views = []
         for view in self.table["held_out"].tolist():
@@ -170,7 +197,8 @@ class Nerfstudio:
             names = {"color": "rgb", "depth": "depth", "accumulation": "accumulation"}
             views.append({name: torch.cat([part[key] for part in parts]) for name, key in names.items()})
         self.model.train()
-        self.model.proposal_sampler._steps_since_update = waiting
+        if sampler is not None:
+            sampler._steps_since_update = waiting
         color = torch.stack([view["color"] for view in views])
         depth, accumulation = (torch.stack([view[name][:, 0] for view in views]) for name in ("depth", "accumulation"))
         np.savez(path, color=color.numpy(), depth=depth.numpy(), accumulation=accumulation.numpy())
@@ -180,7 +208,8 @@ def main() -> None:
     warnings.simplefilter("ignore")
     stand_ins.install()
     table, settings = np.load(sys.argv[1]), json.loads(sys.argv[2])
-    import nerfstudio.models.nerfacto  # noqa: F401 (its memory does not count)
+    import nerfstudio.models.nerfacto
+    import nerfstudio.models.tensorf  # noqa: F401 (their memory does not count)
 
     if settings.get("circuit"):
         import qnerf.quantum  # noqa: F401
