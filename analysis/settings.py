@@ -111,7 +111,7 @@ def _acting(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     for group, label, without in (("qiren", "field", "classical"), ("hash", "encoder", None)):
         if label in runs:
             mask = runs[label].eq(without) if without else runs[label].ne(group)
-            masks |= {name: mask for name in runs if name == group or name.startswith(f"{group}.")}
+            masks |= {name: mask for name in map(str, runs) if f"{name}.".startswith(f"{group}.")}
     masked = {name: runs[name].astype(object).mask(mask, None) for name, mask in masks.items() if mask.any()}
     table = runs.assign(**masked)
     return table.copy(), settings  # in one block; pandas warns of frames whose columns were set one by one

@@ -71,8 +71,8 @@ SAME_WEIGHTS = (
     Rung("merge 16", ("shading=merge", "shading.parts=16")),
     Rung("merge 8", ("shading=merge",)),
     Rung("merge 4", ("shading=merge", "shading.parts=4")),
-    Rung("merge 8, half the proposals", ("shading=merge", "proposal.samples=[64,32]")),
-    Rung("merge 8, half of all samples", ("shading=merge", "proposal.samples=[64,32]", "proposal.final=16")),
+    Rung("merge 8, twice the proposals", ("shading=merge", "proposal.samples=[128,64]")),
+    Rung("merge 8, half of all samples", ("shading=merge", "proposal.samples=[32,16]", "proposal.final=16")),
 )
 TRAINED = (
     Rung("recipe, no gate, plain PyTorch", ("shading=none",), plain=True, single=True),  # on the built-in scene alone

@@ -89,15 +89,41 @@ def test_it_does_not_outlive_an_error(new, started):
     assert started[0].returncode is not None
 
 
-@pytest.mark.parametrize("why", ["no circuits", "cached", "not kept", "one thread"])
+@pytest.mark.parametrize("problem", ["", "/nonexistent/python"])
+def test_a_process_that_cannot_start_is_ignored(problem, new, monkeypatch):
+    monkeypatch.setattr("sys.executable", problem)
+    with first_use.two_processes(composed("field=qcolor", *SMALL)) as finish:
+        finish(None)
+
+
+@pytest.mark.parametrize("key", ["color", "encoder", "device", "plugins"])
+@pytest.mark.parametrize("value", [None, 5, "text", []])
+def test_mistakes_are_left_to_their_own_messages(key, value, new):
+    with first_use.two_processes(composed("field=qdensity", *SMALL) | {key: value}):
+        pass
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "field=classical", "threads=1", "device=cuda", "plugins=[other]", "encoder=pe", "sampler=uniform",
+        "color.qiren.shots=100", "qiren.noise.bit_flip=0.01", "color.qiren.method=pennylane", "color=amplitude",
+    ],
+)  # fmt: skip
+def test_other_configurations_have_one_process(override, new, started):
+    with first_use.two_processes(composed("field=qcolor", *SMALL, override)):
+        pass
+    assert not started
+
+
+@pytest.mark.parametrize("why", ["cached", "not kept", "one thread"])
 def test_one_process_is_enough(why, new, started, monkeypatch):
     if why == "cached":
         monkeypatch.setattr(first_use, "is_cached", lambda kernel: True)
     elif why == "not kept":
         monkeypatch.setattr(first_use, "keeps", lambda kernel: False)
-    elif why == "one thread":
+    else:
         torch.set_num_threads(1)
-    config = composed("field=classical" if why == "no circuits" else "field=qcolor", *SMALL)
-    with first_use.two_processes(config) as finish:
-        finish(model_of(config))
+    with first_use.two_processes(composed("field=qcolor", *SMALL)):
+        pass
     assert not started

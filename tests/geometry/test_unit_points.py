@@ -57,3 +57,14 @@ def test_rays_keep_their_gradient():
     unit, _ = unit_points(moved, samples, Box(), None)
     unit.sum().backward()
     assert rays.origins.grad is not None
+
+
+def test_a_mask_of_ones_own_is_called():
+    class Outside(SpaceMask):
+        def forward(self, unit: torch.Tensor) -> torch.Tensor:
+            return ~super().forward(unit)
+
+    rays, samples = along(torch.float32, 3.0)
+    cells = torch.rand(6, 6, 6, generator=torch.Generator().manual_seed(1)) < 0.5
+    own, usual = (unit_points(rays, samples, Box(), kind(cells))[1] for kind in (Outside, SpaceMask))
+    assert torch.equal(own, ~usual)

@@ -132,3 +132,44 @@ def test_encoder_and_head_are_called_where_somebody_watches_them():
     torch.testing.assert_close(grid_mlp(points, None, *layers), head(grid(points)))
     with plain():
         torch.testing.assert_close(grid_mlp(points, None, *layers), head(grid(points)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p, i, g, h, o: (p[:, :2], i, g, h, o), "points must be"),
+        (lambda p, i, g, h, o: (p, i[:10], g, h, o), "inside must be bool"),
+        (lambda p, i, g, h, o: (p, i.int(), g, h, o), "inside must be bool"),
+        (lambda p, i, g, h, o: (p, i, g._replace(resolutions=g.resolutions.int()), h, o), "resolutions must be int64"),
+        (lambda p, i, g, h, o: (p, i, g._replace(resolutions=g.resolutions * 2**31), h, o), "resolutions must be 1 to"),
+        (lambda p, i, g, h, o: (p, i, g._replace(table=g.table[:, :100]), h, o), "table must be"),
+        (lambda p, i, g, h, o: (p, i, g, h._replace(weight=h.weight[:, 1:]), o), "on 4 features expected"),
+        (lambda p, i, g, h, o: (p, i, g, h, o._replace(bias=o.bias[:1])), "on 4 features expected"),
+    ],
+)
+def test_wrong_arguments_are_refused(change, message):
+    arguments = case(300, 0.5, 2, 2, 8, 3, True, 0, torch.float32)
+    with pytest.raises(ValueError, match=message):
+        grid_mlp(*change(*arguments))
+
+
+def test_other_layers_than_linear_relu_linear_are_called():
+    encoder = HashEncoder(3, levels=2, max_resolution=32, log2_table_size=6)
+
+    def head() -> MLPHead:
+        return MLPHead(encoder.out_dim, 2, layers=2, width=8)
+
+    assert layers_on_grid(encoder, head()) is not None
+    other, hooked, own = head(), head(), head()
+    other.net[1] = torch.nn.Tanh()
+    hooked.net[0].register_full_backward_hook(lambda *_: None)
+    own.forward = lambda features: features
+    for changed in (other, hooked, own):
+        assert layers_on_grid(encoder, changed) is None
+    other.net[1], other.net[2] = torch.nn.ReLU(), torch.nn.Linear(8, 2, bias=False)
+    assert layers_on_grid(encoder, other) is None
+    handle = torch.nn.modules.module.register_module_forward_hook(lambda *_: None)
+    try:
+        assert layers_on_grid(encoder, head()) is None
+    finally:
+        handle.remove()

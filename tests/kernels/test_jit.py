@@ -234,3 +234,14 @@ def test_loops_keep_their_threads_where_pytorch_has_one(threads):
     assert counts() == (3, 3)
     threads(2)
     assert loop_threads() == 2
+
+
+def test_one_torch_thread_is_of_the_thread_that_asks_for_it(threads):
+    threads(3)
+    seen = []
+    with one_torch_thread():
+        other = threading.Thread(target=lambda: (torch.set_num_threads(2), seen.append(loop_threads())))
+        other.start()
+        other.join()
+        assert loop_threads() == 3
+    assert seen == [2]

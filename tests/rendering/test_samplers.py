@@ -218,6 +218,11 @@ def test_the_loop_of_a_proposal_network_agrees_with_its_modules(dtype, masked, f
     for ours, theirs in zip(*gradients, strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=200 * torch.finfo(dtype).eps * count)
     assert not masked or bool((fast == 0).any())
+    called = []
+    handle = network.hidden.register_forward_hook(lambda *_: called.append(True))
+    torch.testing.assert_close(sampler.proposed(network, unit, inside), slow, rtol=20 * torch.finfo(dtype).eps, atol=0)
+    handle.remove()
+    assert called
 
 
 @pytest.mark.parametrize(

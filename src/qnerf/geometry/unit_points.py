@@ -22,7 +22,8 @@ def unit_points(
     """
     kind = LOOPS.get(type(contraction))
     ends = (rays.origins, rays.directions, samples.edges)
-    if kind is None or not replaceable(contraction) or not points.takes(*ends):
+    known = type(mask) in (type(None), SpaceMask) and replaceable(contraction, *([] if mask is None else [mask]))
+    if kind is None or not known or not points.takes(*ends):
         unit = contraction(rays.along(samples.mids))
         return unit, None if mask is None else mask(unit)
     half_extent = contraction.half_extent if isinstance(contraction, Box) else 1.0

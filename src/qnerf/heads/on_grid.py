@@ -15,8 +15,10 @@ def layers_on_grid(encoder: nn.Module, head: nn.Module) -> tuple[Grid, Layer, La
     """
     if type(encoder) is not HashEncoder or type(head) is not MLPHead or not replaceable(encoder, head):
         return None
-    linear = [layer for layer in head.net if isinstance(layer, nn.Linear)]
-    if len(linear) != 2 or encoder.in_dim != 3 or encoder.frequency_window:
+    linear = [layer for layer in head.net if isinstance(layer, nn.Linear) and layer.bias is not None]
+    if [type(layer) for layer in head.net] != [nn.Linear, nn.ReLU, nn.Linear] or len(linear) != 2:
+        return None
+    if encoder.in_dim != 3 or encoder.frequency_window:
         return None
     hidden, out = (Layer(layer.weight, layer.bias) for layer in linear)
     return Grid(encoder.table, encoder.resolutions, encoder.dense), hidden, out

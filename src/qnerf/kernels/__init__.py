@@ -6,6 +6,9 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
+_HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
+_GLOBAL_HOOKS = [getattr(nn.modules.module, f"_global{hooks}") for hooks in _HOOKS]
+
 _plain = False
 
 
@@ -17,8 +20,11 @@ def compiled(*tensors: Tensor) -> bool:
 
 
 def replaceable(*modules: nn.Module) -> bool:
-    """Whether a loop may compute what these modules do without calling them: nobody watches them by a hook."""
-    return not any(part._forward_hooks or part._forward_pre_hooks for module in modules for part in module.modules())
+    """Whether a loop may compute what these modules do without calling them: none has a hook or another `forward`."""
+    if any(_GLOBAL_HOOKS):
+        return False
+    parts = [part for module in modules for part in module.modules()]
+    return not any("forward" in vars(part) or any(getattr(part, hooks) for hooks in _HOOKS) for part in parts)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from qnerf.kernels import compiled
 from qnerf.kernels.buffer_pool import pooled_empty
-from qnerf.kernels.hashgrid import BLOCK, U, add_gradient, corners, flat, hash_encode_reference, interpolate
+from qnerf.kernels.hashgrid import BLOCK, U, add_gradient, check, corners, flat, hash_encode_reference, interpolate
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import VECTOR_BYTES, inner, load, splat, store, where_positive
 
@@ -50,10 +50,18 @@ def grid_mlp(points: Tensor, inside: Tensor | None, grid: Grid, hidden: Layer, o
         out: weight (O, H) and bias (O,).
 
     Raises:
-        ValueError: the points need a gradient.
+        ValueError: the points need a gradient, or a shape or dtype is not as above.
     """
     if points.requires_grad:
         raise ValueError("grid_mlp: points without gradient expected; hash_encode and linear layers give them one")
+    check(points, grid.table, grid.resolutions)
+    levels, _, features = grid.table.shape
+    shapes = [tuple(tensor.shape) for tensor in (*hidden, *out)]
+    units, outputs = hidden.weight.shape[0], out.weight.shape[0]
+    if shapes != [(units, levels * features), (units,), (outputs, units), (outputs,)]:
+        raise ValueError(f"grid_mlp: layers on {levels * features} features expected, got the shapes {shapes}")
+    if inside is not None and (inside.shape != points.shape[:1] or inside.dtype != torch.bool):
+        raise ValueError(f"grid_mlp: inside must be bool ({len(points)},), got {inside.dtype} {tuple(inside.shape)}")
     if compiled(points, grid.table, *hidden, *out):
         parameters = (grid.table, *hidden, *out)
         keeps = torch.is_grad_enabled() and any(parameter.requires_grad for parameter in parameters)

@@ -64,11 +64,8 @@ def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool 
     Raises:
         ValueError: shapes, dtypes or resolutions do not fit.
     """
-    _check(points, table, resolutions)
+    check(points, table, resolutions)
     if compiled(points):
-        cells = resolutions.numpy()
-        if cells.min() < 1 or cells.max() > FINEST:
-            raise ValueError(f"hash grid: resolutions must be 1 to {FINEST}, got {cells.tolist()}")
         encoded: Tensor = _HashEncode.apply(points, table, resolutions, dense)
         return encoded
     return hash_encode_reference(points, table, resolutions, dense)
@@ -76,7 +73,7 @@ def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool 
 
 def hash_encode_reference(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:
     """What `hash_encode` computes, in plain PyTorch: any device, any dtype, differentiable any number of times."""
-    _check(points, table, resolutions)
+    check(points, table, resolutions)
     levels, size, _ = table.shape
     resolution = resolutions.to(points.device)[:, None, None]  # (L, 1, 1)
     scaled = points.clamp(0, 1).double() * resolution  # (L, N, 3), exact where points are float32
@@ -98,7 +95,8 @@ def hash_encode_reference(points: Tensor, table: Tensor, resolutions: Tensor, de
     return features.transpose(0, 1).flatten(1)
 
 
-def _check(points: Tensor, table: Tensor, resolutions: Tensor) -> None:
+def check(points: Tensor, table: Tensor, resolutions: Tensor) -> None:
+    """ValueError unless these are arguments of `hash_encode`."""
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"hash grid: points must be (N, 3), got {tuple(points.shape)}")
     if table.ndim != 3 or table.shape[1] & (table.shape[1] - 1) or not 1 < table.shape[1] <= 2**31 or not table.numel():
@@ -110,6 +108,10 @@ def _check(points: Tensor, table: Tensor, resolutions: Tensor) -> None:
         )
     if points.dtype != table.dtype or not points.is_floating_point():
         raise ValueError(f"hash grid: points and table must share a dtype, got {points.dtype} and {table.dtype}")
+    if compiled(points):
+        cells = resolutions.numpy()
+        if cells.min() < 1 or cells.max() > FINEST:
+            raise ValueError(f"hash grid: resolutions must be 1 to {FINEST}, got {cells.tolist()}")
 
 
 class _HashEncode(torch.autograd.Function):

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from itertools import count, pairwise
 from queue import SimpleQueue
-from threading import Lock, Thread
+from threading import Lock, Thread, local
 from typing import Any, TypeAlias
 
 import numba
@@ -21,7 +21,12 @@ from numba.core import event
 
 Kernel: TypeAlias = Callable[..., Any]
 
-_threads: int | None = None  # of compiled loops, where PyTorch has fewer
+
+class _Loops(local):
+    threads: int | None = None  # of compiled loops that this thread starts, where PyTorch has fewer
+
+
+_loops = _Loops()
 _kernels: set[Any] = set()
 _uncached: set[Any] = set()
 
@@ -156,7 +161,7 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
 
 def loop_threads() -> int:
     """How many threads share a compiled loop: as many as PyTorch has, also inside `one_torch_thread`."""
-    return _threads or torch.get_num_threads()
+    return _loops.threads or torch.get_num_threads()
 
 
 @contextlib.contextmanager
@@ -166,18 +171,17 @@ def one_torch_thread(active: bool = True) -> Iterator[None]:
     A step of training is hundreds of small operations. To wake a second thread for one of them takes longer than it
     saves.
     """
-    global _threads
-    outer, pytorch = _threads, torch.get_num_threads()
+    outer, pytorch = _loops.threads, torch.get_num_threads()
     if not active or pytorch == 1:
         yield
         return
-    _threads = loop_threads()
+    _loops.threads = loop_threads()
     torch.set_num_threads(1)
     try:
         yield
     finally:
         torch.set_num_threads(pytorch)
-        _threads = outer
+        _loops.threads = outer
 
 
 def split(items: int, parts: int) -> list[tuple[int, int]]:

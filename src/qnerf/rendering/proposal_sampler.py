@@ -11,7 +11,7 @@ from qnerf.encoders.hash import EntryFeatures, HashEncoder, Levels, Log2Size, Re
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.unit_points import unit_points
 from qnerf.heads.activations import trunc_exp
-from qnerf.kernels import compiled, grid_mlp
+from qnerf.kernels import compiled, grid_mlp, replaceable
 from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
@@ -113,8 +113,7 @@ class ProposalSampler(Sampler):
     def proposed(self, network: nn.Module, unit: Tensor, inside: Tensor | None) -> Tensor:
         """Density (R, K) of a proposal network at points (R, K, 3) of the unit cube; 0 where not `inside` (R, K)."""
         points = unit.reshape(-1, 3)
-        if compiled(points):
-            assert isinstance(network, ProposalNetwork)
+        if compiled(points) and type(network) is ProposalNetwork and replaceable(network):
             return network.inside(points, None if inside is None else inside.reshape(-1)).view(unit.shape[:-1])
         density = network(points).view(unit.shape[:-1])
         return density if inside is None else density.masked_fill(~inside, 0)  # infinity times 0 would be NaN
