@@ -30,7 +30,8 @@ make its tables from the stored runs. Give the latter other `--rows` to group th
 PSNR and SSIM are means over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training. The training
 commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_64`, which is the fox capture of
 instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs
-He initialisation. `python -m analysis.pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of
+He initialisation. Runs of `train=quick` are from before it halved the samples of the proposal networks, which changes
+no PSNR (see the question about them); `proposal.samples=[128,64]` repeats them. `python -m analysis.pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of
 runs.
 
 The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
@@ -126,6 +127,8 @@ SIGMOID = (
 UPLOAD = "density.amplitude.registers=[5] density.amplitude.uploads=1"
 GROWN = "density.qiren_bypass.from_zero=false"
 WIRES = "density.qiren_bypass.wire_per_feature=true qiren.spectral=1"
+LINEAR_PIECES = "no_gain,no_center,uniform_angles,full_scale,fast_color"
+BARE = "qiren.gain=1 qiren.center=false qiren.init=uniform"
 SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
 
 QUESTIONS = {
@@ -152,6 +155,18 @@ QUESTIONS = {
     "recipe_density": comparison(
         "How much does each piece of the quick recipe help a quantum density head?",
         sweep("recipe", "field=qdensity experiment=quick_recipe,no_gain,no_center,no_sum,uniform_angles,full_scale"),
+    ),
+    "recipe_linear": Question(
+        "What does the quick recipe need where a circuit's colours are linear, as in the paper's code?",
+        (
+            sweep("recipe", f"experiment=quick_recipe,{LINEAR_PIECES} color.activations.qiren=linear"),
+            sweep("recipe", f"experiment=quick_recipe color.activations.qiren=linear {BARE}"),
+            sweep("recipe", "experiment=quick_recipe"),
+        ),
+        ("scene_name", "experiment", "color.activation", "qiren.gain"),
+        {"experiment": "quick_recipe", "color.activation": "sigmoid"},
+        failures=True,
+        other_baselines=({"experiment": "no_gain", "color.activation": "linear"},),
     ),
     "recipe_more": comparison("Which additions to the quick recipe would help?", sweep("recipe_more")),
     "seeds": Question(
@@ -352,6 +367,14 @@ QUESTIONS = {
         "Where should rays be sampled?",
         (sweep("sampling"), "qnerf probe RUN rays", "python -m analysis.figures runs sampling"),
         ("scene_name", "field", "sampler"),
+    ),
+    "proposals": Question(
+        "How many samples do the proposal networks need on a ray?",
+        (sweep("proposals"),),
+        ("scene_name", "field", "proposal.samples"),
+        {"field": "classical", "proposal.samples": "[128,64]"},
+        values=(*QUALITY, "step_cpu_ms"),
+        other_baselines=({"field": "qcolor", "proposal.samples": "[128,64]"},),
     ),
     "encoders": Question(
         "How should points be encoded?",
