@@ -239,7 +239,8 @@ def result_rows(table: str, baseline: str) -> list[Row]:
     rows = []
     for cells in lines:
         cells = [cell.replace("**", "") for cell in cells]
-        row = Row(Counter(cell.casefold() for cell in cells[:start]), baseline=Counter(baseline.casefold().split(", ")))
+        words = Counter(cell.casefold().replace(", ", ",") for cell in cells[:start])  # a list is one word
+        row = Row(words, baseline=Counter(baseline.casefold().replace("\\", "").split(", ")))
         for cell in cells[start:]:
             if "[" in cell:
                 row.difference = cell.removesuffix(" *")
