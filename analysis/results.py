@@ -31,8 +31,8 @@ PSNR and SSIM are means over the held-out views, 5 of `fox_64` and 22 of `poster
 commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_64`, which is the fox capture of
 instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs
 He initialisation. Runs of `train=quick` are from before it halved the samples of the proposal networks, which changes
-no PSNR (see the question about them); `proposal.samples=[128,64]` repeats them. `python -m analysis.pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of
-runs.
+no PSNR (see the question about them); `proposal.samples=[128,64]` repeats them.
+`python -m analysis.pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of runs.
 
 The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
 instead. {hardware}

@@ -1,5 +1,7 @@
 """What seconds of CPU buy, of this project and of its peers."""
 
+import math
+
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -23,24 +25,29 @@ def cpu_ladder_points(results: benchmarks.Results = None) -> pd.DataFrame:
 
 @style.styled
 def psnr_vs_cpu_seconds(results: benchmarks.Results = None) -> Figure:
-    """PSNR of held-out views against seconds of training, a row per scene and a column per width.
+    """PSNR of held-out views against seconds of training, a panel for each scene and width.
 
     Every point is a training of its own.
     """
     rows = benchmarks.read("cpu_ladder", results)
     table = cpu_ladder_points(rows)
-    scenes, widths, cases = (sorted(set(table[key])) for key in ("scene", "width", "case"))
-    figure = style.new(style.PAGE, 0.8 + 2.2 * len(scenes))
-    axes = figure.subplots(len(scenes), len(widths), sharex=True, sharey="row", squeeze=False)
-    for row, scene in zip(axes, scenes, strict=True):
-        for ax, width in zip(row, widths, strict=True):
-            shown = table[(table["scene"] == scene) & (table["width"] == width)]
-            for case, part in shown.sort_values("budget_s").groupby("case"):
-                look = style.series(cases.index(case)) | {"ls": "--" if "qnerf" not in str(case) else "-"}
-                ax.errorbar(part["seconds"], part["psnr"], part["psnr_std"], label=case, elinewidth=0.7, **look)
-            ax.set(title=f"{scene}, {width} px", xscale="log")
-            style.plain_ticks(ax)
-        row[0].set_ylabel(metric_of("eval/psnr").heading)
+    panels = sorted(set(zip(table["scene"], table["width"], strict=True)))
+    cases = sorted(set(table["case"]))
+    columns = math.ceil(math.sqrt(len(panels)))
+    lines = -(-len(panels) // columns)
+    figure = style.new(style.PAGE, 0.8 + 2.2 * lines)
+    axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for ax, (scene, width) in zip(axes.flat, panels, strict=False):
+        shown = table[(table["scene"] == scene) & (table["width"] == width)]
+        for case, part in shown.sort_values("budget_s").groupby("case"):
+            look = style.series(cases.index(case)) | {"ls": "--" if "qnerf" not in str(case) else "-"}
+            ax.errorbar(part["seconds"], part["psnr"], part["psnr_std"], label=case, elinewidth=0.7, **look)
+        ax.set(title=f"{scene}, {width} px", xscale="log")
+        style.plain_ticks(ax)
+    for ax in axes.flat[len(panels) :]:
+        ax.remove()
+    for ax in axes[:, 0]:
+        ax.set_ylabel(metric_of("eval/psnr").heading)
     for ax in axes[-1]:
         ax.set_xlabel("training, CPU s" if set(rows["threads"]) == {1} else "training, s")
     style.legend(figure)

@@ -81,7 +81,9 @@ def jobs(question: Question) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
             word.lstrip("+").split("=", 1) for word in words if "=" in word
         )
         choices.pop("seed", None)
-        for values in itertools.product(*(some(key, re.split(r",(?![^\[]*\])", text), question) for key, text in choices.items())):
+        for values in itertools.product(
+            *(some(key, re.split(r",(?![^\[]*\])", text), question) for key, text in choices.items())
+        ):
             job = (f"{key}={value}" for key, value in zip(choices, values, strict=True))
             config = composed(*job, sweep=sweep)
             yield labels(config), {key: value for key, value in config.items() if key != "seed"}
