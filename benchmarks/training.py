@@ -6,7 +6,8 @@ Prints, and saves as benchmarks/results/training.parquet:
   the step (operations, bytes) and how fast this machine does such work (a matrix product, a copy);
 - ratios that the project promises, with both sides measured alternately: compiled loops against their plain PyTorch
   references, circuits against the classical head and against PennyLane, evaluation against training;
-- tables: the hash tables C1 to C7, whose cost grows with their size, and the paper's recipe.
+- tables: the hash tables C1 to C7, whose cost grows with their size, and the paper's recipe;
+- sizes: steps with other numbers of rays and of samples on a ray.
 
 Rows of the file that are not measured again stay.
 """
@@ -72,6 +73,13 @@ RATIOS = {  # name -> overrides of the numerator, overrides of the denominator, 
         for name in ("1L1S", "1L2S")
     },
 }
+
+SIZES = (
+    *(f"field=classical train.rays={rays}" for rays in (64, 128, 256, 512, 1024)),
+    "field=classical proposal.samples=[128,64]",
+    "field=classical proposal.final=64",
+    "field=classical proposal.samples=[128,64] proposal.final=64",
+)
 
 
 def build(overrides: str) -> tuple[Trainer, Evaluator]:
@@ -220,7 +228,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=40, help="measured steps a row and a ratio (default 40)")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument(
-        "--only", choices=["steps", "ratios", "tables"], nargs="+", default=["steps", "ratios", "tables"]
+        "--only",
+        choices=["steps", "ratios", "tables", "sizes"],
+        nargs="+",
+        default=["steps", "ratios", "tables", "sizes"],
     )
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
@@ -239,6 +250,10 @@ def main() -> None:
         for overrides in (*tables, "train=paper field=classical", "train=paper field=qcolor"):
             rows.append(profile(overrides, options.rounds, limits))
             print(f"{overrides:<48} {rows[-1]['ms']:8.2f} ms", flush=True)
+    if "sizes" in options.only:
+        for overrides in SIZES:
+            rows.append(profile(overrides, options.rounds, limits))
+            print(f"{overrides:<64} {rows[-1]['ms']:8.2f} ms", flush=True)
     if "ratios" in options.only:
         for name in RATIOS:
             rows.append(ratio(name, options.rounds))
