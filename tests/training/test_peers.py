@@ -46,7 +46,7 @@ def test_nerfstudio_gets_our_settings(overrides: str) -> None:
     assert settings["circuit"] == [2, 3]
     assert settings["geo_features"] == 5
     assert (settings["samples"], settings["final"]) == ([256, 96], 48)
-    assert (settings["rate"], settings["final_rate"], settings["steps"]) == (1e-2, 1e-4, 500)
+    assert (settings["rate"], settings["final_rate"], settings["steps"]) == (1e-2, 1e-2, 500)
     finest = [network["max_res"] for network in settings["options"]["proposal_net_args_list"]]
     assert finest == [128, 256]
     json.dumps(settings)
