@@ -108,10 +108,12 @@ def _acting(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     settings = effective(runs)
     idle = settings == ""
     masks = {str(name): idle[name] for name in idle.columns[idle.any()]}
-    for group, label, without in (("qiren", "field", "classical"), ("hash", "encoder", None)):
-        if label in runs:
-            mask = runs[label].eq(without) if without else runs[label].ne(group)
-            masks |= {name: mask for name in map(str, runs) if f"{name}.".startswith(f"{group}.")}
+    groups = {}
+    if "field" in runs:
+        groups["qiren"] = runs["field"].eq("classical")
+    if "encoder" in runs:
+        groups["hash"] = runs["encoder"].ne("hash")
+    masks |= {name: groups[start] for name in map(str, runs) if (start := name.partition(".")[0]) in groups}
     masked = {name: runs[name].astype(object).mask(mask, None) for name, mask in masks.items() if mask.any()}
     table = runs.assign(**masked)
     return table.copy(), settings  # in one block; pandas warns of frames whose columns were set one by one

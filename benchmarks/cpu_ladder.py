@@ -180,7 +180,7 @@ def report(rows: pd.DataFrame) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", nargs="+", default=["poster"], help="poster, or folders")
+    parser.add_argument("--scenes", nargs="+", default=["poster"], help="poster, or folders of images with poses")
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256], help="of the images, in pixels")
     parser.add_argument("--budgets", type=float, nargs="+", default=[15.0, 30.0, 60.0, 120.0], help="in seconds")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help=", ".join(CASES))

@@ -8,7 +8,8 @@ import pytest
 
 from analysis import load
 from analysis.pack import main as pack
-from analysis.results import QUESTIONS, Question, main, page, read_text
+from analysis.questions import QUESTIONS, Question
+from analysis.results import main, page, read_text
 from qnerf.model.labels import labels
 from tests.helpers.configs import ROOT, composed, swept
 from tests.helpers.packed_stores import write_run

@@ -1,0 +1,501 @@
+"""The questions of docs/results.md: what was asked, the commands that train its runs, the tables that answer it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pandas as pd
+
+from .paper import PAPER_TABLES
+from .tables import Table, ablation, shots_and_noise, stability, units
+
+QUALITY = ("psnr", "ssim", "depth_error")
+
+
+@dataclass(frozen=True)
+class Question:
+    """A section of the page: a question, the commands that train its runs, and the tables that answer it.
+
+    rows: the keys that distinguish the rows of each table.
+    baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
+    metric: what the tables compare and rank.
+    values: the columns; those that no run has are left out.
+    failures, units, hardware: whether to add the table of that name.
+    paper: the names of the paper's tables to add.
+    """
+
+    title: str
+    commands: tuple[str, ...]
+    rows: tuple[str, ...]
+    baseline: Mapping[str, object] | None = None
+    metric: str = "psnr"
+    values: tuple[str, ...] = QUALITY
+    failures: bool = False
+    units: bool = False
+    hardware: bool = False
+    paper: tuple[str, ...] = ()
+    other_baselines: tuple[Mapping[str, object], ...] = ()
+
+    def tables(self, frame: pd.DataFrame) -> list[Table]:
+        """The tables of the question's runs, as `load.runs` gives them."""
+        values = [name for name in self.values if name in frame and frame[name].notna().any()]
+        tables = [ablation(frame, self.rows, metric=self.metric, values=values, baseline=self.baseline)]
+        for other in self.other_baselines:
+            tables.append(ablation(frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other))
+        wanted = ((self.failures, stability), (self.units, units), (self.hardware, shots_and_noise))
+        tables += [make(frame, self.rows) for wants, make in wanted if wants]
+        return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
+
+    def table_commands(self, name: str) -> list[str]:
+        """The commands that make its tables over seeds from the packed runs in docs/results/`name`."""
+        command = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
+        if self.metric != "psnr":
+            command += f" --metric {self.metric} --values {','.join(self.values)}"
+        if self.baseline is None:
+            return [command]
+        baselines = [self.baseline, *self.other_baselines]
+        texts = [",".join(f"{key}={value}" for key, value in baseline.items()) for baseline in baselines]
+        return [f"{command} --baseline {text}" for text in texts]
+
+
+def sweep(name: str, *more: str) -> str:
+    """The command that trains a sweep."""
+    return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
+
+
+def before(name: str, *more: str) -> str:
+    """A sweep that was trained when density MLPs of the quick recipe had PyTorch's default initialisation."""
+    return sweep(name, *more, "density.mlp.init=torch")
+
+
+def comparison(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
+    """Compares the values of an option with a baseline; the default: experiments with the quick recipe."""
+    return Question(title, (command,), ("scene_name", key), {key: baseline}, failures=True)
+
+
+def density_start(title: str, field: str, rate: str, initial: str) -> Question:
+    """Compares learning rates and initial densities of a density head with those of the quick recipe."""
+    seeds = f"field={field} seed=0,1,2"
+    return Question(
+        title,
+        (
+            before("seeds", f"{seeds} train.rates.density=0.33,1.0"),
+            before("seeds", f"{seeds} train.rates.density=1.0 density.initial=0.1,1.0"),
+        ),
+        ("scene_name", "train.rates.density", "density.initial"),
+        {"train.rates.density": rate, "density.initial": initial},
+        failures=True,
+        other_baselines=() if rate == "1" else ({"train.rates.density": "1", "density.initial": initial},),
+    )
+
+
+SIGMOID = (
+    "color.activations.qiren=sigmoid color.activations.qfgn=sigmoid color.direction_interval=signed hash.dense=true"
+)
+"""What `train=paper` was before the published code was followed."""
+
+UPLOAD = "density.amplitude.registers=[5] density.amplitude.uploads=1"
+GROWN = "density.qiren_bypass.from_zero=false"
+WIRES = "density.qiren_bypass.wire_per_feature=true qiren.spectral=1"
+LINEAR_PIECES = "no_gain,no_center,uniform_angles,full_scale,fast_color"
+BARE = "qiren.gain=1 qiren.center=false qiren.init=uniform"
+SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
+
+QUESTIONS = {
+    "scenes": Question(
+        "How good is a circuit head on each scene?",
+        (sweep("scenes"),),
+        ("scene_name", "field"),
+        {"field": "classical"},
+        values=(*QUALITY, "params.color", "params.density"),
+    ),
+    "start": comparison(
+        "Which initial weights suit a density MLP beside a colour circuit?",
+        sweep("seeds", "field=qcolor density.mlp.init=torch,he"),
+        "density.mlp.init",
+        "torch",
+    ),
+    "start_mlp": comparison(
+        "Which initial weights suit a density MLP beside a colour MLP?",
+        sweep("seeds", "field=classical density.mlp.init=torch,he"),
+        "density.mlp.init",
+        "torch",
+    ),
+    "recipe": comparison("How much does each piece of the quick recipe help a quantum colour head?", sweep("recipe")),
+    "recipe_density": comparison(
+        "How much does each piece of the quick recipe help a quantum density head?",
+        sweep("recipe", "field=qdensity experiment=quick_recipe,no_gain,no_center,no_sum,uniform_angles,full_scale"),
+    ),
+    "recipe_linear": Question(
+        "What does the quick recipe need where a circuit's colours are linear, as in the paper's code?",
+        (
+            sweep("recipe", f"experiment=quick_recipe,{LINEAR_PIECES} color.activations.qiren=linear"),
+            sweep("recipe", f"experiment=quick_recipe color.activations.qiren=linear {BARE}"),
+            sweep("recipe", "experiment=quick_recipe"),
+        ),
+        ("scene_name", "experiment", "color.activation", "qiren.gain"),
+        {"experiment": "quick_recipe", "color.activation": "sigmoid"},
+        failures=True,
+        other_baselines=({"experiment": "no_gain", "color.activation": "linear"},),
+    ),
+    "recipe_more": comparison("Which additions to the quick recipe would help?", sweep("recipe_more")),
+    "seeds": Question(
+        "How often does training collapse? Colour MLPs as in Nerfacto, and with raw directions and He initialisation",
+        (sweep("seeds", "field=classical,qdensity color.directions=raw color.mlp.init=he"), sweep("seeds")),
+        ("scene_name", "field", "color.mlp.init"),
+        {"field": "classical", "color.mlp.init": "he"},
+        failures=True,
+        other_baselines=({"field": "classical", "color.mlp.init": "torch"},),
+    ),
+    "heads": Question(
+        "Which density head pays beside an MLP for colour, and is it the circuit?",
+        (
+            sweep("heads"),
+            sweep("heads", "density=mlp density.mlp.layers=1"),
+            sweep("heads", "density=amplitude density.amplitude.unitary=identity"),
+        ),
+        ("scene_name", "density"),
+        {"density": "2x64"},
+        values=(*QUALITY, "params.density"),
+        failures=True,
+        other_baselines=({"density": "amplitude6-identity"},),
+    ),
+    "heads_unseen": Question(
+        "Does an amplitude encoding for density pay on scenes on which nothing was chosen?",
+        tuple(
+            sweep("heads", heads, scene)
+            for scene in (
+                "scene=blender scene.path=CHAIR",
+                "scene=colmap scene.path=KING scene.model=sparse scene.width=64",
+                "scene=nerfstudio scene.path=TERRACE scene.width=64",
+            )
+            for heads in ("head@density=mlp,amplitude", "density=amplitude density.amplitude.unitary=identity")
+        ),
+        ("scene_name", "density"),
+        {"density": "2x64"},
+        values=(*QUALITY, "params.density"),
+        other_baselines=({"density": "amplitude6-identity"},),
+    ),
+    "needs": Question(
+        "Does needs=auto pay on scenes of different kinds?",
+        tuple(
+            f"python -m src.run -m needs=none,auto field=qcolor budget=short seed=0,1,2{scene}"
+            for scene in (
+                "",
+                " scene=nerfstudio scene.path=FOX",
+                " scene=blender scene.path=CHAIR",
+                " scene=llff scene.path=FERN scene.width=64",
+                " scene=colmap scene.path=KING scene.model=sparse scene.width=64",
+                " scene=nerfstudio scene.path=TERRACE scene.width=64",
+            )
+        ),
+        ("scene_name", "needs.name"),
+        {"needs.name": "none"},
+        values=(*QUALITY, "step_cpu_ms"),
+    ),
+    "heads_reupload": Question(
+        "Does a circuit pay that the linear map cannot absorb?",
+        (
+            sweep("heads_control", f"{UPLOAD} density.amplitude.unitary=identity,circuit,local,random"),
+            sweep("heads"),
+        ),
+        ("scene_name", "density"),
+        {"density": "amplitude5-identity-uploads=1"},
+        values=(*QUALITY, "params.density"),
+        other_baselines=({"density": "2x64"},),
+    ),
+    "heads_qiren": Question(
+        "What limits QIREN as a density head?",
+        (
+            sweep("heads", "head@density=mlp,qiren"),
+            sweep("heads", f"head@density=qiren_bypass {GROWN}"),
+            sweep("heads", f"head@density=qiren_bypass {GROWN} {WIRES}"),
+            sweep("heads", "density=mlp density.mlp.layers=3 density.mlp.width=8"),
+        ),
+        ("scene_name", "density"),
+        {"density": "3x8"},
+        values=(*QUALITY, "params.density"),
+        other_baselines=({"density": "2x64"},),
+    ),
+    "heads_time": Question(
+        "Do amplitude heads pay against an MLP that trains as long?",
+        (
+            sweep("heads", "head@density=mlp train.steps=1650,3000"),
+            sweep("heads", "head@density=amplitude,reupload"),
+            sweep("heads", "density=amplitude density.amplitude.unitary=identity"),
+        ),
+        ("scene_name", "density", "train.steps"),
+        {"density": "2x64", "train.steps": "1650"},
+        other_baselines=({"density": "2x64", "train.steps": "3000"},),
+    ),
+    "heads_color": Question(
+        "Which colour head pays beside an MLP for density?",
+        (
+            sweep("heads_color"),
+            sweep("heads_color", "color=amplitude color.amplitude.registers=[5]"),
+            sweep("heads_color", "head@color=mlp color.mlp.layers=3 color.mlp.width=20"),
+        ),
+        ("scene_name", "color"),
+        {"color": "2x58"},
+        values=(*QUALITY, "params.color"),
+        failures=True,
+    ),
+    "heads_photograph": Question(
+        "Which head holds a photograph of 32 x 32 grey pixels best, and is it the circuit?",
+        tuple(
+            f"python -m src.run -cd sweeps -cn heads_photograph scene.path=camera,astronaut {more}"
+            for more in (
+                "train.rates.head=0.3,1.0",
+                "train.rates.head=1.0 head=amplitude,qvf,qnerf,reupload,parallel,product "
+                "++head.amplitude.unitary=identity",
+            )
+        ),
+        ("scene_name", "head", "train.rates.head"),
+        values=(*QUALITY, "params.head"),
+    ),
+    "heads_distance": Question(
+        "Which head fits the signed distance of a shape best, and is it the circuit?",
+        tuple(
+            f"python -m src.run -cd sweeps -cn heads_distance {more}"
+            for more in (
+                "train.rates.head=1.0",
+                "train.rates.head=0.1 head=siren",
+                "train.rates.head=1.0 head=amplitude,qvf,qnerf,reupload,parallel,product "
+                "++head.amplitude.unitary=identity",
+            )
+        ),
+        ("scene.shape", "head", "train.rates.head"),
+        metric="distance_error",
+        values=("distance_error", "iou", "params.head"),
+    ),
+    "small_heads": Question(
+        "Is a quantum colour head as good as MLPs of at most 700 parameters?",
+        (sweep("small_heads"), sweep("small_heads", "color.mlp.init=he", f"experiment={SMALL_MLPS}")),
+        ("scene_name", "color", "color.directions", "color.mlp.init"),
+        {"color": "1L2S"},
+        values=(*QUALITY, "params.color"),
+        failures=True,
+    ),
+    "control": Question(
+        "Does the circuit help, or the recipe that comes with it?",
+        (sweep("control"), sweep("control", "field=qcolor color.directions=raw color.mlp.init=torch")),
+        ("scene_name", "color", "color.directions", "color.mlp.init"),
+        {"color": "3x64", "color.directions": "raw", "color.mlp.init": "he"},
+        values=(*QUALITY, "params.color"),
+        failures=True,
+    ),
+    "control_density": Question(
+        "Does a circuit for density help?",
+        (
+            sweep("control_density"),
+            sweep("control_density", "field=classical density.mlp.init=he color.mlp.init=he color.directions=raw"),
+            sweep("control_density", "field=qdensity,qboth density.mlp.init=torch"),
+        ),
+        ("scene_name", "field", "density.mlp.init", "color.mlp.init"),
+        {"field": "classical", "density.mlp.init": "he", "color.mlp.init": "torch"},
+        failures=True,
+        other_baselines=({"field": "classical", "density.mlp.init": "torch", "color.mlp.init": "torch"},),
+    ),
+    "rates": comparison(
+        "Which learning rate suits a colour circuit?",
+        sweep("seeds", "field=qcolor train.rates.color=0.33,1.0"),
+        "train.rates.color",
+        "1",
+    ),
+    "rates_mlp": comparison(
+        "Which learning rate suits a colour MLP?",
+        before("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
+        "train.rates.color",
+        "1",
+    ),
+    "rates_density": density_start(
+        "Which learning rate and initial density suit a density circuit?", "qdensity", "0.33", "0.1"
+    ),
+    "rates_density_mlp": density_start(
+        "Which learning rate and initial density suit a density MLP?", "classical", "1", "1"
+    ),
+    "directions": comparison(
+        "How strongly should view directions be scaled?",
+        before("directions", "train.rates.color=1.0"),
+        "color.direction_scale",
+        "1",
+    ),
+    "init": comparison(
+        "How strongly should a circuit's outputs be amplified?",
+        before(
+            "init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0 train.rates.color=1.0"
+        ),
+        "color.qiren.gain",
+        "3",
+    ),
+    "loss_curves": Question(
+        "How do training and held-out loss develop?",
+        (sweep("loss_curves"), "python -m analysis.figures runs loss"),
+        ("scene_name", "field"),
+    ),
+    "sampling": Question(
+        "Where should rays be sampled?",
+        (sweep("sampling"), "qnerf probe RUN rays", "python -m analysis.figures runs sampling"),
+        ("scene_name", "field", "sampler"),
+    ),
+    "proposals": Question(
+        "How many samples do the proposal networks need on a ray?",
+        (sweep("proposals"),),
+        ("scene_name", "field", "proposal.samples"),
+        {"field": "classical", "proposal.samples": "[128,64]"},
+        values=(*QUALITY, "step_cpu_ms"),
+        other_baselines=({"field": "qcolor", "proposal.samples": "[128,64]"},),
+    ),
+    "encoders": Question(
+        "How should points be encoded?",
+        (sweep("encoders"), "qnerf probe RUN encoding", "python -m analysis.figures runs encodings"),
+        ("scene_name", "field", "encoder"),
+        values=(*QUALITY, "params.encoder", "params.density"),
+    ),
+    "poses": Question(
+        "How much of the error of noisy poses does refinement recover?",
+        (sweep("poses"),),
+        ("scene_name", "field", "cameras", "pose_noise.rotation"),
+    ),
+    "rgb_width": Question(
+        "How wide must an MLP of three layers be?",
+        (sweep("rgb_width", "seed=0"), "python -m analysis.figures runs width"),
+        ("scene_name", "color"),
+        values=(*QUALITY, "params.color"),
+    ),
+    "rgb_depth": Question(
+        "How deep can a narrow MLP be?",
+        (sweep("rgb_depth", "seed=0"), "python -m analysis.figures runs depth"),
+        ("scene_name", "color"),
+        values=(*QUALITY, "params.color"),
+    ),
+    "deep": Question(
+        "Why does a deep, narrow MLP collapse?",
+        (
+            before("deep"),
+            before("deep", "color.mlp.init=torch train.rates.color=0.1,3.0 seed=0,1,2"),
+            "qnerf probe RUN units",
+        ),
+        ("scene_name", "color", "color.mlp.init", "train.rates.color"),
+        failures=True,
+        units=True,
+    ),
+    "rgb_table": Question(
+        "The paper's table of colour heads",
+        (sweep("rgb_table"),),
+        ("scene_name", "field", "color"),
+        values=(*QUALITY, "params.color", "params.density"),
+        paper=("rgb",),
+    ),
+    "both_table": Question(
+        "The paper's table of both heads",
+        (sweep("both_table"),),
+        ("scene_name", "density", "color"),
+        values=(*QUALITY, "params.color", "params.density"),
+        paper=("both",),
+    ),
+    "hash_table": Question(
+        "The paper's hash tables",
+        (sweep("hash_table"),),
+        ("scene_name", "hash"),
+        values=(*QUALITY, "params.encoder"),
+        paper=("hash",),
+    ),
+    "pe_widths": Question(
+        "How wide must a density MLP on a positional encoding be?",
+        (sweep("pe_widths"),),
+        ("scene_name", "density"),
+        values=(*QUALITY, "params.density"),
+    ),
+    "hsv": Question(
+        "The paper's colour study",
+        (sweep("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
+        ("scene_name", "field"),
+        values=(*QUALITY, "params.density", "params.color"),
+    ),
+    "density_figure": Question(
+        "The paper's figure of quantum density heads on a positional encoding",
+        (sweep("density_figure"), "python -m analysis.figures runs capacity_density"),
+        ("scene_name", "density"),
+        values=(*QUALITY, "params.density"),
+    ),
+    "density_rate": Question(
+        "Two of these heads lose all density. Does a third of the learning rate save them?",
+        (
+            sweep(
+                "density_figure",
+                "density.qiren.layers=2,4 density.qiren.spectral=5,6 density.rates.qiren=0.33",
+            ),
+        ),
+        ("scene_name", "density", "train.rates.density"),
+    ),
+    "density_pe": Question(
+        "Is a quantum density head as good as an MLP of its size on a positional encoding?",
+        (
+            sweep("density_pe", "experiment=pe_1L2S,pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8"),
+            sweep("density_pe", "experiment=pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8 density.mlp.init=he"),
+        ),
+        ("scene_name", "density", "density.mlp.init"),
+        {"density": "1L2S"},
+        values=(*QUALITY, "params.density"),
+        failures=True,
+    ),
+    "density_sum": comparison(
+        "Does such a head improve if it reads the sum of all its circuits?",
+        sweep("density_pe", "experiment=pe_1L2S density.qiren.sum_layers=false,true"),
+        "density.qiren.sum_layers",
+        "false",
+    ),
+    "ansatz": Question(
+        "Which ansatz is best?",
+        (sweep("ansatz", "qiren.ansatz=qiren,ry"), sweep("ansatz", "seed=0")),
+        ("scene_name", "color.qiren.ansatz"),
+        {"color.qiren.ansatz": "qiren"},
+    ),
+    "shots": Question(
+        "How much quality do finite shots and noisy gates cost?",
+        (
+            before("shots"),
+            "qnerf probe RUN shots=100,1000,10000",
+            "qnerf probe RUN noise=depolarizing p=0.001,0.01,0.1",
+        ),
+        ("scene_name", "color"),
+        values=("psnr", "params.color"),
+        hardware=True,
+    ),
+    "noise": Question(
+        "How much quality does noise cost at two re-uploadings? Few qubits, so that noise is simulated exactly",
+        (before("noise"), "qnerf probe RUN noise=depolarizing p=0.001,0.01,0.1"),
+        ("scene_name", "color.qiren.qubits"),
+        values=("psnr", "params.color"),
+        hardware=True,
+    ),
+    "paper_short": Question(
+        "Two circuit heads with the paper's recipe and with the quick one, 1,500 steps each",
+        (sweep("scenes", f"field=qboth train=quick,paper {SIGMOID}"),),
+        ("scene_name", "train"),
+        {"train": "paper"},
+    ),
+    "paper": Question(
+        "The paper's recipe to its end, 30,000 steps",
+        ("python -m src.run -cd sweeps -cn paper",),
+        ("scene_name", "field"),
+        {"field": "classical"},
+        values=(*QUALITY, "step_ms", "train_s"),
+        failures=True,
+    ),
+    "fog": Question(
+        "Which colours of a circuit end as fog in the paper's recipe? (3,000 steps)",
+        ("python -m src.run -cd sweeps -cn fog train.steps=3000",),
+        ("scene_name", "color.activation"),
+        {"color.activation": "linear"},
+        failures=True,
+        values=QUALITY,
+    ),
+    "paper_sigmoid": Question(
+        "The paper's recipe with a sigmoid on a circuit's colours, 30,000 steps",
+        (f"python -m src.run -m train=paper field=classical,qcolor {SIGMOID}",),
+        ("scene_name", "field"),
+        values=(*QUALITY, "step_ms", "train_s"),
+    ),
+}
+"""Folder of packed runs -> question, in the order of the page."""
