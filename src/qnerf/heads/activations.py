@@ -15,16 +15,23 @@ _BOUND = 15.0  # on the argument of the derivative
 
 
 class _TruncExp(torch.autograd.Function):
+    generate_vmap_rule = True
+
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        y = x.exp()
-        ctx.save_for_backward(y)
-        return y
+    def forward(x: Tensor) -> Tensor:
+        return x.exp()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(output)
+        ctx.save_for_forward(output)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> Tensor:
         (y,) = ctx.saved_tensors
         return grad * y.clamp(math.exp(-_BOUND), math.exp(_BOUND))
+
+    jvp = backward
 
 
 @DENSITY_ACTIVATIONS.register("trunc_exp")

@@ -12,6 +12,7 @@ from qnerf.config.bounds import Factor, PositiveFactor
 from qnerf.heads.base import HEADS, Head
 from qnerf.heads.registers import AmplitudeRegister, BlochRegister, Encoding, product
 from qnerf.heads.unitaries import Kind, Unitaries
+from qnerf.kernels import is_transformed
 from qnerf.quantum.circuit import EntanglingGate
 from qnerf.quantum.normal_form import z_eigenvalues
 from qnerf.quantum.unitary import apply
@@ -112,6 +113,8 @@ class System(nn.Module):
             weight, bias = torch.cat([weight.real, weight.imag]), torch.cat([bias.real, bias.imag])
             weights = weights.repeat(1, 2)
         u = nn.functional.linear(register.inputs(features), weight, bias)
+        if is_transformed():
+            return normalised_forms(u, weights)[-1]
         out: Tensor = NormalisedForms.apply(u, weights)
         return out
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import torch
 from torch import Tensor, nn
+from torch.autograd import forward_ad
 
 _HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
 _GLOBAL_HOOKS = [getattr(nn.modules.module, f"_global{hooks}") for hooks in _HOOKS]
@@ -13,10 +14,18 @@ _plain = False
 
 
 def compiled(*tensors: Tensor) -> bool:
-    """Whether the compiled loops take these tensors: on the CPU, all float32 or all float64, and not inside `plain`."""
+    """Whether the compiled loops take these tensors: on the CPU, all float32 or all float64, and neither inside `plain`
+    nor inside a transformation (see `is_transformed`).
+    """
     dtype = tensors[0].dtype
-    known = dtype in (torch.float32, torch.float64)
-    return known and not _plain and all(t.device.type == "cpu" and t.dtype == dtype for t in tensors)
+    if _plain or dtype not in (torch.float32, torch.float64) or is_transformed():
+        return False
+    return all(tensor.device.type == "cpu" and tensor.dtype == dtype for tensor in tensors)
+
+
+def is_transformed() -> bool:
+    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
+    return torch._C._are_functorch_transforms_active() or forward_ad._current_level >= 0
 
 
 def replaceable(*modules: nn.Module) -> bool:

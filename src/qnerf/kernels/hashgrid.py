@@ -65,7 +65,7 @@ def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool 
         ValueError: shapes, dtypes or resolutions do not fit.
     """
     check(points, table, resolutions)
-    if compiled(points):
+    if compiled(points, table):
         encoded: Tensor = _HashEncode.apply(points, table, resolutions, dense)
         return encoded
     return hash_encode_reference(points, table, resolutions, dense)

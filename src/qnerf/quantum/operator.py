@@ -83,8 +83,3 @@ def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None]:
 
 
 evaluate.register_autograd(_backward, setup_context=_keep)
-
-
-def is_transformed() -> bool:
-    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
-    return torch._C._are_functorch_transforms_active() or torch.autograd.forward_ad._current_level >= 0

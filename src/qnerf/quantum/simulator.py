@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
+from qnerf.kernels import is_transformed
 from qnerf.kernels.jit import loop_threads
-from qnerf.quantum import lightcone, operator, pauli_cost, statevector
+from qnerf.quantum import lightcone, pauli_cost, statevector
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.compiled import pauli_engine
@@ -87,7 +88,7 @@ class Simulator:
 
         The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other.
         """
-        cost = self.cost(x.shape[0], x.device, x.dtype, operator.is_transformed())
+        cost = self.cost(x.shape[0], x.device, x.dtype, is_transformed())
         if cost.method == "lightcone":
             if cost.backend == "torch":
                 return lightcone.evaluate_reference(self.circuit, x, weights)

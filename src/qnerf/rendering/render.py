@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from qnerf.kernels import is_transformed
 from qnerf.rendering.background import background_color
 from qnerf.types import Rendering, Samples
 
@@ -30,6 +31,8 @@ def volume_weights(density: Tensor, delta: Tensor) -> Tensor:
     Returns:
         (R, K) in [0, 1].
     """
+    if is_transformed():
+        return volume_weights_reference(density, delta)
     return _VolumeWeights.apply(density, delta)
 
 

@@ -1,0 +1,92 @@
+"""The whole model under forward-mode differentiation and torch.func: the derivatives are those of the backward pass."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+from torch.func import functional_call, hessian, jacfwd, jvp, vmap
+
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import build_scene
+from qnerf.config.settings import settings_from
+from qnerf.encoders.hash import HashEncoder
+from qnerf.geometry.contraction import CONTRACTIONS, Box
+from qnerf.geometry.unit_points import unit_points
+from qnerf.heads.activations import trunc_exp
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+from qnerf.types import Rays, Samples
+
+pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
+
+MODELS = {
+    "MLPs": ["field=classical"],
+    "circuits": ["field=qboth"],
+    "amplitudes, merged": ["field=classical", "density=amplitude", "shading=merge"],
+    "Fourier features, masked": ["field=qcolor", "color=qfgn", "visibility.cameras=2"],
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_rendered_colours_along_a_direction_of_all_parameters(tiny: Callable[..., Any], name: str) -> None:
+    settings = settings_from(tiny("numerics.dtype=float64", *MODELS[name]))
+    scene = build_scene(settings)
+    model, table = build_model(settings, scene).eval(), ray_table(settings, scene)
+    rays, watch = (
+        table.view(0)[torch.arange(0, len(table.view(0)), 9)],
+        Stopwatch(torch.device("cpu"), model, QuantumLayer),
+    )
+
+    def color(parameters: dict[str, Tensor]) -> Tensor:
+        rendering, _, _ = functional_call(
+            model, parameters, (rays,), {"background": "white", "step": 3, "watch": watch}
+        )
+        return rendering.color
+
+    at = {name: parameter.detach().clone() for name, parameter in model.named_parameters()}
+    direction = {name: torch.randn_like(value) for name, value in at.items()}
+    value, tangent = jvp(color, (at,), (direction,))
+    leaves = {name: value.requires_grad_() for name, value in at.items()}
+    expected = color(leaves)
+    torch.testing.assert_close(value, expected, rtol=1e-10, atol=1e-12)
+    cotangent = torch.randn_like(expected)
+    gradients = torch.autograd.grad(expected, list(leaves.values()), cotangent, allow_unused=True)
+    pairs = zip(gradients, direction.values(), strict=True)
+    along = sum((gradient * own).sum() for gradient, own in pairs if gradient is not None)
+    assert abs(float(along)) > 0
+    torch.testing.assert_close((tangent * cotangent).sum(), along, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("contraction", [CONTRACTIONS.build("linf"), Box(half_extent=2.0)], ids=["cube", "box"])
+def test_points_keep_their_tangents(contraction: Any) -> None:
+    origins, directions = torch.randn(2, 5, 3, dtype=torch.float64)
+    ones = torch.ones(5, 1, dtype=torch.float64)
+    edges = torch.linspace(0.1, 4, 7, dtype=torch.float64).expand(5, -1)
+
+    def points(origins: Tensor) -> Tensor:
+        rays = Rays(origins, directions, torch.zeros(5, dtype=torch.int64), 0.1 * ones, 4 * ones)
+        return unit_points(rays, Samples(edges, edges), contraction, None)[0]
+
+    tangent = torch.randn_like(origins)
+    with forward_ad.dual_level():
+        found = forward_ad.unpack_dual(points(forward_ad.make_dual(origins, tangent))).tangent
+    assert found is not None
+    jacobian = torch.autograd.functional.jacobian(points, origins)
+    torch.testing.assert_close(found, (jacobian * tangent).sum((-1, -2)))
+
+
+def test_the_hash_grid_and_the_activation_under_vmap_and_twice_differentiated() -> None:
+    encoder = HashEncoder(3, levels=3, min_resolution=2, max_resolution=8, log2_table_size=6, features=2).double()
+    points = torch.rand(2, 4, 3, dtype=torch.float64)
+    torch.testing.assert_close(vmap(encoder)(points), torch.stack([encoder(some) for some in points]))
+
+    def density(one: Tensor) -> Tensor:
+        return trunc_exp(encoder(one[None]).sum())
+
+    one = points[0, 0]
+    torch.testing.assert_close(jacfwd(density)(one), torch.autograd.functional.jacobian(density, one))
+    torch.testing.assert_close(hessian(density)(one), torch.autograd.functional.hessian(density, one))
+    assert float(hessian(density)(one).detach().abs().max()) > 0
