@@ -8,8 +8,10 @@ differs:
 
 - initial values and jitter are other random numbers;
 - nerfstudio trains its proposal networks at every second step at first and at every sixth after step 5,000; we train
-  them at every fifth, as the paper says;
-- nerfstudio's proposal networks hash their coarse levels, too; ours index them directly.
+  them at every fifth, as the paper says (`--overrides "sampler.update_every=6 sampler.update_warmup=5000"` does the
+  former);
+- nerfstudio's proposal networks hash their coarse levels, too; ours index them directly;
+- the finest level of nerfstudio's hash table has 1,023 cells along a side, ours 1,024.
 
 PYTHON's environment needs qnerf, and nerfstudio without its viewer and rasterisers, which are replaced by empty
 stand-ins (`benchmarks.peers.stand_ins`):
@@ -24,8 +26,8 @@ Two parts, chosen by --only; rows of benchmarks/results/nerfstudio.parquet that 
 - time: milliseconds a step, of all models in turns, 30 steps each time, which is a whole number of both schedules of
   proposal updates; medians. With the peak memory of each process, and its growth since before the model was built.
 
---functions does something else: it compares contraction, sampling, weights, losses and encodings one by one, and stores
-nerfstudio's results in tests/numerics.
+--functions does something else: it compares contraction, sampling, weights, losses, encodings, schedules and the
+gradients of a whole step one by one, and stores nerfstudio's results in tests/numerics.
 """
 
 import argparse

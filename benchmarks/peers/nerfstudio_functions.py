@@ -26,6 +26,13 @@ TABLES = {  # levels, coarsest and finest resolution of the paper's hash tables 
     "proposal 2": (5, 16, 256),
 }
 STEPS = 10_000
+MODEL = {"levels": 4, "min_resolution": 16, "max_resolution": 128, "log2_table_size": 7, "features": 2}
+"""The field's hash grid of the model that takes a step; those of its proposal networks have as many entries."""
+GEOMETRY, SAMPLES, FINAL = 5, (24, 16), 12
+FINEST = (128, 256)  # of the proposal networks
+UPDATES = 6000  # steps of the schedule of proposal updates
+STEP = 99  # in the middle of annealing; the proposal networks learn
+PARAMETERS = 10_699  # of the model
 
 
 def inputs() -> dict[str, Tensor]:
@@ -51,12 +58,23 @@ def inputs() -> dict[str, Tensor]:
         "color": uniform(RAYS, 48, 3),
         "jitter": uniform(RAYS, 1),
         "table": (uniform(HASH["levels"], 2 ** HASH["log2_table_size"], HASH["features"]) - 0.5).half().float(),
+        "origins": 0.2 * normal(RAYS, 3),
+        "jitters": uniform(3, RAYS, 1),
+        "weights": (0.5 * normal(PARAMETERS)).half().float(),
     }
 
 
 def outputs(given: dict[str, Tensor]) -> dict[str, Tensor]:
     """What nerfstudio makes of the inputs."""
-    return {**_space(given), **_encodings(given), **_rays(given), **_schedules()}
+    return {**_space(given), **_encodings(given), **_rays(given), **_schedules(), **_step(given)}
+
+
+def fill(parameters: list[torch.nn.Parameter], weights: Tensor) -> None:
+    """Sets the parameters, one after the other, to the numbers of `weights`; matrices are divided by sqrt(fan-in)."""
+    with torch.no_grad():
+        for parameter, values in zip(parameters, weights.split([p.numel() for p in parameters]), strict=True):
+            linear = parameter.ndim == 2 and parameter.shape[1] > 2
+            parameter.copy_(values.view(parameter.shape) / (parameter.shape[1] ** 0.5 if linear else 1))
 
 
 def _space(given: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -157,8 +175,6 @@ def _schedules() -> dict[str, Tensor]:
     """The learning rate and the annealing exponent after some steps."""
     from nerfstudio.engine.schedulers import ExponentialDecaySchedulerConfig
 
-    from benchmarks.peers.nerfstudio_models import nerfacto
-
     optimiser = torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))], lr=1e-2)
     schedule = ExponentialDecaySchedulerConfig(lr_final=1e-4, max_steps=STEPS).setup().get_scheduler(optimiser, 1e-2)
     every = range(0, STEPS, 250)
@@ -169,14 +185,86 @@ def _schedules() -> dict[str, Tensor]:
         optimiser.step()
         schedule.step()
 
-    model = nerfacto({"table": (2, 16, 32, 4, 1), "views": 2, "geo_features": 5, "samples": (4, 4), "final": 4})
+    model = _model()
     before, _ = model.get_training_callbacks(None)
     anneal = []
     for step in range(0, 2000, 50):
         before.func(step)
         anneal.append(model.proposal_sampler._anneal)
     numbers = {"learning rate": rates, "annealing": anneal}
-    return {name: torch.tensor(values, dtype=torch.float32) for name, values in numbers.items()}
+    found = {name: torch.tensor(values, dtype=torch.float32) for name, values in numbers.items()}
+    return found | {"steps of the proposal networks": _updates()}
+
+
+def _updates() -> Tensor:
+    """The steps in which the proposal networks learn, with the default schedule."""
+    from nerfstudio.cameras.rays import RayBundle
+
+    model = _model()
+    _, after = model.get_training_callbacks(None)
+    ray = torch.tensor([[0.0, 0, 1]])
+    bundle = RayBundle(0 * ray, ray, torch.ones(1, 1), nears=torch.full((1, 1), NEAR), fars=torch.full((1, 1), FAR))
+    learns, steps = [False], []
+
+    def density(positions: Tensor) -> Tensor:
+        learns[0] = torch.is_grad_enabled()
+        return torch.ones_like(positions[..., :1])
+
+    for step in range(UPDATES):
+        model.proposal_sampler(bundle, density_fns=[density, density])
+        if learns[0]:
+            steps.append(step)
+        after.func(step)
+    return torch.tensor(steps)
+
+
+def _model() -> Any:
+    from benchmarks.peers.nerfstudio_models import nerfacto
+
+    table = [MODEL[key] for key in ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")]
+    networks = [
+        {"hidden_dim": 16, "log2_hashmap_size": table[3], "num_levels": 5, "max_res": finest, "use_linear": False}
+        for finest in FINEST
+    ]
+    options = {"near_plane": NEAR, "far_plane": FAR, "proposal_net_args_list": networks}
+    settings = {"table": table, "views": 2, "geo_features": GEOMETRY, "samples": SAMPLES, "final": FINAL}
+    return nerfacto(settings | {"options": options}).train()
+
+
+def _step(given: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The loss terms of one training step of a small Nerfacto, and the gradients of all parameters."""
+    from nerfstudio.cameras.rays import RayBundle
+
+    model = _model()
+    names = dict(model.named_parameters())
+    parts = ["field.mlp_base", "field.mlp_head", "proposal_networks.0", "proposal_networks.1"]
+    groups = [[p for name, p in names.items() if name.startswith(part)] for part in parts]
+    fill([p for group in groups for p in group], given["weights"])
+    before, _ = model.get_training_callbacks(None)
+    before.func(STEP)
+    bundle = RayBundle(
+        given["origins"],
+        given["directions"][:RAYS],
+        torch.ones(RAYS, 1),
+        camera_indices=torch.zeros(RAYS, 1, dtype=torch.int64),
+        nears=torch.full((RAYS, 1), NEAR),
+        fars=torch.full((RAYS, 1), FAR),
+    )
+    draws = iter(given["jitters"])
+    rand, torch.rand = torch.rand, lambda shape, **_options: next(draws).clone().reshape(shape)
+    try:
+        found = model(bundle)
+    finally:
+        torch.rand = rand
+    batch = {"image": given["color"][:, 0]}
+    terms = model.get_loss_dict(found, batch, model.get_metrics_dict(found, batch))
+    sum(terms.values()).backward()
+    loss = torch.stack([terms[f"{name}_loss"] for name in ("rgb", "distortion", "interlevel")])
+    gradients = {
+        f"a step, gradient of {name}": torch.cat([p.grad.flatten() for p in group])
+        for name, group in zip(("density", "color", "proposal 1", "proposal 2"), groups, strict=True)
+    }
+    return {"a step, loss": loss, **gradients}
 
 
 def main() -> None:
@@ -188,7 +276,9 @@ def main() -> None:
     arrays |= {f"out/{name}": tensor for name, tensor in outputs(given).items()}
     packed = {name: tensor.detach().numpy() for name, tensor in arrays.items()}
     small = {
-        name: array.astype(np.float16 if name == "in/table" else np.int32 if array.dtype == np.int64 else array.dtype)
+        name: array.astype(
+            np.float16 if name in ("in/table", "in/weights") else np.int32 if array.dtype == np.int64 else array.dtype
+        )
         for name, array in packed.items()
     }
     np.savez_compressed(sys.argv[1], **small)  # type: ignore[arg-type]

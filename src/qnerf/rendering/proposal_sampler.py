@@ -54,7 +54,8 @@ class ProposalSampler(Sampler):
         final: intervals per ray to render.
         spacing: piecewise | uniform | disparity | geometric.
         update_every: steps between gradients of the networks.
-        update_warmup: steps over which that interval grows linearly from 1 to `update_every`.
+        update_warmup: steps over which that interval grows from 2 to `update_every`, as nerfstudio's does; there the
+            option `proposal_update_every` is one less than the longest interval.
         anneal_steps: steps until a is 1; 0: it always is.
         anneal_slope: slope of a(x) at x = 0.
         padding: added to every weight before drawing.
@@ -145,13 +146,17 @@ class ProposalSampler(Sampler):
 def _warmup_updates(every: int, warmup: int) -> list[int]:
     """Steps with a gradient until the interval between them is `every`, in order.
 
-    >>> _warmup_updates(3, 20)
-    [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 16, 19, 22]
+    With a warm-up they are those of nerfstudio 1.1.5, whose intervals are longer than what it counts and whose first
+    steps are one more.
+
+    >>> _warmup_updates(4, 20)
+    [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 17, 20, 24]
     """
-    steps = list(range(_FIRST_STEPS))
-    while steps[-1] < warmup:
-        step = steps[-1] + 1
-        while step < warmup and step - steps[-1] < min(max(every * step / warmup, 1.0), every):
-            step += 1
-        steps.append(step if step < warmup else max(step, steps[-1] + every))
+    if not warmup:
+        return list(range(_FIRST_STEPS))
+    steps = list(range(_FIRST_STEPS + 1))
+    for step in range(len(steps), warmup + every + 1):
+        counted = min(max((every - 1) * (step - 1) / warmup, 1.0), every - 1)
+        if step - steps[-1] > counted:
+            steps.append(step)
     return steps
