@@ -35,14 +35,19 @@ def jit(function: Kernel, **options: Any) -> Kernel:
     """Compiles on first use for the types at hand and caches the machine code on disk. `options` are those of Numba.
 
     The cache is beside the source file, or in the user's cache folder. If neither can be written there is none.
+    NUMBA_DISABLE_JIT, which is for debugging a user's own functions, does not hold here: most loops use vectors, which
+    Python does not have.
     """
     options |= {"nogil": True, "error_model": "numpy"}
+    disabled, numba.config.DISABLE_JIT = numba.config.DISABLE_JIT, 0
     try:
         kernel: Any = numba.njit(function, cache=True, **options)
         kernel._cache.load_overload = _or_nothing(kernel._cache)
     except RuntimeError:  # "no locator available": no folder for the cache can be written
         kernel = numba.njit(function, cache=False, **options)
         _uncached.add(kernel)
+    finally:
+        numba.config.DISABLE_JIT = disabled
     _kernels.add(kernel)
     return kernel
 
