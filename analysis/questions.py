@@ -386,6 +386,14 @@ QUESTIONS = {
         values=(*QUALITY, "params.color", "params.density"),
         paper=("rgb",),
     ),
+    "rgb_paper": Question(
+        "The paper's table of colour heads with the paper's recipe, 10,000 of its 30,000 steps",
+        ("python -m src.run -cd sweeps -cn rgb_table train=paper train.steps=10000",),
+        ("scene_name", "field", "color"),
+        values=(*QUALITY, "params.color", "params.density"),
+        failures=True,
+        paper=("rgb",),
+    ),
     "both_table": Question(
         "The paper's table of both heads",
         (sweep("both_table"),),
