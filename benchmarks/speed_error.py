@@ -9,7 +9,7 @@ Climbs a ladder with two kinds of rungs on each scene:
   reused.
 
 Step times are measured in turn in one process, at the trained weights. Prints the tables and the paired differences of
-`PAIRS`, and saves benchmarks/results/speed_error.parquet.
+`PAIRS`, and saves both in benchmarks/results.
 """
 
 import argparse
@@ -42,6 +42,7 @@ from qnerf.training.evaluation import Evaluator, RenderedView
 from qnerf.training.trainer import Trainer
 
 RESULTS = Path(__file__).parent / "results" / "speed_error.parquet"
+DIFFERENCES = RESULTS.with_name("speed_error_differences.parquet")
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,11 @@ SAME_WEIGHTS = (
     Rung("merge 8, half of all samples", ("shading=merge", "proposal.samples=[32,16]", "proposal.final=16")),
 )
 TRAINED = (
-    Rung("recipe, no gate, plain PyTorch", ("shading=none",), plain=True, single=True),  # on the built-in scene alone
+    Rung(
+        "recipe, shading=none, plain PyTorch", ("shading=none",), plain=True, single=True
+    ),  # on the built-in scene alone
     Rung("full", ("needs=full",)),
-    Rung("recipe, no gate", ("shading=none",)),
+    Rung("recipe, shading=none", ("shading=none",)),
     Rung("recipe"),
     Rung("auto", ("needs=auto",)),
     Rung("auto, 1L1S", ("needs=auto", "qiren=1L1S"), single=True),
@@ -93,7 +96,7 @@ PAIRS = (
     ("auto", "full"),
     ("auto, MLP 3 x 64", "full, MLP 3 x 64"),
     ("auto", "recipe"),
-    ("recipe", "recipe, no gate"),
+    ("recipe", "recipe, shading=none"),
 )
 
 
@@ -226,7 +229,7 @@ def differences(store: str, table: pd.DataFrame) -> pd.DataFrame:
             interval = {} if difference is None else {key: getattr(difference, key) for key in ("mean", "low", "high")}
             steps, sizes = (own.groupby("rung", sort=False)[key].first() for key in ("step_ms", "parameters"))
             rows.append(
-                {"scene": scene, "rung": rung, "against": reference}
+                {"rung": rung, "against": reference, "scene": scene}
                 | interval
                 | {"steps": steps[rung] / steps[reference], "parameters": sizes[rung] / sizes[reference]}
             )
@@ -256,8 +259,10 @@ def main() -> None:
     table = pd.concat(tables, ignore_index=True).assign(threads=options.threads, load=os.getloadavg()[0])
     RESULTS.parent.mkdir(exist_ok=True)
     table.drop(columns="run").to_parquet(RESULTS, index=False)
-    print(differences(options.store, table).to_string(index=False, float_format=lambda value: f"{value:+.3f}"))
-    print(f"saved to {RESULTS}")
+    paired = differences(options.store, table)
+    paired.to_parquet(DIFFERENCES, index=False)
+    print(paired.to_string(index=False, float_format=lambda value: f"{value:+.3f}"))
+    print(f"saved to {RESULTS} and {DIFFERENCES}")
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:

@@ -51,6 +51,10 @@ class Rays:
     def __getitem__(self, index: slice | Tensor) -> "Rays":
         return Rays(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
+    def detach(self) -> "Rays":
+        """The same rays, without gradients and tangents."""
+        return Rays(*(getattr(self, name).detach() for name in self.__dataclass_fields__))
+
     def along(self, distance: Tensor) -> Tensor:
         """World points (R, K, 3) at `distance` (R, K) along each ray."""
         return self.origins[:, None, :] + self.directions[:, None, :] * distance[..., None]

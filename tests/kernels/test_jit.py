@@ -200,6 +200,10 @@ def test_loops_are_compiled_also_where_numba_is_told_not_to(tmp_path):
     result = _python(code, tmp_path, NUMBA_DISABLE_JIT="1")
     assert result.returncode == 0, result.stderr
     assert "compiling kernels" in result.stderr
+    code = "import torch\nfrom qnerf.kernels.hashgrid import hash_encode\n"
+    code += "print(hash_encode(torch.rand(5, 3), torch.rand(2, 16, 2), torch.tensor([2, 4])).shape)"
+    result = _python(code, NUMBA_DISABLE_JIT="1", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert result.stdout == "torch.Size([5, 4])\n", result.stderr
 
 
 def _python(code: str, *folders: Path, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -55,6 +55,14 @@ def test_the_networks_learn_at_step_0_and_at_least_every_so_many(every: int, war
     assert all(gap == every for step, gap in zip(steps, gaps, strict=False) if step > max(warmup, 10))
 
 
+def test_the_longest_intervals_and_warm_ups_cost_nothing() -> None:
+    contraction = CONTRACTIONS.build("linf")
+    slow = SAMPLERS.build("proposal", contraction, update_every=10**9, update_warmup=20, **NETWORKS)
+    assert [step for step in (0, 10, 11, 10**9 + 10) if slow.learns(step)] == [0, 10, 10**9 + 10]
+    always = SAMPLERS.build("proposal", contraction, update_every=1, update_warmup=10**6, **NETWORKS)
+    assert all(always.learns(step) for step in range(0, 2 * 10**6, 97))
+
+
 @pytest.mark.parametrize("magnitude", [0.0, 1e-38, 1e-30, 1e-20, 1e-10, 1.0, 1e10, 1e18, 1e30])
 def test_the_first_step_of_the_optimiser(magnitude: float) -> None:
     """Never beyond the learning rate, whatever the gradient; from 1e-12 to 1e18 in float32 it is the learning rate.

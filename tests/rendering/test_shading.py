@@ -174,7 +174,10 @@ def test_the_loop_that_merges_agrees_with_its_reference(dtype, seed, samples, pa
     share = color_shares(along(70, samples, seed)[0], "last_sample").to(dtype).requires_grad_()
     generator = torch.Generator().manual_seed(seed)
     geometry = torch.randn(70, samples, features, dtype=torch.float64, generator=generator).to(dtype).requires_grad_()
-    fast, slow = Merge.apply(share, geometry, parts, SMALL / parts), merge_reference(share, geometry, parts)
+    fast, slow = (
+        Merge.apply(share, geometry, parts, SMALL / parts, merge_reference),
+        merge_reference(share, geometry, parts),
+    )
     same = (fast[0] - slow[0]).detach().abs().amax(-1) < 1e-5  # rounding may move a sample into the next part
     assert bool(same.sum() >= 66)
     upstream = [torch.linspace(-1, 1, value.numel(), dtype=dtype).view_as(value) for value in slow]

@@ -13,6 +13,7 @@ from qnerf.heads.base import HEADS, Head
 from qnerf.heads.registers import AmplitudeRegister, BlochRegister, Encoding, product
 from qnerf.heads.unitaries import Kind, Unitaries
 from qnerf.kernels import is_transformed
+from qnerf.kernels.derivatives import is_differentiated
 from qnerf.quantum.circuit import EntanglingGate
 from qnerf.quantum.normal_form import z_eigenvalues
 from qnerf.quantum.unitary import apply
@@ -37,7 +38,7 @@ class NormalisedForms(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
         u, weights, squares, total, out = ctx.saved_tensors
-        if torch.is_grad_enabled():  # second derivatives need them as functions of u and weights
+        if is_differentiated(gradient):  # second derivatives need them as functions of u and weights
             squares, total, out = normalised_forms(u, weights)
         share = gradient / total
         of_u = torch.addmm((share * out).sum(1, keepdim=True), share, weights, beta=-2, alpha=2).mul_(u)
@@ -113,7 +114,7 @@ class System(nn.Module):
             weight, bias = torch.cat([weight.real, weight.imag]), torch.cat([bias.real, bias.imag])
             weights = weights.repeat(1, 2)
         u = nn.functional.linear(register.inputs(features), weight, bias)
-        if is_transformed():
+        if is_transformed(u, weights):
             return normalised_forms(u, weights)[-1]
         out: Tensor = NormalisedForms.apply(u, weights)
         return out

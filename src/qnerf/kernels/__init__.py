@@ -18,14 +18,19 @@ def compiled(*tensors: Tensor) -> bool:
     nor inside a transformation (see `is_transformed`).
     """
     dtype = tensors[0].dtype
-    if _plain or dtype not in (torch.float32, torch.float64) or is_transformed():
+    if _plain or dtype not in (torch.float32, torch.float64) or is_transformed(*tensors):
         return False
     return all(tensor.device.type == "cpu" and tensor.dtype == dtype for tensor in tensors)
 
 
-def is_transformed() -> bool:
-    """Whether `torch.func` or forward-mode differentiation is at work, which follow only PyTorch's own operations."""
-    return torch._C._are_functorch_transforms_active() or forward_ad._current_level >= 0
+def is_transformed(*tensors: Tensor) -> bool:
+    """Whether `torch.func` is at work in this thread, or a tensor has a tangent of forward-mode differentiation.
+
+    Both follow only PyTorch's own operations. Gradients do not stop them under `torch.no_grad`: only `detach` does.
+    """
+    if torch._C._are_functorch_transforms_active():
+        return True
+    return forward_ad._current_level >= 0 and any(forward_ad.unpack_dual(t).tangent is not None for t in tensors)
 
 
 def replaceable(*modules: nn.Module) -> bool:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from qnerf.kernels import compiled
 from qnerf.kernels.buffer_pool import pooled_empty
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.hashgrid import BLOCK, U, add_gradient, check, corners, flat, hash_encode_reference, interpolate
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import VECTOR_BYTES, inner, load, splat, store, where_positive
@@ -122,14 +123,13 @@ class _GridMLP(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         points, inside, resolutions, table, w1, b1, w2, b2, encoded = ctx.saved_tensors
-        if torch.is_grad_enabled():  # create_graph=True: the gradients are differentiated again
-            parameters, needed = (table, w1, b1, w2, b2), ctx.needs_input_grad[5:]
-            values = grid_mlp_reference(
-                points, inside, Grid(table, resolutions, ctx.dense), Layer(w1, b1), Layer(w2, b2)
-            )
-            wanted = [tensor for tensor, need in zip(parameters, needed, strict=True) if need]
-            found = iter(torch.autograd.grad(values, wanted, upstream, create_graph=True))
-            return *[None] * 5, *(next(found) if need else None for need in needed)
+        if is_differentiated(upstream):
+
+            def reference(table: Tensor, w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor) -> Tensor:
+                grid = Grid(table, resolutions, ctx.dense)
+                return grid_mlp_reference(points, inside, grid, Layer(w1, b1), Layer(w2, b2))
+
+            return *[None] * 5, *through_reference(reference, (table, w1, b1, w2, b2), upstream)
         parts, dtype = -(-len(ctx.kept) // PART), flat(points).dtype
         layers = _packed(w1, b1, w2, b2)
         rows, outputs = layers[1].size, w2.shape[0]

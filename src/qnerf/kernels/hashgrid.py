@@ -15,6 +15,7 @@ Points outside [0, 1] are moved to the nearest face, and their gradient across i
 the cell above it, at 1 to the last cell. A NaN coordinate gives NaN features.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from torch import Tensor
 
 from qnerf.kernels import compiled
 from qnerf.kernels.buffer_pool import pooled_empty
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import (
     VECTOR_BYTES,
@@ -126,12 +128,11 @@ class _HashEncode(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         points, table, resolutions = ctx.saved_tensors
-        if torch.is_grad_enabled():  # create_graph=True: the gradients are differentiated again
-            wanted = ctx.needs_input_grad
-            gradients = _differentiable_gradients(wanted, gradient, points, table, resolutions, ctx.dense)
-            return *gradients, None, None
+        if is_differentiated(gradient):
+            reference = partial(hash_encode_reference, resolutions=resolutions, dense=ctx.dense)
+            return *through_reference(reference, (points, table), gradient), None, None
         levels, _, features = table.shape
         common = (flat(points), flat(gradient), flat(resolutions), ctx.dense, features)
         to_points = to_table = None
@@ -144,15 +145,6 @@ class _HashEncode(torch.autograd.Function):
             to_points = torch.empty(points.shape, dtype=points.dtype)
             run(_points_gradient, len(points), *common, flat(table), flat(to_points), grain=GRAIN)
         return to_points, to_table, None, None
-
-
-def _differentiable_gradients(
-    needed: tuple[bool, ...], gradient: Tensor, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool
-) -> tuple[Tensor | None, Tensor | None]:
-    out = hash_encode_reference(points, table, resolutions, dense)
-    inputs = [tensor for tensor, need in zip((points, table), needed[:2], strict=True) if need]
-    gradients = iter(torch.autograd.grad(out, inputs, gradient, create_graph=True))
-    return next(gradients) if needed[0] else None, next(gradients) if needed[1] else None
 
 
 def flat(tensor: Tensor) -> np.ndarray:

@@ -4,12 +4,14 @@ Each goes along a ray once and sums in float64. The plain PyTorch references are
 `qnerf.training.losses`.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import jit, run
 
 _GRAIN = 50_000  # weights that are worth waking a thread for
@@ -92,22 +94,27 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
 class Interlevel(torch.autograd.Function):
     """Sum over rays and intervals of max(0, w - w_outer)^2 / (w + eps) (Eq. 13, arXiv:2111.12077).
 
-    Only w_outer, the proposal's weights, gets a gradient.
+    Only w_outer, the proposal's weights, gets a gradient. `reference` is the same function of (w_outer, s, w, s_outer)
+    in plain PyTorch, for second derivatives.
     """
 
     @staticmethod
-    def forward(ctx: Any, w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float) -> Tensor:
+    def forward(
+        ctx: Any, w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float, reference: Callable[..., Tensor]
+    ) -> Tensor:
         loss, grad = np.empty(s.shape[0]), torch.empty_like(w_outer, memory_format=torch.contiguous_format)
         arrays = (_array(s), _array(w), _array(s_outer), _array(w_outer))
         run(_interlevel, s.shape[0], *arrays, eps, loss, grad.numpy(), grain=_grain(w_outer))
-        ctx.save_for_backward(grad)
+        ctx.save_for_backward(grad, w_outer, s, w, s_outer)
+        ctx.reference = reference
         return torch.tensor(loss.sum(), dtype=w.dtype)
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None, None]:
-        (grad,) = ctx.saved_tensors
-        return upstream * grad, None, None, None, None
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        grad, *inputs = ctx.saved_tensors
+        if is_differentiated(upstream):
+            return *through_reference(ctx.reference, inputs, upstream), None, None
+        return upstream * grad, *[None] * 5
 
 
 @jit
@@ -138,17 +145,22 @@ def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
 
 
 class Distortion(torch.autograd.Function):
-    """Sum over rays of the distortion loss (Eq. 15, arXiv:2111.12077). Only the weights get a gradient."""
+    """Sum over rays of the distortion loss (Eq. 15, arXiv:2111.12077). Only the weights get a gradient.
+
+    `reference` is the same function of (w, s) in plain PyTorch, for second derivatives.
+    """
 
     @staticmethod
-    def forward(ctx: Any, w: Tensor, s: Tensor) -> Tensor:
+    def forward(ctx: Any, w: Tensor, s: Tensor, reference: Callable[..., Tensor]) -> Tensor:
         loss, grad = np.empty(w.shape[0]), torch.empty_like(w, memory_format=torch.contiguous_format)
         run(_distortion, w.shape[0], _array(s), _array(w), loss, grad.numpy(), grain=_grain(w))
-        ctx.save_for_backward(grad)
+        ctx.save_for_backward(grad, w, s)
+        ctx.reference = reference
         return torch.tensor(loss.sum(), dtype=w.dtype)
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        (grad,) = ctx.saved_tensors
-        return upstream * grad, None
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        grad, *inputs = ctx.saved_tensors
+        if is_differentiated(upstream):
+            return *through_reference(ctx.reference, inputs, upstream), None
+        return upstream * grad, None, None

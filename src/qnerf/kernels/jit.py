@@ -22,6 +22,9 @@ from numba.core import event
 Kernel: TypeAlias = Callable[..., Any]
 
 
+_numba: Any = numba.config
+
+
 class _Loops(local):
     threads: int | None = None  # of compiled loops that this thread starts, where PyTorch has fewer
 
@@ -39,7 +42,7 @@ def jit(function: Kernel, **options: Any) -> Kernel:
     Python does not have.
     """
     options |= {"nogil": True, "error_model": "numpy"}
-    disabled, numba.config.DISABLE_JIT = numba.config.DISABLE_JIT, 0
+    disabled, _numba.DISABLE_JIT = _numba.DISABLE_JIT, 0
     try:
         kernel: Any = numba.njit(function, cache=True, **options)
         kernel._cache.load_overload = _or_nothing(kernel._cache)
@@ -47,7 +50,7 @@ def jit(function: Kernel, **options: Any) -> Kernel:
         kernel = numba.njit(function, cache=False, **options)
         _uncached.add(kernel)
     finally:
-        numba.config.DISABLE_JIT = disabled
+        _numba.DISABLE_JIT = disabled
     _kernels.add(kernel)
     return kernel
 
@@ -86,6 +89,8 @@ def is_cached(kernel: Kernel) -> bool:
 class _Announcer(event.Listener):
     """Says once, on stderr, that kernels are being compiled. Numba sends the event on a cache miss only.
 
+    A kernel is compiled with what it calls, whatever NUMBA_DISABLE_JIT says (see `jit`).
+
     Meanwhile no garbage is collected. The compiler makes millions of objects, and to look through them all again and
     again takes a tenth of its time.
     """
@@ -94,11 +99,14 @@ class _Announcer(event.Listener):
         self.announced = False
         self.depth = 0  # Numba compiles in one thread at a time
         self.collects = False
+        self.disabled = 0
 
     def on_start(self, event: Any) -> None:
-        if self.depth == 0 and gc.isenabled():
-            self.collects = True
-            gc.disable()
+        if self.depth == 0:
+            self.disabled, _numba.DISABLE_JIT = _numba.DISABLE_JIT, 0
+            if gc.isenabled():
+                self.collects = True
+                gc.disable()
         self.depth += 1
         if not self.announced and event.data["dispatcher"] in _kernels and "pytest" not in sys.modules:
             self.announced = True
@@ -107,9 +115,11 @@ class _Announcer(event.Listener):
 
     def on_end(self, event: Any) -> None:
         self.depth -= 1
-        if self.depth == 0 and self.collects:
-            self.collects = False
-            gc.enable()
+        if self.depth == 0:
+            _numba.DISABLE_JIT = self.disabled
+            if self.collects:
+                self.collects = False
+                gc.enable()
 
 
 event.register("numba:compile", _Announcer())

@@ -3,16 +3,20 @@
 The plain PyTorch reference is in `qnerf.rendering.shading`.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.hashgrid import U, flat
 from qnerf.kernels.jit import jit, run
 
 GRAIN = 64  # rays that are worth waking a thread for
+Reference = Callable[..., tuple[Tensor, Tensor]]
 
 
 class Merge(torch.autograd.Function):
@@ -21,10 +25,13 @@ class Merge(torch.autograd.Function):
     Args:
         parts: M.
         floor: the smallest share of a part by which the derivative of its mean is divided.
+        reference: shares, geometry, parts -> the same in plain PyTorch, for second derivatives.
     """
 
     @staticmethod
-    def forward(ctx: Any, shares: Tensor, geometry: Tensor, parts: int, floor: float) -> tuple[Tensor, Tensor]:
+    def forward(
+        ctx: Any, shares: Tensor, geometry: Tensor, parts: int, floor: float, reference: Reference
+    ) -> tuple[Tensor, Tensor]:
         rays, count = shares.shape
         merged = shares.new_empty(rays, parts)
         mean = shares.new_empty(rays, parts, geometry.shape[-1])
@@ -33,20 +40,22 @@ class Merge(torch.autograd.Function):
         arrays = (flat(shares), flat(geometry), count, parts, tiny, part, flat(merged), flat(mean))
         run(_merge, rays, *arrays, grain=GRAIN)
         ctx.save_for_backward(shares, geometry, merged, mean)
-        ctx.part, ctx.floor = part, floor
+        ctx.part, ctx.floor, ctx.reference = part, floor, reference
         return merged, mean
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, to_merged: Tensor, to_mean: Tensor) -> tuple[Tensor, Tensor, None, None]:
+    def backward(ctx: Any, to_merged: Tensor, to_mean: Tensor) -> tuple[Tensor | None, ...]:
         shares, geometry, merged, mean = ctx.saved_tensors
+        if is_differentiated(to_merged, to_mean):
+            reference = partial(ctx.reference, parts=merged.shape[1])
+            return *through_reference(reference, (shares, geometry), (to_merged, to_mean)), None, None, None
         to_shares = torch.empty_like(shares, memory_format=torch.contiguous_format)
         to_geometry = torch.empty_like(geometry, memory_format=torch.contiguous_format)
         tiny = torch.finfo(shares.dtype).tiny
         inputs = (flat(shares), flat(geometry), flat(merged), flat(mean), ctx.part, flat(to_merged), flat(to_mean))
         sizes = (shares.shape[1], merged.shape[1], tiny, ctx.floor)
         run(_merge_gradient, len(shares), *inputs, *sizes, flat(to_shares), flat(to_geometry), grain=GRAIN)
-        return to_shares, to_geometry, None, None
+        return to_shares, to_geometry, None, None, None
 
 
 @jit

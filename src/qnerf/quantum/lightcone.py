@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import run
 from qnerf.kernels.simd import lanes
 from qnerf.quantum import statevector
@@ -26,7 +27,6 @@ from qnerf.quantum.compiled.engine import (
     StatevectorEngine,
     cos_sin,
     cos_sin_of_half,
-    differentiable_gradients,
     flat_weights,
     from_blocks,
     numpy_dtype,
@@ -313,8 +313,8 @@ class _Polynomials(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         cone, bound, parts, arguments = ctx.saved
-        if torch.is_grad_enabled():
-            return None, *differentiable_gradients(ctx, partial(evaluate_reference, cone.circuit), gradient)
+        if is_differentiated(gradient):
+            return None, *through_reference(partial(evaluate_reference, cone.circuit), ctx.saved_tensors, gradient)
         batch, shape, dtype = ctx.shapes
         trig, table = arguments[0], arguments[3]
         width = trig.shape[3]

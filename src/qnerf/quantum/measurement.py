@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels import is_transformed
 from qnerf.quantum import carried_errors, density, pauli_errors, statevector
 from qnerf.quantum.circuit import Circuit, Probabilities
 from qnerf.quantum.noise import Noise
@@ -109,7 +110,9 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Ex
     found = _values_of(circuit)
     if not found.values or (conditions.shots is None and not conditions.noisy):
         out = exact(x, weights)
-        return out if conditions.gradients else _without_gradient(out, x, weights)
+        return out if conditions.gradients or is_transformed(x, weights) else _without_gradient(out, x, weights)
+    if is_transformed(x, weights):
+        raise ValueError("shots and noise: torch.func and forward-mode differentiation need exact outputs")
     if conditions.gradients:
         values = _expected(circuit, found, x, weights, exact, conditions)
         with torch.no_grad():

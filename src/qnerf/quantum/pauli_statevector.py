@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from qnerf.kernels import is_transformed
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expression_table import ExpressionTable
@@ -88,7 +89,9 @@ class PauliCircuit:
             return self._values(fixed, moving, start, dtype)
         starts = [None] * batch if start is None else start.expand(batch, -1).split(step)
         parts = zip(moving.split(step), starts, strict=False)
-        if not torch.is_grad_enabled() or not any(t is not None and t.requires_grad for t in (fixed, moving, start)):
+        inputs = [tensor for tensor in (fixed, moving, start) if tensor is not None]
+        stores = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
+        if not stores or is_transformed(*inputs):  # `torch.func` does not know checkpoints
             return torch.cat([self._values(fixed, part, first, dtype) for part, first in parts])
         options: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
         return torch.cat([checkpoint(self._values, fixed, part, first, dtype, **options) for part, first in parts])
@@ -167,7 +170,7 @@ def _new_action(word: Word, wires: int, device: torch.device, dtype: torch.dtype
     return torch.from_numpy(basis ^ word.x).to(device), torch.from_numpy(phases).to(device, dtype)
 
 
-_kept_action = lru_cache(maxsize=1024)(_new_action)
+_kept_action = lru_cache(maxsize=1024)(torch.inference_mode(False)(_new_action))  # kept for training, too
 
 
 class _Start:

@@ -88,7 +88,7 @@ class Simulator:
 
         The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other.
         """
-        cost = self.cost(x.shape[0], x.device, x.dtype, is_transformed())
+        cost = self.cost(x.shape[0], x.device, x.dtype, is_transformed(x, weights))
         if cost.method == "lightcone":
             if cost.backend == "torch":
                 return lightcone.evaluate_reference(self.circuit, x, weights)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from qnerf.kernels import is_transformed
 from qnerf.quantum.circuit import check_state
 from qnerf.quantum.normal_form import Angles, Diagonal, NormalForm, RYLayer, cnot_permutation, cz_signs, z_eigenvalues
 
@@ -33,7 +34,8 @@ def evaluate(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
     size = chunk_size(form, x.element_size())
     if x.shape[0] <= size:
         return _expectations(form, x, weights)
-    if not torch.is_grad_enabled() or not (x.requires_grad or weights.requires_grad):
+    stores = torch.is_grad_enabled() and (x.requires_grad or weights.requires_grad)
+    if not stores or is_transformed(x, weights):  # `torch.func` does not know checkpoints
         return torch.cat([_expectations(form, part, weights) for part in x.split(size)])
     parts = [
         checkpoint(_expectations, form, part, weights, use_reentrant=False, preserve_rng_state=False)
@@ -157,6 +159,7 @@ def _apply_ry_per_sample(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=1024)
+@torch.inference_mode(False)  # it is kept for training, too
 def _table(
     build: Callable[[Any, int], np.ndarray], gates: Any, wires: int, device: torch.device, dtype: torch.dtype | None
 ) -> Tensor:

@@ -132,6 +132,7 @@ def _entangled(states: Tensor, operation: Entangler, wires: int) -> Tensor:
 
 
 @lru_cache(maxsize=256)
+@torch.inference_mode(False)  # it is kept for training, too
 def _table(operation: Entangler, wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """The signs (2^n, 1) of CZs, or the permutation (2^n,) of CNOTs."""
     if operation.gate == "CZ":

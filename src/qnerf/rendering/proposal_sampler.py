@@ -92,7 +92,8 @@ class ProposalSampler(Sampler):
         SPACINGS.get(spacing)
         self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
         self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope
-        self._warmup_updates = _warmup_updates(update_every, update_warmup)
+        warmup_updates = _warmup_updates(update_every, update_warmup)
+        self._warmup_updates, self._last_warmup_update = frozenset(warmup_updates), warmup_updates[-1]
         grid = {"levels": levels, "min_resolution": base_resolution, "features": features}
         self.networks = nn.ModuleList(
             ProposalNetwork(hidden, max_resolution=resolution, log2_table_size=log2_table_size, **grid)
@@ -101,7 +102,7 @@ class ProposalSampler(Sampler):
 
     def learns(self, step: int) -> bool:
         """Whether the networks get a gradient in this step. It depends on the step alone."""
-        last = self._warmup_updates[-1]
+        last = self._last_warmup_update
         return step in self._warmup_updates if step <= last else (step - last) % self.update_every == 0
 
     def anneal(self, step: int) -> float:
@@ -122,6 +123,7 @@ class ProposalSampler(Sampler):
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0
     ) -> SampledRays:
+        rays = rays.detach()
         learns = torch.is_grad_enabled() and self.learns(step)
         exponent = self.anneal(step)
         first, *others = draw_jitter(rays, len(self.samples) + 1, generator)
@@ -135,6 +137,8 @@ class ProposalSampler(Sampler):
                 points = unit_points(rays, intervals, self.contraction, self.mask)
             with torch.set_grad_enabled(learns):
                 weights = volume_weights(self.proposed(network, *points), intervals.deltas)
+            if not learns:
+                weights = weights.detach()
             proposals.append((intervals, weights))
             with torch.no_grad():
                 annealed = weights if exponent == 1 else weights.pow(exponent)
@@ -155,8 +159,8 @@ def _warmup_updates(every: int, warmup: int) -> list[int]:
     if not warmup:
         return list(range(_FIRST_STEPS))
     steps = list(range(_FIRST_STEPS + 1))
-    for step in range(len(steps), warmup + every + 1):
+    for step in range(len(steps), warmup + 1):
         counted = min(max((every - 1) * (step - 1) / warmup, 1.0), every - 1)
         if step - steps[-1] > counted:
             steps.append(step)
-    return steps
+    return [*steps, max(warmup + 1, steps[-1] + every)]

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import is_transformed
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.rendering.background import background_color
 from qnerf.types import Rendering, Samples
 
@@ -31,14 +32,14 @@ def volume_weights(density: Tensor, delta: Tensor) -> Tensor:
     Returns:
         (R, K) in [0, 1].
     """
-    if is_transformed():
+    if is_transformed(density):
         return volume_weights_reference(density, delta)
     return _VolumeWeights.apply(density, delta)
 
 
 def volume_weights_reference(density: Tensor, delta: Tensor) -> Tensor:
     """`volume_weights` in plain PyTorch, differentiated by autograd."""
-    thickness = _thickness(density, delta)
+    thickness = _thickness(density, delta.detach())
     before = torch.nn.functional.pad(thickness.cumsum(-1)[:, :-1], (1, 0))
     # Autograd computes the derivative of expm1 from its value, which loses its digits where the value is nearly -1.
     opacity = torch.where(thickness < 1, -torch.expm1(-thickness), 1 - torch.exp(-thickness))
@@ -60,12 +61,14 @@ class _VolumeWeights(torch.autograd.Function):
         opacity = torch.expm1(-thickness).neg_()
         weights = opacity.clone()
         weights[:, 1:] *= after[:, :-1]
-        ctx.save_for_backward(delta, after, weights)
+        ctx.save_for_backward(density, delta, after, weights)
         return weights
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
-        delta, after, weights = ctx.saved_tensors
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        density, delta, after, weights = ctx.saved_tensors
+        if is_differentiated(grad):
+            return tuple(through_reference(volume_weights_reference, (density, delta.detach()), grad))
         product = grad[:, 1:] * weights[:, 1:]  # a sum without the own term: no cancellation on an opaque sample
         behind = torch.nn.functional.pad(product.flip(-1).cumsum(-1).flip(-1), (0, 1))
         return (grad * after - behind) * delta, None

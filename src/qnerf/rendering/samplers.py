@@ -88,6 +88,7 @@ class SpacedSampler(Sampler):
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0
     ) -> SampledRays:
+        rays = rays.detach()
         s = even_edges(rays, self.samples, draw_jitter(rays, 1, generator)[0])
         spacing = SPACINGS.build(self.spacing, rays.near, rays.far)
         return SampledRays(Samples(spacing.to_world(s), s), [])
@@ -125,6 +126,7 @@ class VanillaSampler(Sampler):
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0
     ) -> SampledRays:
+        rays = rays.detach()
         coarse_jitter, fine_jitter = draw_jitter(rays, 2, generator)
         spacing = SPACINGS.build(self.spacing, rays.near, rays.far)
         s = even_edges(rays, self.coarse, coarse_jitter)

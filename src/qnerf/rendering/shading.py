@@ -123,7 +123,7 @@ class MergeShading(Shading):
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         if compiled(shares, geometry):
-            merged, mean = Merge.apply(shares, geometry, self.parts, SMALL / self.parts)
+            merged, mean = Merge.apply(shares, geometry, self.parts, SMALL / self.parts, merge_reference)
         else:
             merged, mean = merge_reference(shares, geometry, self.parts)
         mask = merged > 0
@@ -135,14 +135,14 @@ class MergeShading(Shading):
 def merge_reference(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tensor, Tensor]:
     """Shares (R, M) and mean geometry (R, M, G) of `MergeShading`'s parts in plain PyTorch."""
     tiny = torch.finfo(shares.dtype).tiny
-    with torch.no_grad():
-        middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
-        part = (middle * parts).long().clamp_(0, parts - 1)
+    middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
+    part = (middle.detach() * parts).long().clamp_(0, parts - 1)
     merged = shares.new_zeros(len(shares), parts).scatter_add(1, part, shares)
     own = merged.gather(1, part)  # (R, K) the share of each sample's part
-    with torch.no_grad():
-        weight = shares / own.clamp(min=tiny)
-    weight = weight + (shares - weight * own) / own.detach().clamp(min=SMALL / parts)
+    floor = SMALL / parts
+    ratio = (shares / own.clamp(min=tiny)).detach()
+    bounded = ratio + (shares - ratio * own) / floor  # the ratio, with a bounded derivative
+    weight = torch.where(own < floor, bounded, shares / own.clamp(min=floor))
     mean = geometry.new_zeros(len(shares), parts, geometry.shape[-1])
     mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
     return merged, mean

@@ -39,7 +39,9 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
         if compiled(proposed, *arguments):
-            total = total + histogram.Interlevel.apply(proposed, *arguments, _EPS) / weights.numel()
+            total = (
+                total + histogram.Interlevel.apply(proposed, *arguments, _EPS, interlevel_reference) / weights.numel()
+            )
         else:
             total = total + interlevel_reference(proposed, *arguments) / weights.numel()
     return total
@@ -79,7 +81,7 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     """
     s = samples.spacing.detach()
     if compiled(weights, s):
-        return histogram.Distortion.apply(weights, s) / weights.shape[0]
+        return histogram.Distortion.apply(weights, s, distortion_reference) / weights.shape[0]
     return distortion_reference(weights, s) / weights.shape[0]
 
 

@@ -9,7 +9,6 @@ Sums over samples are taken over a fixed number of parts in a fixed order, so re
 threads.
 """
 
-from collections.abc import Callable
 from functools import partial
 from math import frexp
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import run
 from qnerf.kernels.simd import lanes
 from qnerf.quantum import statevector
@@ -175,25 +175,12 @@ class _Simulate(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        if torch.is_grad_enabled():
-            return None, *differentiable_gradients(ctx, partial(statevector.evaluate, ctx.form), gradient)
+        if is_differentiated(gradient):
+            return None, *through_reference(partial(statevector.evaluate, ctx.form), ctx.saved_tensors, gradient)
         bound, trig, expectations = ctx.saved
         batch, shape, dtype = ctx.shapes
         inputs, weights = bound.backward(trig, expectations, to_blocks(gradient.detach().numpy(), bound.width))
         return None, from_blocks(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
-
-
-def differentiable_gradients(
-    ctx: Any, evaluate: Callable[[Tensor, Tensor], Tensor], gradient: Tensor
-) -> list[Tensor | None]:
-    """The gradients of inputs and weights through plain PyTorch, for `create_graph=True`: they have derivatives again.
-
-    The compiled backward pass is a constant to autograd, so second derivatives through it would be wrong.
-    """
-    inputs = ctx.saved_tensors
-    needed = [tensor for tensor in inputs if tensor.requires_grad]
-    gradients = iter(torch.autograd.grad(evaluate(*inputs), needed, gradient, create_graph=True))
-    return [next(gradients) if tensor.requires_grad else None for tensor in inputs]
 
 
 def numpy_dtype(dtype: torch.dtype) -> Any:

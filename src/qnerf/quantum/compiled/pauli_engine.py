@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import run
 from qnerf.kernels.simd import lanes
 from qnerf.quantum.compiled import pauli_sweeps
@@ -136,12 +137,12 @@ class _Simulate(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         step: _Run = ctx.step
         inputs = ctx.saved_tensors
-        needed = [tensor for tensor in inputs if tensor.requires_grad]
-        if torch.is_grad_enabled():  # `create_graph=True`: gradients that have derivatives again
-            start = inputs[2] if len(inputs) > 2 else None
-            values = step.engine.plain.simulate(inputs[0], inputs[1], start, step.batch, ctx.dtype)
-            found = iter(torch.autograd.grad(values, needed, gradient, create_graph=True, allow_unused=True))
-            gradients = [next(found) if tensor.requires_grad else None for tensor in inputs]
+        if is_differentiated(gradient):
+
+            def reference(fixed: Tensor, moving: Tensor, start: Tensor | None = None) -> Tensor:
+                return step.engine.plain.simulate(fixed, moving, start, step.batch, ctx.dtype)
+
+            gradients = through_reference(reference, inputs, gradient)
         else:
             fixed, moving, to_start = step.backward(gradient.detach().numpy())
             moving = moving if inputs[1].shape[0] == step.batch else moving.sum(0, keepdim=True)

@@ -1,0 +1,29 @@
+"""What a compiled loop's backward pass does when its results are differentiated again."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from qnerf.kernels import is_transformed
+
+
+def is_differentiated(*upstream: Tensor) -> bool:
+    """Whether a backward pass has to be differentiable itself: `create_graph=True`, or transformed gradients."""
+    return torch.is_grad_enabled() or is_transformed(*upstream)
+
+
+def through_reference(
+    reference: Callable[..., Tensor | tuple[Tensor, ...]],
+    inputs: Sequence[Tensor],
+    upstream: Tensor | tuple[Tensor, ...],
+) -> list[Tensor | None]:
+    """Gradients of `reference(*inputs)` that can be differentiated again; None for inputs that need none.
+
+    A compiled backward pass is a constant to autograd. Second derivatives through it would be wrong.
+    """
+    needed = [tensor for tensor in inputs if tensor.requires_grad]
+    with torch.enable_grad():
+        gradients = torch.autograd.grad(reference(*inputs), needed, upstream, create_graph=True, allow_unused=True)
+    found = iter(gradients)
+    return [next(found) if tensor.requires_grad else None for tensor in inputs]

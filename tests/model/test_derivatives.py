@@ -1,0 +1,191 @@
+"""Derivatives of any order and in any mode: those of compiled loops, and those that must not flow."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+from torch.func import grad, hessian, jacfwd, jacrev, jvp
+
+from qnerf.geometry.contraction import CONTRACTIONS
+from qnerf.heads import HEADS
+from qnerf.heads.activations import trunc_exp, trunc_exp_reference
+from qnerf.kernels import compiled
+from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.hashgrid import hash_encode
+from qnerf.quantum import QuantumLayer
+from qnerf.quantum.hardware_conditions import conditions
+from qnerf.rendering.render import volume_weights
+from qnerf.rendering.samplers import SAMPLERS
+from qnerf.rendering.shading import MergeShading
+from qnerf.training.losses import distortion, interlevel
+from qnerf.types import Rays, Samples
+
+pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
+
+
+def random(*shape: int) -> Tensor:
+    return torch.rand(*shape, dtype=torch.float64)
+
+
+def edges(intervals: int) -> Tensor:
+    return torch.linspace(0, 1, intervals + 1, dtype=torch.float64).expand(2, -1)
+
+
+def cases() -> dict[str, tuple[Callable[..., Any], tuple[Tensor, ...]]]:
+    """Functions with compiled loops, and inputs at which they are smooth."""
+    cells, points = torch.tensor([2, 5]), random(3, 3)
+    layers = [random(4, 4), random(4), random(2, 4), random(2)]
+    final, proposal = Samples(edges(4), edges(4)), Samples(edges(3), edges(3))
+    high = 0.3 + random(2, 4)
+    merge = MergeShading(parts=2)
+
+    def merged(shares: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor]:
+        shaded = merge(shares, geometry)
+        assert shaded.shares is not None
+        return shaded.shares, shaded.geometry
+
+    def field(table: Tensor, *parameters: Tensor) -> Tensor:
+        return grid_mlp(points, None, Grid(table, cells, True), Layer(*parameters[:2]), Layer(*parameters[2:]))
+
+    return {
+        "volume weights": (lambda density: volume_weights(density, 0.2 + edges(5)[:, 1:]), (random(2, 5),)),
+        "distortion": (partial(distortion, final), (random(2, 4),)),
+        "interlevel": (lambda w: interlevel(final, high, [(proposal, w)]), (0.1 * random(2, 3),)),
+        "merged samples": (merged, (0.1 + random(2, 6), random(2, 6, 2))),
+        "hash grid": (partial(hash_encode, resolutions=cells), (points, random(2, 32, 2))),
+        "hash grid and MLP": (field, (random(2, 32, 2), *layers)),
+        "trunc_exp": (trunc_exp, (torch.tensor([-20.0, -3, 0, 3], dtype=torch.float64),)),
+        "circuit": (QuantumLayer(3, 2).double(), (random(2, 3),)),
+        "amplitudes": (HEADS.build("amplitude", 3, 2, registers=[2]).double(), (random(4, 3),)),
+    }
+
+
+NAMES = [name for name in cases() if name != "trunc_exp"]  # whose derivative is another one beyond its bounds
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_first_and_second_derivatives_are_those_of_finite_differences(name: str) -> None:
+    function, inputs = cases()[name]
+    inputs = tuple(tensor.clone().requires_grad_() for tensor in inputs)
+    assert torch.autograd.gradcheck(function, inputs)
+    assert torch.autograd.gradgradcheck(function, inputs)
+
+
+@pytest.mark.parametrize("name", cases())
+def test_all_modes_give_the_same_second_derivatives(name: str) -> None:
+    function, inputs = cases()[name]
+
+    def value(first: Tensor) -> Tensor:
+        found = function(first, *inputs[1:])
+        found = found if isinstance(found, tuple) else (found,)
+        return torch.stack([part.square().sum() for part in found]).sum()
+
+    at = inputs[0].clone().requires_grad_()
+    (first,) = torch.autograd.grad(value(at) + (at**3).sum(), at, create_graph=True)
+    (along,) = torch.autograd.grad(first.sum(), at)  # a term to which others are added does not drop out
+    expected = torch.autograd.functional.hessian(value, inputs[0])
+    torch.testing.assert_close(along - 6 * inputs[0], expected.sum(dim=tuple(range(inputs[0].ndim))))
+    for second in (hessian(value), jacrev(jacrev(value)), jacfwd(jacfwd(value)), jacrev(jacfwd(value))):
+        torch.testing.assert_close(second(inputs[0]).detach(), expected)
+
+
+def test_trunc_exp_of_pytorchs_own_operations() -> None:
+    at = torch.tensor([-float("inf"), -800.0, -20, -15, 0, 15, 20, 800, float("inf"), float("nan")])
+    for function in (trunc_exp, trunc_exp_reference):
+        x = at.clone().requires_grad_()
+        function(x).sum().backward()
+        torch.testing.assert_close(function(at), at.exp(), equal_nan=True)
+        torch.testing.assert_close(x.grad[1:8], at[1:8].clamp(-15, 15).exp())
+
+
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")  # PyTorch's own
+def test_trunc_exp_compiles_as_a_whole() -> None:
+    torch.compiler.reset()
+    at = torch.linspace(-20, 20, 9)
+    torch.testing.assert_close(torch.compile(trunc_exp, backend="aot_eager", fullgraph=True)(at), at.exp())
+
+
+def test_a_tiny_part_has_the_same_bounded_derivative_in_every_mode() -> None:
+    merge, geometry = MergeShading(parts=3), random(1, 4, 2)
+    shares = 1e-4 * torch.tensor([[1.0, 2, 3, 2]], dtype=torch.float64)
+
+    def mean(shares: Tensor) -> Tensor:
+        return merge(shares, geometry).geometry
+
+    backward = torch.autograd.functional.jacobian(mean, shares)
+    torch.testing.assert_close(jacfwd(mean)(shares), backward)
+    torch.testing.assert_close(jacrev(mean)(shares), backward)
+
+
+def rays(origins: Tensor) -> Rays:
+    ones = torch.ones_like(origins[:, :1])
+    directions = torch.nn.functional.normalize(torch.ones_like(origins), dim=-1)
+    return Rays(origins, directions, torch.zeros(len(origins), dtype=torch.int64), 0.1 * ones, 4 * ones)
+
+
+@pytest.mark.parametrize("name", SAMPLERS.names())
+def test_where_a_ray_is_cut_has_no_derivative(name: str) -> None:
+    small: dict[str, Any] = {"proposal": {"samples": [8, 6], "final": 4, "log2_table_size": 4}}
+    sampler = SAMPLERS.build(name, CONTRACTIONS.build("linf"), **small.get(name, {})).double()
+
+    def edges(origins: Tensor) -> Tensor:
+        moved = rays(origins)
+        moved = Rays(moved.origins, moved.directions, moved.cameras, moved.near + origins[:, :1].abs(), moved.far)
+        found = sampler(moved, lambda points: points.square().sum(-1), step=11)
+        return torch.cat([found.samples.edges, *(weights for _, weights in found.proposals)], -1)
+
+    origins = random(3, 3)
+    assert not jvp(edges, (origins,), (torch.ones_like(origins),))[1].any()
+    for parameter in sampler.parameters():  # step 11 trains no proposal network
+        with forward_ad.dual_level():
+            with torch.no_grad():
+                parameter.add_(0)
+            assert forward_ad.unpack_dual(edges(forward_ad.make_dual(origins, origins))).tangent is None
+
+
+def test_a_transformation_in_one_thread_leaves_the_others_alone() -> None:
+    seen = []
+    with forward_ad.dual_level():
+        dual = forward_ad.make_dual(random(3), random(3))
+        thread = threading.Thread(target=lambda: seen.append(compiled(random(3))))
+        thread.start()
+        thread.join()
+        assert not compiled(dual)
+        assert not compiled(random(3), dual)
+    assert seen == [True]
+
+
+def test_circuits_with_more_samples_than_autograd_stores_at_once() -> None:
+    head = HEADS.build("qiren", 4, 3).eval()
+    x = torch.rand(4900, 4)  # more than `statevector.chunk_size` of 8 wires
+    found = grad(lambda x: head(x).square().sum())(x)
+    x.requires_grad_()
+    head(x).square().sum().backward()
+    assert x.grad is not None
+    torch.testing.assert_close(found, x.grad, rtol=1e-4, atol=1e-5)
+
+
+def test_shots_and_noise_under_a_transformation_are_refused() -> None:
+    layer, x = QuantumLayer(2, 1), torch.rand(3, 2)
+    with conditions(layer, shots=10), pytest.raises(ValueError, match=r"torch\.func"):
+        jvp(layer, (x,), (x,))
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: HEADS.build("amplitude", 5, 2, registers=[4]),
+        lambda: QuantumLayer(5, 2, backend="torch", method="statevector"),
+        lambda: QuantumLayer(5, 1, backend="torch", method="lightcone"),
+    ],
+)
+def test_tables_made_in_inference_mode_serve_for_training(build: Callable[[], torch.nn.Module]) -> None:
+    x = torch.rand(4, 5)
+    with torch.inference_mode():
+        build()(x)
+    build()(x).sum().backward()
