@@ -22,6 +22,10 @@ docs/numerics.md` writes this page from `benchmarks/results/accuracy.parquet`. T
 - **variant**: `fast` is the compiled loop. `plain` is the PyTorch form that it is tested against and that runs on CUDA;
   it has no bound if there is a `fast` one. No part runs in bfloat16.
 - **ms**: median of {repeats} forward and backward passes with {threads} thread{s}, all measured in one process.
+
+Derivatives of second and higher order (`create_graph=True`), forward-mode derivatives and `torch.func` (`grad`, `vmap`,
+`jvp`, `hessian`, ...) go through the plain form, whole models included; tests compare them with finite differences
+(`tests/model/test_derivatives.py`). `vectorize=True` of `torch.autograd.functional` is refused by PyTorch itself.
 """
 
 
