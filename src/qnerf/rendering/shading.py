@@ -135,8 +135,9 @@ class MergeShading(Shading):
 def merge_reference(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tensor, Tensor]:
     """Shares (R, M) and mean geometry (R, M, G) of `MergeShading`'s parts in plain PyTorch."""
     tiny = torch.finfo(shares.dtype).tiny
-    middle = (shares.cumsum(-1) - shares / 2) / shares.sum(-1, keepdim=True).clamp(min=tiny)
-    part = (middle.detach() * parts).long().clamp_(0, parts - 1)
+    fixed = shares.detach()
+    middle = (fixed.cumsum(-1) - fixed / 2) / fixed.sum(-1, keepdim=True).clamp(min=tiny)
+    part = (middle * parts).long().clamp_(0, parts - 1)
     merged = shares.new_zeros(len(shares), parts).scatter_add(1, part, shares)
     own = merged.gather(1, part)  # (R, K) the share of each sample's part
     floor = SMALL / parts

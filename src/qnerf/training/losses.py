@@ -39,11 +39,10 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
         if compiled(proposed, *arguments):
-            total = (
-                total + histogram.Interlevel.apply(proposed, *arguments, _EPS, interlevel_reference) / weights.numel()
-            )
+            term: Tensor = histogram.Interlevel.apply(proposed, *arguments, _EPS, interlevel_reference)
         else:
-            total = total + interlevel_reference(proposed, *arguments) / weights.numel()
+            term = interlevel_reference(proposed, *arguments)
+        total = total + term / weights.numel()
     return total
 
 
