@@ -345,6 +345,14 @@ QUESTIONS = {
         values=(*QUALITY, "step_cpu_ms"),
         other_baselines=({"field": "qcolor", "proposal.samples": "[128,64]"},),
     ),
+    "final_samples": Question(
+        "Do half as many rendered samples suffice for a density circuit?",
+        ("python -m src.run -m field=qdensity budget=short seed=0,1,2 proposal.final=32,16",),
+        ("scene_name", "proposal.final"),
+        {"proposal.final": "32"},
+        values=(*QUALITY, "step_cpu_ms"),
+        failures=True,
+    ),
     "encoders": Question(
         "How should points be encoded?",
         (sweep("encoders"), "qnerf probe RUN encoding", "python -m analysis.figures runs encodings"),
