@@ -399,7 +399,6 @@ QUESTIONS = {
         ("python -m src.run -cd sweeps -cn rgb_table train=paper train.steps=10000",),
         ("scene_name", "field", "color"),
         values=(*QUALITY, "params.color", "params.density"),
-        failures=True,
         paper=("rgb",),
     ),
     "both_table": Question(

@@ -147,17 +147,6 @@ def test_the_tables_of_what_computing_less_costs():
         assert "| " + " | ".join([rung, *(cells.get(scene, "") for scene in points["scene"].unique())]) + " |" in page
 
 
-def test_the_differences_of_what_computing_less_costs():
-    """Seeds are paired, so that a mean difference is the difference of the means."""
-    psnr = ladder_points().set_index(["rung", "scene"])["psnr"]
-    page = (ROOT / "docs" / "speed.md").read_text()
-    rows = re.findall(r"^\| (.+) \| (.+) \| ([+-][\d.]+) \| ([+-][\d.]+) \| ([+-][\d.]+) \|$", page, re.MULTILINE)
-    assert len(rows) == 4
-    for one, other, *cells in rows:
-        for scene, cell in zip(("poster", "fox_64", "chair_64"), cells, strict=True):
-            assert float(cell) == round(psnr[one, scene] - psnr[other, scene], 2)
-
-
 def ladder_cell(row) -> str:
     """Milliseconds a step, PSNR, and the picture's error where the weights are the same."""
     psnr = f"{row.psnr:.2f} ± {row.psnr_std:.2f}" if row.n > 1 else f"{row.psnr:.2f}"

@@ -201,7 +201,12 @@ def parquet_row(file: Path, phrases: str) -> Holds:
     rows = [numbers for text, numbers in parquet_rows(file) if all(phrase in text for phrase in phrases.split(" & "))]
     if len(rows) != 1:
         raise LookupError(f"{phrases!r} names {len(rows)} rows of {file.name}")
-    return lambda number: any(round(value, len(number.partition(".")[2])) == float(number) for value in rows[0])
+
+    def holds(quote: str) -> bool:  # a number, or those of an interval
+        parts = re.findall(NUMBER, quote)
+        return all(any(round(value, len(n.partition(".")[2])) == float(n) for value in rows[0]) for n in parts)
+
+    return holds
 
 
 @cache
