@@ -1,60 +1,6 @@
-"""The questions of docs/results.md: what was asked, the commands that train its runs, the tables that answer it."""
+"""The questions of docs/results.md, in its order, with the commands that train their runs."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
-import pandas as pd
-
-from .paper import PAPER_TABLES
-from .tables import Table, ablation, shots_and_noise, stability, units
-
-QUALITY = ("psnr", "ssim", "depth_error")
-
-
-@dataclass(frozen=True)
-class Question:
-    """A section of the page: a question, the commands that train its runs, and the tables that answer it.
-
-    rows: the keys that distinguish the rows of each table.
-    baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
-    metric: what the tables compare and rank.
-    values: the columns; those that no run has are left out.
-    failures, units, hardware: whether to add the table of that name.
-    paper: the names of the paper's tables to add.
-    """
-
-    title: str
-    commands: tuple[str, ...]
-    rows: tuple[str, ...]
-    baseline: Mapping[str, object] | None = None
-    metric: str = "psnr"
-    values: tuple[str, ...] = QUALITY
-    failures: bool = False
-    units: bool = False
-    hardware: bool = False
-    paper: tuple[str, ...] = ()
-    other_baselines: tuple[Mapping[str, object], ...] = ()
-
-    def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """The tables of the question's runs, as `load.runs` gives them."""
-        values = [name for name in self.values if name in frame and frame[name].notna().any()]
-        tables = [ablation(frame, self.rows, metric=self.metric, values=values, baseline=self.baseline)]
-        for other in self.other_baselines:
-            tables.append(ablation(frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other))
-        wanted = ((self.failures, stability), (self.units, units), (self.hardware, shots_and_noise))
-        tables += [make(frame, self.rows) for wants, make in wanted if wants]
-        return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
-
-    def table_commands(self, name: str) -> list[str]:
-        """The commands that make its tables over seeds from the packed runs in docs/results/`name`."""
-        command = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
-        if self.metric != "psnr":
-            command += f" --metric {self.metric} --values {','.join(self.values)}"
-        if self.baseline is None:
-            return [command]
-        baselines = [self.baseline, *self.other_baselines]
-        texts = [",".join(f"{key}={value}" for key, value in baseline.items()) for baseline in baselines]
-        return [f"{command} --baseline {text}" for text in texts]
+from .question import QUALITY, Question
 
 
 def sweep(name: str, *more: str) -> str:

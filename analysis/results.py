@@ -16,7 +16,8 @@ from qnerf.records.printable import printable
 
 from . import command, load, output
 from .figures.files import title
-from .questions import QUESTIONS, Question
+from .question import Question
+from .questions import QUESTIONS
 
 HEAD = """\
 # Results

@@ -8,7 +8,8 @@ import pytest
 
 from analysis import load
 from analysis.pack import main as pack
-from analysis.questions import QUESTIONS, Question
+from analysis.question import Question
+from analysis.questions import QUESTIONS
 from analysis.results import main, page, read_text
 from qnerf.model.labels import labels
 from tests.helpers.configs import ROOT, composed, swept

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
-from torch.func import grad, hessian, jacfwd, jacrev, jvp
+from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.heads import HEADS
@@ -60,7 +61,8 @@ def cases() -> dict[str, tuple[Callable[..., Any], tuple[Tensor, ...]]]:
         "hash grid": (partial(hash_encode, resolutions=cells), (points, random(2, 32, 2))),
         "hash grid and MLP": (field, (random(2, 32, 2), *layers)),
         "trunc_exp": (trunc_exp, (torch.tensor([-20.0, -3, 0, 3], dtype=torch.float64),)),
-        "circuit": (QuantumLayer(3, 2).double(), (random(2, 3),)),
+        "light cones": (QuantumLayer(3, 1, method="lightcone", backend="compiled").double(), (random(2, 3),)),
+        "state vector": (QuantumLayer(3, 2, method="statevector", backend="compiled").double(), (random(2, 3),)),
         "amplitudes": (HEADS.build("amplitude", 3, 2, registers=[2]).double(), (random(4, 3),)),
     }
 
@@ -135,17 +137,27 @@ def test_where_a_ray_is_cut_has_no_derivative(name: str) -> None:
 
     def edges(origins: Tensor) -> Tensor:
         moved = rays(origins)
-        moved = Rays(moved.origins, moved.directions, moved.cameras, moved.near + origins[:, :1].abs(), moved.far)
+        moved = replace(moved, near=moved.near + origins[:, :1].abs())
         found = sampler(moved, lambda points: points.square().sum(-1), step=11)
         return torch.cat([found.samples.edges, *(weights for _, weights in found.proposals)], -1)
 
     origins = random(3, 3)
     assert not jvp(edges, (origins,), (torch.ones_like(origins),))[1].any()
-    for parameter in sampler.parameters():  # step 11 trains no proposal network
-        with forward_ad.dual_level():
-            with torch.no_grad():
-                parameter.add_(0)
-            assert forward_ad.unpack_dual(edges(forward_ad.make_dual(origins, origins))).tangent is None
+
+
+@pytest.mark.parametrize(("step", "learns"), [(11, False), (14, True)])
+def test_proposal_weights_have_derivatives_only_in_steps_that_train_the_networks(step: int, learns: bool) -> None:
+    sampler = SAMPLERS.build(
+        "proposal", CONTRACTIONS.build("linf"), samples=[8, 6], final=4, log2_table_size=4
+    ).double()
+    at = {name: parameter.detach() for name, parameter in sampler.named_parameters()}
+
+    def weights(parameters: dict[str, Tensor]) -> Tensor:
+        found = functional_call(sampler, parameters, (rays(torch.ones(3, 3).double()), torch.sum), {"step": step})
+        return torch.cat([weights for _, weights in found.proposals], -1)
+
+    tangent = jvp(weights, (at,), ({name: torch.ones_like(value) for name, value in at.items()},))[1]
+    assert bool(tangent.any()) is learns
 
 
 def test_a_transformation_in_one_thread_leaves_the_others_alone() -> None:

@@ -26,7 +26,7 @@ def compiled(*tensors: Tensor) -> bool:
 def is_transformed(*tensors: Tensor) -> bool:
     """Whether `torch.func` is at work in this thread, or a tensor has a tangent of forward-mode differentiation.
 
-    Both follow only PyTorch's own operations. Gradients do not stop them under `torch.no_grad`: only `detach` does.
+    Both follow only PyTorch's own operations. `torch.no_grad` stops neither of them; `detach` does.
     """
     if torch._C._are_functorch_transforms_active():
         return True
