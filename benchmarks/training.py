@@ -7,7 +7,8 @@ Prints, and saves as benchmarks/results/training.parquet:
 - ratios that the project promises, with both sides measured alternately: compiled loops against their plain PyTorch
   references, circuits against the classical head and against PennyLane, evaluation against training;
 - tables: the hash tables C1 to C7, whose cost grows with their size, and the paper's recipe;
-- sizes: steps with other numbers of rays and of samples on a ray.
+- sizes: steps with other numbers of rays and of samples on a ray;
+- operations: what PyTorch's profiler says a step spends its time on, beside its floor.
 
 Rows of the file that are not measured again stay.
 """
@@ -16,8 +17,10 @@ import argparse
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from statistics import median
 
@@ -74,6 +77,14 @@ RATIOS = {  # name -> overrides of the numerator, overrides of the denominator, 
     },
 }
 
+PROFILED = ("field=classical", "train=paper field=classical", "field=qcolor", "field=qdensity")
+OPERATIONS = {  # group -> the start of its operations' names in PyTorch's profiler
+    "hash grids and the MLPs on them": ("_GridMLP", "_HashEncode"),
+    "other linear layers and ReLU": ("aten::mm", "aten::addmm", "aten::linear", "aten::relu", "aten::threshold"),
+    "circuits": ("_Polynomials", "_Simulate", "NormalisedForms", "_WithoutGradient"),
+    "weights, regularisers, merging": ("_VolumeWeights", "Distortion", "Interlevel", "Merge"),
+    "Adam": ("aten::_fused_adam", "Optimizer", "aten::_foreach"),
+}
 SIZES = (
     *(f"field=classical train.rays={rays}" for rays in (64, 128, 256, 512, 1024)),
     "field=classical proposal.samples=[128,64]",
@@ -174,6 +185,33 @@ def profile(overrides: str, rounds: int, limits: dict[str, float]) -> dict[str, 
     }
 
 
+def operations(overrides: str, rounds: int) -> list[dict[str, object]]:
+    """Rows of kind `operation`: milliseconds and operations a step of each group, as PyTorch's profiler sees them.
+
+    The profiler slows a step down, small operations most of all. What it does not see is Python, and the loops that
+    have no gradient: points, and edges drawn from a histogram.
+    """
+    trainer, _ = build(overrides)
+    for _ in range(30):
+        trainer.take_step(measure=False)
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
+        for _ in range(rounds):
+            trainer.take_step(measure=False)
+    groups = {name: [0.0, 0.0] for name in (*OPERATIONS, "other operations of PyTorch")}
+    for event in profiler.key_averages():
+        found = [name for name, starts in OPERATIONS.items() if event.key.startswith(starts)]
+        group = groups[found[0] if found else "other operations of PyTorch"]
+        group[0] += event.self_cpu_time_total / 1e3 / rounds
+        group[1] += event.count / rounds
+    whole = 1e3 * sum(seconds for seconds in trainer.step_seconds[-rounds:]) / rounds
+    seen = sum(ms for ms, _ in groups.values())
+    groups["Python, and loops without a gradient"] = [whole - seen, 0.0]
+    return [
+        {"kind": "operation", "name": f"{overrides}: {name}", "ms": ms, "share": ms / whole, "calls": calls}
+        for name, (ms, calls) in groups.items()
+    ]
+
+
 def ratio(name: str, rounds: int) -> dict[str, object]:
     """A row of kind `ratio`: milliseconds a step of both sides."""
     above, below, promised = RATIOS[name]
@@ -213,6 +251,51 @@ def evaluation(overrides: str, rounds: int) -> dict[str, object]:
     return row | {"ratio": above / below, "promised": "at most 1"}
 
 
+Rows = Iterator[dict[str, object]]
+
+
+def steps(names: Sequence[str], rounds: int, limits: dict[str, float]) -> Rows:
+    for overrides in names:
+        row = profile(overrides, rounds, limits)
+        print(f"{overrides:<64} {row['ms']:8.2f} ms", flush=True)
+        yield row
+
+
+def ratios(rounds: int) -> Rows:
+    measured = (ratio(name, rounds) for name in RATIOS)
+    views = (evaluation(overrides, rounds) for overrides in ("field=classical", "field=qcolor"))
+    for row in chain(measured, views):
+        print(f"{row['name']:<64} {row['ratio']:8.2f}  {row['promised']}", flush=True)
+        yield row
+
+
+def all_operations(rounds: int) -> Rows:
+    for overrides in PROFILED:
+        for row in operations(overrides, rounds):
+            print(f"{row['name']:<76} {row['ms']:8.2f} ms {row['calls']:6.0f}", flush=True)
+            yield row
+
+
+MODELS = [
+    f"field={field} encoder={encoder} qiren={circuit}"
+    for encoder in ENCODERS
+    for field in FIELDS
+    for circuit in (CIRCUITS[:1] if field == "classical" else CIRCUITS)
+]
+TABLES = [
+    *(f"field=classical hash=C{number}" for number in range(1, 8)),
+    "train=paper field=classical",
+    "train=paper field=qcolor",
+]
+PARTS: dict[str, Callable[[int, dict[str, float]], Rows]] = {
+    "steps": partial(steps, MODELS),
+    "tables": partial(steps, TABLES),
+    "sizes": partial(steps, SIZES),
+    "ratios": lambda rounds, _: ratios(rounds),
+    "operations": lambda rounds, _: all_operations(rounds),
+}
+
+
 def with_old_rows(frame: pd.DataFrame) -> pd.DataFrame:
     """`frame`, and the rows of the file that were not measured again."""
     if not RESULTS.exists():
@@ -229,41 +312,18 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument(
         "--only",
-        choices=["steps", "ratios", "tables", "sizes"],
+        choices=list(PARTS),
         nargs="+",
-        default=["steps", "ratios", "tables", "sizes"],
+        default=list(PARTS),
     )
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     limits = machine()
     print(f"{platform.machine()}, {options.threads} threads: {limits['gflops']:.0f} GFLOP/s, {limits['gbs']:.1f} GB/s")
-    rows: list[dict[str, object]] = []
-    if "steps" in options.only:
-        for encoder in ENCODERS:
-            for field in FIELDS:
-                for circuit in CIRCUITS[:1] if field == "classical" else CIRCUITS:
-                    overrides = f"field={field} encoder={encoder} qiren={circuit}"
-                    rows.append(profile(overrides, options.rounds, limits))
-                    print(f"{overrides:<48} {rows[-1]['ms']:8.2f} ms", flush=True)
-    if "tables" in options.only:
-        tables = [f"field=classical hash=C{number}" for number in range(1, 8)]
-        for overrides in (*tables, "train=paper field=classical", "train=paper field=qcolor"):
-            rows.append(profile(overrides, options.rounds, limits))
-            print(f"{overrides:<48} {rows[-1]['ms']:8.2f} ms", flush=True)
-    if "sizes" in options.only:
-        for overrides in SIZES:
-            rows.append(profile(overrides, options.rounds, limits))
-            print(f"{overrides:<64} {rows[-1]['ms']:8.2f} ms", flush=True)
-    if "ratios" in options.only:
-        for name in RATIOS:
-            rows.append(ratio(name, options.rounds))
-            print(f"{name:<64} {rows[-1]['ratio']:8.2f}  {rows[-1]['promised']}", flush=True)
-        for overrides in ("field=classical", "field=qcolor"):
-            rows.append(evaluation(overrides, options.rounds))
-            print(f"{rows[-1]['name']:<64} {rows[-1]['ratio']:8.2f}  {rows[-1]['promised']}", flush=True)
+    rows = [row for part in options.only for row in PARTS[part](options.rounds, limits)]
     frame = pd.DataFrame(rows).assign(threads=options.threads, **limits)
     columns = ["name", "ms", *(f"{stage}_ms" for stage in STAGES), "parameters", "floor_ms"]
-    if "ms" in frame:
+    if "floor_ms" in frame:
         print(frame[frame["kind"] == "step"][columns].round(2).to_string(index=False))
     RESULTS.parent.mkdir(exist_ok=True)
     with_old_rows(frame).to_parquet(RESULTS, index=False)

@@ -35,10 +35,14 @@ def is_transformed(*tensors: Tensor) -> bool:
 
 def replaceable(*modules: nn.Module) -> bool:
     """Whether a loop may compute what these modules do without calling them: none has a hook or another `forward`."""
-    if any(_GLOBAL_HOOKS):
+    return not any(_GLOBAL_HOOKS) and all(map(_unwatched, modules))
+
+
+def _unwatched(module: nn.Module) -> bool:
+    own = vars(module)
+    if "forward" in own or any(own[hooks] for hooks in _HOOKS):
         return False
-    parts = [part for module in modules for part in module.modules()]
-    return not any("forward" in vars(part) or any(getattr(part, hooks) for hooks in _HOOKS) for part in parts)
+    return all(map(_unwatched, module.children()))
 
 
 @contextlib.contextmanager

@@ -58,9 +58,8 @@ class _VolumeWeights(torch.autograd.Function):
     def forward(ctx: Any, density: Tensor, delta: Tensor) -> Tensor:
         thickness = _thickness(density, delta)
         after = thickness.cumsum(-1).neg_().exp_()
-        opacity = torch.expm1(-thickness).neg_()
-        weights = opacity.clone()
-        weights[:, 1:] *= after[:, :-1]
+        weights = torch.expm1(-thickness).neg_()  # of opacity alone so far
+        weights[:, 1:].mul_(after[:, :-1])
         ctx.save_for_backward(density, delta, after, weights)
         return weights
 
