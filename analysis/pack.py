@@ -58,7 +58,10 @@ def with_earlier(frame: pd.DataFrame, folder: Path) -> pd.DataFrame:
     """The runs, and those packed in the folder that are not among them."""
     earlier = load.runs(folder)
     parts = [frame, earlier[~earlier["run_id"].isin(frame["run_id"])]]
-    return pd.concat([part.dropna(axis=1, how="all") for part in parts], ignore_index=True)
+    joined = pd.concat([part.dropna(axis=1, how="all") for part in parts], ignore_index=True)
+    empty = frame.columns.union(earlier.columns, sort=False).difference(joined.columns, sort=False)
+    # pandas refuses to guess the kind of empty columns in `concat`.
+    return pd.concat([joined, pd.DataFrame(None, joined.index, empty, dtype=object)], axis=1)
 
 
 def remove_earlier(folder: Path) -> None:

@@ -68,7 +68,7 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     assert frame["run_id"].nunique() == len(frame) == 6
     assert frame["more"].count() == 1
     assert len(statistics.evaluations(frame[frame["state"] == "finished"])) == 10
-    main([str(store), str(packed), "--add"])
+    main([str(store), str(packed), "--add", "--figures", "capacity"])
     assert load.runs(packed)["run_id"].nunique() == len(frame)
 
 
