@@ -342,7 +342,10 @@ QUESTIONS = {
     ),
     "rgb_paper": Question(
         "The paper's table of colour heads with the paper's recipe, 10,000 of its 30,000 steps",
-        ("python -m src.run -cd sweeps -cn rgb_table train=paper train.steps=10000",),
+        (
+            "python -m src.run -cd sweeps -cn rgb_table train=paper train.steps=10000",
+            "python -m src.run -m experiment=rgb_mlp_3x10,rgb_1L1S seed=1,2 train=paper train.steps=10000",
+        ),
         ("scene_name", "field", "color"),
         values=(*QUALITY, "params.color", "params.density"),
         paper=("rgb",),

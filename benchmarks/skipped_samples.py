@@ -67,7 +67,8 @@ def measure(scene: str, steps: int) -> list[dict[str, object]]:
         skipped, evaluated = map(sum, zip(*counts, strict=True))
         quality = [float(psnr(picture.double(), evaluator.truth(view).double())) for view, picture in pictures.items()]
         difference = torch.cat([(pictures[view] - whole[view]).flatten() for view in pictures]).square().mean().sqrt()
-        row = {"threshold": threshold, "skipped": skipped / evaluated, "psnr": sum(quality) / len(quality)}
+        without = f"below {threshold:g}" if threshold else "nothing"
+        row = {"without": without, "skipped": skipped / evaluated, "psnr": sum(quality) / len(quality)}
         rows.append({"scene": Path(path).name or kind, "steps": steps} | row | {"difference": float(difference)})
     return rows
 

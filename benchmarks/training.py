@@ -209,6 +209,7 @@ def operations(overrides: str, rounds: int) -> list[dict[str, object]]:
     return [
         {"kind": "operation", "name": f"{overrides}: {name}", "ms": ms, "share": ms / whole, "calls": calls}
         for name, (ms, calls) in groups.items()
+        if ms
     ]
 
 

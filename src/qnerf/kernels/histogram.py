@@ -18,7 +18,7 @@ _GRAIN = 50_000  # weights that are worth waking a thread for
 
 
 def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()
+    return (tensor.detach() if tensor.requires_grad else tensor).contiguous().numpy()
 
 
 def _grain(weights: Tensor) -> int:
