@@ -357,6 +357,13 @@ QUESTIONS = {
         values=(*QUALITY, "params.color", "params.density"),
         paper=("both",),
     ),
+    "both_paper": Question(
+        "The paper's table of both heads with the paper's recipe, 10,000 of its 30,000 steps",
+        ("python -m src.run -cd sweeps -cn both_table train=paper train.steps=10000",),
+        ("scene_name", "density", "color"),
+        values=(*QUALITY, "params.color", "params.density"),
+        paper=("both",),
+    ),
     "hash_table": Question(
         "The paper's hash tables",
         (sweep("hash_table"),),
@@ -402,6 +409,13 @@ QUESTIONS = {
         {"density": "1L2S"},
         values=(*QUALITY, "params.density"),
         failures=True,
+    ),
+    "pe_paper": Question(
+        "The same with the paper's recipe, 10,000 of its 30,000 steps",
+        ("python -m src.run -cd sweeps -cn density_pe seed=0 train=paper train.steps=10000",),
+        ("scene_name", "density"),
+        {"density": "1L2S"},
+        values=(*QUALITY, "params.density"),
     ),
     "density_sum": comparison(
         "Does such a head improve if it reads the sum of all its circuits?",

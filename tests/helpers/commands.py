@@ -86,8 +86,10 @@ def check_training(words: list[str]) -> None:
 
 
 def each_value(override: Override) -> list[str]:
-    """`key=value` for each value that a sweep would give it, or for both ends of an interval."""
+    """`key=value` for each value that a sweep would give it, or for both ends of an interval; of seeds, the first."""
     key, value = override.input_line.split("=", 1)
+    if key == "seed" and override.is_sweep_override() and not override.is_interval_sweep():
+        return [f"{key}={next(iter(override.sweep_string_iterator()))}"]
     if override.is_interval_sweep():
         return [f"{key}={override.value().start}", f"{key}={override.value().end}"]
     if override.is_sweep_override():
