@@ -163,6 +163,7 @@ def test_runs_that_are_ticked_are_told_apart_by_their_settings(page):
 
 def test_the_view_comes_back_from_its_address(browser, page, report):
     by_id(page, "filter").send_keys("field=qcolor")
+    wait(page, lambda: len(rows(page)) == 4)  # the table is made anew when typing pauses
     page.find_element(By.CSS_SELECTOR, '[data-key="seed"]').click()
     by_id(page, "columns").find_element(By.TAG_NAME, "summary").click()
     by_id(page, "column-search").send_keys("train.steps")
