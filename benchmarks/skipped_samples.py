@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pandas as pd
 import torch
@@ -45,11 +46,8 @@ def skipping(model: Model, threshold: float) -> Iterator[list[tuple[int, int]]]:
         counts.append((int((empty & known).sum()), int(known.sum())))
         return density.masked_fill(empty, 0), features, evaluated
 
-    model.sampler.forward, model.field.geometry_at = sample, geometry  # type: ignore[method-assign]
-    try:
+    with patch.object(model.sampler, "forward", sample), patch.object(model.field, "geometry_at", geometry):
         yield counts
-    finally:
-        model.sampler.forward, model.field.geometry_at = sampler, geometry_at  # type: ignore[method-assign]
 
 
 def measure(scene: str, steps: int) -> list[dict[str, object]]:

@@ -8,7 +8,7 @@ Prints, and saves as benchmarks/results/training.parquet:
   the classical head and against PennyLane, evaluation against training;
 - tables: the hash tables C1 to C7, whose cost grows with their size, and the paper's recipe;
 - sizes: steps with other numbers of rays and of samples on a ray;
-- operations: what PyTorch's profiler says a step spends its time on, beside its floor.
+- operations: what a step spends its time on, as PyTorch's profiler counts it.
 
 Rows of the file that are not measured again stay.
 """
@@ -205,7 +205,7 @@ def operations(overrides: str, rounds: int) -> list[dict[str, object]]:
         group = groups[found[0] if found else "other operations of PyTorch"]
         group[0] += event.self_cpu_time_total / 1e3 / rounds
         group[1] += event.count / rounds
-    whole = 1e3 * sum(seconds for seconds in trainer.step_seconds[-rounds:]) / rounds
+    whole = 1e3 * sum(trainer.step_seconds[-rounds:]) / rounds
     seen = sum(ms for ms, _ in groups.values())
     groups["Python, and loops without a gradient"] = [whole - seen, 0.0]
     return [
