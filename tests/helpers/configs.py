@@ -1,11 +1,15 @@
 """The repository's folders, and real configurations composed as the command line composes them."""
 
-from collections.abc import Sequence
+import copy
+import functools
+import io
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
+from unittest.mock import patch
 
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import Container, DictConfig, OmegaConf
 
 import qnerf.cli.resolvers  # noqa: F401
 from qnerf.cli.overrides import translated
@@ -37,5 +41,16 @@ def swept(sweep: str) -> dict[str, str]:
 
 def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictConfig:
     search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
-    with initialize_config_dir(str(SWEEPS if sweep else CONF), version_base="1.3"):
+    folder = str(SWEEPS if sweep else CONF)
+    with initialize_config_dir(folder, version_base="1.3"), patch.object(OmegaConf, "load", _load):
         return compose(sweep or "config", [*translated(overrides), *search], return_hydra_config=hydra)
+
+
+def _load(file: TextIO) -> Container:
+    """`OmegaConf.load` that parses each text once: compositions read two dozen files each, mostly the same ones."""
+    return copy.deepcopy(_parsed(file.read()))
+
+
+@functools.cache
+def _parsed(text: str, load: Callable[[TextIO], Container] = OmegaConf.load) -> Container:
+    return load(io.StringIO(text))
