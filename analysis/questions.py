@@ -40,6 +40,7 @@ SIGMOID = (
 """What `train=paper` was before the published code was followed."""
 
 UPLOAD = "density.amplitude.registers=[5] density.amplitude.uploads=1"
+TEN_SEEDS = "seed=0,1,2,3,4,5,6,7,8,9"
 GROWN = "density.qiren_bypass.from_zero=false"
 WIRES = "density.qiren_bypass.wire_per_feature=true qiren.spectral=1"
 LINEAR_PIECES = "no_gain,no_center,uniform_angles,full_scale,fast_color"
@@ -141,8 +142,9 @@ QUESTIONS = {
     "heads_reupload": Question(
         "Does a circuit pay that the linear map cannot absorb?",
         (
-            sweep("heads_control", f"{UPLOAD} density.amplitude.unitary=identity,circuit,local,random"),
-            sweep("heads"),
+            sweep("heads_control", f"{UPLOAD} density.amplitude.unitary=identity,circuit {TEN_SEEDS}"),
+            sweep("heads_control", f"{UPLOAD} density.amplitude.unitary=local,random seed=0,1,2"),
+            sweep("heads", f"head@density=mlp {TEN_SEEDS}"),
         ),
         ("scene_name", "density"),
         {"density": "amplitude5-identity-uploads=1"},

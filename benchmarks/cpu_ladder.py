@@ -95,7 +95,7 @@ class Ladder:
             return Remote([*module, *(["plain"] if side == "plain" else [])], threads)
         trainer, evaluator = build(overrides)
         np.savez(self.folder / "rays.npz", **table_of(trainer, evaluator, seed, BATCHES))  # type: ignore[arg-type]
-        settings = settings_of(case, trainer, seed, threads)
+        settings = settings_of(trainer, seed, threads)
         if case == "TensoRF":
             settings |= TENSORF | {"half_extent": box_of(evaluator.scene), "background": trainer.background}
         module = [self.options.peers_python, "-m", "benchmarks.peers.nerfstudio_models"]

@@ -101,7 +101,7 @@ def table_of(trainer: Trainer, evaluator: Evaluator, seed: int, steps: int) -> d
     return {name: tensor.contiguous().numpy() for name, tensor in arrays.items()}
 
 
-def settings_of(case: str, trainer: Trainer, seed: int, threads: int) -> dict[str, Any]:
+def settings_of(trainer: Trainer, seed: int, threads: int) -> dict[str, Any]:
     """The settings of nerfstudio's side, read from ours.
 
     It has no other pose refinement, shading or contraction than `train=paper`.
@@ -166,7 +166,7 @@ class Bench:
         trainer, evaluator = build(overrides)
         path = self.folder / f"{case}-{seed}-{threads}.npz"
         np.savez(path, **table_of(trainer, evaluator, seed, steps))  # type: ignore[arg-type]
-        settings = json.dumps(settings_of(case, trainer, seed, threads))
+        settings = json.dumps(settings_of(trainer, seed, threads))
         module = "benchmarks.peers.nerfstudio_models"
         return Remote([self.options.peers_python, "-m", module, str(path), settings], threads)
 

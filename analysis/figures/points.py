@@ -1,7 +1,9 @@
 """Configurations as the points of a figure: one row each, with mean and spread over its seeds."""
 
+import itertools
 import re
 from collections.abc import Iterable, Sequence
+from string import ascii_lowercase
 
 import pandas as pd
 
@@ -98,7 +100,9 @@ def marked(table: pd.DataFrame, runs: pd.DataFrame, heads: Sequence[str]) -> tup
     letter stands for the settings in which they differ.
     """
     parts = names(table, runs, always=heads, never=["field"], short=True).str.partition(", ")
-    letters = {text: chr(ord("a") + number % 26) for number, text in enumerate(sorted(set(parts[2]) - {""}))}
+    several = sorted(set(parts[2]) - {""})
+    marks = (first + last for first, last in itertools.product(["", *ascii_lowercase], ascii_lowercase))  # a..z, aa..
+    letters = dict(zip(several, marks, strict=False))
     texts = parts[0] + parts[2].map(lambda text: f" {letters[text]}" if text else "")
     key = [f"{letter}: {text}" for text, letter in letters.items()]
     order = "names: density head, colour head" if {"density", "color"} <= set(heads) else ""

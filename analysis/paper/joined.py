@@ -53,14 +53,9 @@ def joined(paper: pd.DataFrame, frame: pd.DataFrame, keys: Sequence[str]) -> tup
     return table, (*notes, *filter(None, [selection.note]))
 
 
-def side_by_side(
-    title: str, table: pd.DataFrame, columns: Mapping[str, str], notes: Sequence[str], form: str = "{:,.0f}"
-) -> Table:
-    """A table of the paper's `columns` (name -> heading), each metric of the paper's beside ours, and our seeds.
-
-    form: how numbers among `columns` are printed.
-    """
-    text = pd.DataFrame({heading: _text(table[name], form) for name, heading in columns.items()})
+def side_by_side(title: str, table: pd.DataFrame, columns: Mapping[str, str], notes: Sequence[str]) -> Table:
+    """A table of the paper's `columns` (name -> heading), each metric of the paper's beside ours, and our seeds."""
+    text = pd.DataFrame({heading: _text(table[name], "{:,.0f}") for name, heading in columns.items()})
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     for name in _OURS:
         (theirs, digits), heading = _THEIRS[name], metric_of(name).heading

@@ -24,7 +24,7 @@ def logged_keys() -> list[str]:
 def gather(
     frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUNS, advance: Callable[[], None]
 ) -> dict[int, dict[str, Any]]:
-    """Row number -> key -> {step, time, value} of at max_runs `max_runs` runs that have readable metrics."""
+    """Row number -> key -> {step, time, value} of at most `max_runs` runs that have readable metrics."""
     result: dict[int, dict[str, Any]] = {}
     for row in order:
         if len(result) == max_runs:

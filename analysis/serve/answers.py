@@ -108,7 +108,7 @@ class Answers:
         return {"views": found, "preview": stamp}
 
     def picture(self, run: str, view: str, panel: str) -> tuple[bytes, str]:
-        """One panel of a held-out view as WebP; or the whole `preview.png` of a run that trains, as view `preview`."""
+        """One panel of a held-out view as WebP; or the whole `preview.png` of a run that trains, as panel `preview`."""
         folder = self.store.path(run)
         if panel == "preview":
             return read_png_bytes(folder / PREVIEW)[0], "image/png"

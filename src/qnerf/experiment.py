@@ -13,6 +13,7 @@ from qnerf.auto import exposure, poses
 from qnerf.building import first_use
 from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
 from qnerf.building.scene import id_of, prepare, prepare_signal
+from qnerf.config.checks import is_number
 from qnerf.config.identity import picture_names
 from qnerf.config.settings import (
     SignalSettings,
@@ -24,7 +25,6 @@ from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_metrics, read_summary
 from qnerf.records.environment import capture, dirty_diff
-from qnerf.records.filters import is_number
 from qnerf.scenes import Scene
 from qnerf.scenes.base import even_subset
 from qnerf.signals import SignalEvaluator, SignalTrainer, build_signal_model
@@ -73,7 +73,7 @@ class Display:
     def begin(self, path: Path, step: int, steps: int) -> None: ...
 
     def phase(self, name: str) -> None:
-        """What goes on from now on: train, or evaluate; from `begin` to the first step it is compile."""
+        """What the run does from now on: train or evaluate. Between `begin` and the first step it compiles."""
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None: ...
 
@@ -105,10 +105,10 @@ class FieldTask:
         lpips.weights()
         colormap()
 
-    def trainer(self, watch: Stopwatch, store: Run) -> Trainer:
+    def trainer(self, watch: Stopwatch, record: Run) -> Trainer:
         if not self.settings.numerics.finite_checks:
             return Trainer(self.model, self.table, self.settings, watch)
-        context = RunContext(self.scene.names, store.config, store.dir / NONFINITE)
+        context = RunContext(self.scene.names, record.config, record.dir / NONFINITE)
         return CheckedTrainer(self.model, self.table, self.settings, watch, context)
 
     def evaluator(self, watch: Stopwatch) -> Evaluator:
@@ -129,7 +129,7 @@ class SignalTask:
         self.model = build_signal_model(self.settings, self.scene)
         colormap()
 
-    def trainer(self, watch: Stopwatch, store: Run) -> SignalTrainer:
+    def trainer(self, watch: Stopwatch, record: Run) -> SignalTrainer:
         return SignalTrainer(self.model, self.scene, self.settings, watch)
 
     def evaluator(self, watch: Stopwatch) -> SignalEvaluator:
@@ -182,34 +182,34 @@ def run(
                 f"{claim.dir}: status.json says finished, summary.parquet says {state}; run.force=true does it over"
             )
         return Outcome(name, claim.dir, claim.outcome, summary, claim.message)
-    with claim.run as store, stop_requests() as stops:
+    with claim.run as record, stop_requests() as stops:
         if claim.outcome == "resumed":
             display.note(claim.message)
         decided = [f"{key}={node['value']}" for key, node in decisions.items() if isinstance(node, Mapping)]
         if decided:
             display.note(f"the scene needs {', '.join(decided)}")
-        store.write_environment(capture(settings.seed), dirty_diff())
+        record.write_environment(capture(settings.seed), dirty_diff())
         if isinstance(scene, Scene):
-            store.write_transform(scene.transform.numpy())
-            if not store.resumed and config["scene"].get("path"):
+            record.write_transform(scene.transform.numpy())
+            if not record.resumed and config["scene"].get("path"):
                 for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
                     display.note(f"warning: {doubt}")
-        return _execute(task, store, display, lambda: bool(stops) or stopping(), unpromising)
+        return _execute(task, record, display, lambda: bool(stops) or stopping(), unpromising)
 
 
 def _execute(
-    task: Task, store: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
+    task: Task, record: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
 ) -> Outcome:
     settings, scene = task.settings, task.scene
     watch = Stopwatch(settings.torch_device, task.model, QuantumLayer)
-    trainer, evaluator = task.trainer(watch, store), task.evaluator(watch)
+    trainer, evaluator = task.trainer(watch, record), task.evaluator(watch)
     max_bytes = largest_state(task.model, settings.train.steps)
-    checkpoint = store.load_checkpoint(trainer.check, max_bytes) if store.resumed else None
+    checkpoint = record.load_checkpoint(trainer.check, max_bytes) if record.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
-    if store.resumed:
-        store.resume(trainer.step)
-        store.write_summary({"stopped": None})
+    if record.resumed:
+        record.resume(trainer.step)
+        record.write_summary({"stopped": None})
     pruned = False
 
     def stopping() -> bool:
@@ -217,46 +217,46 @@ def _execute(
 
     train = settings.train
     measured = None
-    preview = Preview(settings.run.preview_seconds, evaluator.preview, store.save_preview)
+    preview = Preview(settings.run.preview_seconds, evaluator.preview, record.save_preview)
     curve_views = [scene.eval[index] for index in even_subset(len(scene.eval), task.curve_views or None)]
 
     def assess() -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
         nonlocal pruned
         views = scene.eval if trainer.done else curve_views
-        rows, result = evaluate(evaluator, store, views, trainer.step, stopping, display.phase)
+        rows, result = evaluate(evaluator, record, views, trainer.step, stopping, display.phase)
         if result is not None:
             # Every point of the curve is a mean over the same views.
             curve = means([row for view, row in zip(views, rows, strict=True) if view in curve_views])
-            store.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
+            record.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
             measured_on = f"{len(curve_views)} of {len(scene.eval)} views" if isinstance(scene, Scene) else ""
             display.held_out(trainer.step, scene.headline, curve[scene.headline], measured_on)
-            pruned = not trainer.done and unpromising(store.dir, trainer.step, curve)
+            pruned = not trainer.done and unpromising(record.dir, trainer.step, curve)
         return result
 
     def is_due() -> bool:
         return trainer.done or bool(train.eval_every and trainer.step % train.eval_every == 0)
 
-    display.begin(store.dir, trainer.step, train.steps)
+    display.begin(record.dir, trainer.step, train.steps)
     try:
-        if trainer.step and is_due() and not was_evaluated(store.dir, trainer.step):  # it was stopped in there
+        if trainer.step and is_due() and not was_evaluated(record.dir, trainer.step):  # it was stopped in there
             measured = assess()
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
-        for metrics in trainer.steps(store, stopping):
+        for metrics in trainer.steps(record, stopping):
             display.phase("train")
             if metrics:
-                store.log(trainer.step, trainer.seconds, metrics)
+                record.log(trainer.step, trainer.seconds, metrics)
                 display.step(trainer.step, metrics)
             preview.refresh(trainer.step)
             if is_due():
                 measured = assess()
         preview.refresh(trainer.step, now=True)
         if trainer.done and measured is None and not stopping():  # killed between the last checkpoint and the end
-            _, measured = evaluate(evaluator, store, scene.eval, trainer.step, stopping, display.phase)
+            _, measured = evaluate(evaluator, record, scene.eval, trainer.step, stopping, display.phase)
     finally:
         display.end()
     if not trainer.done or measured is None:
-        return _stop(store, trainer.step, train.steps, pruned)
+        return _stop(record, trainer.step, train.steps, pruned)
 
     timings = {
         "train_s": trainer.seconds,
@@ -267,19 +267,19 @@ def _execute(
         "time.threads": torch.get_num_threads(),
         "machine": machine(settings.torch_device),
     }
-    store.finish(measured | timings | logged_times(store.dir))
-    return Outcome(store.run_id, store.dir, "finished", read_summary(store.dir), "")
+    record.finish(measured | timings | logged_times(record.dir))
+    return Outcome(record.run_id, record.dir, "finished", read_summary(record.dir), "")
 
 
-def _stop(store: Run, step: int, steps: int, pruned: bool) -> Outcome:
+def _stop(record: Run, step: int, steps: int, pruned: bool) -> Outcome:
     """Ends a run that is not finished."""
     if pruned:
-        store.write_summary({"stopped": PRUNED})
+        record.write_summary({"stopped": PRUNED})
         message = f"pruned at step {step} of {steps}: finished runs were better by then"
     else:
         message = f"stopped at step {step} of {steps}; the same command continues from there"
-    store.interrupt()
-    return Outcome(store.run_id, store.dir, PRUNED if pruned else "interrupted", read_summary(store.dir), message)
+    record.interrupt()
+    return Outcome(record.run_id, record.dir, PRUNED if pruned else "interrupted", read_summary(record.dir), message)
 
 
 def was_evaluated(path: Path, step: int) -> bool:
@@ -290,7 +290,7 @@ def was_evaluated(path: Path, step: int) -> bool:
 
 def evaluate(
     evaluator: ViewEvaluator,
-    store: Run,
+    record: Run,
     views: Sequence[int],
     step: int,
     stopping: Callable[[], bool],
@@ -309,13 +309,13 @@ def evaluate(
     for rendered, row in evaluator.views(list(views), step):
         rows.append(row)
         tell(f"evaluate {min(len(rows) + 1, len(views))} of {len(views)} views")
-        store.save_image(names[rendered.view], evaluator.picture(rendered))
+        record.save_image(names[rendered.view], evaluator.picture(rendered))
         if len(rows) < len(views) and stopping():
             return rows, None
-    store.write_eval(rows)
+    record.write_eval(rows)
     measured = means(rows)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
-    store.write_summary(measured | {"steps": step})
+    record.write_summary(measured | {"steps": step})
     return rows, measured
 
 

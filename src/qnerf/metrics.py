@@ -88,7 +88,7 @@ def metric_of(key: str) -> Metric:
     return replace(METRICS[name], key=key, label=f"{_LOGGED[group]} {METRICS[name].label}".strip())
 
 
-_LOGGED = {"train": "training", "eval": "evaluation", "time": ""}
+_LOGGED = {"train": "training", "validation": "validation", "eval": "evaluation", "time": ""}
 
 for _metric in (
     Metric("psnr", "PSNR", "dB", 2, "higher", "image"),

@@ -42,7 +42,7 @@ def test_killed_at_random_moments(tmp_path: Path) -> None:
                 assert len(pd.read_parquet(directory / "summary.parquet")) == 1
                 assert records.read_status(directory)["state"] in ("running", "finished")
                 polls += 1
-            time.sleep(0.001)
+            time.sleep(0.02)
     finally:
         if process.poll() is None:
             process.kill()

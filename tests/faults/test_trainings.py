@@ -104,7 +104,7 @@ def test_killed_trainings_resume_to_the_same_numbers(job: Path) -> None:
                 for run in records.runs(store):
                     poll(run)
                     polls += 1
-            time.sleep(0.02)
+            time.sleep(0.2)
     finally:
         if process.poll() is None:
             process.kill()

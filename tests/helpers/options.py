@@ -38,7 +38,7 @@ def made() -> str:
     }
     parts = [
         "## Groups",
-        table(("group", "chooses", "choices"), [group_row(path, files) for path, files in groups.items()]),
+        table(("group", "chooses", "choices", "default"), [group_row(path, files) for path, files in groups.items()]),
     ]
     parts += ["## Options of every run", "From `conf/config.yaml`.", options(CONF / "config.yaml", "")]
     for path, files in groups.items():
@@ -48,10 +48,13 @@ def made() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def group_row(path: Path, files: list[Path]) -> tuple[str, str, str]:
+def group_row(path: Path, files: list[Path]) -> tuple[str, str, str, str]:
     names = [file.stem for file in files if file.stem != "base"]
     choices = ", ".join(f"`{name}`" for name in names) if len(names) < 20 else f"{len(names)} of them, see below"
-    return f"`{path.name}`", PURPOSE[path.name], choices
+    found = re.findall(rf"^  - {path.name}(?:@\w+)?: (\w+)", (CONF / "config.yaml").read_text(), re.MULTILINE)
+    found = [overridden(CONF / "train" / "quick.yaml").get(path.name, choice) for choice in found]
+    default = ", ".join(f"`{choice}`" for choice in found if choice != "null") or "none"
+    return f"`{path.name}`", PURPOSE[path.name], choices, default
 
 
 def group_tables(group: str, files: list[Path]) -> list[str]:
@@ -65,7 +68,7 @@ def group_tables(group: str, files: list[Path]) -> list[str]:
     parts = []
     for same in alike.values():
         prefix = package(group, same[0])
-        parts.append("\n".join(f"- {name(group, file)}: {head(file)}" for file in same if head(file)))
+        parts.append("\n".join(f"- {name(group, file)}: {head(file)}{others(file)}" for file in same if head(file)))
         columns = [option_rows(file, prefix) for file in same]
         rows = [
             (row[0][0], *(value for _, value, _ in row), next((comment for _, _, comment in row if comment), ""))
@@ -89,6 +92,16 @@ def package(group: str, file: Path) -> str:
 
 def name(group: str, file: Path) -> str:
     return "all choices" if file.stem == "base" else f"`{group}={file.stem}`"
+
+
+def overridden(file: Path) -> dict[str, str]:
+    """The choices of other groups that a choice makes."""
+    return dict(re.findall(r"^  - override /(\w+): (\w+)", file.read_text(), re.MULTILINE))
+
+
+def others(file: Path) -> str:
+    chosen = ", ".join(f"`{group}={choice}`" for group, choice in overridden(file).items())
+    return f" It chooses {chosen}." if chosen else ""
 
 
 def head(file: Path) -> str:

@@ -177,7 +177,7 @@ def test_a_giant_file_is_not_read(scene: tuple[Path, Path, Build]) -> None:
     _, file, build = scene
     with open(file, "r+b") as stream:
         stream.truncate(2**40)  # a hole: it takes no room on the disk, but would in memory
-    refused(build, str(file), "more than 256 MiB")
+    refused(build, str(file), "expected at most 256 MiB, got")
     assert transforms.MAX_JSON_BYTES == 2**28
 
 

@@ -9,7 +9,6 @@ import torch
 
 import qnerf
 from qnerf.config import memory
-from qnerf.quantum import hardware, hardware_conditions
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.layer import QuantumLayer
@@ -17,11 +16,6 @@ from qnerf.quantum.layer import QuantumLayer
 
 def test_is_what_the_package_exports() -> None:
     assert qnerf.QuantumLayer is QuantumLayer
-
-
-def test_earlier_names_still_work() -> None:
-    assert QuantumLayer.plan is QuantumLayer.cost
-    assert hardware is hardware_conditions
 
 
 def run_examples(page: str) -> tuple[str, dict[str, Any]]:

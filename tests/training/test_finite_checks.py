@@ -124,7 +124,7 @@ def test_nan_in_the_ray_of_an_image_s_pixel(checked: Make, file: Path, capsys: C
     before.take_step(measure=False)
     taken = checked("field=classical")
     pixel = int(before.table.last_pixels[3])
-    plant(taken.table.table, pixel, 1)
+    plant(taken.table.directions, pixel, 1)
     error = found(taken)
     assert error.where == "rays (directions)"
     first = before.table.last_pixels.tolist().index(pixel)

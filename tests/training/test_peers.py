@@ -41,7 +41,7 @@ def test_both_sides_see_the_same_rays_and_colours(overrides: str) -> None:
 
 def test_nerfstudio_gets_our_settings(overrides: str) -> None:
     trainer, _ = build(f"{overrides} field=qcolor qiren=2L3S hash=C3 train.steps=500")
-    settings = nerfstudio.settings_of("nerfstudio qcolor", trainer, SEED, threads=1)
+    settings = nerfstudio.settings_of(trainer, SEED, threads=1)
     assert settings["table"] == [12, 16, 2048, 17, 2]
     assert settings["circuit"] == [2, 3]
     assert settings["geo_features"] == 5

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from qnerf.auto.views import grey
+from qnerf.auto.views import grey, subset
 from qnerf.geometry.camera_paths import focus
 from qnerf.geometry.contraction import Contraction
 from qnerf.scenes import Scene
@@ -18,7 +18,7 @@ def finest_frequency(scene: Scene) -> float:
 
     The power spectrum is the mean over images under a Hann window, corrected for the power that the window removes.
     """
-    views = [scene.train[i] for i in np.linspace(0, len(scene.train) - 1, min(VIEWS, len(scene.train))).astype(int)]
+    views = subset(scene.train, VIEWS)
     powers: dict[tuple[int, int], NDArray[np.float64]] = {}  # of views of one size (H, W), summed
     for view in views:
         image = grey(scene, view)

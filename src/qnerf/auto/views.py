@@ -1,9 +1,13 @@
 """Pairs of training views that show the same things, and their grey images."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from qnerf.scenes import Scene
+
+T = TypeVar("T")
 
 ANGLE = np.deg2rad(30)  # views whose optical axes differ by more are not compared
 
@@ -37,7 +41,7 @@ def grey(scene: Scene, view: int) -> NDArray[np.float64]:
     return mean
 
 
-def subset(items: list[tuple[int, int]], limit: int) -> list[tuple[int, int]]:
+def subset(items: list[T], limit: int) -> list[T]:
     """At most `limit` of the items, evenly spread."""
     if len(items) <= limit:
         return items

@@ -20,7 +20,7 @@ from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.heads.qiren import Normalisation, check_samples
 from qnerf.model.field import Field
-from qnerf.model.memory import planned, require_memory, samples_per_ray
+from qnerf.model.memory import planned, require_memory
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.samplers import SAMPLERS, Sampler
@@ -68,7 +68,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
     torch.set_default_dtype(settings.dtype)
     try:
         if parts := planned(lambda: build_field_and_sampler(settings, scene)):
-            require_memory(settings, *parts, scene.cameras.width * scene.cameras.height)
+            require_memory(settings, *parts, int(scene.cameras.all_sizes.prod(1).max()))
         torch.manual_seed(settings.seed)
         field, sampler = build_field_and_sampler(settings, scene)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
@@ -81,7 +81,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
 def check_samples_of_a_step(settings: Settings, model: Model) -> None:
     """ValueError if a circuit head could get too few samples in a training step."""
     # With a mask, only the last sample of each ray is sure to be evaluated. Shadings make sure of enough colours.
-    rendered = 1 if model.field.mask is not None else samples_per_ray(model.sampler)[0]
+    rendered = 1 if model.field.mask is not None else model.sampler.rendered_samples
     heads = [model.field.density_head, *([model.field.color_head] if settings.shading["name"] == "none" else [])]
     if any(isinstance(module, Normalisation) for head in heads for module in head.modules()):
         check_samples(settings.train.rays * rendered)

@@ -10,9 +10,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from qnerf.cli.text import duration, measured
+from qnerf.config.checks import is_number
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import metric_of, quality_metrics
-from qnerf.records.filters import is_number
 from qnerf.records.printable import printable
 
 BESIDE = 118  # characters beside a bar

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-from qnerf.cli.ends import OUTPUT_LOST
+from qnerf.cli.ends import INTERRUPTED, OUTPUT_LOST
 from qnerf.cli.streams import escape_unencodable
 from qnerf.config.plugins import raised_in
 
@@ -28,7 +28,7 @@ def exit_code(command: Callable[[], int | None]) -> int:
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
     except BrokenPipeError:
         return closed_pipe()
     except (ValueError, OSError) as error:
@@ -41,8 +41,10 @@ def exit_code(command: Callable[[], int | None]) -> int:
 
 
 def check_process() -> None:
-    """ValueError if the working folder was deleted, which nearly every library asks for, or Numba's threads are no
-    number: it would print a traceback."""
+    """ValueError if the working folder was deleted or NUMBA_NUM_THREADS is not a number.
+
+    Nearly every library asks for the folder, and Numba would print a traceback.
+    """
     try:
         os.getcwd()
     except FileNotFoundError:

@@ -37,6 +37,7 @@ from rich.text import Text
 
 from qnerf.cli import ends, plugins, resolvers  # noqa: F401  the configuration needs the resolvers
 from qnerf.cli import overrides as typed
+from qnerf.cli.ends import INTERRUPTED
 from qnerf.cli.errors import is_shortage, one_line, report
 from qnerf.cli.streams import escape_unencodable
 from qnerf.cli.sweep import Sweep, check_file
@@ -391,7 +392,7 @@ def run_command() -> None:
         code = end.code
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
-        code = 130
+        code = INTERRUPTED
     except Exception as error:
         if full_error or (_jobs and not _started):  # a job prints a user's mistake itself: this is a bug
             raise

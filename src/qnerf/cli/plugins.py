@@ -23,25 +23,11 @@ SIGNAL = {
 
 def groups() -> Mapping[str, Registry[Any]]:
     """Config group -> the registry of its components."""
-    from qnerf.encoders import ENCODERS
-    from qnerf.geometry.contraction import CONTRACTIONS
-    from qnerf.geometry.pose_refinement import CAMERAS
+    from qnerf.building.components import REGISTRIES
     from qnerf.heads import HEADS
     from qnerf.quantum.circuit import ANSATZE
-    from qnerf.rendering.samplers import SAMPLERS
-    from qnerf.rendering.shading import SHADINGS
-    from qnerf.signals import SCENES
 
-    return {
-        "head": HEADS,
-        "encoder": ENCODERS,
-        "ansatz": ANSATZE,
-        "contraction": CONTRACTIONS,
-        "scene": SCENES,
-        "sampler": SAMPLERS,
-        "shading": SHADINGS,
-        "cameras": CAMERAS,
-    }
+    return {**REGISTRIES, "head": HEADS, "ansatz": ANSATZE}
 
 
 def load(names: Sequence[str]) -> None:

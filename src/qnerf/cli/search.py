@@ -31,10 +31,10 @@ from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import console
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeInt, PositiveInt, Seed
+from qnerf.config.checks import is_number
 from qnerf.config.settings import only_acting
 from qnerf.metrics import HEAD_PARAMETERS, metric_of
 from qnerf.records.files import one_line, replace
-from qnerf.records.filters import is_number
 from qnerf.search import objectives as goals
 from qnerf.search.history import History
 from qnerf.search.loop import Options, search

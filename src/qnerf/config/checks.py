@@ -1,7 +1,7 @@
 """One-line errors for values that users give."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 
 def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
@@ -20,3 +20,8 @@ def at_least(name: str, value: float, minimum: float) -> None:
     """ValueError unless `value` is a finite number of at least `minimum`."""
     if not minimum <= value < float("inf"):
         raise ValueError(f"{name} must be at least {minimum:g}, got {value}")
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether the value is an int or a float. A bool is not a number here."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -13,6 +13,7 @@ from mlflow.entities import Metric, Param, RunTag
 from mlflow.entities import Run as MlflowRun
 from mlflow.exceptions import MlflowException
 
+from qnerf.config.checks import is_number
 from qnerf.export.content import Content
 from qnerf.records.files import one_line
 
@@ -94,7 +95,7 @@ def _metrics(content: Content, last: dict[str, int]) -> Iterator[Metric]:
         yield Metric(key, value, round((content.created + time_s) * 1000), step)
     for name, value in content.results.items():
         key = f"final/{name}"
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and last.get(key, -1) < content.step:
+        if is_number(value) and last.get(key, -1) < content.step:
             yield Metric(key, float(value), round(content.ended * 1000), content.step)
 
 

@@ -142,6 +142,8 @@ def interpolate(poses: NDArray, frames: int) -> NDArray:
 
     A radian of turning counts as much as the median distance between the cameras and their middle.
     """
+    if len(poses) < 2:
+        raise ValueError("path=interpolate: expected at least two training cameras, got one; known for one: spiral")
     chosen = poses[np.linspace(0, len(poses) - 1, min(KEY_VIEWS, len(poses))).astype(int)]
     size = float(np.median(np.linalg.norm(poses[:, :, 3] - poses[:, :, 3].mean(0), axis=1)))
     turns = Rotation.from_matrix(chosen[:, :, :3])
@@ -204,11 +206,13 @@ def read_path(file: Path, width: int, height: int, focal: float, transform: NDAr
 
 def _entries(file: Path) -> list[Any]:
     try:
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise ValueError(f"more than {MAX_FILE_BYTES >> 20} MiB")
-        content = json.loads(file.read_bytes())
+        text = file.read_bytes() if file.stat().st_size <= MAX_FILE_BYTES else None
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
+    if text is None:
+        raise ValueError(f"{file}: expected at most {MAX_FILE_BYTES >> 20} MiB, got more")
+    try:
+        content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{file} is no JSON: {str(error).splitlines()[0]}") from error
     entries = content.get("camera_path") if isinstance(content, dict) else None

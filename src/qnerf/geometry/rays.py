@@ -153,13 +153,13 @@ class RayTable:
         self.first = (counts.cumsum(0) - counts).to(self.device)  # of each view's pixels in `colors`
         fisheye = torch.zeros(len(cameras)) if cameras.fisheye is None else cameras.fisheye
         kinds = torch.cat([cameras.intrinsics, cameras.all_sizes, fisheye[:, None]], dim=1)
-        lenses, lens = torch.unique(kinds, dim=0, return_inverse=True)
-        self.lens, self.lenses = lens.to(self.device), lenses.to(self.device)
+        lenses, lens_of_view = torch.unique(kinds, dim=0, return_inverse=True)
+        self.lens_of_view, self.lenses = lens_of_view.to(self.device), lenses.to(self.device)
         sizes = lenses[:, 8:10].long().prod(1)
-        self.first_direction = (sizes.cumsum(0) - sizes).to(self.device)  # of each lens in `table`
-        self.table: Tensor | None = None  # (pixels of all lenses, 3)
+        self.first_direction = (sizes.cumsum(0) - sizes).to(self.device)  # of each lens in `directions`
+        self.directions: Tensor | None = None  # (pixels of all lenses, 3)
         if int(sizes.sum()) <= MAX_TABLE_SIZE:
-            self.table = self._directions_of_all_pixels(scene.name, sizes.tolist())
+            self.directions = self._directions_of_all_pixels(scene.name, sizes.tolist())
 
     def _directions_of_all_pixels(self, scene: str, sizes: list[int]) -> Tensor:
         """Directions (N, 3), lens by lens, computed in parts so that intermediate values stay small."""
@@ -175,11 +175,11 @@ class RayTable:
 
     def rays(self, views: Tensor, pixels: Tensor, refinement: PoseRefinement | None = None) -> Rays:
         """Rays through pixel centres: views (R,) and row-major pixel numbers (R,), both int64."""
-        lens = self.lens[views]
-        if self.table is None:
+        lens = self.lens_of_view[views]
+        if self.directions is None:
             directions = _directions_of_pixels(self.lenses[lens], pixels).to(self.dtype)
         else:
-            directions = self.table[self.first_direction[lens] + pixels]
+            directions = self.directions[self.first_direction[lens] + pixels]
         poses = self.poses[views]
         if refinement is not None:
             poses = refinement.poses(views, poses)

@@ -121,7 +121,7 @@ class QirenHead(Head):
         in_dim, out_dim: features in and values out.
         layers: hidden hybrid layers x (x + 1 circuits).
         spectral: data re-uploadings y of each circuit.
-        qubits: wires of each circuit, 1 to 20.
+        qubits: wires of each circuit, 1 to 1,024; a state holds at most 20, see `QuantumLayer`.
         ansatz, method, init: see `QuantumLayer`.
         ansatz_options: name of an ansatz -> its options; only those of the chosen `ansatz` are used.
         gain: fixed factor on the measured values before the last linear map. Without it a head with uniform angles

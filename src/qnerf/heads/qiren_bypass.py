@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from qnerf.heads.base import HEADS
 from qnerf.heads.qiren import QirenHead
-from qnerf.quantum.circuit import MAX_WIRES, Circuit, PauliWord
+from qnerf.quantum.circuit import MAX_STATE_WIRES, Circuit, PauliWord
 
 
 @HEADS.register("qiren_bypass")
@@ -44,7 +44,7 @@ class QirenBypassHead(QirenHead):
     ) -> None:
         self._pairs = pairs
         if wire_per_feature:
-            options["qubits"] = min(in_dim, MAX_WIRES)
+            options["qubits"] = min(in_dim, MAX_STATE_WIRES)
         super().__init__(in_dim, out_dim, **options)
         self.bypass = nn.Linear(in_dim, out_dim, bias=False) if bypass else None
         self.rest: Tensor | None

@@ -77,7 +77,7 @@ def needed(settings: Settings, field: Field, sampler: Sampler, pixels: int) -> I
         return
 
     rays, view = settings.train.rays, min(settings.train.chunk, pixels)
-    rendered, proposed = samples_per_ray(sampler)
+    rendered, proposed = sampler.rendered_samples, sampler.proposed_samples
     yield Need(
         "the samples of a step",
         rays * (rendered + proposed) * PER_SAMPLE * size,
@@ -95,15 +95,6 @@ def needed(settings: Settings, field: Field, sampler: Sampler, pixels: int) -> I
     colored = evaluated if settings.shading["name"] == "none" else rays
     width = activations(field.color_head, size)
     yield Need("the colour head's activations", colored * width * size, "train.rays, the samples or the head")
-
-
-def samples_per_ray(sampler: Sampler) -> tuple[int, int]:
-    """Samples that are rendered, and those of the proposal networks; 1 and 0 for samplers that do not tell."""
-    rendered = getattr(sampler, "final", None) or getattr(sampler, "fine", None) or getattr(sampler, "samples", 1)
-    proposed = getattr(sampler, "samples", 0)
-    if not isinstance(rendered, int):
-        rendered = 1
-    return rendered, sum(proposed) if isinstance(proposed, tuple) else 0
 
 
 def activations(head: nn.Module, size: int) -> int:

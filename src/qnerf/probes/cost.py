@@ -28,7 +28,6 @@ from qnerf.quantum.circuit import (
     weight,
 )
 from qnerf.quantum.cones import gates_of
-from qnerf.rendering.background import evaluation_background
 
 SHOTS = 1000  # of each circuit
 RATE = 10_000.0  # shots a second
@@ -53,14 +52,14 @@ def table(trained: Trained) -> pd.DataFrame:
     layers = {(name, place): module for name, head in trained.heads.items() for place, module in _modules(head).items()}
     if not layers:
         raise ValueError(f"{trained.folder}: neither of its heads has a circuit")
-    rays = trained.ray_table()
+    width, height = trained.scene.cameras.size(trained.scene.eval[0])
     in_view = samples(trained, trained.model)
     in_step = samples(trained, copy.deepcopy(trained.model).train())  # a copy: its normalisations learn statistics
     rows: list[dict[str, Any]] = []
     for (name, place), module in layers.items():
         circuit = circuit_of(module)
         one, two, depth = gate_counts(circuit)
-        view = round(in_view[name, place] * rays.cameras.width * rays.cameras.height / RAYS)
+        view = round(in_view[name, place] * width * height / RAYS)
         step = round(in_step[name, place] * trained.settings.train.rays / RAYS) * shifts(circuit)
         rows.append(
             {
@@ -171,7 +170,6 @@ def _modules(head: nn.Module) -> dict[str, QuantumLayer | System]:
 @torch.no_grad()
 def samples(trained: Trained, model: Model) -> Counter[tuple[str, str]]:
     """Head and place of each circuit -> samples that it gets for `RAYS` training rays."""
-    rays, _ = trained.ray_table().batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
     seen: Counter[tuple[str, str]] = Counter()
     with ExitStack() as hooks:
         for name, head in heads_of(model).items():
@@ -181,6 +179,5 @@ def samples(trained: Trained, model: Model) -> Counter[tuple[str, str]]:
                     seen[key] += out.shape[:-1].numel()
 
                 hooks.callback(layer.register_forward_hook(count).remove)
-        background = evaluation_background(trained.settings.render.background)
-        model(rays, background=background, step=trained.step, watch=trained.stopwatch(model))
+        trained.render_training_rays(model, RAYS, trained.step)
     return seen

@@ -8,9 +8,8 @@ import pandas as pd
 import torch
 from torch import Tensor, nn
 
-from qnerf.probes.trained import Trained, circuits_of
+from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer, diagnostics
-from qnerf.rendering.background import evaluation_background
 
 RAYS = 2048
 STATES = 2000
@@ -128,11 +127,9 @@ def _circuits(trained: Trained) -> Iterator[tuple[dict[str, Any], QuantumLayer, 
     """
     layers = {
         (name, number): layer
-        for name, head in trained.heads.items()
-        for number, layer in enumerate(circuits_of(head).values())
+        for name, circuits in trained.circuits().items()
+        for number, layer in enumerate(circuits.values())
     }
-    if not layers:
-        raise ValueError(f"{trained.folder}: has no circuit, both of its heads are MLPs")
     inputs = _inputs(trained, layers)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -143,7 +140,6 @@ def _circuits(trained: Trained) -> Iterator[tuple[dict[str, Any], QuantumLayer, 
 @torch.no_grad()
 def _inputs(trained: Trained, modules: Mapping[Any, nn.Module]) -> dict[Any, Tensor]:
     """The inputs (N, in) of each module while `RAYS` training rays are rendered, in one random order for all."""
-    rays, _ = trained.ray_table().batch(RAYS, torch.Generator().manual_seed(0), trained.model.cameras)
     seen: dict[Any, list[Tensor]] = {key: [] for key in modules}
     with ExitStack() as hooks:
         for key, module in modules.items():
@@ -152,8 +148,7 @@ def _inputs(trained: Trained, modules: Mapping[Any, nn.Module]) -> dict[Any, Ten
                 seen[key].append(inputs[0].reshape(-1, inputs[0].shape[-1]).clone())
 
             hooks.callback(module.register_forward_pre_hook(record).remove)
-        background = evaluation_background(trained.settings.render.background)
-        trained.model(rays, background=background, step=trained.step, watch=trained.stopwatch(trained.model))
+        trained.render_training_rays(trained.model, RAYS, trained.step)
     generator = torch.Generator().manual_seed(0)
     return {
         key: all_of[torch.randperm(len(all_of), generator=generator).to(all_of.device)]

@@ -138,8 +138,7 @@ def evaluate_hardware(
         ValueError: the run has no circuit, or the table is damaged.
     """
     folder, scene, model = trained.folder, trained.scene, trained.model
-    if not any(isinstance(module, QuantumLayer) for module in model.modules()):
-        raise ValueError(f"{folder}: neither of its heads has a re-uploading circuit")
+    trained.circuits()  # ValueError if there is none
     evaluator = Evaluator(
         scene,
         trained.ray_table(),

@@ -19,7 +19,7 @@ import pandas as pd
 import torch
 
 from qnerf.heads.qiren import HybridLayer
-from qnerf.probes.trained import Trained, circuits_of
+from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.circuit import Circuit, Encoding
 from qnerf.quantum.cones import Cone, TooLarge, find_cones
@@ -43,13 +43,11 @@ def table(trained: Trained) -> pd.DataFrame:
         ValueError: the run has no circuit.
     """
     parts = []
-    for name, head in trained.heads.items():
-        for index, (place, circuit) in enumerate(circuits_of(head).items()):
-            layer = head.get_submodule(place.rpartition(".")[0])
+    for name, circuits in trained.circuits().items():
+        for index, (place, circuit) in enumerate(circuits.items()):
+            layer = trained.heads[name].get_submodule(place.rpartition(".")[0])
             rows = powers(circuit).merge(angles(layer, circuit.wires), on="wire")
             parts.append(rows.assign(head=name, circuit=index))
-    if not parts:
-        raise ValueError(f"{trained.folder}: neither of its heads has a re-uploading circuit")
     rows = pd.concat(parts, ignore_index=True)
     return rows[["head", "circuit", *rows.columns.drop(["head", "circuit"])]]
 

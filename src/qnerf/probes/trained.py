@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import nn
 
 from qnerf.building.model import build_model, ray_table
@@ -18,6 +19,7 @@ from qnerf.quantum import QuantumLayer
 from qnerf.records import read_config, state
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import exists, reporting
+from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.state_checks import check_integer, check_model, largest_state
@@ -66,6 +68,19 @@ class Trained:
     def stopwatch(self, model: Model) -> Stopwatch:
         """The stopwatch that a model needs to render."""
         return Stopwatch(self.settings.torch_device, model, QuantumLayer)
+
+    def circuits(self) -> dict[str, dict[str, QuantumLayer]]:
+        """Head -> its circuits by their place in it, of the heads that have any. ValueError if none has."""
+        circuits = {name: found for name, head in self.heads.items() if (found := circuits_of(head))}
+        if not circuits:
+            raise ValueError(f"{self.folder}: neither of its heads has a re-uploading circuit")
+        return circuits
+
+    def render_training_rays(self, model: Model, rays: int, step: int) -> None:
+        """Renders the same random training rays each time, for hooks that watch what passes through the modules."""
+        batch, _ = self.ray_table().batch(rays, torch.Generator().manual_seed(0), model.cameras)
+        background = evaluation_background(self.settings.render.background)
+        model(batch, background=background, step=step, watch=self.stopwatch(model))
 
 
 def heads_of(model: Model) -> dict[str, nn.Module]:

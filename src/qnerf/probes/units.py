@@ -12,7 +12,6 @@ from qnerf.building.model import build_model
 from qnerf.model.model import Model
 from qnerf.probes.trained import Trained, heads_of
 from qnerf.quantum import QuantumLayer
-from qnerf.rendering.background import evaluation_background
 
 RAYS = 1024
 
@@ -35,7 +34,6 @@ def table(trained: Trained) -> pd.DataFrame:
 @torch.no_grad()
 def _measured(trained: Trained, model: Model, step: int) -> Iterator[dict[str, object]]:
     """The rows of one model. A fresh one is in training mode, because its normalisations have no statistics yet."""
-    rays, _ = trained.ray_table().batch(RAYS, torch.Generator().manual_seed(0), model.cameras)
     outputs: dict[nn.Module, list[Tensor]] = {}
     layers = {
         name: [*(module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))), head]
@@ -48,8 +46,7 @@ def _measured(trained: Trained, model: Model, step: int) -> Iterator[dict[str, o
     with ExitStack() as hooks:
         for module in chain(*layers.values()):
             hooks.callback(module.register_forward_hook(record).remove)
-        background = evaluation_background(trained.settings.render.background)
-        model(rays, background=background, step=step, watch=trained.stopwatch(model))
+        trained.render_training_rays(model, RAYS, step)
     for name, modules in layers.items():
         for number, module in enumerate(modules):
             values = torch.cat(outputs[module]).double().reshape(-1, outputs[module][0].shape[-1])

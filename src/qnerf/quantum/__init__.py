@@ -23,9 +23,7 @@ from typing import Any
 from qnerf.quantum import hardware_conditions
 from qnerf.quantum.layer import QuantumLayer
 
-hardware = hardware_conditions  # the earlier name
-
-__all__ = ["QuantumLayer", "from_qnode", "hardware", "hardware_conditions"]
+__all__ = ["QuantumLayer", "from_qnode", "hardware_conditions"]
 
 
 def __getattr__(name: str) -> Any:

@@ -18,7 +18,7 @@ from qnerf.config.registry import Registry
 from qnerf.quantum.description import (
     ENTANGLING_GATES,
     MAX_SPECTRAL,
-    MAX_WIDTH,
+    MAX_STATE_WIRES,
     MAX_WIRES,
     PAULIS,
     Circuit,
@@ -42,7 +42,7 @@ from qnerf.quantum.expressions import Expression, Weights, feature, weight
 from qnerf.quantum.gates import GATES, Amplitudes, Gate
 
 __all__ = [
-    "ANSATZE", "ENTANGLING_GATES", "GATES", "MAX_SPECTRAL", "MAX_WIDTH", "MAX_WIRES", "PAULIS", "Amplitudes",
+    "ANSATZE", "ENTANGLING_GATES", "GATES", "MAX_SPECTRAL", "MAX_STATE_WIRES", "MAX_WIRES", "PAULIS", "Amplitudes",
     "Circuit", "Encoding", "Entangler", "EntanglingGate", "Expression", "Gate", "Hamiltonian", "Observable",
     "Operation", "Pauli", "PauliWord", "Probabilities", "Rotations", "Spectral", "Weights", "Wires", "check_state",
     "check_wires", "feature", "readable_bytes", "reuploading", "ring", "weight",

@@ -39,11 +39,11 @@ from annotated_types import Interval
 from qnerf.quantum.expressions import Expression, Weights
 from qnerf.quantum.gates import Amplitudes, Gate, as_wires
 
-MAX_WIRES = 20  # of a state
-MAX_WIDTH = 1024  # wires of a circuit
+MAX_STATE_WIRES = 20  # of a state
+MAX_WIRES = 1024  # wires of a circuit
 MAX_SPECTRAL = 64  # the largest scale of ternary encodings, 3^63, is still a float32
 
-Wires = Annotated[int, Interval(ge=1, le=MAX_WIDTH)]
+Wires = Annotated[int, Interval(ge=1, le=MAX_WIRES)]
 Spectral = Annotated[int, Interval(ge=1, le=MAX_SPECTRAL)]
 EntanglingGate = Literal["CZ", "CNOT"]
 Pauli = Literal["X", "Y", "Z"]
@@ -299,17 +299,17 @@ class Circuit:
 
 def check_wires(wires: int) -> None:
     """ValueError unless 1 <= wires <= 1024, the width of a circuit."""
-    if isinstance(wires, bool) or not isinstance(wires, int) or not 1 <= wires <= MAX_WIDTH:
-        raise ValueError(f"wires must be an integer in 1..{MAX_WIDTH}, got {wires!r}")
+    if isinstance(wires, bool) or not isinstance(wires, int) or not 1 <= wires <= MAX_WIRES:
+        raise ValueError(f"wires must be an integer in 1..{MAX_WIRES}, got {wires!r}")
 
 
 def check_state(wires: int, what: str) -> None:
     """ValueError if there are more than 20 wires. The message says how much memory one state would take."""
-    if wires > MAX_WIRES:
+    if wires > MAX_STATE_WIRES:
         size = readable_bytes(16 * 2.0**wires)
         raise ValueError(
-            f"{what}: one state of {wires} wires takes {size} of memory in float64; a state has at most {MAX_WIRES}"
-            " wires, a wider circuit expects outputs that depend on few of its wires"
+            f"{what}: one state of {wires} wires takes {size} of memory in float64; a state has at most"
+            f" {MAX_STATE_WIRES} wires, a wider circuit expects outputs that depend on few of its wires"
         )
 
 

@@ -72,8 +72,8 @@ class QuantumLayer(nn.Module):
     infinite give NaN.
 
     Raises:
-        ValueError: a wrong last dimension, integer inputs, wires outside 1..20 or more than memory holds, an unknown
-            name, or method=lightcone for a circuit without small light cones.
+        ValueError: a wrong last dimension, integer inputs, wires outside 1..1024, a state that memory cannot hold, an
+            unknown name, or method=lightcone for a circuit without small light cones.
     """
 
     weights1: nn.Parameter
@@ -146,8 +146,6 @@ class QuantumLayer(nn.Module):
             return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
         first = next(self.parameters(), torch.empty(0))
         return self._simulator.cost(batch, first.device, first.dtype)
-
-    plan = cost  # the earlier name
 
     @property
     def outputs(self) -> int:

@@ -8,6 +8,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from qnerf.config.checks import is_number
+
 CHANNELS = {
     "depolarizing": "DepolarizingChannel",
     "amplitude_damping": "AmplitudeDamping",
@@ -67,7 +69,7 @@ class Noise:
             _check_probability("two_qubit", self.two_qubit)
         for name in TIMES:
             value = getattr(self, name)
-            if value is not None and not (_is_number(value) and value >= 0):
+            if value is not None and not (is_number(value) and value >= 0):
                 raise ValueError(f"noise: {name} expects a time in seconds, got {value!r}")
         if 0 in (self.t1, self.t2):
             raise ValueError("noise: t1 and t2 expect a time above 0; leave one out for no relaxation")
@@ -85,7 +87,7 @@ class Noise:
         """
         if value is None or isinstance(value, cls):
             return value
-        if _is_number(value):
+        if is_number(value):
             return cls(depolarizing=value)
         if not isinstance(value, Mapping):
             raise ValueError(f"noise expects a Noise, its fields, a depolarizing probability or None, got {value!r}")
@@ -149,12 +151,8 @@ class Noise:
 
 
 def _check_probability(name: str, value: Any) -> None:
-    if not _is_number(value) or not 0 <= value <= 1:
+    if not is_number(value) or not 0 <= value <= 1:
         raise ValueError(f"noise: {name} expects a probability in [0, 1], got {value!r}")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _pauli_factors(channel: str, p: float) -> tuple[float, float, float]:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from qnerf.quantum.circuit import (
-    MAX_WIRES,
+    MAX_STATE_WIRES,
     Amplitudes,
     Circuit,
     Encoding,
@@ -247,4 +247,4 @@ def state_wires(circuit: Circuit) -> int:
     return max(part.circuit.wires for part in registers(circuit)) if is_split(circuit) else circuit.wires
 
 
-assert SMALL <= WHOLE <= MAX_WIRES
+assert SMALL <= WHOLE <= MAX_STATE_WIRES

@@ -19,7 +19,7 @@ VARIABLES = (
     "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT",
     "CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "SLURM_JOB_ID",
 )  # fmt: skip
-DIFF_LIMIT = 4_000_000  # bytes of a saved diff
+DIFF_LIMIT = 4_000_000  # characters of a saved diff, about
 MAX_FILE_BYTES = 2**26  # of environment.json and dirty.diff, when they are read
 SOURCES = (".py", ".yaml", ".yml", ".toml")  # untracked files that a diff includes whole; others are only named
 

@@ -6,7 +6,7 @@ through this file:
     open_plain(path, mode, max_bytes=)   an open file            files_in(folder, pattern)   its regular files
     read_bytes(path, max_bytes)          its content             folders_in(folder)          its folders
     read_json(path)                      a small JSON object     entries_in(folder)          name -> lstat of everything
-    exists(path), status(path)           without following       statuses(folder, names)     name -> lstat of these
+    exists(path), status(path)           without following
     replace(path, content)               the new version whole   make_folder(path)           unless it is there
     create(path, data)                   exclusively             delete(path), rename(source, target)
 
@@ -28,7 +28,7 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -253,17 +253,6 @@ def total_size(folder: Path) -> int:
                 else:
                     total += information.st_size
     return total
-
-
-def statuses(folder: Path, names: Iterable[str], *, root: Path | None = None) -> dict[str, os.stat_result]:
-    """What `os.lstat` says about those of the names that are in the folder."""
-    result = {}
-    with _opened(folder, root) as handle:
-        for name in names:
-            with contextlib.suppress(FileNotFoundError):
-                place = name if handle is not None else str(folder / name)
-                result[name] = os.stat(place, dir_fd=handle, follow_symlinks=False)
-    return result
 
 
 def read_bytes(path: Path, max_bytes: int, *, root: Path | None = None) -> bytes:

@@ -18,11 +18,12 @@ import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from qnerf.config.checks import is_number
 from qnerf.config.compatibility import today_noted
 
 ALIASES = {"id": "run_id", "tag": "tags"}
@@ -152,11 +153,6 @@ def _equals(value: Any, wanted: str) -> bool:
     return _number(value) == _number(wanted) or (
         not is_number(value) and fnmatchcase(str(value), wanted.replace("[", "[[]"))
     )
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Whether the value is an int or a float. A bool is not a number here."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _number(value: Any) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from qnerf.config.checks import is_number
 from qnerf.records import StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import MAX_FILE_BYTES, differences, environment_files
 from qnerf.records.files import read_bytes, read_json
@@ -89,7 +90,7 @@ def _evaluation(run: Path) -> pd.DataFrame:
 
 def _summary(run: Path) -> pd.DataFrame:
     summary = results(read_summary(run), read_config(run))
-    numbers = {k: float(v) for k, v in summary.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    numbers = {k: float(v) for k, v in summary.items() if is_number(v)}
     return pd.DataFrame({"name": list(numbers), "position": "end", "value": list(numbers.values())})
 
 

@@ -249,7 +249,7 @@ class Run:
     def save_image(self, name: str, image: np.ndarray) -> None:
         """images/<name>.png from (H, W), (H, W, 3) or (H, W, 4) uint8."""
         if not name or Path(name).name != name or name.startswith("."):
-            raise ValueError(f"save_image: expected a plain file name, got {name!r}")
+            raise ValueError(f"picture: expected a plain file name, got {name!r}")
         file = name if name.endswith(".png") else f"{name}.png"
         data = _png(image)
         with self._io:
@@ -411,7 +411,7 @@ def _png(image: np.ndarray) -> bytes:
     from PIL import Image
 
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (3, 4))):
-        raise ValueError(f"save_image: expected (H, W[, 3 or 4]) uint8, got {image.shape} {image.dtype}")
+        raise ValueError(f"picture: expected (H, W[, 3 or 4]) uint8, got {image.shape} {image.dtype}")
     data = io.BytesIO()
     Image.fromarray(image).save(data, format="PNG")
     return data.getvalue()

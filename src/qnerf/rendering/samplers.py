@@ -36,6 +36,11 @@ class Sampler(nn.Module):
         contraction: world points (..., 3) -> the unit cube (..., 3), for samplers with networks.
     """
 
+    rendered_samples: int = 1
+    """Samples of a ray that are rendered; 1 where a sampler does not say. Estimates of memory and work use it."""
+    proposed_samples: int = 0
+    """Samples of a ray at which proposal networks are evaluated."""
+
     def __init__(self, contraction: Contraction) -> None:
         super().__init__()
         self.contraction = contraction
@@ -82,7 +87,7 @@ class SpacedSampler(Sampler):
 
     def __init__(self, contraction: Contraction, *, samples: Count = 128) -> None:
         super().__init__(contraction)
-        self.samples = samples
+        self.rendered_samples = self.samples = samples
 
     @torch.no_grad()
     def forward(
@@ -121,6 +126,7 @@ class VanillaSampler(Sampler):
         super().__init__(contraction)
         SPACINGS.get(spacing)
         self.coarse, self.fine, self.spacing, self.padding = coarse, fine, spacing, padding
+        self.rendered_samples = coarse + fine
 
     @torch.no_grad()
     def forward(

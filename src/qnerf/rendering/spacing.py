@@ -30,10 +30,6 @@ class Spacing(ABC):
     def to_world(self, s: Tensor) -> Tensor:
         """Normalised coordinate (R, K) in [0, 1] -> distance (R, K) in world units."""
 
-    @abstractmethod
-    def from_world(self, t: Tensor) -> Tensor:
-        """Distance (R, K) between near and far -> normalised coordinate (R, K)."""
-
 
 def _require_positive(name: str, near: Tensor) -> None:
     if not bool((near > 0).all()):
@@ -52,9 +48,6 @@ class Uniform(Spacing):
     def to_world(self, s: Tensor) -> Tensor:
         return torch.addcmul(self.near, self.width, s)
 
-    def from_world(self, t: Tensor) -> Tensor:
-        return (t - self.near) / self.width
-
 
 @SPACINGS.register("disparity")
 class Disparity(Spacing):
@@ -68,9 +61,6 @@ class Disparity(Spacing):
     def to_world(self, s: Tensor) -> Tensor:
         return torch.addcmul(self.last, self.width, 1 - s).reciprocal()
 
-    def from_world(self, t: Tensor) -> Tensor:
-        return 1 - (t.reciprocal() - self.last) / self.width
-
 
 @SPACINGS.register("geometric")
 class Geometric(Spacing):
@@ -83,9 +73,6 @@ class Geometric(Spacing):
     def to_world(self, s: Tensor) -> Tensor:
         t = torch.minimum(self.near * (s * self.width).exp(), self.far)
         return t.cummax(-1).values  # exp need not be monotone to the last bit
-
-    def from_world(self, t: Tensor) -> Tensor:
-        return (t / self.near).log() / self.width
 
 
 @SPACINGS.register("piecewise")
@@ -111,6 +98,3 @@ class Piecewise(Spacing):
         curve = torch.addcmul(self.first, self.width, s)
         beyond = torch.addcmul(self.last, self.rest, 1 - s).reciprocal().mul(0.5).clamp(min=1)
         return torch.where(curve < 0.5, curve * 2, beyond)
-
-    def from_world(self, t: Tensor) -> Tensor:
-        return torch.where(t < 1, (t / 2 - self.first) / self.width, 1 - (0.5 / t - self.last) / self.rest)

@@ -26,7 +26,7 @@ MAX_OFFSET = 1e3  # of the principal point from the image's corner, in longer si
 _short = reprlib.repr  # of what a file holds: never long, never deep
 
 
-def is_number(value: Any) -> bool:
+def is_file_number(value: Any) -> bool:
     """Whether a value of a JSON file is a finite number of at most `MAX_ENTRY`; text, true and false are none."""
     return type(value) in (int, float) and abs(value) <= MAX_ENTRY
 
@@ -35,7 +35,7 @@ def stated_numbers(keys: Mapping[str, Any], names: Sequence[str], label: str) ->
     """Those of `names` that `keys` has and that are not null. ValueError unless they are finite numbers."""
     stated = {name: keys[name] for name in names if keys.get(name) is not None}
     for name, value in stated.items():
-        if not is_number(value):
+        if not is_file_number(value):
             raise ValueError(f"{label}: {name} must be a finite number, got {_short(value)}")
     return {name: float(value) for name, value in stated.items()}
 

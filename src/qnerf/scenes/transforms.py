@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from qnerf.config import memory
 from qnerf.scenes.base import MIN_VIEWS
 from qnerf.scenes.images import FileId, file_id, find_image, find_smaller
-from qnerf.scenes.intrinsics import is_number
+from qnerf.scenes.intrinsics import is_file_number
 from qnerf.scenes.normalise import MAX_ENTRY, rigid
 
 MAX_JSON_BYTES = 2**28
@@ -47,13 +47,12 @@ def read_json(file: Path) -> dict[str, Any]:
     """The file's JSON object. ValueError unless it has a non-empty list `frames`."""
     try:
         size = file.stat().st_size
-        if size <= MAX_JSON_BYTES:
-            memory.require(f"{file}: reading it", READING_BYTES + JSON_FACTOR * size)
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
+    if size > MAX_JSON_BYTES:
+        raise ValueError(f"{file}: expected at most {MAX_JSON_BYTES >> 20} MiB, got {size >> 20} MiB")
+    memory.require(f"{file}: reading it", READING_BYTES + JSON_FACTOR * size)
     try:
-        if size > MAX_JSON_BYTES:
-            raise ValueError("more than 256 MiB")
         content = json.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
@@ -136,7 +135,7 @@ def read_matrix(source: Mapping[str, Any], label: str) -> NDArray:
     if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
         raise ValueError(f"{label}: transform_matrix must be 4 x 4 numbers, got rows of {[len(row) for row in rows]}")
     for value in (value for row in rows for value in row):
-        if not is_number(value):
+        if not is_file_number(value):
             wrong = f"NaN, infinity or beyond {MAX_ENTRY:g}"
             raise ValueError(f"{label}: transform_matrix must hold numbers, none {wrong}, got {_short(value)}")
     return np.array(rows, dtype=np.float64)

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from qnerf.config.checks import is_number
 from qnerf.records import StoreError, index, read_metrics
 from qnerf.records.details import read_overrides
-from qnerf.records.filters import is_number
 from qnerf.search import objectives as goals
 from qnerf.search.space import Point, Space
 from qnerf.search.study import Trial
@@ -25,9 +25,8 @@ class History:
     """Reads the trials of a space.
 
     store: folder of runs; it need not exist. ids: the runs of a point, one a seed; ValueError if its configuration is
-        not valid. groups: option -> the choice that acts where a run was started without naming one, of those options
-        that are groups of the configuration. alike: points for which it is equal give the same result, so one of them
-        is tried.
+        not valid. groups: config group -> the choice of a run whose command names none. alike: two points with the
+        same value give the same result; only one of them is tried.
     """
 
     def __init__(

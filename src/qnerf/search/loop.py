@@ -15,8 +15,8 @@ POLL = 10.0  # seconds between two looks at runs that another process trains
 class Options:
     """How to search.
 
-    trials: how many in all, with those in the store, without those whose run could not begin. at_once: launched
-    together. startup: random trials before the sampler learns. seed: of the sampler.
+    trials: how many in all, those already in the store included; one whose run could not begin does not count.
+    at_once: launched together. startup: random trials before the sampler learns. seed: of the sampler.
     """
 
     trials: int

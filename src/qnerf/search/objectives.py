@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from qnerf.config.checks import is_number
 from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of
-from qnerf.records.filters import is_number
 
 Direction = Literal["maximize", "minimize"]
 KNOWN = tuple(key for key, item in METRICS.items() if item.kind != "loss" and (item.better or item.kind == "size"))

@@ -10,8 +10,8 @@ import optuna
 from optuna.pruners import PercentilePruner
 from optuna.trial import TrialState, create_trial
 
+from qnerf.config.checks import is_number
 from qnerf.records import StoreError, read_metrics, read_summary
-from qnerf.records.filters import is_number
 from qnerf.search import objectives as goals
 from qnerf.search.history import curve
 
@@ -24,9 +24,9 @@ class Judge:
     worse than a large one.
 
     objectives: of the search. The first one that evaluations measure is judged; where there is none, nothing is given
-        up. peers: ids of finished runs, in `store`. percentile: of them; 50: below their median, 25: below the better
-        three quarters of them. least: with fewer runs to compare with, nothing is given up. warmup: the same before
-        this step.
+        up. peers: ids of finished runs, in `store`. percentile: 50 gives up runs that are worse than the median of the
+        peers, 25 only those in their worst quarter. least: nothing is given up with fewer peers. warmup: nothing is
+        given up before this step.
     """
 
     store: Path

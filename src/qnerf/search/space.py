@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 
-from qnerf.records.filters import is_number
+from qnerf.config.checks import is_number
 
 DIGITS = 4  # significant digits of a number that a search draws
 

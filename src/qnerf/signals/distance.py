@@ -9,9 +9,9 @@ from qnerf.config.bounds import PositiveInt, Seed
 from qnerf.scenes import SCENES
 from qnerf.scenes.base import digest
 from qnerf.signals.base import Fitted, Signal
-from qnerf.signals.photograph import ERROR_GAIN, centres
+from qnerf.signals.photograph import centres
 from qnerf.signals.shapes import SHAPES
-from qnerf.training.evaluation import colormap
+from qnerf.training.evaluation import ERROR_GAIN, colormap
 
 VERSION = "1"  # raise it whenever the shapes change
 EVALUATED = {2: 128, 3: 32}  # points along each axis of the grid on which a fit is measured

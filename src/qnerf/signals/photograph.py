@@ -14,11 +14,11 @@ from qnerf.config.bounds import Count
 from qnerf.scenes import SCENES
 from qnerf.scenes.images import SUFFIXES, find_image, open_header, read_images
 from qnerf.signals.base import Fitted, Signal
+from qnerf.training.evaluation import shade_error
 from qnerf.training.image_metrics import psnr, ssim
 
 BUNDLED = Path(skimage.data.__file__).parent
 LUMINANCE = (0.2125, 0.7154, 0.0721)  # as skimage.color.rgb2gray
-ERROR_GAIN = 4.0  # of the picture's panel
 
 
 @SCENES.register("photograph")
@@ -82,8 +82,7 @@ class Photograph(Signal):
             "ssim": ssim(fit, truth),
             "psnr_unseen": psnr(unseen[0], unseen[1]) if len(self.unseen) else None,
         }
-        error = ((fit - truth).abs().mean(-1, keepdim=True) * ERROR_GAIN).clamp(0, 1).expand(-1, -1, 3)
-        return measured, [truth, fit, error]
+        return measured, [truth, fit, shade_error(fit, truth)]
 
 
 def picture_file(path: str) -> Path:

@@ -18,6 +18,7 @@ from qnerf.training.image_metrics import Comparison, measure
 from qnerf.types import Rays
 
 MAX_PIXELS = 2**22  # of a depth map, evenly spread, from which its percentiles are computed
+ERROR_GAIN = 4.0  # of the panel that shows the error
 MAX_PREVIEW = 2**14  # rays; a larger view is rendered in every second, third, ... row and column
 MAX_WIDTH = 2**13  # pixels; a picture is not enlarged beyond it
 
@@ -146,8 +147,8 @@ def colormap() -> Any:
 
 
 def shade_error(color: Tensor, truth: Tensor) -> Tensor:
-    """Four times the mean absolute error of the channels as a grey picture (H, W, 3) in [0, 1]."""
-    return ((color - truth).abs().mean(-1, keepdim=True) * 4).clamp(0, 1).expand(-1, -1, 3)
+    """`ERROR_GAIN` times the mean absolute error of the channels as a grey picture (H, W, 3) in [0, 1]."""
+    return ((color - truth).abs().mean(-1, keepdim=True) * ERROR_GAIN).clamp(0, 1).expand(-1, -1, 3)
 
 
 def depth_range(depth: Tensor) -> tuple[float, float]:

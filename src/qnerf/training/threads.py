@@ -5,9 +5,9 @@ from torch import nn
 from qnerf.quantum import QuantumLayer
 
 MANY_PRODUCTS = 5e8
-"""Multiplications of a step's linear layers, in the forward direction, that are worth waking threads."""
+"""From so many multiplications in a step's linear layers, forward, several threads pay."""
 MANY_PARAMETERS = 2e6
-"""Parameters whose update by Adam is."""
+"""From so many parameters on, several threads pay in Adam's update."""
 
 
 def few_products(model: nn.Module, points: int) -> bool:

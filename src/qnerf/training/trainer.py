@@ -12,7 +12,6 @@ from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.geometry.rays import RayTable
 from qnerf.kernels import compiled
 from qnerf.kernels.jit import one_torch_thread
-from qnerf.model.memory import samples_per_ray
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.background import evaluation_background
@@ -248,7 +247,7 @@ class Loop:
         """Whether the last step was taken, or the PSNR of the validation rays has reached a plateau."""
         return self.step >= self.train.steps or self.plateau.reached
 
-    def steps(self, store: Checkpoints, stopping: Callable[[], bool]) -> Iterator[dict[str, float]]:
+    def steps(self, checkpoints: Checkpoints, stopping: Callable[[], bool]) -> Iterator[dict[str, float]]:
         """Trains until `done` or `stopping()`, and yields each step's metrics.
 
         Saves a checkpoint every `checkpoint_every` seconds and at the end. A state that is not finite is never saved,
@@ -264,17 +263,17 @@ class Loop:
                 self.plateau.add(metrics["validation/psnr"])
             yield metrics
             if time.monotonic() - saved > self.train.checkpoint_every:
-                self.save(store)
+                self.save(checkpoints)
                 saved = time.monotonic()
-        self.save(store)
+        self.save(checkpoints)
 
-    def save(self, store: Checkpoints) -> None:
+    def save(self, checkpoints: Checkpoints) -> None:
         """Writes a checkpoint. Diverged if a parameter, a buffer or a moment of Adam is not finite."""
         if not all_finite(self.model.parameters()):
-            raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._culprit({})}; {ADVICE}")
+            raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._culprit({})}; {self.advice}")
         if name := first_non_finite(self.model, self.optimiser):
-            raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
-        store.save_checkpoint(self.state())
+            raise Diverged(f"{name} is not finite after step {self.step - 1}; {self.advice}")
+        checkpoints.save_checkpoint(self.state())
 
 
 class Trainer(Loop):
@@ -292,7 +291,7 @@ class Trainer(Loop):
 
     def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
         stop = settings.stop
-        self.points_a_step = settings.train.rays * samples_per_ray(model.sampler)[0]
+        self.points_a_step = settings.train.rays * model.sampler.rendered_samples
         super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
         self.table = table
         self.background = settings.render.background

@@ -91,5 +91,5 @@ class Renderer:
 
 
 def as_bytes(picture: Tensor) -> NDArray:
-    """(H, W, 3) in [0, 1] -> uint8."""
+    """Colours (..., 3) in [0, 1] -> uint8."""
     return (picture * 255).round().to(torch.uint8).numpy()

@@ -16,7 +16,7 @@ from torch import Tensor
 from qnerf.config import memory
 from qnerf.geometry.rays import project
 from qnerf.probes.trained import Trained
-from qnerf.viewing.frames import Renderer
+from qnerf.viewing.frames import Renderer, as_bytes
 from qnerf.viewing.ply import Surface
 
 NEIGHBOURS = 16  # of a point, from which its normal is computed
@@ -91,7 +91,7 @@ def cloud(hits: Hits) -> Surface:
         normals[part] = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
     away = (normals * hits.directions.numpy()[kept]).sum(1) > 0
     normals[away] *= -1
-    return Surface(points[kept], normals, _bytes(hits.colors[torch.from_numpy(kept)]))
+    return Surface(points[kept], normals, as_bytes(hits.colors[torch.from_numpy(kept)]))
 
 
 def mesh(renderer: Renderer, hits: Hits, cells: int = CELLS, level: float | None = None) -> Surface:
@@ -202,13 +202,9 @@ def coloured(trained: Trained, surface: Surface, kept: NDArray, directions: Tens
             _, geometry, _ = field.geometry(place)
             unknown = torch.full((len(part),), -1, device=device)
             colors.append(field.color(geometry, ahead, unknown)[:, 0].clamp(0, 1).cpu())
-    return Surface(points, surface.normals[used], _bytes(torch.cat(colors)), number[faces])
+    return Surface(points, surface.normals[used], as_bytes(torch.cat(colors)), number[faces])
 
 
 def world(trained: Trained, surface: Surface) -> Surface:
     """The surface in the coordinates of the scene's source, such as transforms.json."""
     return surface.moved(np.linalg.inv(trained.scene.transform.numpy()))
-
-
-def _bytes(colors: Tensor) -> NDArray:
-    return (colors * 255).round().to(torch.uint8).numpy()

@@ -10,11 +10,11 @@ from rich.text import Text
 from qnerf.cli.commands import RUN, add_store
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import as_json, console
+from qnerf.config.checks import is_number
 from qnerf.config.compatibility import without_neutral
 from qnerf.config.identity import flatten, is_execution
 from qnerf.records import details, find
 from qnerf.records.details import Details
-from qnerf.records.filters import is_number
 from qnerf.records.printable import printable
 
 ABSENT = "-"

@@ -50,7 +50,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> int:
     target = options.to
     if target == "mlflow" and options.out is not None:
-        raise ValueError("--out is for tensorboard and csv; mlflow takes --uri")
+        raise ValueError("mlflow takes --uri, not --out")
     if target != "mlflow" and (options.uri or options.experiment) is not None:
         raise ValueError(f"--uri and --experiment are for mlflow; {target} takes --out")
     for name, targets in OF_GEOMETRY.items():
