@@ -87,6 +87,7 @@ def test_a_key_is_declared_once():
     [
         ("psnr", "PSNR, dB", "21.50"),
         ("eval/psnr", "evaluation PSNR, dB", "21.50"),
+        ("validation/psnr", "validation PSNR, dB", "21.50"),
         ("train/loss", "training loss", "21.50000"),
         ("time/step_ms", "time of a step, ms", "21.5"),
         ("params.total", "parameters", "22"),

@@ -95,8 +95,7 @@ def test_the_console_command_takes_the_same_options(small, tmp_path):
     """Also where standard output knows only ASCII, and the store is named with an umlaut."""
     store = tmp_path / "täst"
     done = subprocess.run(
-        [sys.executable, "-c", "from qnerf.cli.main import main; main()", "run", *small, "train.steps=2",
-         f"store='{store}'"],
+        [sys.executable, "-m", "qnerf", "run", *small, "train.steps=2", f"store='{store}'"],
         env=os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip

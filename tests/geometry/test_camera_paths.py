@@ -64,6 +64,12 @@ def test_an_orbit_is_far_away_where_the_cameras_are():
     assert np.abs(np.diff(away)).max() < 0.6, "no jumps"
 
 
+def test_a_path_through_one_camera_is_refused():
+    with pytest.raises(ValueError, match="interpolate: expected at least two training cameras, got one"):
+        PATHS["interpolate"](ring(1, 1.0), 10)
+    assert PATHS["spiral"](ring(1, 1.0), 10).shape == (10, 3, 4)
+
+
 def test_a_path_passes_through_the_cameras_in_the_shorter_order():
     poses = ring(8, 3.0)
     shuffled = poses[[0, 4, 2, 6, 1, 5, 3, 7]]

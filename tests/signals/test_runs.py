@@ -19,6 +19,7 @@ from qnerf.config.settings import only_acting
 from qnerf.experiment import SignalTask, run
 from qnerf.probes import load as load_trained
 from qnerf.records import details
+from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
 from tests.helpers.scenes import write_scene
 
@@ -80,6 +81,16 @@ def test_the_eikonal_error_is_that_of_the_gradient(fit):
         task.model.head.net[0].weight.fill_(1.0)
     [(_, row)] = task.evaluator(task_watch(task)).views([0], 0)
     assert row["eikonal_error"] == pytest.approx(2 * 2**0.5 - 1, rel=1e-5)
+
+
+def test_a_diverged_fit_is_told_what_may_help(fit):
+    """Not `numerics.finite_checks`, which a signal does not have."""
+    task = SignalTask(fit("scene=photograph"))
+    trainer = task.trainer(task_watch(task), None)
+    with torch.no_grad():
+        next(task.model.parameters()).fill_(torch.inf)
+    with pytest.raises(Diverged, match=r"a parameter is not finite .*; a smaller train\.lr may help$"):
+        trainer.save(None)
 
 
 def task_watch(task):
