@@ -156,10 +156,8 @@ def _answering(make: Callable[[Request], Response]) -> Callable[[Request], Respo
     def answer(request: Request) -> Response:
         try:
             return make(request)
-        except KeyError as error:
-            return PlainTextResponse(f"expected {error}", 400)
-        except (ValueError, OSError) as error:
-            return PlainTextResponse(one_line(error), 400)
+        except (KeyError, ValueError, OSError) as error:
+            return _refusal(error)
 
     return answer
 
@@ -168,12 +166,14 @@ def _answering_writes(make: Callable[[Request], Awaitable[Response]]) -> Callabl
     async def answer(request: Request) -> Response:
         try:
             return await make(request)
-        except KeyError as error:
-            return PlainTextResponse(f"expected {error}", 400)
-        except (ValueError, OSError) as error:
-            return PlainTextResponse(one_line(error), 400)
+        except (KeyError, ValueError, OSError) as error:
+            return _refusal(error)
 
     return answer
+
+
+def _refusal(error: Exception) -> Response:
+    return PlainTextResponse(f"expected {error}" if isinstance(error, KeyError) else one_line(error), 400)
 
 
 def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:

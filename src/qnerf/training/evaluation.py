@@ -33,6 +33,13 @@ class RenderedView:
     accumulation: Tensor  # (H, W)
     stride: int = 1  # of the rows and columns that were rendered: H and W count these
 
+    def locate(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Coordinates (N, 2) in pixels of the whole view -> row and column in here (N,), and which are inside (N,)."""
+        height, width = self.depth.shape
+        column, row = torch.div(pixels, self.stride, rounding_mode="floor").long().unbind(1)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        return row.clamp(0, height - 1), column.clamp(0, width - 1), inside
+
 
 Tile = tuple[Tensor, Tensor, Tensor]
 """Of R rays: colours (R, 3) in [0, 1], median depth (R,) in world units, accumulation (R,). On the CPU."""
@@ -125,9 +132,12 @@ class Evaluator:
     def preview(self, step: int) -> np.ndarray:
         """The picture of the middle one of the held-out views, of at most `MAX_PREVIEW` rays."""
         view = self.scene.eval[len(self.scene.eval) // 2]
+        return self.picture(self.render(view, step, self.stride(view, MAX_PREVIEW)))
+
+    def stride(self, view: int, max_rays: int) -> int:
+        """Every how many rows and columns of the view make at most `max_rays` rays, about."""
         width, height = self.scene.cameras.size(view)
-        stride = math.ceil(math.sqrt(max(height * width / MAX_PREVIEW, 1)))
-        return self.picture(self.render(view, step, stride))
+        return math.ceil(math.sqrt(max(height * width / max_rays, 1)))
 
 
 def beside(panels: list[Tensor], min_height: int = 240) -> np.ndarray:

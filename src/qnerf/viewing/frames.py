@@ -1,6 +1,5 @@
 """Pictures of a trained model from any camera, rendered in tiles."""
 
-import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -47,7 +46,7 @@ class Renderer:
 
     def view(self, view: int, max_rays: int | None = None) -> RenderedView:
         """A view of the scene; with `max_rays` every second, third, ... row and column, so that there are no more."""
-        stride = 1 if max_rays is None else math.ceil(math.sqrt(max(len(self.table.view(view)) / max_rays, 1)))
+        stride = 1 if max_rays is None else self.evaluator.stride(view, max_rays)
         return self.evaluator.render(view, self.trained.step, stride)
 
     def frame(self, camera: Camera, stopping: Callable[[], bool] = lambda: False) -> Frame | None:

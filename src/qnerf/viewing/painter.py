@@ -78,12 +78,9 @@ class Painter:
         rays = camera.rays(slice(None), 0.0, 1.0, dtype=torch.float64)
         points = rays.origins + rays.directions * frame.depth.flatten()[:, None]
         pixels, ahead = project(cameras, torch.full((len(points),), view), points)
-        height, width = error.shape[:2]
-        column, row = torch.div(pixels, rendered.stride, rounding_mode="floor").long().unbind(1)
-        inside = (ahead > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        column, row = column.clamp(0, width - 1), row.clamp(0, height - 1)
+        row, column, inside = rendered.locate(pixels)
         apart = torch.linalg.vector_norm(points - cameras.poses[view][:, 3], dim=1)
-        inside &= apart < 1.1 * rendered.depth[row, column]  # not behind what the photograph shows
+        inside &= (ahead > 0) & (apart < 1.1 * rendered.depth[row, column])  # not behind what the photograph shows
         return torch.where(inside.view(*frame.depth.shape, 1), error[row, column].view_as(frame.color), frame.color / 4)
 
     def nearest(self, camera: Camera) -> int:

@@ -173,14 +173,12 @@ def seen(renderer: Renderer, surface: Surface, tolerance: float) -> Surface:
         own = replace(scene.cameras, poses=scene.cameras.poses.index_copy(0, number, poses.double()))
         pixels, ahead = project(own, number.expand(len(points)), points)
         picture = renderer.view(view, VIEW_RAYS)
-        column, row = torch.div(pixels, picture.stride, rounding_mode="floor").long().unbind(1)
-        height, width = picture.depth.shape
-        inside = (ahead > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        depth = picture.depth[row.clamp(0, height - 1), column.clamp(0, width - 1)]
+        row, column, inside = picture.locate(pixels)
+        depth = picture.depth[row, column]
         toward = points - poses[0, :, 3]
         apart = torch.linalg.vector_norm(toward, dim=1)
         facing = -(toward * normals).sum(1) / apart
-        better = inside & ((apart - depth).abs() <= tolerance) & (facing > best)
+        better = inside & (ahead > 0) & ((apart - depth).abs() <= tolerance) & (facing > best)
         best[better], directions[better] = facing[better], (toward / apart[:, None])[better]
     return coloured(trained, surface, best.numpy() > 0, directions)
 
