@@ -11,7 +11,8 @@ from tests.helpers.configs import ROOT
 
 PACKAGE = ROOT / "src" / "qnerf"
 BESIDE = ("analysis", "benchmarks")  # packages beside src/qnerf
-TOP = {"__init__.py", "experiment.py", "metrics.py", "timing.py", "types.py"}
+DOORS = {"__init__.py", "__main__.py"}  # which import what they open
+TOP = {*DOORS, "experiment.py", "metrics.py", "timing.py", "types.py"}
 
 
 def floors() -> list[list[str]]:
@@ -36,7 +37,7 @@ def room(module: str) -> str:
 
 ROOMS = {path.name for path in PACKAGE.iterdir() if path.is_dir() and (path / "__init__.py").exists()} | {
     *BESIDE,
-    *(name for name in TOP if name != "__init__.py"),
+    *(TOP - DOORS),
 }
 
 
@@ -53,7 +54,7 @@ def imports(path: Path) -> Iterator[str]:
 def arrows() -> Iterator[tuple[str, str, str]]:
     """File, its room, and a room that it imports from."""
     for folder, package in [(PACKAGE, "qnerf"), *((ROOT / name, name) for name in BESIDE)]:
-        for path in sorted(set(folder.rglob("*.py")) - {PACKAGE / "__init__.py"}):
+        for path in sorted(set(folder.rglob("*.py")) - {PACKAGE / name for name in DOORS}):
             own = room(".".join([package, *path.relative_to(folder).with_suffix("").parts]))
             for module in imports(path):
                 other = room(module)
