@@ -114,8 +114,9 @@ def test_the_curve_is_of_the_same_evenly_spread_views_throughout(tiny, tmp_path)
     assert phases[-1] == "evaluate 6 of 6 views"
 
 
-def test_an_interrupted_run_has_a_preview_which_changes_no_number(tiny, tmp_path):
-    options = ["field=qboth", "cameras=so3xr3", "appearance=2", "train.steps=6", "train.eval_every=2"]
+@pytest.mark.parametrize("circuit", [(), ("qiren.shots=20", "qiren.noise.two_qubit=0.01", "qiren.qubits=2")])
+def test_an_interrupted_run_has_a_preview_which_changes_no_number(tiny, tmp_path, circuit):
+    options = ["field=qboth", "cameras=so3xr3", "appearance=2", "train.steps=6", "train.eval_every=2", *circuit]
     seldom = run(tiny(*options, f"store={tmp_path / 'seldom'}", "run.preview_seconds=0"))
     assert not (seldom.path / "preview.png").exists()
     always = tiny(*options, f"store={tmp_path / 'always'}", "run.preview_seconds=1e-9")

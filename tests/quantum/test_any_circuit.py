@@ -11,8 +11,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
-from torch.func import hessian, jacfwd, jacrev, vmap
+from torch import Tensor, nn
+from torch.func import functional_call, hessian, jacfwd, jacrev, vmap
+from torch.nn.utils import parametrize, prune
 
 from qnerf.quantum import from_qnode, statevector
 from qnerf.quantum.circuit import (
@@ -427,6 +428,76 @@ def test_from_qnode_names_what_it_cannot_take(operation: Callable[[Any], Any], m
 def test_from_qnode_says_what_the_function_misses(function: Any, shapes: dict[str, int], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         from_qnode(qml.QNode(function, qml.device("default.qubit", wires=1)), shapes)(torch.rand(2, 1))
+
+
+def rotated() -> Any:
+    def node(inputs: Any, w: Any) -> Any:
+        qml.AngleEmbedding(inputs, wires=range(2))
+        qml.StronglyEntanglingLayers(w, wires=range(2))
+        return [qml.expval(qml.Z(0)), qml.expval(qml.X(0) @ qml.X(1))]
+
+    return from_qnode(qml.QNode(node, qml.device("default.qubit", wires=2)), {"w": (2, 2, 3)})
+
+
+def test_from_qnode_sees_a_parameter_that_was_replaced() -> None:
+    """By load_state_dict(assign=True), torch.func, pruning, a parametrisation or an assignment."""
+    x, zeros = torch.rand(3, 2), torch.zeros(2, 2, 3)
+    layer, expected = rotated(), rotated()
+    with torch.no_grad():
+        expected.w.zero_()
+    assert not torch.allclose(layer(x), expected(x))
+    assert torch.equal(functional_call(layer, {"w": zeros}, (x,)), expected(x))
+    layer.load_state_dict({"w": zeros}, assign=True)
+    assert torch.equal(layer(x), expected(x))
+    assert torch.equal(copy.deepcopy(layer)(x), expected(x))
+    layer = rotated()
+    layer.w = nn.Parameter(zeros)
+    assert torch.equal(layer(x), expected(x))
+    layer = prune.l1_unstructured(rotated(), "w", amount=12)
+    assert torch.equal(layer(x), expected(x))
+    layer = rotated()
+    parametrize.register_parametrization(layer, "w", Zero())
+    assert torch.equal(layer(x), expected(x))
+
+
+class Zero(nn.Module):
+    def forward(self, x: Tensor) -> Tensor:
+        return 0 * x
+
+
+@pytest.mark.parametrize("form", [lambda x: qml.X(0) if x[0] else None, lambda x: qml.X(0) if x[0] == 1 else None])
+def test_a_circuit_whose_form_depends_on_an_input_is_refused(form: Callable[[Any], Any]) -> None:
+    """Traced once, it would have one form for every input."""
+
+    def node(inputs: Any) -> Any:
+        form(inputs)
+        return qml.expval(qml.Z(0))
+
+    with pytest.raises(ValueError, match="the form of a circuit cannot depend on the value of an input or a weight"):
+        from_qnode(qml.QNode(node, qml.device("default.qubit", wires=1)), {})(torch.zeros(2, 1))
+
+
+def test_a_weight_with_the_name_of_something_else_is_refused() -> None:
+    node = qml.QNode(lambda inputs, forward: qml.expval(qml.Z(0)), qml.device("default.qubit", wires=1))
+    with pytest.raises(ValueError, match="a weight cannot be called forward, as something of its module is"):
+        from_qnode(node, {"forward": 1})
+
+
+@pytest.mark.parametrize("options", [{}, {"shots": 10}, {"noise": 0.01}, {"noise": 0.01, "shots": 10}])
+@pytest.mark.parametrize("circuit", ["any", "re-uploading"])
+def test_a_layer_used_under_inference_mode_trains_and_takes_negated_and_empty_batches(
+    circuit: str, options: dict[str, Any]
+) -> None:
+    kind: tuple[Any, ...] = (rotated().circuit(2),) if circuit == "any" else (2, 1)
+    layer = QuantumLayer(*kind, **options, seed=0)
+    x = torch.rand(3, 2)
+    with torch.inference_mode():
+        layer(x)
+    out = layer(torch._neg_view(-x))
+    assert torch.equal(out, layer(x)) or options
+    (out * torch.tensor(1j)).imag.sum().backward()
+    torch.imag(torch.conj(layer(x) * torch.tensor(1j))).sum().backward()
+    assert layer(x[:0]).shape == (0, out.shape[1])
 
 
 def test_from_qnode_takes_defaults_any_names_and_empty_batches() -> None:

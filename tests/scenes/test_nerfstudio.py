@@ -236,6 +236,7 @@ def frame(**keys):
         (frame(w=9), ("w=9 but the image has 8 x 6",)),
         (lambda t: t.update(camera_model="FOV"), ("'FOV' is not supported", "OPENCV_FISHEYE", "qnerf capture")),
         (lambda t: t.update(camera_model=["OPENCV"]), ("is not supported",)),
+        (lambda t: t.update(is_fisheye="false"), ("is_fisheye must be true or false, got 'false'",)),
         (lambda t: t.update(is_fisheye=True, p1=0.1), ("p1=0.1 of a fisheye", "k1, k2, k3, k4")),
         (lambda t: t.update(camera_model="OPENCV_FISHEYE", k1=-1.0), ("k1=-1 k2=0 k3=0 k4=0 folds",)),
         (lambda t: [t.pop(key) for key in ("fl_x", "fl_y")] and None, ("no intrinsics", "fl_x", "camera_angle_x")),

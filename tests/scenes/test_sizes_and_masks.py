@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 
 from qnerf import experiment
+from qnerf.building.scene import prepare
 from qnerf.geometry.hull import sees_through
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
 from qnerf.geometry.visibility import count_cameras
@@ -152,6 +153,8 @@ def test_bad_masks_are_one_line(tmp_path: Path) -> None:
     change(folder, lambda t: t["frames"][2].update(mask_path="masks/2.png"))
     with pytest.raises(ValueError, match="the masks leave no pixel to train on"):
         RayTable(build(folder))
+    with pytest.raises(ValueError, match="the masks leave no pixel to train on"):
+        prepare(composed("needs=auto", "scene=nerfstudio", f"scene.path={folder}"))
 
 
 def test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size(mixed: Path, tmp_path: Path) -> None:

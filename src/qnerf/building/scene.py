@@ -52,6 +52,7 @@ def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str
     scene = add_pose_noise(component(SCENES, config["scene"]), **config["pose_noise"])
     if begun and not config["run"]["force"]:
         config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
+    scene.require_training_pixels()
     resolved = auto.resolve(config, scene)
     settings = settings_from(resolved)
     check_components(resolved)

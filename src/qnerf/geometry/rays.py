@@ -136,8 +136,7 @@ class RayTable:
         self.far = far if scene.far is None else min(far, scene.far)
         self.validation_stride = validation_stride
         self.training = TrainingPixels(scene)
-        if not len(self.training):
-            raise ValueError(f"scene {scene.name}: the masks leave no pixel to train on")
+        scene.require_training_pixels()
         if validation_stride > len(self.training):
             raise ValueError(
                 f"stop.share holds out one training pixel in {validation_stride}, which is none here; make it larger"

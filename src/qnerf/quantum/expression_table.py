@@ -33,12 +33,13 @@ class ExpressionTable:
         # Factor k of every term; -1 stands for the number 1.
         of_weights = _padded([[first[name] + index for name, index in weights] for _, _, weights, _ in terms])
         of_features = _padded([list(features) for *_, features in terms])
-        self.tensors = [
-            torch.tensor(rows, dtype=torch.int64),
-            torch.tensor([coefficient for _, coefficient, _, _ in terms], dtype=torch.float64),
-            torch.tensor(of_weights, dtype=torch.int64),
-            torch.tensor(of_features, dtype=torch.int64),
-        ]
+        with torch.inference_mode(False):  # they are kept, for training too
+            self.tensors = [
+                torch.tensor(rows, dtype=torch.int64),
+                torch.tensor([coefficient for _, coefficient, _, _ in terms], dtype=torch.float64),
+                torch.tensor(of_weights, dtype=torch.int64),
+                torch.tensor(of_features, dtype=torch.int64),
+            ]
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """Values for inputs x (B, features) and flat weights."""

@@ -55,6 +55,19 @@ class Expression:
             return None
         return sum(coefficient for coefficient, _, _ in self.terms)
 
+    def __bool__(self) -> bool:
+        return self != 0
+
+    def __eq__(self, other: object) -> bool:
+        """ValueError for a comparison with a number that depends on inputs or weights: a circuit has one form."""
+        if isinstance(other, Expression):
+            return self.terms == other.terms
+        if not _is_operand(other):
+            return NotImplemented
+        if self.constant is None:
+            raise ValueError("the form of a circuit cannot depend on the value of an input or a weight")
+        return self.constant == other
+
     def __add__(self, other: Any) -> "Expression":
         if not _is_operand(other):
             return NotImplemented

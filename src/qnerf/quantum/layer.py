@@ -176,7 +176,7 @@ class QuantumLayer(nn.Module):
         parameters = [getattr(self, name) for name in self.circuit.parameters]
         dtype = torch.promote_types(x.dtype, parameters[-1].dtype) if parameters else x.dtype
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
-        angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).to(dtype)
+        angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).resolve_neg().to(dtype)
         with torch.autocast(x.device.type, enabled=False):
             if self.circuit.reuploading:
                 weights = statevector.stacked(self.weights1, self.weights2).to(dtype)

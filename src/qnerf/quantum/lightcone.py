@@ -298,7 +298,7 @@ class _Polynomials(torch.autograd.Function):
             for outputs, row in zip(part.outputs, own.coefficients(), strict=True):
                 table[outputs, : len(row)] = row
             bound.append(own)
-        angles = to_blocks(x.detach().numpy(), lanes(table.itemsize))
+        angles = to_blocks(x.detach().resolve_neg().numpy(), lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), dtype)
         cos_sin(angles, form.base_frequencies, trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(form.wire_counts), trig.shape[3]), dtype)
@@ -320,7 +320,15 @@ class _Polynomials(torch.autograd.Function):
         width = trig.shape[3]
         inputs = np.empty((trig.shape[0], trig.shape[2], width), table.dtype)
         sums = np.empty((parts, *table.shape))
-        run(polynomial.gradients, parts, parts, *arguments, to_blocks(gradient.detach().numpy(), width), inputs, sums)
+        run(
+            polynomial.gradients,
+            parts,
+            parts,
+            *arguments,
+            to_blocks(gradient.detach().resolve_neg().numpy(), width),
+            inputs,
+            sums,
+        )
         total, to_weights = sums.sum(0), np.zeros((shape[0] * shape[1], shape[2]))
         for part, own in zip(cone.parts, bound, strict=True):
             most = own.grid.grid.matrix.shape[1]

@@ -216,6 +216,8 @@ def multinomial(shots: int, probabilities: np.ndarray, random: np.random.Generat
     counts from the same seed, and stored results name their seeds.
     """
     batch, size = probabilities.shape
+    if not batch:
+        return np.zeros((0, size), dtype=np.int64)
     counts = np.full((batch, 1), shots, dtype=np.int64)
     while counts.shape[1] < size:
         halves = probabilities.reshape(batch, counts.shape[1] * 2, -1).sum(-1).reshape(batch, -1, 2)

@@ -74,6 +74,9 @@ def _check_names(qnode: Any, weight_shapes: Mapping[str, Shape]) -> None:
             'a circuit without data runs on qml.device("qnerf.fast")'
         )
     known = [key for key in own if key != name]
+    taken = [key for key in weight_shapes if key == "qnode" or hasattr(QnodeLayer, key) or hasattr(nn.Module(), key)]
+    if taken:
+        raise ValueError(f"from_qnode: a weight cannot be called {', '.join(taken)}, as something of its module is")
     missing = [key for key in known if key not in weight_shapes and own[key].default is inspect.Parameter.empty]
     unknown = [] if _takes_any(qnode) else [key for key in weight_shapes if key not in known]
     if missing or unknown:
@@ -94,9 +97,24 @@ def _takes_any(qnode: Any) -> bool:
 class QnodeLayer(qml.qnn.TorchLayer):
     """A TorchLayer whose circuit is evaluated by qnerf. `from_qnode` makes it."""
 
+    _weights: dict[str, Any]
+
     def __init__(self, qnode: Any, weight_shapes: Mapping[str, Shape], init_method: Any = None) -> None:
         super().__init__(qnode, dict(weight_shapes), init_method)
         self.qnode = _Traced(qnode, {name: tuple(value.shape) for name, value in self.qnode_weights.items()})
+        self._weights = dict.fromkeys(self._weights)
+
+    @property
+    def qnode_weights(self) -> dict[str, Any]:
+        """The weights as they are now: a parameter may have been replaced, pruned or parametrised."""
+        if not self._initialized:
+            return self._weights
+        own = self._parameters
+        return {name: own[name] if name in own else getattr(self, name) for name in self._weights}
+
+    @qnode_weights.setter
+    def qnode_weights(self, weights: dict[str, Any]) -> None:
+        self._weights = weights
 
     def _signature_validation(self, qnode: Any, weight_shapes: dict[str, Any]) -> None:
         """`from_qnode` has checked the names, and lets parameters keep their defaults."""

@@ -117,6 +117,11 @@ class Scene:
         """(H, W) bool: the pixels of the view that are not masked; None: the scene has no masks."""
         return None if self.mask is None else self._of_view(self.mask, view)
 
+    def require_training_pixels(self) -> None:
+        """ValueError if the masks leave no pixel of any training view."""
+        if self.mask is not None and not any(bool(self._of_view(self.mask, view).any()) for view in self.train):
+            raise ValueError(f"scene {self.name}: the masks leave no pixel to train on")
+
     def _of_view(self, values: Tensor, view: int) -> Tensor:
         if self.cameras.sizes is None:
             return values[view]

@@ -53,7 +53,10 @@ def stated_intrinsics(own: Mapping[str, Any], shared: Mapping[str, Any], label: 
     if model is not None and model not in (*PERSPECTIVE, *FISHEYE):
         known = ", ".join((*PERSPECTIVE, *FISHEYE))
         raise ValueError(f"{label}: camera model {_short(model)} is not supported; known: {known}; {CURE}")
-    fisheye = model in FISHEYE or bool(merged.get("is_fisheye"))
+    said = merged.get("is_fisheye")
+    if said not in (None, False, True):
+        raise ValueError(f"{label}: is_fisheye must be true or false, got {_short(said)}")
+    fisheye = model in FISHEYE or bool(said)
     names, others = (FISHEYE_DISTORTION, DISTORTION[2:]) if fisheye else (DISTORTION, ("k3", "k4", "k5", "k6"))
     for key, value in stated_numbers(merged, others, label).items():
         if value:

@@ -95,7 +95,9 @@ class Evaluator:
             numbers = torch.arange(len(rays), device=rays.origins.device).view(height, width)[::stride, ::stride]
             (height, width), rays = numbers.shape, rays[numbers.flatten()]
         tiles = tiles_of(self.model, rays.__getitem__, len(rays), self.chunk, self.background, step, self.watch)
-        color, depth, accumulation = (torch.cat(column) for column in zip(*tiles, strict=True))
+        with torch.random.fork_rng(devices=[]):  # of shots and noise
+            torch.default_generator.manual_seed(view)
+            color, depth, accumulation = (torch.cat(column) for column in zip(*tiles, strict=True))
         self.model.train(training)
         return RenderedView(
             view, color.view(height, width, 3), depth.view(height, width), accumulation.view(height, width), stride

@@ -96,7 +96,7 @@ def cameras_of(trained: "Trained", renderer: "Renderer", options: argparse.Names
     from qnerf.geometry.camera_paths import PATHS, Camera, read_path
 
     scene = trained.scene
-    wide, high = (2 * float(side[scene.train].median()) for side in (scene.cameras.cx, scene.cameras.cy))
+    wide, high = scene.cameras.all_sizes[scene.train].double().median(0).values.tolist()
     usual = (round(length * LONGER_SIDE / max(wide, high) / 2) * 2 for length in (wide, high))
     width, height = options.size or tuple(max(2, side) for side in usual)
     focal = renderer.focal(width, height)

@@ -165,7 +165,7 @@ class _Simulate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
         bound = engine.bind(flat_weights(weights), numpy_dtype(x.dtype))
-        trig = cos_sin_of_half(to_blocks(x.detach().numpy(), bound.width), engine.arrays.encoding_scales)
+        trig = cos_sin_of_half(to_blocks(x.detach().resolve_neg().numpy(), bound.width), engine.arrays.encoding_scales)
         out, expectations = bound.forward(trig)
         ctx.save_for_backward(x, weights)
         ctx.form = engine.form
@@ -179,7 +179,9 @@ class _Simulate(torch.autograd.Function):
             return None, *through_reference(partial(statevector.evaluate, ctx.form), ctx.saved_tensors, gradient)
         bound, trig, expectations = ctx.saved
         batch, shape, dtype = ctx.shapes
-        inputs, weights = bound.backward(trig, expectations, to_blocks(gradient.detach().numpy(), bound.width))
+        inputs, weights = bound.backward(
+            trig, expectations, to_blocks(gradient.detach().resolve_neg().numpy(), bound.width)
+        )
         return None, from_blocks(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
 
 

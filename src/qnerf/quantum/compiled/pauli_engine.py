@@ -144,7 +144,7 @@ class _Simulate(torch.autograd.Function):
 
             gradients = through_reference(reference, inputs, gradient)
         else:
-            fixed, moving, to_start = step.backward(gradient.detach().numpy())
+            fixed, moving, to_start = step.backward(gradient.detach().resolve_neg().numpy())
             moving = moving if inputs[1].shape[0] == step.batch else moving.sum(0, keepdim=True)
             gradients = [fixed, moving]
             if len(inputs) > 2:
