@@ -89,3 +89,4 @@ def test_the_smallest_images_are_no_error():
         images = torch.randint(0, 256, (6, height, width, 3), dtype=torch.uint8)
         world = constant(0, width=width, height=height)
         assert epipolar_error(dataclasses.replace(world, images=images)).pairs == 0
+        assert matched(*(image.double().mean(-1).numpy() / 255 for image in images[:2])).shape == (0, 2, 2)

@@ -65,6 +65,12 @@ def test_an_unknown_column_names_the_nearest(name, near):
         filters.select(FRAME, filters.parse([f"{name}=1"]))
 
 
+def test_integers_beyond_what_floats_hold_are_told_apart():
+    frame = pd.DataFrame({"run_id": ["a", "b"], "seed": [2**53, 2**53 + 1]})
+    assert filters.select(frame, filters.parse(["seed=9007199254740993"]))["run_id"].tolist() == ["b"]
+    assert filters.select(frame, filters.parse(["seed=9007199254740992.0"]))["run_id"].tolist() == ["a", "b"]
+
+
 def test_no_runs_match_nothing():
     assert filters.select(FRAME.head(0), filters.parse(["state=finished"])).empty
 

@@ -98,7 +98,7 @@ def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
         detector = SIFT(upsampling=1)
         try:
             detector.detect_and_extract(np.clip(large, 0, 1))
-        except RuntimeError:  # no features
+        except (RuntimeError, IndexError):  # no features, or an image of a few pixels
             return np.empty((0, 2, 2))
         keypoints = (detector.keypoints[:, ::-1] + 0.5) / factor
         features.append((keypoints, detector.descriptors))

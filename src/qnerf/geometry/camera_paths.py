@@ -240,5 +240,5 @@ def path_json(cameras: list[Camera]) -> dict[str, Any]:
 
 def focal_as(cameras: Cameras, view: int, width: int, height: int) -> float:
     """The focal length in pixels with which a picture covers as much of the image plane as the view."""
-    fx, fy, cx, cy = (float(values[view]) for values in (cameras.fx, cameras.fy, cameras.cx, cameras.cy))
-    return math.sqrt(fx * fy * width * height / (2 * cx * 2 * cy))
+    own_width, own_height = cameras.size(view)
+    return math.sqrt(float(cameras.fx[view] * cameras.fy[view]) * width * height / (own_width * own_height))

@@ -35,10 +35,10 @@ class ExpressionTable:
         of_features = _padded([list(features) for *_, features in terms])
         with torch.inference_mode(False):  # they are kept, for training too
             self.tensors = [
-                torch.tensor(rows, dtype=torch.int64),
-                torch.tensor([coefficient for _, coefficient, _, _ in terms], dtype=torch.float64),
-                torch.tensor(of_weights, dtype=torch.int64),
-                torch.tensor(of_features, dtype=torch.int64),
+                torch.tensor(rows, dtype=torch.int64, device="cpu"),
+                torch.tensor([number for _, number, _, _ in terms], dtype=torch.float64, device="cpu"),
+                torch.tensor(of_weights, dtype=torch.int64, device="cpu"),
+                torch.tensor(of_features, dtype=torch.int64, device="cpu"),
             ]
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:

@@ -149,6 +149,8 @@ def _equals(value: Any, wanted: str) -> bool:
         return wanted.lower() == str(value).lower()
     if wanted.startswith("[") and wanted.endswith("]"):
         return str(value).replace(" ", "") == wanted.replace(" ", "")
+    if isinstance(value, (int, np.integer)) and re.fullmatch(r"-?\d+", wanted):  # floats merge large ones
+        return int(value) == int(wanted)
     # A column that is a number in some runs and text in others holds text: 10 is "10.0" there.
     return _number(value) == _number(wanted) or (
         not is_number(value) and fnmatchcase(str(value), wanted.replace("[", "[[]"))
