@@ -25,7 +25,7 @@ docs/numerics.md` writes this page from `benchmarks/results/accuracy.parquet`. T
 
 Derivatives of second and higher order (`create_graph=True`), forward-mode derivatives and `torch.func` (`grad`, `vmap`,
 `jvp`, `hessian`, ...) go through the plain form, whole models included; tests compare them with finite differences
-(`tests/model/test_derivatives.py`). `vectorize=True` of `torch.autograd.functional` is refused by PyTorch itself.
+(`tests/model/test_derivatives.py`). So do the batched gradients of `vectorize=True` in `torch.autograd.functional`.
 """
 
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
+from torch.autograd.functional import jacobian
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp
 
 from qnerf.geometry.contraction import CONTRACTIONS
@@ -94,6 +95,13 @@ def test_all_modes_give_the_same_second_derivatives(name: str) -> None:
     torch.testing.assert_close(along - 6 * inputs[0], expected.sum(dim=tuple(range(inputs[0].ndim))))
     for second in (hessian(value), jacrev(jacrev(value)), jacfwd(jacfwd(value)), jacrev(jacfwd(value))):
         torch.testing.assert_close(second(inputs[0]).detach(), expected)
+
+
+@pytest.mark.parametrize("name", cases())
+def test_batched_gradients_are_the_others(name: str) -> None:
+    """`vectorize=True` runs the backward pass once, under a vmap of autograd's own."""
+    function, inputs = cases()[name]
+    torch.testing.assert_close(jacobian(function, inputs, vectorize=True), jacobian(function, inputs))
 
 
 def test_trunc_exp_of_pytorchs_own_operations() -> None:

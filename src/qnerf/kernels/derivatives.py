@@ -9,8 +9,13 @@ from qnerf.kernels import is_transformed
 
 
 def is_differentiated(*upstream: Tensor) -> bool:
-    """Whether a backward pass has to be differentiable itself: `create_graph=True`, or transformed gradients."""
-    return torch.is_grad_enabled() or is_transformed(*upstream)
+    """Whether a backward pass has to be differentiable itself: `create_graph=True`, or transformed gradients.
+
+    Gradients that autograd batches with a vmap of its own (`is_grads_batched=True`) count as such.
+    """
+    if torch.is_grad_enabled() or is_transformed(*upstream):
+        return True
+    return not torch.compiler.is_compiling() and any(map(torch._C._functorch.is_legacy_batchedtensor, upstream))
 
 
 def through_reference(
