@@ -298,7 +298,7 @@ class _Polynomials(torch.autograd.Function):
             for outputs, row in zip(part.outputs, own.coefficients(), strict=True):
                 table[outputs, : len(row)] = row
             bound.append(own)
-        angles = to_blocks(x.detach().resolve_neg().numpy(), lanes(table.itemsize))
+        angles = to_blocks(x.detach().numpy(), lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), dtype)
         cos_sin(angles, form.base_frequencies, trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(form.wire_counts), trig.shape[3]), dtype)

@@ -165,7 +165,7 @@ class _Simulate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
         bound = engine.bind(flat_weights(weights), numpy_dtype(x.dtype))
-        trig = cos_sin_of_half(to_blocks(x.detach().resolve_neg().numpy(), bound.width), engine.arrays.encoding_scales)
+        trig = cos_sin_of_half(to_blocks(x.detach().numpy(), bound.width), engine.arrays.encoding_scales)
         out, expectations = bound.forward(trig)
         ctx.save_for_backward(x, weights)
         ctx.form = engine.form
