@@ -8,10 +8,7 @@
 - `report`: one HTML page about a folder of runs
 - `pack`: a folder of runs as small tables, which everything here reads like the runs themselves
 
-In a checkout this is the package `analysis`, in an installation `qnerf.analysis`:
-
-    from analysis import load            # at the top of a checkout
-    from qnerf.analysis import load      # wherever qnerf is installed from a wheel
+    from qnerf.analysis import load
 
     frame = load.runs("runs")
 """

@@ -16,13 +16,11 @@ from .tables.table import Table
 from .tables.terminal import print_aligned
 
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
-PROGRAM = "qnerf " if __name__.startswith("qnerf.") else f"python -m {__package__}."
-"""How these commands are started: by `qnerf NAME`, or by `python -m analysis.NAME` in a checkout."""
 
 
 def parser(name: str, description: str, examples: str = "") -> argparse.ArgumentParser:
-    """The parser of a command; `{}` in its examples stands for how the command is started."""
-    program = f"{PROGRAM}{name}"
+    """The parser of a command; `{}` in its examples stands for `qnerf NAME`."""
+    program = f"qnerf {name}"
     return Parser(
         prog=program,
         description=description,

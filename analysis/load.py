@@ -32,7 +32,7 @@ def runs(
     See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed. `scene_name` is the
     last part of scene.path, or the scene's name.
 
-    store: a folder of runs, a folder that `analysis.pack` made, or a URL that fsspec reads, such as s3://bucket/runs. A
+    store: a folder of runs, a folder that `qnerf pack` made, or a URL that fsspec reads, such as s3://bucket/runs. A
     run behind a URL counts as running while its heartbeat is recent.
     filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
     {"field": "qcolor", "seed": [0, 1]}; see `qnerf.records.filters`.

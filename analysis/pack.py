@@ -1,4 +1,4 @@
-"""`qnerf pack STORE FOLDER` or `python -m analysis.pack`: see `--help`."""
+"""`qnerf pack STORE FOLDER`: see `--help`."""
 
 import contextlib
 import sys

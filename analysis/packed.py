@@ -1,6 +1,6 @@
 """Runs packed into a few small tables, without pictures, curves and checkpoints, to keep as evidence for a result.
 
-`analysis.pack` writes such a folder. It is read like a store, and every table here can be made from it.
+`qnerf pack` writes such a folder. It is read like a store, and every table here can be made from it.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "devi
 
 
 def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
-    """Writes runs from `analysis.load.runs`, and the held-out views and `PROBES` of the finished ones.
+    """Writes runs from `load.runs`, and the held-out views and `PROBES` of the finished ones.
 
     Returns the number of finished runs, and a line for each damaged file. A run without readable views is packed as
     damaged. Files that the folder has are replaced. A scene's name is packed, its location is not.
@@ -72,7 +72,7 @@ def is_packed(folder: str | Path) -> bool:
 
 
 def load(folder: str | Path) -> pd.DataFrame:
-    """The frame of `analysis.load.runs` for a packed folder; a run's `path` is the folder and its id.
+    """The frame of `load.runs` for a packed folder; a run's `path` is the folder and its id.
 
     Raises:
         StoreError: the table is damaged, or a run's id is none.

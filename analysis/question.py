@@ -47,7 +47,7 @@ class Question:
 
     def table_commands(self, name: str) -> list[str]:
         """The commands that make its tables over seeds from the packed runs in docs/results/`name`."""
-        command = f"python -m analysis.tables docs/results/{name} --rows {','.join(self.rows)}"
+        command = f"qnerf tables docs/results/{name} --rows {','.join(self.rows)}"
         if self.metric != "psnr":
             command += f" --metric {self.metric} --values {','.join(self.values)}"
         if self.baseline is None:

@@ -277,12 +277,12 @@ QUESTIONS = {
     ),
     "loss_curves": Question(
         "How do training and held-out loss develop?",
-        (sweep("loss_curves"), "python -m analysis.figures runs loss"),
+        (sweep("loss_curves"), "qnerf figures runs loss"),
         ("scene_name", "field"),
     ),
     "sampling": Question(
         "Where should rays be sampled?",
-        (sweep("sampling"), "qnerf probe RUN rays", "python -m analysis.figures runs sampling"),
+        (sweep("sampling"), "qnerf probe RUN rays", "qnerf figures runs sampling"),
         ("scene_name", "field", "sampler"),
     ),
     "proposals": Question(
@@ -303,7 +303,7 @@ QUESTIONS = {
     ),
     "encoders": Question(
         "How should points be encoded?",
-        (sweep("encoders"), "qnerf probe RUN encoding", "python -m analysis.figures runs encodings"),
+        (sweep("encoders"), "qnerf probe RUN encoding", "qnerf figures runs encodings"),
         ("scene_name", "field", "encoder"),
         values=(*QUALITY, "params.encoder", "params.density"),
     ),
@@ -314,13 +314,13 @@ QUESTIONS = {
     ),
     "rgb_width": Question(
         "How wide must an MLP of three layers be?",
-        (sweep("rgb_width", "seed=0"), "python -m analysis.figures runs width"),
+        (sweep("rgb_width", "seed=0"), "qnerf figures runs width"),
         ("scene_name", "color"),
         values=(*QUALITY, "params.color"),
     ),
     "rgb_depth": Question(
         "How deep can a narrow MLP be?",
-        (sweep("rgb_depth", "seed=0"), "python -m analysis.figures runs depth"),
+        (sweep("rgb_depth", "seed=0"), "qnerf figures runs depth"),
         ("scene_name", "color"),
         values=(*QUALITY, "params.color"),
     ),
@@ -381,13 +381,13 @@ QUESTIONS = {
     ),
     "hsv": Question(
         "The paper's colour study",
-        (sweep("hsv"), "python -m analysis.tables runs --paper hsv", "python -m analysis.figures runs hsv"),
+        (sweep("hsv"), "qnerf tables runs --paper hsv", "qnerf figures runs hsv"),
         ("scene_name", "field"),
         values=(*QUALITY, "params.density", "params.color"),
     ),
     "density_figure": Question(
         "The paper's figure of quantum density heads on a positional encoding",
-        (sweep("density_figure"), "python -m analysis.figures runs capacity_density"),
+        (sweep("density_figure"), "qnerf figures runs capacity_density"),
         ("scene_name", "density"),
         values=(*QUALITY, "params.density"),
     ),

@@ -1,6 +1,6 @@
 """The page docs/results.md: a section per question, made from packed runs.
 
-`python -m analysis.results docs/results --write docs/results.md` writes it. `python -m analysis.pack` packs the runs of
+`qnerf results docs/results --write docs/results.md` writes it. `qnerf pack` packs the runs of
 each question into a folder of its own.
 """
 
@@ -22,7 +22,7 @@ from .questions import QUESTIONS
 HEAD = """\
 # Results
 
-`python -m analysis.results docs/results --write docs/results.md` makes every table from the runs in `docs/results/`,
+`qnerf results docs/results --write docs/results.md` makes every table from the runs in `docs/results/`,
 which has a folder per question. Each section begins with the commands that trained its runs, followed by those that
 make its tables from the stored runs. Give the latter other `--rows` to group the runs differently.
 
@@ -31,7 +31,7 @@ commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_6
 instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs
 He initialisation. Runs of `train=quick` are from before it halved the samples of the proposal networks, which changes
 no PSNR (see the question about them); `proposal.samples=[128,64]` repeats them.
-`python -m analysis.pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of runs.
+`qnerf pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of runs.
 
 The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
 instead. {hardware}
@@ -62,7 +62,7 @@ def page(folder: Path) -> str:
 
 
 def stored(folder: Path) -> list[str]:
-    """What `analysis.pack` made from parts of the runs that it does not pack: tables of the paper and figures."""
+    """What `qnerf pack` made from parts of the runs that it does not pack: tables of the paper and figures."""
     tables = [read_text(file) for file in sorted(folder.glob("*.md"))]
     pictures = [
         f"![{title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"

@@ -5,7 +5,7 @@ their residuals vary in each pair's differences, and draws new experiments with 
 of 0. The effects are drawn from normal distributions, or from the measured effects themselves (`measured`), which are
 skewed. An interval of 95 % should hold 0 in 95 % of the experiments. Compared are
 
-- `t over seeds and views`: what the tables print, `analysis.statistics.difference`;
+- `t over seeds and views`: what the tables print, `qnerf.analysis.statistics.difference`;
 - `t over seeds alone`: Student's interval of the seeds' means, which takes the views as given;
 - `bootstrap`: percentiles of means over resampled seeds and views (Owen 2007, "The pigeonhole bootstrap", Annals of
   Applied Statistics 1(2)).
@@ -21,9 +21,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from qnerf.analysis import load, statistics
 from scipy.special import stdtrit
-
-from analysis import load, statistics
 
 RESULTS = Path(__file__).parent / "results" / "coverage.parquet"
 SEEDS_PACK = Path(__file__).parents[1] / "docs" / "results" / "seeds"

@@ -29,8 +29,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import pandas as pd
 import torch
+from qnerf.analysis.figures import psnr_vs_cpu_seconds
 
-from analysis.figures import psnr_vs_cpu_seconds
 from benchmarks.nerfstudio import rendered, settings_of, table_of
 from benchmarks.peers.serve import Remote
 from benchmarks.training import build

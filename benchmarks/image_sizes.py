@@ -25,8 +25,8 @@ import numpy as np
 import pandas as pd
 import torch
 from PIL import Image
+from qnerf.analysis import figures
 
-from analysis import figures
 from benchmarks.training import build
 from qnerf.timing import load, peak_memory_mb
 from qnerf.training.image_metrics import psnr

@@ -56,7 +56,7 @@ def main() -> None:
         rows.append({"tool": tool, "what": what, "median, s": median(seconds), "worst, s": max(seconds), "runs": runs})
 
     runs = len(RunStore(options.store).runs())
-    command = [sys.executable, "-m", "analysis.serve", options.store, "--port"]
+    command = [sys.executable, "-m", "qnerf.analysis.serve", options.store, "--port"]
     with served(command) as address:
         add("qnerf", "first rows", first_rows(address, options.repeats), runs)
         add("qnerf", "a new value", news(options.store, address, options.repeats), runs)

@@ -47,8 +47,8 @@ import numpy as np
 import pandas as pd
 import torch
 from PIL import Image
+from qnerf.analysis.statistics import difference, method, paired
 
-from analysis.statistics import difference, method, paired
 from benchmarks.nerfstudio_functions import STORED, differences
 from benchmarks.peers.serve import ROOT, Remote
 from benchmarks.training import build

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
+from qnerf.analysis import load
 
-from analysis import load
 from qnerf.records import RunStore
 from qnerf.search.history import History
 from qnerf.search.loop import Options, search

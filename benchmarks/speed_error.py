@@ -28,9 +28,9 @@ import pandas as pd
 import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
+from qnerf.analysis import load, statistics
 
 import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
-from analysis import load, statistics
 from benchmarks.training import Plain, in_turn
 from qnerf import experiment
 from qnerf.building.model import build_model, ray_table

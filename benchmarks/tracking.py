@@ -18,8 +18,8 @@ from statistics import median
 from typing import Any
 
 import pandas as pd
+from qnerf.analysis import load
 
-from analysis import load
 from benchmarks.logging_cost import KEYS, LOGGERS, flat_out, paced
 from benchmarks.many_runs import compositions, generate, write_some
 from benchmarks.tracking_mlflow import mlflow, write_lines

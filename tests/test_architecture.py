@@ -32,6 +32,8 @@ def room(module: str) -> str:
     head, *rest = module.split(".")
     if head in BESIDE:
         return head
+    if rest and rest[0] in BESIDE:  # qnerf.analysis
+        return rest[0]
     return rest[0] if rest and (PACKAGE / rest[0]).is_dir() else f"{rest[0] if rest else '__init__'}.py"
 
 
@@ -77,6 +79,12 @@ def test_the_package_itself_holds_a_handful_of_files():
 @pytest.mark.parametrize(("file", "own", "other"), sorted(set(arrows())))
 def test_imports_go_down(file, own, other):
     assert LEVEL[own] > LEVEL[other], f"{file}: {own} may not import from {other}"
+
+
+def test_the_analysis_has_one_import_name():
+    for folder in ("src", "analysis", "benchmarks", "tests"):
+        for path in (ROOT / folder).rglob("*.py"):
+            assert not re.search(r"^\s*(import|from) analysis\b", path.read_text(), re.MULTILINE), path
 
 
 def test_the_library_never_imports_hydra():

@@ -7,10 +7,12 @@ import pytest
 
 from tests.helpers.configs import ROOT
 
-FILES = [*(ROOT / "src" / "qnerf").rglob("*.py"), *(ROOT / "analysis").rglob("*.py")]
+PACKAGE = ROOT / "src" / "qnerf"
+FILES = [(path, PACKAGE) for path in PACKAGE.rglob("*.py")]
+FILES += [(path, ROOT) for path in (ROOT / "analysis").rglob("*.py")]
 MODULES = sorted(
-    ".".join(path.relative_to(ROOT).with_suffix("").parts).removeprefix("src.").removesuffix(".__init__")
-    for path in FILES
+    ".".join(("qnerf", *path.relative_to(base).with_suffix("").parts)).removesuffix(".__init__")
+    for path, base in FILES
     if ">>> " in path.read_text()
 )
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from qnerf.analysis.figures import FIGURES, ladder_points
 
-from analysis.figures import FIGURES, ladder_points
 from tests.helpers import commands, options, quotes
 from tests.helpers.configs import ROOT, swept
 
@@ -39,7 +39,7 @@ COMMANDS = sorted(pair for pair in shown() if "plugins=[" not in pair[1])  # tes
 
 def test_there_are_commands_of_every_kind():
     assert len(COMMANDS) > 120
-    for start in ("python -m src.run", "qnerf run", "qnerf ", "python -m analysis.", "python -m benchmarks.", "pip"):
+    for start in ("python -m src.run", "qnerf run", "qnerf ", "python -m benchmarks.", "pip"):
         assert any(command.startswith(start) for _, command in COMMANDS), start
 
 
@@ -57,9 +57,9 @@ def test_a_command_is_understood(file, command):
         "qnerf nonsense",
         "qnerf runs --nonsense",
         "qnerf show --config",
-        "python -m analysis.tables runs --rowz field",
-        "python -m analysis.figures runs --theme grey",
-        "python -m analysis.nonsense runs",
+        "qnerf tables runs --rowz field",
+        "qnerf figures runs --theme grey",
+        "python -m qnerf.analysis.nonsense runs",
         "python -m benchmarks.training --only nonsense",
         'pip install "qnerf[nonsense]"',
     ],
@@ -90,7 +90,7 @@ RESULTS = """\
 
 ## Which head?
 
-    python -m analysis.tables docs/results/seeds --rows scene_name,field --baseline field=classical
+    qnerf tables docs/results/seeds --rows scene_name,field --baseline field=classical
 
 | scene_name | field | PSNR, dB | SSIM | difference, PSNR, dB | pairs | seeds |
 |---|---|---|---|---|---|---|

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 
 import pandas as pd
 import pytest
+from qnerf.analysis import figures, load
+from qnerf.analysis.report import content, curves
+from qnerf.analysis.report.pictures import Pictures
+from qnerf.analysis.statistics import evaluations
+from qnerf.analysis.tables import ablation
 from rich.console import Console
 
-from analysis import figures, load
-from analysis.report import content, curves
-from analysis.report.pictures import Pictures
-from analysis.statistics import evaluations
-from analysis.tables import ablation
 from qnerf.cli.commands import runs, show
 from qnerf.cli.display import print_outcome
 from qnerf.experiment import run

@@ -1,7 +1,7 @@
 """The figures, each a function that returns a matplotlib Figure.
 
 Most take the DataFrame of `load.runs`, some the folder of one run or the results of a benchmark; `FIGURES` lists them
-by name. Beside each stands the function that computes what it draws, as a DataFrame. `python -m analysis.figures STORE`
+by name. Beside each stands the function that computes what it draws, as a DataFrame. `qnerf figures STORE`
 draws all of them.
 """
 

@@ -1,4 +1,4 @@
-"""`qnerf figures STORE [NAME ...]` or `python -m analysis.figures`: see `--help`."""
+"""`qnerf figures STORE [NAME ...]`: see `--help`."""
 
 from collections.abc import Sequence
 from pathlib import Path

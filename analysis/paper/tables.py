@@ -102,7 +102,7 @@ def hsv_tests(frame: pd.DataFrame) -> Table:
     text["p: paper"] = data["p_below"].map("< {:.0e}".format)
     text["KS: ours"] = [hsv.spread(*row) for row in data[["mean", "std"]].itertuples(index=False)]
     text["seeds"] = data["seeds"].map(str)
-    notes = (SETTING, "hue is treated as linear, as in the paper; analysis.hsv has the circular statistics")
+    notes = (SETTING, "hue is treated as linear, as in the paper; qnerf.analysis.hsv has the circular statistics")
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     return Table(PAPER_TABLES["hsv"][0], text, data, bold, (*notes, *filter(None, [selection.note])))
 

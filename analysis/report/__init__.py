@@ -1,1 +1,1 @@
-"""One self-contained page about a store of runs: `python -m analysis.report runs --out report`."""
+"""One self-contained page about a store of runs: `qnerf report runs --out report`."""

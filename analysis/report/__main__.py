@@ -1,4 +1,4 @@
-"""`qnerf report STORE` or `python -m analysis.report`: see `--help`."""
+"""`qnerf report STORE`: see `--help`."""
 
 import argparse
 from collections.abc import Callable, Sequence

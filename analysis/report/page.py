@@ -58,7 +58,7 @@ def policy(*scripts: Script) -> str:
 
 
 def render(content: Mapping[str, Any]) -> str:
-    """The page that is one file, or with `live` in its content the page of `analysis.serve`, whose script and style are
+    """The page that is one file, or with `live` in its content the page of `qnerf serve`, whose script and style are
     files of their own."""
     if content.get("live"):
         return _environment().get_template("page.html").render(EMPTY | content)

@@ -1,4 +1,4 @@
-"""`qnerf serve STORE` or `python -m analysis.serve`: see `--help`."""
+"""`qnerf serve STORE`: see `--help`."""
 
 import argparse
 import contextlib

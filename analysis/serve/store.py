@@ -91,7 +91,7 @@ class WatchedStore:
             )
 
     def frame(self) -> tuple[int, pd.DataFrame]:
-        """The version, and the table of all runs as `analysis.load.runs` gives it, with configurations as far as named.
+        """The version, and the table of all runs as `load.runs` gives it, with configurations as far as named.
 
         An empty store gives an empty table.
         """

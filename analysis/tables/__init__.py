@@ -1,4 +1,4 @@
-"""Tables over seeds, as DataFrame, Markdown, LaTeX or CSV: `python -m analysis.tables runs --rows field,color`."""
+"""Tables over seeds, as DataFrame, Markdown, LaTeX or CSV: `qnerf tables runs --rows field,color`."""
 
 from .ablation import ablation, markdown
 from .seeds import over_seeds

@@ -1,4 +1,4 @@
-"""`qnerf tables STORE` or `python -m analysis.tables`: see `--help`."""
+"""`qnerf tables STORE`: see `--help`."""
 
 from collections.abc import Sequence
 

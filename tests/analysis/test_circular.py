@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from qnerf.analysis.circular import kuiper, mean_direction, turn, wasserstein
 from scipy.stats import ks_2samp, wasserstein_distance
-
-from analysis.circular import kuiper, mean_direction, turn, wasserstein
 
 HUES = st.lists(st.integers(0, 359), min_size=1, max_size=40)
 

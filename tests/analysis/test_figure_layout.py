@@ -9,11 +9,11 @@ from matplotlib.axis import Tick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
+from qnerf.analysis import style
+from qnerf.analysis.figures import FIGURES
+from qnerf.analysis.load import runs
+from qnerf.analysis.marks import Mark, arrange
 
-from analysis import style
-from analysis.figures import FIGURES
-from analysis.load import runs
-from analysis.marks import Mark, arrange
 from tests.helpers.configs import ROOT
 
 PACKS = {

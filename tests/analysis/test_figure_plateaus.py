@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from qnerf.analysis import figures
 
-from analysis import figures
 from benchmarks.plateaus import gradients, measure
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import ANSATZE

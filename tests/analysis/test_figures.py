@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from matplotlib.collections import PathCollection
+from qnerf.analysis import figures, style
+from qnerf.analysis.figures import points
+from qnerf.analysis.figures.files import title
+from qnerf.analysis.load import metrics, runs
 
-from analysis import figures, style
-from analysis.figures import points
-from analysis.figures.files import title
-from analysis.load import metrics, runs
 from qnerf.experiment import run
 from tests.helpers.configs import TINY, composed
 from tests.helpers.packed_stores import IDLE

@@ -3,8 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-
-from analysis import figures
+from qnerf.analysis import figures
 
 
 @pytest.fixture

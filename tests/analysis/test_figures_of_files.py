@@ -3,11 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
+from qnerf.analysis import circular, figures, hsv, packed
+from qnerf.analysis.figures.__main__ import main
+from qnerf.analysis.images import panels, pictures
+from qnerf.analysis.load import runs
 
-from analysis import circular, figures, hsv, packed
-from analysis.figures.__main__ import main
-from analysis.images import panels, pictures
-from analysis.load import runs
 from qnerf.experiment import run
 from qnerf.probes import PROBES, load, probe
 from qnerf.probes.shots_and_noise import evaluate_hardware, grid

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from qnerf.analysis import hsv
+from qnerf.analysis.images import enlargement, panels, pictures
+from qnerf.analysis.load import runs
 from scipy.stats import mannwhitneyu
 
-from analysis import hsv
-from analysis.images import enlargement, panels, pictures
-from analysis.load import runs
 from tests.helpers.packed_stores import picture, write_run
 
 RANDOM = np.random.default_rng(0)

@@ -1,7 +1,6 @@
 import pandas as pd
 import pytest
-
-from analysis.figures.ladder import ladder_points, speed_error_ladder
+from qnerf.analysis.figures.ladder import ladder_points, speed_error_ladder
 
 
 @pytest.fixture

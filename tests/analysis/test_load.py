@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from qnerf.analysis import load
+from qnerf.analysis.tables import ablation
 
-from analysis import load
-from analysis.tables import ablation
 from qnerf.records import RunStore, read_metrics
 from tests.helpers.packed_stores import write_run
 

@@ -4,11 +4,11 @@ import re
 
 import pandas as pd
 import pytest
+from qnerf.analysis.load import runs
+from qnerf.analysis.report.tables import over_seeds, row_keys
+from qnerf.analysis.selection import select
+from qnerf.analysis.tables import smallest
 
-from analysis.load import runs
-from analysis.report.tables import over_seeds, row_keys
-from analysis.selection import select
-from analysis.tables import smallest
 from tests.helpers.configs import ROOT
 from tests.helpers.sweep import sweep
 

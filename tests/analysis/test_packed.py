@@ -5,12 +5,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from qnerf.analysis import load, statistics
+from qnerf.analysis.pack import main
+from qnerf.analysis.paper import PAPER_TABLES
+from qnerf.analysis.results import stored
+from qnerf.analysis.tables import ablation
 
-from analysis import load, statistics
-from analysis.pack import main
-from analysis.paper import PAPER_TABLES
-from analysis.results import stored
-from analysis.tables import ablation
 from tests.helpers.packed_stores import write_run
 from tests.helpers.sweep import sweep
 

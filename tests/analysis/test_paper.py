@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
+from qnerf.analysis import hsv
+from qnerf.analysis.load import runs
+from qnerf.analysis.paper import PAPER_TABLES, rgb_predictors
+from qnerf.analysis.paper.joined import printed
+from qnerf.analysis.paper.tables import HSV_FIELDS
+from qnerf.analysis.tables.__main__ import main
 
-from analysis import hsv
-from analysis.load import runs
-from analysis.paper import PAPER_TABLES, rgb_predictors
-from analysis.paper.joined import printed
-from analysis.paper.tables import HSV_FIELDS
-from analysis.tables.__main__ import main
 from tests.helpers.packed_stores import picture, write_run
 
 

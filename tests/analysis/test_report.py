@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from qnerf.analysis.images import named_panels, panels, pictures
+from qnerf.analysis.load import metrics, runs
+from qnerf.analysis.report import columns, content, curves, figures, page, parts, tables
+from qnerf.analysis.report.__main__ import main, page_content, parser
+from qnerf.analysis.report.pictures import Pictures, gather
+from qnerf.analysis.tables import Table, over_seeds
 
 import qnerf
-from analysis.images import named_panels, panels, pictures
-from analysis.load import metrics, runs
-from analysis.report import columns, content, curves, figures, page, parts, tables
-from analysis.report.__main__ import main, page_content, parser
-from analysis.report.pictures import Pictures, gather
-from analysis.tables import Table, over_seeds
 from tests.helpers.configs import ROOT
 from tests.helpers.packed_stores import picture, write_run
 from tests.helpers.sweep import FIELDS, SEEDS, sweep
@@ -292,7 +292,7 @@ def test_mistakes_are_one_line(store, tmp_path):
         main([str(tmp_path)])
     with pytest.raises(ValueError, match="qcolour"):
         main([str(store), "--filter", "field=qcolour", "--out", str(tmp_path)])
-    command = [sys.executable, "-m", "analysis.report", str(tmp_path / "nowhere")]
+    command = [sys.executable, "-m", "qnerf.analysis.report", str(tmp_path / "nowhere")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")

@@ -1,11 +1,11 @@
 """The page in a real browser: Debian's Chromium without a screen, with the page opened from disk."""
 
 import pytest
+from qnerf.analysis.figures import capacity_points
+from qnerf.analysis.load import runs
+from qnerf.analysis.report.__main__ import main
+from qnerf.analysis.report.content import prepared
 
-from analysis.figures import capacity_points
-from analysis.load import runs
-from analysis.report.__main__ import main
-from analysis.report.content import prepared
 from tests.helpers.browser import (
     by_id,
     choose,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from qnerf.analysis.report import content
 
-from analysis.report import content
 from qnerf.records import filters
 
 pytestmark = pytest.mark.skipif(not shutil.which("node"), reason="node is not installed")

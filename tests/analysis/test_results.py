@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from qnerf.analysis import load
+from qnerf.analysis.pack import main as pack
+from qnerf.analysis.question import Question
+from qnerf.analysis.questions import QUESTIONS
+from qnerf.analysis.results import main, page, read_text
 
-from analysis import load
-from analysis.pack import main as pack
-from analysis.question import Question
-from analysis.questions import QUESTIONS
-from analysis.results import main, page, read_text
 from qnerf.model.labels import labels
 from tests.helpers.configs import ROOT, composed, swept
 from tests.helpers.packed_stores import write_run

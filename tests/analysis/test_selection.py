@@ -1,7 +1,7 @@
 import pandas as pd
 import pytest
+from qnerf.analysis.selection import check_keys, measured, select
 
-from analysis.selection import check_keys, measured, select
 from qnerf.records import filters
 
 FRAME = pd.DataFrame(

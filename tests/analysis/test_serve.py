@@ -8,11 +8,11 @@ import urllib.request
 
 import numpy as np
 import pytest
+from qnerf.analysis.serve import store as serve_store
+from qnerf.analysis.serve.__main__ import main
+from qnerf.analysis.serve.store import WatchedStore
+from qnerf.analysis.tables import ablation
 
-from analysis.serve import store as serve_store
-from analysis.serve.__main__ import main
-from analysis.serve.store import WatchedStore
-from analysis.tables import ablation
 from qnerf.records import RunStore, annotations
 from tests.helpers.packed_stores import picture, write_run
 from tests.helpers.serving import EVIL, served

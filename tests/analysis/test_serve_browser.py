@@ -1,8 +1,8 @@
 """The live page in a real browser: a run in training is watched, at two widths, by keyboard alone."""
 
 import pytest
+from qnerf.analysis.serve import store as serve_store
 
-from analysis.serve import store as serve_store
 from qnerf.records import RunStore, annotations
 from tests.helpers.browser import (
     by_id,

@@ -1,8 +1,8 @@
 import pytest
+from qnerf.analysis.load import runs
+from qnerf.analysis.tables import smallest
+from qnerf.analysis.tables.__main__ import main
 
-from analysis.load import runs
-from analysis.tables import smallest
-from analysis.tables.__main__ import main
 from tests.helpers.packed_stores import write_run
 
 

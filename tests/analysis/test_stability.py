@@ -1,8 +1,8 @@
 import pytest
+from qnerf.analysis import load
+from qnerf.analysis.tables import stability
+from qnerf.analysis.tables.__main__ import main
 
-from analysis import load
-from analysis.tables import stability
-from analysis.tables.__main__ import main
 from tests.helpers.packed_stores import write_run
 
 

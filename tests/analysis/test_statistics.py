@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from qnerf.analysis.load import runs
+from qnerf.analysis.statistics import difference, evaluations, holm, paired, stars
 from scipy import stats
 
-from analysis.load import runs
-from analysis.statistics import difference, evaluations, holm, paired, stars
 from benchmarks import coverage
 from tests.helpers.packed_stores import write_run
 

@@ -2,10 +2,10 @@
 
 import pandas as pd
 import pytest
+from qnerf.analysis.load import runs
+from qnerf.analysis.step_times import doubt
+from qnerf.analysis.tables import ablation, smallest
 
-from analysis.load import runs
-from analysis.step_times import doubt
-from analysis.tables import ablation, smallest
 from tests.helpers.packed_stores import write_run
 
 OTHER = {

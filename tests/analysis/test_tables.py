@@ -6,16 +6,16 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from qnerf.analysis import command
+from qnerf.analysis.load import runs
+from qnerf.analysis.tables import Table, ablation, markdown, over_seeds
+from qnerf.analysis.tables.__main__ import main
+from qnerf.analysis.tables.ablation import best
+from qnerf.analysis.tables.table import latex_escape, markdown_escape
+from qnerf.analysis.tables.terminal import print_aligned
 from rich.console import Console
 from rich.text import Text
 
-from analysis import command
-from analysis.load import runs
-from analysis.tables import Table, ablation, markdown, over_seeds
-from analysis.tables.__main__ import main
-from analysis.tables.ablation import best
-from analysis.tables.table import latex_escape, markdown_escape
-from analysis.tables.terminal import print_aligned
 from qnerf.experiment import run
 from tests.helpers.packed_stores import write_run
 

@@ -2,11 +2,11 @@ import shutil
 
 import pandas as pd
 import pytest
+from qnerf.analysis import load
+from qnerf.analysis.pack import main as pack
+from qnerf.analysis.tables import units
+from qnerf.analysis.tables.__main__ import main
 
-from analysis import load
-from analysis.pack import main as pack
-from analysis.tables import units
-from analysis.tables.__main__ import main
 from tests.helpers.packed_stores import write_run
 
 

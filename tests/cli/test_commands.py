@@ -63,7 +63,7 @@ def test_every_command_has_a_help(call: Call, command: str) -> None:
 def test_in_a_checkout_help_names_the_module(capsys: pytest.CaptureFixture[str], command: str) -> None:
     with pytest.raises(SystemExit):
         importlib.import_module(f"analysis.{ANALYSIS[command]}").main(["--help"])
-    assert capsys.readouterr().out.startswith(f"usage: python -m analysis.{command} ")
+    assert capsys.readouterr().out.startswith(f"usage: qnerf {command} ")
 
 
 def test_the_version(call: Call) -> None:

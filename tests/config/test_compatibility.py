@@ -4,8 +4,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from omegaconf import OmegaConf
+from qnerf.analysis import load
 
-from analysis import load
 from qnerf import records
 from qnerf.cli.launch import _rename_swept
 from qnerf.cli.overrides import translated

@@ -21,7 +21,7 @@ from qnerf.cli import main as cli
 from qnerf.config.settings import check_settings, only_acting
 from tests.helpers.configs import ROOT, composed, swept
 
-START = r"(?:python3? -m (?:src\.run|analysis|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
+START = r"(?:python3? -m (?:src\.run|qnerf|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
 SETTINGS = r"(?:[A-Z_]+=\S+ )*"
 
 

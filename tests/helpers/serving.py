@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 pytest.importorskip("starlette", reason="starlette is not installed")
 
-from analysis.serve.__main__ import make, parser
+from qnerf.analysis.serve.__main__ import make, parser
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 

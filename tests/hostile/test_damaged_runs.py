@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
+from qnerf.analysis import hsv, images, load, packed
+from qnerf.analysis.figures.files import draw
+from qnerf.analysis.report import content, pictures
+from qnerf.analysis.report.versions import versions
+from qnerf.analysis.tables import ablation
 
-from analysis import hsv, images, load, packed
-from analysis.figures.files import draw
-from analysis.report import content, pictures
-from analysis.report.versions import versions
-from analysis.tables import ablation
 from qnerf import records
 from qnerf.cli import main, numbers, streams
 from qnerf.export import content as exported
@@ -249,7 +249,7 @@ def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
     def broken(*_: object, **__: object) -> None:
         raise KeyError("column")
 
-    monkeypatch.setattr("analysis.figures.catalogue.Entry.draw", broken)
+    monkeypatch.setattr("qnerf.analysis.figures.catalogue.Entry.draw", broken)
     draw(load.runs(store), [], tmp_path / "out", ["png"])
     assert "speed: not drawn: KeyError: 'column'" in capsys.readouterr().out
     with pytest.raises(ValueError, match="KeyError: 'column'; KeyError: 'column'"):

@@ -8,8 +8,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from qnerf.analysis import hsv
 
-from analysis import hsv
 from qnerf.training.image_metrics import depth_error, psnr, ssim
 
 SHADES = st.tuples(*[st.floats(0, 1, width=32)] * 3)

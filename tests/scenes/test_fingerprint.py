@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from qnerf.analysis import load
 from scipy.spatial.transform import Rotation
 
-from analysis import load
 from qnerf import experiment, records
 from qnerf.building import scene as building_scene
 from qnerf.building.scene import prepare

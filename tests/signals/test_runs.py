@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 import torch
 from PIL import Image
+from qnerf.analysis import load
+from qnerf.analysis.tables import ablation
 from rich.console import Console
 
-from analysis import load
-from analysis.tables import ablation
 from qnerf.building.scene import prepare
 from qnerf.cli.commands import runs, show
 from qnerf.cli.display import print_outcome

@@ -3,8 +3,8 @@
 from typing import ClassVar
 
 import pytest
+from qnerf.analysis.figures import cpu_ladder_points, psnr_vs_cpu_seconds
 
-from analysis.figures import cpu_ladder_points, psnr_vs_cpu_seconds
 from benchmarks import cpu_ladder
 
 A_STEP = 0.25  # seconds

@@ -12,7 +12,7 @@ from qnerf.cli.streams import escape_unencodable
 from qnerf.config.plugins import raised_in
 
 MAX_MESSAGE = 2000  # characters; a file can hold a name of a megabyte
-OWN_PACKAGES = ("qnerf", "analysis")
+OWN_PACKAGES = ("qnerf",)
 
 
 def exit_code(command: Callable[[], int | None]) -> int:
