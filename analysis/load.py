@@ -88,7 +88,6 @@ def _with_scenes(frame: pd.DataFrame) -> pd.DataFrame:
     if "scene.fingerprint" in frame:  # older runs have none: assume the scene of the same name
         known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
         frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
-        _rename_older_fingerprints(frame)
     return frame
 
 
@@ -107,14 +106,6 @@ def _with_added(frame: pd.DataFrame) -> pd.DataFrame:
     if not filled:
         return frame
     return pd.concat([frame.drop(columns=list(filled)), pd.DataFrame(filled)], axis=1)[frame.columns]
-
-
-def _rename_older_fingerprints(frame: pd.DataFrame) -> None:
-    """Gives older runs today's fingerprint of their scene if a newer run has recorded both."""
-    if "scene.older_fingerprint" in frame:
-        pairs = frame[["scene.older_fingerprint", "scene.fingerprint"]].dropna()
-        frame["scene.fingerprint"] = frame["scene.fingerprint"].replace(dict(pairs.itertuples(index=False, name=None)))
-        del frame["scene.older_fingerprint"]
 
 
 def with_needed(frame: pd.DataFrame) -> pd.DataFrame:

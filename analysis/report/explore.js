@@ -62,7 +62,7 @@ async function drawParallel() {
 /** Settings with several values among the runs, those with few values first. */
 function varying(runs) {
   const label = ["scene_name", "field", "encoder", "density", "color"];
-  const idle = /\.(path|fingerprint|older_fingerprint)$|^scene\.name$|^(density|color)\.(name|rates|initials)/;
+  const idle = /\.(path|fingerprint)$|^scene\.name$|^(density|color)\.(name|rates|initials)/;
   const levels = (name) => new Set(runs.map((run) => text(value(name, run)))).size;
   const counted = [...new Set([...label, ...DATA.settings])].filter((name) => columns.has(name) && !idle.test(name)).map((name) => [name, levels(name)]);
   return counted.filter(([, count]) => count > 1 && count <= Math.max(12, runs.length / 2)).slice(0, MOST_AXES).map(([name]) => name);

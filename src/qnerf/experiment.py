@@ -171,9 +171,8 @@ def run(
     name = name or id_of(config, scene)
     decisions = task.config["needs"]
     config = config | {"needs": decisions}
-    # The older fingerprint connects this run with older runs of the scene.
-    fingerprints = {"scene.fingerprint": scene.fingerprint, "scene.older_fingerprint": scene.older_fingerprint}
-    columns = labels(task.config) | parameter_counts(task.model) | fingerprints | {"steps": 0}
+    fingerprint = {"scene.fingerprint": scene.fingerprint}
+    columns = labels(task.config) | parameter_counts(task.model) | fingerprint | {"steps": 0}
     claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
     if claim.run is None:
         summary = read_summary(claim.dir)
@@ -185,6 +184,7 @@ def run(
     with claim.run as record, stop_requests() as stops:
         if claim.outcome == "resumed":
             display.note(claim.message)
+        display.note(f"scene {scene.name}: {scene.description()}")
         decided = [f"{key}={node['value']}" for key, node in decisions.items() if isinstance(node, Mapping)]
         if decided:
             display.note(f"the scene needs {', '.join(decided)}")

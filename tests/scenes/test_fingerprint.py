@@ -1,9 +1,7 @@
-"""A scene's fingerprint: of what its files say, the same on every machine; runs under the older one go on."""
+"""A scene's fingerprint: of what its files say, the same on every machine."""
 
-import dataclasses
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,14 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from qnerf.analysis import load
 from scipy.spatial.transform import Rotation
 
-from qnerf import experiment, records
-from qnerf.building import scene as building_scene
-from qnerf.building.scene import prepare
-from qnerf.cli import main
-from qnerf.cli.upgrade_config import check_identity
 from qnerf.scenes import SCENES, Scene
 
 # Rotations by quarter turns: no machine rounds them.
@@ -68,8 +60,7 @@ def edited(folder: Path, change: Callable[[dict[str, Any]], object]) -> str:
 def test_golden_fingerprints(folder: Path) -> None:
     scene = build(folder)
     assert scene.fingerprint == "516f68d8eeb31f69483e"
-    assert scene.older_fingerprint == "933d0865e233a980f0b9"  # as versions before this fingerprint computed it
-    assert SCENES.build("poster", views=3, width=1, height=1, supersample=1).fingerprints == ["2a37809f3de14db647bc"]
+    assert SCENES.build("poster", views=3, width=1, height=1, supersample=1).fingerprint == "2a37809f3de14db647bc"
 
 
 def test_what_decides_the_numbers_decides_the_fingerprint(folder: Path) -> None:
@@ -137,62 +128,3 @@ def test_equal_with_other_versions_of_numpy(rounded: Path, tmp_path: Path, versi
         pytest.skip(f"numpy {version} cannot be installed here: {installed.stderr.strip()[-200:]}")
     path = os.pathsep.join([str(other), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
     assert elsewhere(rounded, PYTHONPATH=path) == build(rounded).fingerprint
-
-
-@pytest.fixture
-def as_older(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], Any]:
-    """Calls a function as a version that knew only the older fingerprint."""
-    build_scene = building_scene.build_scene
-
-    def older(settings: Any) -> Scene:
-        scene = build_scene(settings)
-        assert scene.older_fingerprint is not None
-        return dataclasses.replace(scene, fingerprint=scene.older_fingerprint, older_fingerprint=None)
-
-    def call(function: Callable[[], Any]) -> Any:
-        with monkeypatch.context() as patch:
-            patch.setattr(building_scene, "build_scene", older)
-            return function()
-
-    return call
-
-
-def test_a_finished_older_run_is_not_done_again(tiny: Any, as_older: Any) -> None:
-    config = tiny("threads=1")
-    first = as_older(lambda: experiment.run(config))
-    again = experiment.run(config)
-    assert (again.state, again.run_id) == ("finished", first.run_id)
-    assert [run.name for run in records.runs(config["store"])] == [first.run_id]
-    check_identity(first.path, prepare(config)[2], None)  # as resume, reproduce and probe do
-
-
-def test_an_interrupted_older_run_goes_on(tiny: Any, as_older: Any, run_until: Any) -> None:
-    config = tiny("threads=1")
-    as_older(lambda: run_until(1, config))
-    (run,) = records.runs(config["store"])
-    outcome = experiment.run(config)
-    assert (outcome.state, outcome.run_id) == ("finished", run.name)
-
-
-def test_an_older_run_is_resumed_and_a_changed_scene_is_refused(
-    tiny: Any, as_older: Any, run_until: Any, tiny_scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = tiny("threads=1")
-    as_older(lambda: run_until(1, config))
-    (run,) = records.runs(config["store"])
-    shutil.copytree(tiny_scene, tiny_scene.with_name("changed"))
-    file = tiny_scene.with_name("changed") / "transforms.json"
-    file.write_text(file.read_text().replace('"fl_x": 8.0', '"fl_x": 8.5'))
-    assert main.dispatch("resume", [run.name, f"scene.path={file.parent}", "--store", config["store"]]) == 2
-    assert f"scene.path={file.parent}: the scene's contents are not those" in capsys.readouterr().err
-    assert main.dispatch("resume", [run.name, "--store", config["store"]]) == 0
-    assert records.state(run) == "finished"
-
-
-def test_older_and_newer_runs_of_a_scene_are_one_scene(tiny: Any, as_older: Any) -> None:
-    as_older(lambda: experiment.run(tiny("seed=0")))
-    experiment.run(config := tiny("seed=1"))
-    runs = load.runs(config["store"])
-    assert len(runs) == 2
-    assert runs["scene.fingerprint"].nunique() == 1
-    assert "scene.older_fingerprint" not in runs

@@ -32,6 +32,7 @@ def test_points_are_pixel_centres_with_x_to_the_right_and_y_down(tmp_path):
     for (x, y), value in zip(photograph.points, photograph.targets, strict=True):
         assert value.tolist() == (pixels[int(3 * y), int(4 * x)] / 255).tolist()
     assert photograph.name == "small.png"
+    assert photograph.description() == "12 training points of 2 coordinates, 3 values each"
 
 
 def test_the_middle_square_is_reduced():

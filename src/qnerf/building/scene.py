@@ -1,6 +1,5 @@
 """A configuration with its scene: `auto` resolved, settings checked, the id of the run."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -75,9 +74,8 @@ def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
 
 
 def id_of(config: Mapping[str, Any], scene: Scene | Signal) -> str:
-    """The id of the configuration's run; if the store has only a run under the scene's older fingerprint, its id."""
-    ids = [run_id(slug(config), config, fingerprint) for fingerprint in scene.fingerprints]
-    return next((name for name in ids if os.path.isdir(os.path.join(config["store"], name))), ids[0])
+    """The id of the configuration's run."""
+    return run_id(slug(config), config, scene.fingerprint)
 
 
 def build_scene(settings: Settings) -> Scene:

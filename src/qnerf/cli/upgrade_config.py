@@ -134,7 +134,7 @@ def check_identity(run: Path, scene: "Scene | Signal", path: str | Path | None) 
     path: from which the scene was read, for the message.
     """
     config = read_config(run)
-    if any(run.name.endswith(f"-{identity(config, fingerprint)}") for fingerprint in scene.fingerprints):
+    if run.name.endswith(f"-{identity(config, scene.fingerprint)}"):
         return
     known = read_status(run).get("config")
     edited = f"{run / 'config.yaml'} is not the configuration that the run was started with"

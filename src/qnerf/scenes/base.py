@@ -92,14 +92,21 @@ class Scene:
     depth: Tensor | None = None  # (V, H, W) float32, distance along the ray of the pixel's centre; inf: nothing hit
     near: float | None = None  # world units; None: the scene defines no bounds
     far: float | None = None
-    older_fingerprint: str | None = None  # of the same contents, in the ids of older runs; None: the same
     headline: ClassVar[str] = "psnr"  # key of the metric that is shown during training
     mask: Tensor | None = None  # bool, of the images' shape without channels: False is neither trained on nor measured
+    masks: int = 0  # views that have a mask
+    remarks: tuple[str, ...] = ()  # what the reader has to say: what it corrected, and what it did not read
 
-    @property
-    def fingerprints(self) -> list[str]:
-        """Those that the id of a run of this scene may hold, today's first."""
-        return [self.fingerprint, *([self.older_fingerprint] if self.older_fingerprint else [])]
+    def description(self) -> str:
+        """One line: how many views of which size, how they are split, masks, and the reader's remarks.
+
+        "29 views of 36 x 64 pixels, 27 train, 2 held out, 0 masks; keys not read: aabb_scale"
+        """
+        cameras = self.cameras
+        upto = "" if cameras.sizes is None else "up to "
+        counts = f"{len(self.train)} train, {len(self.eval)} held out, {self.masks} masks"
+        views = f"{len(cameras)} views of {upto}{cameras.width} x {cameras.height} pixels, {counts}"
+        return "; ".join([views, *self.remarks])
 
     @property
     def has_alpha(self) -> bool:

@@ -78,9 +78,6 @@ def load_scene(
         {"frame": index, "image": file.name, "content": content, "lens": numbers} | ({"mask": black} if black else {})
         for index, file, content, numbers, black in zip(used, files, hashes, stated, mask_hashes, strict=True)
     ]
-    older = None  # earlier versions read no masks, fisheyes, widths or images of differing size
-    if mask is None and width is None and not fisheye.any() and len(set(sizes)) == 1:
-        older = older_fingerprint(hashes, [frame.pose for frame in frames], table, train, held_out, downscale)
     if width is None:
         table[:, :4] /= downscale
     else:
@@ -95,11 +92,11 @@ def load_scene(
         eval=held_out,
         names=[file.name for file in files],
         fingerprint=fingerprint(name, matrices, views, train, held_out, downscale, width),
-        older_fingerprint=older,
         transform=torch.from_numpy(transform),
         near=near,
         far=far,
         mask=None if mask is None else torch.from_numpy(mask),
+        masks=sum(black is not None for black in mask_hashes),
     )
 
 
@@ -130,21 +127,3 @@ def fingerprint(
         "downscale": downscale,
     } | ({} if width is None else {"width": width})
     return digest("scene", FINGERPRINT, json.dumps(content, sort_keys=True, allow_nan=False))
-
-
-def older_fingerprint(
-    hashes: Sequence[str],
-    poses: Sequence[NDArray],
-    table: NDArray,
-    train: Sequence[int],
-    held_out: Sequence[int],
-    downscale: int,
-) -> str:
-    """The fingerprint in the ids of older runs. Its last bits depend on the processor and on NumPy's version.
-
-    Args:
-        poses: (3, 4), their rotations made orthonormal.
-        table: (V, 8) fx fy cx cy k1 k2 p1 p2 before `downscale`.
-    """
-    split = np.array(train), np.array(held_out), np.array([downscale])
-    return digest(digest(*hashes), np.stack(poses), table, *split)

@@ -32,17 +32,16 @@ class Signal:
     headline: str
     """Key of the metric that is shown during training."""
 
-    older_fingerprint: str | None = None
     eval: Sequence[int] = (0,)  # the whole signal is one view
 
     @property
     def names(self) -> list[str]:
         return [self.name]
 
-    @property
-    def fingerprints(self) -> list[str]:
-        """Those that the id of a run may hold."""
-        return [self.fingerprint]
+    def description(self) -> str:
+        """One line: how much there is to train on."""
+        count, dims = self.points.shape
+        return f"{count:,} training points of {dims} coordinates, {self.targets.shape[-1]} values each"
 
     def terms(self, predicted: Tensor, targets: Tensor) -> dict[str, Tensor]:
         """The terms of the loss of predicted values (B, C), under the names that metrics.parquet gives them."""
