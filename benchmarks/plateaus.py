@@ -36,10 +36,10 @@ def gradients(ansatz: str, init: str, wires: int, spectral: int, circuits: int) 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(wires * 1000 + spectral)
         for _ in range(circuits):
-            weights = INITS.get(init)(circuit).double().transpose(1, 2).contiguous().requires_grad_()
+            weights = INITS.get(init)(circuit).double().requires_grad_()
             outputs = compiled.evaluate(engine, torch.randn(1, wires, dtype=torch.float64), weights)
             (gradient,) = torch.autograd.grad(outputs[0, 0], weights)
-            samples.append(gradient[row, THETA, 0])
+            samples.append(gradient[row, 0, THETA])
     return torch.stack(samples)
 
 

@@ -90,7 +90,7 @@ def engine_step(name: str, data: Arrays, spectral: int) -> Callable[[], tuple[to
         functions["lightcone"] = lambda x, w: lightcone.evaluate(cone, x, w)
     function = functions[name]
     x = torch.from_numpy(data["x"]).requires_grad_()
-    weights, g = torch.from_numpy(data["w"]).transpose(1, 2).contiguous().requires_grad_(), torch.from_numpy(data["g"])
+    weights, g = torch.from_numpy(data["w"]).requires_grad_(), torch.from_numpy(data["g"])
 
     def step() -> tuple[torch.Tensor, ...]:
         x.grad = weights.grad = None
@@ -98,7 +98,7 @@ def engine_step(name: str, data: Arrays, spectral: int) -> Callable[[], tuple[to
         y.backward(g)
         assert x.grad is not None
         assert weights.grad is not None
-        return y.detach(), x.grad, weights.grad.transpose(1, 2)
+        return y.detach(), x.grad, weights.grad
 
     return step
 

@@ -44,7 +44,7 @@ def normalised_gradient_error(x: Tensor) -> float:
 
 
 def engines(circuit: Circuit) -> dict[str, Function]:
-    """Variant -> function of inputs (B, n) and stacked weights (rows, 3, n). "plain": the state vector in PyTorch."""
+    """Variant -> function of inputs (B, n) and weights (rows, n, 3). "plain": the state vector in PyTorch."""
     form = normal_form(circuit)
     functions: dict[str, Function] = {
         "plain": partial(statevector.evaluate, form),
@@ -67,11 +67,11 @@ def _with_range(function: Function, x: Tensor, weights: Tensor) -> Tensor:
 
 
 def angles(circuit: Circuit, *, inputs: float, weights: float, batch: int) -> tuple[Tensor, Tensor]:
-    """Inputs (B, n), normally distributed, and weights (rows, 3, n), uniform from 0, of these sizes, in radians."""
+    """Inputs (B, n), normally distributed, and weights (rows, n, 3), uniform from 0, of these sizes, in radians."""
     generator = torch.Generator().manual_seed(0)
     x = torch.randn(batch, circuit.wires, generator=generator, dtype=torch.float64) * inputs
     w = torch.rand(circuit.rows, 3, circuit.wires, generator=generator, dtype=torch.float64) * weights
-    return rounded(x), rounded(w)
+    return rounded(x), rounded(w.transpose(1, 2).contiguous())
 
 
 def circuit_case(

@@ -42,12 +42,12 @@ def test_variances_are_those_of_parameter_shifts(table: pd.DataFrame) -> None:
     torch.manual_seed(3 * 1000 + 2)
     found = []
     for _ in range(12):
-        w = INITS.get("uniform")(circuit).double().transpose(1, 2).contiguous()
+        w = INITS.get("uniform")(circuit).double()
         x = torch.randn(1, 3, dtype=torch.float64)
         turned = []
         for shift in (np.pi / 2, -np.pi / 2):
             moved = w.clone()
-            moved[circuit.rows // 2, 1, 0] += shift
+            moved[circuit.rows // 2, 0, 1] += shift
             turned.append(float(statevector.evaluate(form, x, moved)[0, 0]))
         found.append((turned[0] - turned[1]) / 2)
     row = table[(table["init"] == "uniform") & (table["wires"] == 3) & (table["S"] == 2)]

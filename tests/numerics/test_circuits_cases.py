@@ -92,7 +92,7 @@ def test_norm_drift(spectral: int, dtype: torch.dtype) -> None:
     bound = output_error(circuit) * torch.finfo(dtype).eps / EPS
     x, w = (t.to(dtype) for t in angles(circuit, inputs=3.0, weights=6.0, batch=16))
     engine = compiled_engine.StatevectorEngine(normal_form(circuit))
-    bound_engine = engine.bind(compiled_engine.flat_weights(w), compiled_engine.numpy_dtype(dtype))
+    bound_engine = engine.bind(compiled_engine.by_row(w, circuit), compiled_engine.numpy_dtype(dtype))
     blocks = compiled_engine.to_blocks(x.numpy(), bound_engine.width)
     norm, _ = bound_engine.forward(compiled_engine.cos_sin_of_half(blocks, engine.arrays.encoding_scales))
     assert abs(norm - 1).max() <= bound
@@ -129,9 +129,9 @@ def test_gradients_that_vanish_by_construction_are_exactly_zero(engine: str, dty
     circuit = ANSATZE.build("qiren", 5, 1)
     x, w = (t.to(dtype) for t in angles(circuit, inputs=1.0, weights=6.0, batch=33))
     _, dw = gradient(engines(circuit)[engine], x, w, torch.ones(33, 5, dtype=dtype))
-    assert not dw[0, 0].any()  # phi of the first sublayer acts on |0...0>
-    assert not dw[-1, 2].any()  # omega of the last one comes before a measurement of Z
-    assert dw[0, 1].all()
+    assert not dw[0, :, 0].any()  # phi of the first sublayer acts on |0...0>
+    assert not dw[-1, :, 2].any()  # omega of the last one comes before a measurement of Z
+    assert dw[0, :, 1].all()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -140,7 +140,7 @@ def test_gradients_at_an_extremum_vanish_and_outputs_stay_in_range(engine: str, 
     """At these weights every output is +1 or -1 whatever the inputs: the flattest point there is."""
     circuit = ANSATZE.build("qiren", 4, 1)
     x, w = angles(circuit, inputs=1e3, weights=0.0, batch=64)
-    w[:, 1] = weights
+    w[:, :, 1] = weights
     x, w = x.float(), w.float()
     y = engines(circuit)[engine](x, w)
     assert (y.abs() <= 1).all()
@@ -163,7 +163,7 @@ def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float
     """Weights at and around corners, where an expectation value is largest; inputs of any size."""
     circuit = ANSATZE.build("qiren", *shape)
     generator = torch.Generator().manual_seed(seed)
-    near = torch.randint(0, 3, (circuit.rows, 3, shape[0]), generator=generator) * 1e-4
+    near = torch.randint(0, 3, (circuit.rows, shape[0], 3), generator=generator) * 1e-4
     w = near + torch.tensor(turned)
     x = torch.rand(20, shape[0], generator=generator) * size
     for function in engines(circuit).values():
@@ -181,7 +181,7 @@ def test_float32_keeps_its_bounds_at_angles_of_any_size(
     circuit = ANSATZE.build("qiren", *shape)
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(8, shape[0], generator=generator) * (inputs / 8)
-    w = torch.randn(circuit.rows, 3, shape[0], generator=generator) * (weights / 8)
+    w = torch.randn(circuit.rows, shape[0], 3, generator=generator) * (weights / 8)
     g = torch.rand(8, shape[0], generator=generator)
     functions = engines(circuit)
     y = functions["plain"](x.double(), w.double())

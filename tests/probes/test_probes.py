@@ -17,9 +17,10 @@ from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import run
 from qnerf.heads import HEADS
 from qnerf.probes import PROBES, cost, diagnostics, load, probe, rays, spectrum
-from qnerf.quantum import QuantumLayer, lightcone, statevector
+from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import ANSATZE, Amplitudes, Circuit, Gate, Weights, feature, weight
 from qnerf.quantum.cones import find_cones
+from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.pennylane import apply
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
@@ -41,8 +42,8 @@ def test_the_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
     circuit = layer(8, 1)
     table = spectrum.powers(circuit)
     assert set(table["method"]) == {"exact"}
-    stacked = statevector.stacked(circuit.weights1, circuit.weights2).detach()
-    coefficients = lightcone.coefficients(circuit.circuit, stacked).numpy()
+    weights = weights_of(circuit)
+    coefficients = lightcone.coefficients(circuit.circuit, weights).numpy()
     half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
     for output, cone in enumerate(find_cones(circuit.circuit).cones):
         square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
@@ -232,7 +233,7 @@ def test_the_cost_on_hardware_counts_what_is_evaluated(tiny, monkeypatch, capsys
 def test_gates_and_depth_are_those_of_pennylane(name, wires):
     circuit = ANSATZE.build(name, wires, 2)
     with qml.tape.QuantumTape() as tape:
-        apply(circuit, torch.zeros(wires), torch.zeros(circuit.rows, wires, 3))
+        apply(circuit, torch.zeros(wires), torch.zeros(circuit.size))
     counted = tape.specs["resources"]
     assert cost.gate_counts(circuit) == (counted.gate_sizes[1], counted.gate_sizes.get(2, 0), counted.depth)
 

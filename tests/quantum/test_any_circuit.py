@@ -149,7 +149,7 @@ def test_the_pauli_form_of_reuploading_circuits_equals_their_normal_form(name: s
     layer = QuantumLayer(circuit).double()
     x = torch.randn(5, 3, dtype=torch.float64)
     flat = torch.cat([layer.weights1.flatten(), layer.weights2.flatten()])
-    expected = statevector.evaluate(normal_form(circuit), x, statevector.stacked(layer.weights1, layer.weights2))
+    expected = statevector.evaluate(normal_form(circuit), x, flat)
     torch.testing.assert_close(PauliCircuit(circuit).evaluate(x, flat), expected, rtol=0, atol=1e-13)
 
 

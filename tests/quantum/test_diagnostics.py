@@ -28,13 +28,13 @@ def test_states_have_all_gates_up_to_a_rotation_of_each_wire() -> None:
 
     @qml.qnode(qml.device("default.qubit", wires=3))
     def node() -> object:
-        apply(layer.circuit, x.numpy(), weights.transpose(1, 2).numpy())
+        apply(layer.circuit, x.numpy(), weights.numpy())
         return qml.state()
 
     ours, theirs = d.states(layer.circuit, x, weights), torch.from_numpy(np.array(node()))
     assert abs((ours[0].conj() @ ours[1]).abs() - (theirs[0].conj() @ theirs[1]).abs()) < 1e-12
     assert torch.allclose(d.meyer_wallach(ours), d.meyer_wallach(theirs), atol=1e-12)
-    each = d.states(layer.circuit, x, weights.expand(2, -1, -1, -1))
+    each = d.states(layer.circuit, x, weights.expand(2, -1))
     assert torch.allclose(each, ours, atol=1e-14)
 
 
@@ -66,7 +66,7 @@ def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() 
 
 def test_fisher_information_of_one_ry_and_of_a_product() -> None:
     layer = QuantumLayer(ROT)
-    matrix = d.fisher(layer, torch.zeros(2, 1), torch.tensor([0.3, 0.8, 0.2]).reshape(1, 3, 1).expand(2, 3, 1))
+    matrix = d.fisher(layer, torch.zeros(2, 1), torch.tensor([0.3, 0.8, 0.2]).repeat(2))
     expected = torch.zeros(6, 6, dtype=torch.float64)
     expected[1, 1] = 1  # p = cos(theta / 2)^2 has (dp)^2 / (p (1 - p)) = 1 for every theta
     assert torch.allclose(matrix, expected, atol=1e-12)

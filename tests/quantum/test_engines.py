@@ -38,14 +38,14 @@ def cone_reference(circuit: Circuit) -> Function:
 
 def reference(circuit: Circuit) -> Function:
     node = make_node(circuit)
-    return lambda x, w: node(x, w.transpose(1, 2))
+    return lambda x, w: node(x, w.flatten())
 
 
 def results(function: Function, circuit: Circuit, batch: int = 5, dtype: torch.dtype = torch.float64) -> list[Tensor]:
     """Outputs, and gradients of inputs and weights, for inputs and angles over several turns."""
     generator = torch.Generator().manual_seed(7)
     x = torch.randn(batch, circuit.wires, generator=generator, dtype=torch.float64) * 2
-    w = torch.randn(circuit.rows, 3, circuit.wires, generator=generator, dtype=torch.float64) * 4
+    w = torch.randn(circuit.rows, circuit.wires, 3, generator=generator, dtype=torch.float64) * 4
     g = torch.randn(batch, len(circuit.observables), generator=generator, dtype=torch.float64)
     x, w = x.to(dtype).requires_grad_(), w.to(dtype).requires_grad_()
     y = function(x, w)
@@ -105,7 +105,7 @@ def test_random_descriptions_agree_with_pennylane(circuit: Circuit) -> None:
     # Only outputs: PennyLane has no gradient where nothing depends on the input.
     generator = torch.Generator().manual_seed(1)
     x = torch.randn(3, circuit.wires, generator=generator, dtype=torch.float64)
-    w = torch.randn(circuit.rows, 3, circuit.wires, generator=generator, dtype=torch.float64) * 3
+    w = torch.randn(circuit.rows, circuit.wires, 3, generator=generator, dtype=torch.float64) * 3
     error = (reference(circuit)(x, w) - compiled_engine(circuit)(x, w)).abs().max()
     assert error <= 1e-12
 
@@ -137,7 +137,7 @@ def test_gradcheck(engine: Callable[[Circuit], Function], wires: int, spectral: 
     circuit = ANSATZE.build(name, wires, spectral)
     generator = torch.Generator().manual_seed(3)
     x = torch.randn(2, wires, generator=generator, dtype=torch.float64, requires_grad=True)
-    w = torch.randn(circuit.rows, 3, wires, generator=generator, dtype=torch.float64, requires_grad=True)
+    w = torch.randn(circuit.rows, wires, 3, generator=generator, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(engine(circuit), (x, w))
 
 
@@ -145,7 +145,7 @@ def test_gradcheck(engine: Callable[[Circuit], Function], wires: int, spectral: 
 def test_every_engine_is_differentiable_twice(engine: Callable[[Circuit], Function]) -> None:
     circuit = ANSATZE.build("qiren", 2, 1)
     x = torch.randn(2, 2, dtype=torch.float64, requires_grad=True)
-    w = torch.randn(circuit.rows, 3, 2, dtype=torch.float64, requires_grad=True)
+    w = torch.randn(circuit.rows, 2, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradgradcheck(engine(circuit), (x, w))
 
 
@@ -155,7 +155,7 @@ def test_a_loss_of_derivatives_trains_as_with_plain_torch(engine: Callable[[Circ
     circuit = ANSATZE.build("qiren", 4, 1)
     generator = torch.Generator().manual_seed(5)
     x = torch.randn(16, 4, generator=generator, dtype=torch.float64, requires_grad=True)
-    w = torch.randn(circuit.rows, 3, 4, generator=generator, dtype=torch.float64, requires_grad=True)
+    w = torch.randn(circuit.rows, 4, 3, generator=generator, dtype=torch.float64, requires_grad=True)
 
     def gradient(evaluate: Function) -> torch.Tensor:
         u = evaluate(x, w).sum(-1)
@@ -203,7 +203,7 @@ def test_samples_do_not_depend_on_their_neighbours() -> None:
     circuit = ANSATZE.build("qiren", 4, 2)
     x = torch.randn(40, 4, generator=torch.Generator().manual_seed(0))
     x[3], x[20] = float("nan"), float("inf")
-    w = torch.randn(circuit.rows, 3, 4, generator=torch.Generator().manual_seed(1))
+    w = torch.randn(circuit.rows, 4, 3, generator=torch.Generator().manual_seed(1))
     y = compiled_engine(circuit)(x, w)
     bad = y.isnan().any(1)
     assert bad.nonzero().flatten().tolist() == [3, 20]
@@ -212,7 +212,7 @@ def test_samples_do_not_depend_on_their_neighbours() -> None:
 
 def test_nan_in_a_cone_stays_in_the_cone() -> None:
     circuit = ANSATZE.build("qiren", 8, 1)
-    w = torch.randn(circuit.rows, 3, 8, generator=torch.Generator().manual_seed(1))
+    w = torch.randn(circuit.rows, 8, 3, generator=torch.Generator().manual_seed(1))
     x = torch.zeros(1, 8)
     x[0, 2] = float("nan")
     assert cone_engine(circuit)(x, w)[0].isnan().nonzero().flatten().tolist() == [1, 2, 3]

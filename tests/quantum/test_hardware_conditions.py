@@ -11,6 +11,7 @@ import torch
 
 from qnerf.quantum import hardware_conditions, statevector
 from qnerf.quantum.circuit import ANSATZE
+from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import normal_form
@@ -43,7 +44,7 @@ def test_shots_of_a_pennylane_device() -> None:
 
 def exact_correlation(layer: QuantumLayer, x: torch.Tensor) -> np.ndarray:
     """Correlation of the signs read on all wires, from the exact probabilities."""
-    weights = statevector.stacked(layer.weights1, layer.weights2).detach()
+    weights = weights_of(layer)
     probabilities = statevector.probabilities(normal_form(layer.circuit), x, weights)[0].numpy()
     signs = 1 - 2 * ((np.arange(8)[:, None] >> np.arange(2, -1, -1)) & 1)
     mean = probabilities @ signs
@@ -103,7 +104,7 @@ def test_noise_equals_default_mixed(noise: Noise, name: str, spectral: int) -> N
     torch.manual_seed(0)
     layer = QuantumLayer(2, spectral, ansatz=name).double()
     x = torch.randn(90, 2, dtype=torch.float64)  # more than the grid: the polynomial where there is one
-    weights = statevector.stacked(layer.weights1, layer.weights2).transpose(1, 2).detach()
+    weights = weights_of(layer)
 
     # On NumPy arrays: with torch tensors PennyLane forms its channels in single precision.
     @qml.qnode(qml.device("default.mixed", wires=2))

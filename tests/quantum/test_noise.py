@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from qnerf.quantum import QuantumLayer, carried_errors, pauli_errors, statevector
+from qnerf.quantum import QuantumLayer, folded_errors, pauli_errors
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pennylane import apply, observables
@@ -44,17 +45,17 @@ class Rotated:
 @pytest.mark.parametrize("circuit", ["qiren", "cnot", "rx", "pauli_x", ENCODED_FIRST])
 def test_errors_in_the_weights_are_errors_after_the_gates(circuit: str | Circuit) -> None:
     layer, x = made(circuit)
-    weights = statevector.stacked(layer.weights1, layer.weights2).detach()
-    sizes = [len(gate.wires) for gate in carried_errors.noisy_gates(layer.circuit) for _ in gate.wires]
+    weights = weights_of(layer)
+    sizes = pauli_errors.spots(layer.circuit)
     _, *errors = pauli_errors.draw(sizes, Noise(depolarizing=0.3), 3, np.random.default_rng(0))
-    signs, shifts = pauli_errors.fold(layer.circuit, *errors)
+    signs, shifts = folded_errors.fold(layer.circuit, *errors)
     for pattern in range(3):
         folded = layer.evaluate(x[:2], weights * torch.from_numpy(signs[pattern]) + torch.from_numpy(shifts[pattern]))
         rotated = Rotated(*(part[pattern] for part in errors))
 
         @qml.qnode(qml.device("default.qubit", wires=3))
         def node(rotated: Any) -> list[Any]:
-            apply(layer.circuit, x[0].numpy(), weights.transpose(1, 2).numpy(), rotated)
+            apply(layer.circuit, x[0].numpy(), weights.numpy(), rotated)
             return [qml.expval(observable) for observable in observables(layer.circuit)]
 
         assert np.abs(folded[0].numpy() - np.array(node(rotated))).max() < 1e-12
@@ -91,7 +92,7 @@ def test_the_standard_error_is_the_spread_over_seeds_and_follows_the_seed() -> N
 def test_derivatives_with_sampled_noise_are_those_of_the_patterns() -> None:
     layer, x = made("cnot")
     x = x[:1].requires_grad_()
-    weights = statevector.stacked(layer.weights1, layer.weights2).detach().requires_grad_()
+    weights = weights_of(layer).requires_grad_()
 
     def measured(x: Tensor, weights: Tensor) -> Tensor:
         with conditions(layer, noise=0.05, method="sampled", patterns=2, gradients=True):
@@ -101,7 +102,7 @@ def test_derivatives_with_sampled_noise_are_those_of_the_patterns() -> None:
 
 
 def node_of(layer: QuantumLayer, x: Tensor, noise: Noise, readout: float) -> np.ndarray:
-    weights = statevector.stacked(layer.weights1, layer.weights2).transpose(1, 2).detach().numpy()
+    weights = weights_of(layer).numpy()
 
     @qml.qnode(qml.device("default.mixed", wires=3))
     def node(sample: np.ndarray) -> list[Any]:

@@ -24,7 +24,7 @@ from qnerf.quantum.circuit import (
 )
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.registers import is_split, registers
+from qnerf.quantum.registers import block_registers, gate_registers, is_split
 from qnerf.quantum.simulator import Simulator
 from tests.quantum import test_any_circuit, test_engines
 
@@ -47,7 +47,7 @@ def inputs(circuit: Circuit, batch: int = 3) -> tuple[Tensor, Tensor]:
     size = sum(torch.Size(shape).numel() for shape in circuit.parameters.values())
     x = torch.randn(batch, circuit.features or 0, generator=generator, dtype=torch.float64)
     weights = 3 * torch.randn(size, generator=generator, dtype=torch.float64)
-    return x, weights.reshape(circuit.rows, 3, circuit.wires) if circuit.reuploading else weights
+    return x, weights
 
 
 @settings(max_examples=20)
@@ -60,7 +60,7 @@ def test_registers_of_a_reuploading_circuit_give_what_the_whole_gives(circuit: C
 @settings(max_examples=20)
 @given(circuit=test_any_circuit.circuits())
 def test_registers_of_any_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
-    assume(registers(circuit))  # not all outputs are constants
+    assume(gate_registers(circuit))  # not all outputs are constants
     simulator = Simulator(circuit)
     assert_same(results(simulator.of_registers, *inputs(circuit)), results(simulator, *inputs(circuit)))
 
@@ -79,13 +79,13 @@ def test_the_polynomials_of_a_wide_circuit_are_those_of_its_registers(name: str)
 def test_64_wires_see_what_a_smaller_ring_sees() -> None:
     """Output 30 of 64 wires depends on wires 26..34 alone. A ring of 12 wires looks the same to it."""
     wide, small = ANSATZE.build("qiren", 64, 1), ANSATZE.build("qiren", 12, 1)
-    (part,) = {part.circuit for part in registers(wide)}
+    (part,) = {part.circuit for part in block_registers(wide)}
     assert part.wires == 9
     layer = QuantumLayer(wide)
     x, weights = inputs(wide, batch=200)
     near = slice(24, 36)
     ring_of_12 = Simulator(small, "statevector")
-    expected = results(lambda x, w: ring_of_12(x[:, near], w[..., near])[:, 6], x, weights)
+    expected = results(lambda x, w: ring_of_12(x[:, near], w.reshape(4, 64, 3)[:, near].flatten())[:, 6], x, weights)
     simulator = Simulator(wide, "lightcone")
     assert_same(results(lambda x, w: simulator(x, w)[:, 30], x, weights), expected)
     assert layer.cost(6144).method == "lightcone"
@@ -117,7 +117,7 @@ def test_a_wide_circuit_of_gates_equals_its_closed_form() -> None:
     assert_same(results(Simulator(circuit, backend="torch"), x, weights), expected)
     layer = QuantumLayer(circuit)
     assert layer(x.float()).dtype == torch.float32
-    assert layer.cost(3).reason == f"{len(registers(circuit))} registers of at most 6 wires"
+    assert layer.cost(3).reason == f"{len(gate_registers(circuit))} registers of at most 6 wires"
 
 
 def test_amplitudes_and_unused_wires_stay_whole() -> None:
@@ -136,10 +136,10 @@ def test_a_circuit_of_several_encodings_and_cnots_runs_as_registers() -> None:
     operations = [Rotations(0), Entangler("CNOT", pairs), Encoding("Y", tuple(1.0 + wire for wire in range(24)))]
     operations += [Rotations(1), Encoding("Z", (1.0,) * 24), Entangler("CZ", pairs), Rotations(2)]
     circuit = Circuit("blocks", 24, 2, 1, tuple(operations), tuple(((wire, "Y"),) for wire in range(24)))
-    assert {part.circuit.wires for part in registers(circuit)} == {4}
+    assert {part.circuit.wires for part in block_registers(circuit)} == {4}
     x, weights = inputs(circuit)
     simulator = Simulator(circuit, "statevector")
-    part = registers(circuit)[0]
+    part = block_registers(circuit)[0]
     own = Simulator(part.circuit, backend="torch")
     expected = results(lambda x, w: own(x[:, list(part.features)], w[..., list(part.weights)]), x, weights)
     found = results(lambda x, w: simulator(x, w)[:, list(part.values)], x, weights)

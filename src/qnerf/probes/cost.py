@@ -3,7 +3,6 @@
 import copy
 from collections import Counter
 from contextlib import ExitStack
-from math import prod
 from typing import Any
 
 import pandas as pd
@@ -93,9 +92,8 @@ def gate_counts(circuit: Circuit) -> tuple[int, int, int]:
 
     generator = torch.Generator().manual_seed(0)  # general values: a gate may be simpler at special ones
     x = torch.rand(circuit.features or 0, generator=generator)
-    weights = 0.1 + torch.rand(sum(map(prod, circuit.parameters.values())), generator=generator)
-    values = weights.reshape(circuit.rows, circuit.wires, 3) if circuit.reuploading else weights
-    tape = qml.tape.make_qscript(lambda: pennylane.apply(circuit, x, values))()
+    weights = 0.1 + torch.rand(circuit.size, generator=generator)
+    tape = qml.tape.make_qscript(lambda: pennylane.apply(circuit, x, weights))()
     (tape,), _ = qml.transforms.decompose(tape, gate_set=GATE_SET)
     gates = [operation for operation in tape.operations if operation.name != "GlobalPhase"]
     counted = qml.tape.QuantumScript(gates).specs["resources"]

@@ -101,7 +101,7 @@ def seconds_of_noise(evaluator: Evaluator, condition: Condition, patterns: int, 
         if measured.is_sampled(layer.circuit):
             seconds.append((time.perf_counter() - begun[-1]) * (patterns + 1))
         elif layer.spectral > 1:  # else a polynomial
-            seconds.append(out.shape[:-1].numel() * layer.wires * 4.0**layer.wires * density.SECONDS)
+            seconds.append(out.shape[:-1].numel() * density.seconds_of_sample(layer.circuit))
 
     with torch.no_grad():
         for _ in range(2):  # the first time compiles

@@ -20,9 +20,10 @@ import torch
 
 from qnerf.heads.qiren import HybridLayer
 from qnerf.probes.trained import Trained
-from qnerf.quantum import QuantumLayer, statevector
+from qnerf.quantum import QuantumLayer
 from qnerf.quantum.circuit import Circuit, Encoding
 from qnerf.quantum.cones import Cone, TooLarge, find_cones
+from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.simulator import Simulator
 
 MAX_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
@@ -93,7 +94,7 @@ Values = Callable[[np.ndarray], np.ndarray]
 
 def _evaluator(layer: QuantumLayer) -> Values:
     simulator = Simulator(layer.circuit, "statevector")
-    weights = statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
+    weights = weights_of(layer)
 
     def values(x: np.ndarray) -> np.ndarray:
         parts = [simulator(part, weights).numpy() for part in torch.from_numpy(x).split(CHUNK)]

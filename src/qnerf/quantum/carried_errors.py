@@ -32,10 +32,7 @@ from qnerf.quantum.circuit import (
 )
 from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.expressions import feature, weight
-from qnerf.quantum.noise import Noise
-from qnerf.quantum.pauli_errors import Final, draw, mean_of
 from qnerf.quantum.pauli_form import as_gates, quarters
-from qnerf.quantum.pauli_statevector import flat_weights
 from qnerf.quantum.simulator import Simulator
 
 SMALL = 256  # samples: smaller batches run several patterns at once
@@ -60,46 +57,24 @@ class NoisyGate(NamedTuple):
     spots: slice
 
 
-def evaluate(
-    circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, patterns: int, random: np.random.Generator,
-    final: Final,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Outputs (B, outputs) with sampled gate errors, and the standard errors of final(outputs), NaN for one pattern.
-
-    Args:
-        circuit: measures Pauli words and `Probabilities`, no Hamiltonians.
-        x: (B, features).
-        weights: stacked (rows, 3, n) for a re-uploading circuit, and flat for any other.
-        noise: mixed or twirled to Pauli errors; see `Noise.pauli_probabilities`.
-        patterns: drawn, all samples share them.
-        random: their source.
-        final: an affine function of the outputs.
-    """
-    sizes = [len(gate.wires) for gate in noisy_gates(circuit) for _ in gate.wires]
-    clean, *errors = draw(sizes, noise, patterns, random)
-    none = np.zeros((1, len(sizes)), bool)
-    (without,) = of_patterns(circuit, x, weights, none, none)
-    return mean_of(clean, without, of_patterns(circuit, x, weights, *errors), final)
-
-
 def of_patterns(
     circuit: Circuit, x: Tensor, weights: Tensor, x_errors: np.ndarray, z_errors: np.ndarray
 ) -> Iterator[Tensor]:
     """Outputs (B, outputs) of the circuit with each pattern of errors: boolean (patterns, spots), X part and Z part.
 
-    The spots are the wires of each gate, in order. Inputs and weights are as in `evaluate`.
+    The spots are the wires of each gate, in order. The weights are flat. Nothing measured may be a Hamiltonian.
     """
-    flat, batch = flat_weights(circuit, weights), max(len(x), 1)
+    batch = max(len(x), 1)
     all_signs, x_end, z_end = carry(circuit, x_errors, z_errors)
     at_once = max(1, AT_ONCE // batch) if batch < SMALL else 1
     for first in range(0, len(all_signs), at_once):
         part = slice(first, first + at_once)
-        signs = torch.from_numpy(all_signs[part]).to(flat)
+        signs = torch.from_numpy(all_signs[part]).to(weights)
         if len(signs) == 1:
-            outputs = _simulator(signed(circuit, False))(x, torch.cat([flat, signs[0]]))[None]
+            outputs = _simulator(signed(circuit, False))(x, torch.cat([weights, signs[0]]))[None]
         else:
             inputs = torch.cat([x.repeat(len(signs), 1), signs.to(x).repeat_interleave(len(x), 0)], 1)
-            outputs = _simulator(signed(circuit, True))(inputs, flat).unflatten(0, (len(signs), len(x)))
+            outputs = _simulator(signed(circuit, True))(inputs, weights).unflatten(0, (len(signs), len(x)))
         yield from _measured(circuit, outputs, x_end[part], z_end[part])
 
 
@@ -156,7 +131,7 @@ def signed(circuit: Circuit, as_features: bool) -> Circuit:
     The factors are its last features or its last weights; the weights of the circuit before them are flat.
     """
     first, features = offsets(circuit.parameters), circuit.features or 0
-    weights = sum(Weights(name, shape).size for name, shape in circuit.parameters.items())
+    weights = circuit.size
 
     def own(expression: Expression | float, factor: Expression | float = 1.0) -> Expression:
         total = Expression()

@@ -28,9 +28,9 @@ from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.cones import TooLarge
-from qnerf.quantum.lightcone import interpolation, polynomial_form
+from qnerf.quantum.lightcone import interpolation, pieces, polynomial_form
 from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form
-from qnerf.quantum.registers import is_split, measured, registers, state_wires
+from qnerf.quantum.registers import as_registers, is_split, measured
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,7 @@ def _slow(form: NormalForm, rates: Rates) -> float:
 
 def forms_of(circuit: Circuit) -> Counter[NormalForm]:
     """The normal forms that a re-uploading circuit is evaluated as, and how often each."""
-    parts = [part.circuit for part in registers(circuit)] if is_split(circuit) else [circuit]
-    return Counter({normal_form(own): count for own, count in Counter(parts).items()})
+    return Counter({normal_form(own): count for own, count in Counter(p.circuit for p in pieces(circuit)).items()})
 
 
 @lru_cache(maxsize=256)
@@ -198,15 +197,6 @@ def of_registers(costs: Sequence[Cost], circuit: Circuit, dtype: torch.dtype) ->
         seconds=sum(cost.seconds for cost in costs),
         reason=as_registers(circuit),
     )
-
-
-def as_registers(circuit: Circuit) -> str:
-    """
-    >>> from qnerf.quantum.circuit import ANSATZE
-    >>> as_registers(ANSATZE.build("qiren", 64, 1))
-    '64 registers of at most 9 wires'
-    """
-    return f"{len(registers(circuit))} registers of at most {state_wires(circuit)} wires"
 
 
 def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:

@@ -20,12 +20,11 @@ from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import cnot_permutation, cz_signs
 from qnerf.quantum.pauli_form import Word, as_gates
-from qnerf.quantum.pauli_statevector import PauliCircuit, action, flat_weights
+from qnerf.quantum.pauli_statevector import PauliCircuit, action
 
 CHUNK_BYTES = 2**27
-SECONDS = 3e-7  # for each wire and entry of a density matrix, one core; within a factor of 3 at 4 to 8 wires
-SECONDS_ANY = 3.7e-8  # of any other circuit, for each entry and each factor of a gate or channel, one core
-QUICK_GRID, QUICK_SAMPLE = 60.0, 1e-3  # seconds
+SECONDS = 3.7e-8  # for each entry of a density matrix and each factor of a gate or channel, one core
+QUICK_GRID, QUICK_SAMPLE = 60.0, 2e-3  # seconds
 
 _PAULIS = {
     "I": torch.eye(2, dtype=torch.complex128),
@@ -38,8 +37,8 @@ _PAULIS = {
 def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: dict[bytes, Tensor]) -> Tensor:
     """Noisy outputs (B, outputs) for x (B, features), without gradients; errors of the readout are not among them.
 
-    The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other. `cache` takes the
-    coefficients of circuits with small light cones, so that only the first batch pays for them.
+    The weights are flat. `cache` takes the coefficients of circuits with small light cones, so that only the first
+    batch pays for them.
     """
     x64, w64 = x.detach().double().cpu(), weights.detach().double().cpu()
     try:
@@ -55,31 +54,30 @@ def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: 
 
 
 def is_quick(circuit: Circuit) -> bool:
-    """Whether it takes at most a minute once, for re-uploading circuits with small cones, or a millisecond a sample.
+    """Whether it takes at most a minute once, for re-uploading circuits with small cones, or two milliseconds a sample.
 
     >>> from qnerf.quantum.circuit import ANSATZE
     >>> [is_quick(ANSATZE.build("qiren", *size)) for size in ((8, 1), (4, 2), (8, 2), (12, 1))]
     [True, True, False, False]
     """
-    seconds = SECONDS * circuit.wires * 4.0**circuit.wires
-    if not circuit.reuploading:
-        return SECONDS_ANY * _factors(circuit) * 4.0**circuit.wires <= QUICK_SAMPLE
+    seconds = seconds_of_sample(circuit)
     try:
         return len(interpolation(circuit).points) * seconds <= QUICK_GRID
     except TooLarge:
         return seconds <= QUICK_SAMPLE
 
 
-def _factors(circuit: Circuit) -> int:
-    """How often all entries are gone through for a sample."""
+def seconds_of_sample(circuit: Circuit) -> float:
+    """About how long one sample takes, from how often all entries of its matrix are gone through."""
     gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
     whole = [len(gate.wires) == 1 or gate.name in ("CZ", "CNOT") for gate in gates]
-    return sum(len(g.wires) + (1 if one else 2 * len(g.rotations)) for g, one in zip(gates, whole, strict=True))
+    factors = sum(len(g.wires) + (1 if one else 2 * len(g.rotations)) for g, one in zip(gates, whole, strict=True))
+    return SECONDS * factors * 4.0**circuit.wires
 
 
 @torch.no_grad()
 def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
-    n, flat = circuit.wires, flat_weights(circuit, weights)
+    n = circuit.wires
     memory.require(f"a density matrix of {n} wires", (2 + circuit.outputs) * 16 * 4.0**n, hint="choose method=sampled")
     gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
     moving = [k for k, gate in enumerate(gates) if any(Expression.of(angle).features for angle in gate.angles)]
@@ -88,7 +86,7 @@ def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Nois
     noises = {size: [_superoperator(operators) for operators in noise.kraus_operators(size)] for size in sizes}
 
     def channels(part: Sequence[Gate], inputs: Tensor) -> "list[Channel]":
-        return [channel for gate in part for channel in _channels_of(gate, circuit, inputs, flat, noises)]
+        return [channel for gate in part for channel in _channels_of(gate, circuit, inputs, weights, noises)]
 
     def run(matrix: Tensor, part: Sequence[Gate], inputs: Tensor) -> Tensor:
         return reduce(lambda m, channel: channel(m, False), channels(part, inputs), matrix)
@@ -98,10 +96,10 @@ def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Nois
         observables = channel(observables, True)
     measured = observables.transpose(0, 1).reshape(4**n, -1)
     plain = PauliCircuit(circuit)
-    fixed = None if plain.starts_move else run(_start(plain, x[:1], flat), gates[:first], x[:1])
+    fixed = None if plain.starts_move else run(_start(plain, x[:1], weights), gates[:first], x[:1])
     out = []
     for part in x.split(max(1, CHUNK_BYTES // (16 * 4**n))):
-        start = run(_start(plain, part, flat), gates[:first], part[:1]) if fixed is None else fixed
+        start = run(_start(plain, part, weights), gates[:first], part[:1]) if fixed is None else fixed
         rho = run(start, gates[first:last], part)
         out.append((rho.reshape(4**n, -1).T @ measured).real.expand(len(part), -1))
     return torch.cat(out)

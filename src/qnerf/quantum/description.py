@@ -30,7 +30,7 @@ Operations of both kinds go together:
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
+from math import isfinite, prod
 from operator import index
 from typing import Annotated, Any, Literal, get_args
 
@@ -58,7 +58,7 @@ PauliWord = tuple[tuple[int, str], ...]
 class Rotations:
     """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire.
 
-    The angles, in radians, are row `row` of the stacked weights (see `Circuit`).
+    The angles, in radians, are row `row` of the weights (see `Circuit`).
     """
 
     row: int
@@ -137,7 +137,8 @@ class Circuit:
         wires: n.
         spectral: S, the number of encodings, where there are `Rotations`.
         sublayers: L, the sublayers of each of the S + 1 trainable blocks, where there are `Rotations`. Their angles are
-            `weights1` (S, L, n, 3) and `weights2` (L, n, 3), stacked in this order: row r = block * L + sublayer.
+            `weights1` (S, L, n, 3) and `weights2` (L, n, 3). One after the other they are (rows, n, 3), with the row
+            r = block * L + sublayer.
         operations: in the order in which they act on |0...0>.
         observables: at least one. A Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities`
             of k wires are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
@@ -252,7 +253,7 @@ class Circuit:
 
     @property
     def rows(self) -> int:
-        """Rows of the stacked weights, (S + 1) L."""
+        """Rows of the weights of `Rotations`, (S + 1) L."""
         return (self.spectral + 1) * self.sublayers
 
     @property
@@ -265,6 +266,11 @@ class Circuit:
         """Name -> shape of all trainable weights, those of `Rotations` first."""
         stacked = dict(zip(("weights1", "weights2"), self.weight_shapes, strict=True)) if self.sublayers else {}
         return stacked | {weights.name: weights.shape for weights in self.weights}
+
+    @property
+    def size(self) -> int:
+        """Number of trainable weights."""
+        return sum(map(prod, self.parameters.values()))
 
     @cached_property
     def reuploading(self) -> bool:

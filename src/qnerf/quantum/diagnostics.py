@@ -9,23 +9,20 @@ are drawn anew for every state or point: every angle uniform in [0, 2 pi]. Input
 0.7
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import log, pi, prod, sqrt
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
-from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, Expression, Gate
 from qnerf.quantum.cones import gates_of
 from qnerf.quantum.expression_table import offsets
+from qnerf.quantum.families import family_of
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.pauli_statevector import gate_by_gate
 from qnerf.quantum.simulator import Simulator
 
 BINS = 75
@@ -41,26 +38,23 @@ class Estimate:
 
 
 def weights_of(layer: QuantumLayer) -> Tensor:
-    """The weights of a layer, float64: stacked (rows, 3, n) of a re-uploading circuit, else flat (P,)."""
-    if layer.circuit.reuploading:
-        return statevector.stacked(layer.weights1, layer.weights2).detach().double().cpu()
+    """The weights of a layer, flat (P,), float64."""
     own = [getattr(layer, name).detach().double().cpu().flatten() for name in layer.circuit.parameters]
     return torch.cat([torch.zeros(0, dtype=torch.float64), *own])
 
 
 def random_weights(layer: QuantumLayer, count: int) -> Tensor:
-    """Weights (count, ...) as `weights_of` has them, every angle uniform in [0, 2 pi].
+    """Weights (count, P), every angle uniform in [0, 2 pi].
 
     Weights that start from a value of their own, such as scales, keep what the layer has.
     """
     own = weights_of(layer)
-    drawn = uniform_angles(count, *own.shape)
-    if not layer.circuit.reuploading:
-        first = offsets(layer.circuit.parameters)
-        for weights in layer.circuit.weights:
-            if weights.initial is not None:
-                part = slice(first[weights.name], first[weights.name] + weights.size)
-                drawn[:, part] = own[part]
+    drawn = uniform_angles(count, len(own))
+    first = offsets(layer.circuit.parameters)
+    for weights in layer.circuit.weights:
+        if weights.initial is not None:
+            part = slice(first[weights.name], first[weights.name] + weights.size)
+            drawn[:, part] = own[part]
     return drawn
 
 
@@ -70,22 +64,16 @@ def uniform_angles(count: int, *shape: int) -> Tensor:
 
 
 def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
-    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are those of all samples, or (B, ...).
+    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are those of all samples (P,), or (B, P).
 
     Those of re-uploading circuits are turned by the same rotation of every wire, which changes neither fidelities nor
-    entanglement: a measurement of X on all wires keeps all gates in the normal form.
+    entanglement.
     """
-    state: Callable[[Tensor, Tensor], Tensor]
-    if circuit.reuploading:
-        everything = tuple((wire, "X") for wire in range(circuit.wires))
-        form = normal_form(replace(circuit, observables=(everything,)))
-        state = lambda x, weights: statevector.final_state(form, x, weights).T  # noqa: E731
-    else:
-        state = partial(gate_by_gate, circuit)
-    if weights.ndim == (3 if circuit.reuploading else 1):
-        return state(x, weights)
+    family = family_of(circuit)
+    if weights.ndim == 1:
+        return family.states(x, weights)
     at_once = max(1, AT_ONCE // 2**circuit.wires)
-    one = vmap(lambda x, weights: state(x[None], weights)[0])
+    one = vmap(lambda x, weights: family.states(x[None], weights)[0])
     return torch.cat([one(*part) for part in zip(x.split(at_once), weights.split(at_once), strict=True)])
 
 
@@ -151,15 +139,12 @@ def fisher(layer: QuantumLayer, x: Tensor, weights: Tensor | None = None) -> Ten
     order is that of `weights_of`. `weights` of None are the layer's own. The wires of a re-uploading circuit are read
     in the basis that it measures them in, those of any other circuit in the computational basis.
     """
-    circuit = layer.circuit
+    family = family_of(layer.circuit)
     point = weights_of(layer) if weights is None else weights.double()
     size = point.numel()
 
     def probabilities(weights: Tensor, x: Tensor) -> Tensor:
-        if circuit.reuploading:
-            return statevector.probabilities(normal_form(circuit), x[None], weights)[0]
-        state = gate_by_gate(circuit, x[None], weights)[0]
-        return state.real.square() + state.imag.square()
+        return family.bit_probabilities(x[None], weights)[0]
 
     total = torch.zeros(size, size, dtype=torch.float64)
     for part in x.double().cpu().split(max(1, AT_ONCE // (16 * size * 2**layer.wires))):
@@ -281,7 +266,7 @@ def _encodings(layer: QuantumLayer) -> Tensor:
     Raises:
         ValueError: an angle or an amplitude is no linear function of the features, so the spectrum is not known.
     """
-    circuit, values = layer.circuit, weights_of(layer).tolist() if not layer.circuit.reuploading else []
+    circuit, values = layer.circuit, weights_of(layer).tolist()
     first = offsets(circuit.parameters)
     rows = []
     for _, gate in gates_of(circuit):

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
-from qnerf.quantum import measurement, operator, pennylane, statevector
+from qnerf.quantum import measurement, operator, pennylane
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check_wires
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.initial_angles import INITS
@@ -134,7 +134,7 @@ class QuantumLayer(nn.Module):
         return self.circuit.spectral
 
     def extra_repr(self) -> str:
-        shape = f"spectral={self.spectral}" if self.circuit.reuploading else f"features={self.circuit.features}"
+        shape = f"spectral={self.spectral}" if self.spectral else f"features={self.circuit.features}"
         return f"wires={self.wires}, {shape}, ansatz={self.circuit.name}, method={self.method}"
 
     def cost(self, batch: int = 6144) -> Cost:
@@ -178,10 +178,7 @@ class QuantumLayer(nn.Module):
         dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
         angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).resolve_neg().to(dtype)
         with torch.autocast(x.device.type, enabled=False):
-            if self.circuit.reuploading:
-                weights = statevector.stacked(self.weights1, self.weights2).to(dtype)
-            else:
-                weights = torch.cat([angles.new_zeros(0), *(parameter.flatten().to(dtype) for parameter in parameters)])
+            weights = torch.cat([angles.new_zeros(0), *(parameter.flatten().to(dtype) for parameter in parameters)])
             if torch.compiler.is_compiling():
                 out = operator.evaluate(angles, weights, self._number)
             else:
@@ -189,10 +186,7 @@ class QuantumLayer(nn.Module):
         return out if x.ndim == 2 else out.reshape(*x.shape[:-1], out.shape[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Outputs (B, outputs) for inputs (B, features) in radians.
-
-        The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other.
-        """
+        """Outputs (B, outputs) for inputs (B, features) in radians and flat weights, those of all parameters."""
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)
@@ -202,7 +196,7 @@ class QuantumLayer(nn.Module):
         if self._simulator is not None:
             return self._simulator(x, weights)
         assert self._node is not None
-        return self._node(x, weights.transpose(1, 2) if self.circuit.reuploading else weights)
+        return self._node(x, weights)
 
 
 def _described(

@@ -25,9 +25,9 @@ from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.compiled import polynomial
 from qnerf.quantum.compiled.engine import (
     StatevectorEngine,
+    by_row,
     cos_sin,
     cos_sin_of_half,
-    flat_weights,
     from_blocks,
     numpy_dtype,
     parts_of,
@@ -35,7 +35,7 @@ from qnerf.quantum.compiled.engine import (
 )
 from qnerf.quantum.cones import Cone, Cones, TooLarge, find_cones
 from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.registers import is_split, measured, registers
+from qnerf.quantum.registers import block_registers, is_split, measured
 
 MAX_ENTRIES = 2**22  # of the interpolation matrix: 32 MiB
 
@@ -78,6 +78,34 @@ class Interpolation:
     matrix: np.ndarray
 
 
+class Piece(NamedTuple):
+    """A part of a re-uploading circuit with an interpolation grid of its own: a register, or the whole circuit.
+
+    Attributes:
+        circuit: of the part.
+        wires: of the whole circuit.
+        outputs: of the whole circuit: those that each output of the part is.
+    """
+
+    circuit: Circuit
+    wires: list[int]
+    outputs: list[list[int]]
+
+
+@lru_cache(maxsize=64)
+def pieces(circuit: Circuit) -> tuple[Piece, ...]:
+    """The parts of a re-uploading circuit."""
+    if not is_split(circuit):
+        return (Piece(circuit, list(range(circuit.wires)), [[output] for output in range(circuit.outputs)]),)
+    found = measured(circuit)
+    columns = np.eye(found.values) if found.combination is None else found.combination
+    outputs = [np.flatnonzero(column).tolist() for column in columns.T]
+    return tuple(
+        Piece(part.circuit, list(part.wires), [outputs[value] for value in part.values])
+        for part in block_registers(circuit)
+    )
+
+
 @lru_cache(maxsize=64)
 def polynomial_form(circuit: Circuit) -> PolynomialForm:
     """The polynomials of a circuit.
@@ -85,7 +113,7 @@ def polynomial_form(circuit: Circuit) -> PolynomialForm:
     Raises:
         TooLarge: the cones are too large.
     """
-    cones = find_cones(circuit) if not is_split(circuit) else _cones_of_registers(circuit)
+    cones = _cones(circuit)
     most_wires = max(len(cone.wires) for cone in cones.cones)
     wires = np.zeros((len(cones.cones), max(most_wires, 1)), dtype=np.int64)
     basis_sizes = np.ones_like(wires)
@@ -97,17 +125,17 @@ def polynomial_form(circuit: Circuit) -> PolynomialForm:
     return PolynomialForm(cones, int(basis_sizes.max()) // 2, wires, basis_sizes, wire_counts, base)
 
 
-def _cones_of_registers(circuit: Circuit) -> Cones:
-    cones: list[Cone] = [Cone((), ())] * len(circuit.observables)
+def _cones(circuit: Circuit) -> Cones:
+    """The cones of all outputs, found piece by piece."""
+    cones: list[Cone] = [Cone((), ())] * circuit.outputs
     base = [0.0] * circuit.wires
-    outputs = outputs_of(circuit)
-    for part in registers(circuit):
-        own = find_cones(part.circuit)
-        for wire, frequency in zip(part.wires, own.base_frequencies, strict=True):
+    for piece in pieces(circuit):
+        own = find_cones(piece.circuit)
+        for wire, frequency in zip(piece.wires, own.base_frequencies, strict=True):
             base[wire] = frequency
-        for value, cone in zip(part.values, own.cones, strict=True):
-            for output in outputs[value]:
-                cones[output] = Cone(tuple(part.wires[wire] for wire in cone.wires), cone.degrees)
+        for outputs, cone in zip(piece.outputs, own.cones, strict=True):
+            for output in outputs:
+                cones[output] = Cone(tuple(piece.wires[wire] for wire in cone.wires), cone.degrees)
     return Cones(tuple(cones), tuple(base))
 
 
@@ -186,7 +214,7 @@ class _Grid:
 
 
 class _BoundGrid:
-    """A grid with its weights, (rows * 3, n) float64 in radians."""
+    """A grid with its weights, (rows, n, 3) float64 in radians."""
 
     def __init__(self, grid: _Grid, weights: np.ndarray) -> None:
         self.grid, self.bound = grid, grid.engine.bind(weights, np.float64)
@@ -207,14 +235,6 @@ class _BoundGrid:
         return self.bound.backward(points, self.expectations, np.ascontiguousarray(to_values))[1]
 
 
-class _Part(NamedTuple):
-    """A register: its grid, its columns of the weights, and the outputs that each of its values is."""
-
-    grid: _Grid
-    wires: list[int] | slice
-    outputs: list[list[int]]
-
-
 class LightConeEngine:
     """A circuit with small light cones, ready to run on the CPU.
 
@@ -224,41 +244,23 @@ class LightConeEngine:
 
     def __init__(self, circuit: Circuit) -> None:
         self.circuit, self.form = circuit, polynomial_form(circuit)
-        if is_split(circuit):
-            parts, outputs = registers(circuit), outputs_of(circuit)
-            grids = {own: _Grid(own) for own in dict.fromkeys(part.circuit for part in parts)}
-            self.parts = [
-                _Part(grids[part.circuit], list(part.wires), [outputs[value] for value in part.values])
-                for part in parts
-            ]
-        else:
-            every = [[output] for output in range(len(self.form.cones.cones))]
-            self.parts = [_Part(_Grid(circuit), slice(None), every)]
-
-
-def outputs_of(circuit: Circuit) -> list[list[int]]:
-    """For each measured value of a re-uploading circuit the outputs that are this value."""
-    found = measured(circuit)
-    if found.combination is None:
-        return [[value] for value in range(found.values)]
-    return [np.flatnonzero(column).tolist() for column in found.combination.T]
+        grids = {own: _Grid(own) for own in dict.fromkeys(piece.circuit for piece in pieces(circuit))}
+        self.parts = [(piece, grids[piece.circuit]) for piece in pieces(circuit)]
 
 
 def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
-    """Coefficients (outputs, most coefficients) for stacked weights (rows, 3, n), differentiable; plain PyTorch."""
-    if is_split(circuit):
-        most = polynomial_form(circuit).most_coefficients
-        rows: list[Tensor] = [weights.new_zeros(most)] * len(circuit.observables)
-        outputs = outputs_of(circuit)
-        for part in registers(circuit):
-            own = coefficients(part.circuit, weights[..., list(part.wires)])
-            for value, row in zip(part.values, own, strict=True):
-                for output in outputs[value]:
-                    rows[output] = torch.nn.functional.pad(row, (0, most - len(row)))
-        return torch.stack(rows)
-    grid = interpolation(circuit)
-    points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
-    return coefficients_of(grid, statevector.evaluate(normal_form(circuit), points, weights))
+    """Coefficients (outputs, most coefficients) for flat weights, differentiable; plain PyTorch."""
+    most = polynomial_form(circuit).most_coefficients
+    weights = weights.reshape(circuit.rows, circuit.wires, 3)
+    rows: list[Tensor] = [weights.new_zeros(most)] * circuit.outputs
+    for piece in pieces(circuit):
+        grid = interpolation(piece.circuit)
+        points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
+        values = statevector.evaluate(normal_form(piece.circuit), points, weights[:, piece.wires])
+        for outputs, row in zip(piece.outputs, coefficients_of(grid, values), strict=True):
+            for output in outputs:
+                rows[output] = torch.nn.functional.pad(row, (0, most - len(row)))
+    return torch.stack(rows)
 
 
 def coefficients_of(grid: Interpolation, values: Tensor) -> Tensor:
@@ -289,13 +291,13 @@ class _Polynomials(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, cone: LightConeEngine, x: Tensor, weights: Tensor) -> Tensor:
-        form, flat = cone.form, flat_weights(weights)
+        form, angles_by_row = cone.form, by_row(weights, cone.circuit)
         dtype = numpy_dtype(x.dtype)
         table = np.zeros((len(form.wire_counts), form.most_coefficients), dtype)
         bound = []
-        for part in cone.parts:
-            own = _BoundGrid(part.grid, np.ascontiguousarray(flat[:, part.wires]))
-            for outputs, row in zip(part.outputs, own.coefficients(), strict=True):
+        for piece, grid in cone.parts:
+            own = _BoundGrid(grid, angles_by_row[:, piece.wires])
+            for outputs, row in zip(piece.outputs, own.coefficients(), strict=True):
                 table[outputs, : len(row)] = row
             bound.append(own)
         angles = to_blocks(x.detach().numpy(), lanes(table.itemsize))
@@ -320,27 +322,20 @@ class _Polynomials(torch.autograd.Function):
         width = trig.shape[3]
         inputs = np.empty((trig.shape[0], trig.shape[2], width), table.dtype)
         sums = np.empty((parts, *table.shape))
-        run(
-            polynomial.gradients,
-            parts,
-            parts,
-            *arguments,
-            to_blocks(gradient.detach().resolve_neg().numpy(), width),
-            inputs,
-            sums,
-        )
-        total, to_weights = sums.sum(0), np.zeros((shape[0] * shape[1], shape[2]))
-        for part, own in zip(cone.parts, bound, strict=True):
+        upstream = to_blocks(gradient.detach().resolve_neg().numpy(), width)
+        run(polynomial.gradients, parts, parts, *arguments, upstream, inputs, sums)
+        total, to_weights = sums.sum(0), np.zeros((cone.circuit.rows, cone.circuit.wires, 3))
+        for (piece, _), own in zip(cone.parts, bound, strict=True):
             most = own.grid.grid.matrix.shape[1]
-            gradients = np.stack([total[outputs, :most].sum(0) for outputs in part.outputs])
-            to_weights[:, part.wires] += own.backward(gradients)
+            gradients = np.stack([total[outputs, :most].sum(0) for outputs in piece.outputs])
+            to_weights[:, piece.wires] += own.backward(gradients)
         inputs *= cone.form.base_frequencies[:, None].astype(table.dtype)
         dx = from_blocks(inputs, batch)
         return None, dx, torch.from_numpy(to_weights).to(dtype).reshape(shape)
 
 
 def evaluate(cone: LightConeEngine, x: Tensor, weights: Tensor) -> Tensor:
-    """Expectation values (B, outputs) for inputs x (B, n) in radians and stacked weights (rows, 3, n), on the CPU."""
+    """Expectation values (B, outputs) for inputs x (B, n) in radians and flat weights, on the CPU."""
     return _Polynomials.apply(cone, x, weights)
 
 

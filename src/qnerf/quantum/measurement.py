@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import is_transformed
-from qnerf.quantum import carried_errors, density, pauli_errors, statevector
+from qnerf.quantum import density, pauli_errors
 from qnerf.quantum.circuit import Circuit, Probabilities
+from qnerf.quantum.families import family_of
+from qnerf.quantum.folded_errors import Exact
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.normal_form import normal_form, z_eigenvalues
 from qnerf.quantum.pennylane import check_shots
 from qnerf.quantum.readout import Readout
 from qnerf.quantum.registers import Measured, measured
@@ -99,15 +100,14 @@ class _WithoutGradient(torch.autograd.Function):
         raise ValueError("outputs under hardware conditions carry no gradients; train outside the conditions")
 
 
-def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions) -> Tensor:
-    """Outputs (B, outputs) for x (B, features).
+def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Exact, conditions: Conditions) -> Tensor:
+    """Outputs (B, outputs) for x (B, features) and flat weights. `exact` computes the exact outputs.
 
-    The weights are stacked (rows, 3, n) for a re-uploading circuit, and flat for any other. `exact` computes the exact
-    outputs. See `Conditions` for derivatives.
+    See `Conditions` for derivatives.
     """
     if conditions.seed is None:
         conditions.random = np.random.default_rng(int(torch.randint(2**62, ())))
-    found = _values_of(circuit)
+    found = measured(circuit)
     if not found.values or (conditions.shots is None and not conditions.noisy):
         out = exact(x, weights)
         return out if conditions.gradients or is_transformed(x, weights) else _without_gradient(out, x, weights)
@@ -119,10 +119,15 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: pauli_errors.Ex
             drawn = _drawn(circuit, found, x, weights, values, conditions)
         return found.outputs(values if drawn is values else values + (drawn - values).detach())
     with torch.no_grad():
-        from_states = conditions.joint and not conditions.noisy and circuit.reuploading  # needs no exact values
+        from_states = _reads_all_wires(circuit, conditions)  # needs no exact values
         values = x if from_states else _expected(circuit, found, x, weights, exact, conditions)
         drawn = _drawn(circuit, found, x, weights, values, conditions)
     return _without_gradient(found.outputs(drawn), x, weights)
+
+
+def _reads_all_wires(circuit: Circuit, conditions: Conditions) -> bool:
+    """Whether every shot reads all wires."""
+    return conditions.joint and not conditions.noisy and family_of(circuit).reads_all_wires
 
 
 def _without_gradient(out: Tensor, x: Tensor, weights: Tensor) -> Tensor:
@@ -130,16 +135,8 @@ def _without_gradient(out: Tensor, x: Tensor, weights: Tensor) -> Tensor:
     return without
 
 
-def _values_of(circuit: Circuit) -> Measured:
-    """The values that are measured one by one; of a re-uploading circuit these are its outputs."""
-    if not circuit.reuploading:
-        return measured(circuit)
-    count = len(circuit.words)
-    return Measured(circuit.words, tuple(range(count)), count, None, np.zeros(count))
-
-
 def _expected(
-    circuit: Circuit, found: Measured, x: Tensor, weights: Tensor, exact: pauli_errors.Exact, conditions: Conditions
+    circuit: Circuit, found: Measured, x: Tensor, weights: Tensor, exact: Exact, conditions: Conditions
 ) -> Tensor:
     """The exact values (B, values), with the errors of gates and of the readout."""
     noise = conditions.noise or Noise()
@@ -149,9 +146,9 @@ def _expected(
         exact = _simulator(own)
     if conditions.is_sampled(own):
         final = lambda values: found.outputs(read(values))  # noqa: E731
-        arguments = own, x, weights, noise, conditions.patterns, conditions.random, final
-        folds = pauli_errors.folds(own)
-        values, errors = pauli_errors.evaluate(exact, *arguments) if folds else carried_errors.evaluate(*arguments)
+        values, errors = pauli_errors.evaluate(
+            exact, own, x, weights, noise, conditions.patterns, conditions.random, final
+        )
         if not conditions.gradients:  # reading the number would make a GPU wait
             conditions.squared_errors += float(errors.square().sum())
             conditions.outputs += errors.numel()
@@ -169,19 +166,19 @@ def _drawn(
     shots = conditions.shots
     if shots is None:
         return expected
-    if circuit.reuploading and conditions.joint and not conditions.noisy:
-        return torch.cat([_measure_all_wires(circuit, part, weights, conditions) for part in x.split(CHUNK)])
-    if circuit.reuploading:
-        return binomial(expected, shots, conditions.random)
-    drawn = []
-    for observable, first in zip(found.observables, found.places, strict=True):
+    if _reads_all_wires(circuit, conditions):
+        own = replace(circuit, observables=found.observables)
+        return torch.cat([_measure_all_wires(own, part, weights, conditions) for part in x.split(CHUNK)])
+    drawn = torch.empty_like(expected)
+    words = [k for k, observable in zip(found.places, found.observables, strict=True) if isinstance(observable, tuple)]
+    drawn[:, words] = binomial(expected[:, words], shots, conditions.random)
+    for first, observable in zip(found.places, found.observables, strict=True):
         if isinstance(observable, Probabilities):
-            exact = expected[:, first : first + 2 ** len(observable.wires)].detach()
+            table = slice(first, first + 2 ** len(observable.wires))
+            exact = expected[:, table].detach()
             counts = multinomial(shots, np.nan_to_num(exact.double().cpu().numpy()), conditions.random)
-            drawn.append((torch.from_numpy(counts / shots).to(x)).where(exact == exact, torch.nan))
-        else:
-            drawn.append(binomial(expected[:, first : first + 1], shots, conditions.random))
-    return torch.cat(drawn, 1)
+            drawn[:, table] = torch.from_numpy(counts / shots).to(x).where(exact == exact, torch.nan)
+    return drawn
 
 
 def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
@@ -198,13 +195,13 @@ def _simulator(circuit: Circuit) -> Simulator:
 
 
 def _measure_all_wires(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:
-    form = normal_form(circuit)
+    family = family_of(circuit)
     assert conditions.shots is not None
-    probabilities = statevector.probabilities(form, x.double(), weights.double()).cpu().numpy()
+    probabilities = family.bit_probabilities(x.double(), weights.double()).cpu().numpy()
     if not len(probabilities):
-        return x.new_zeros(0, len(circuit.observables))
+        return x.new_zeros(0, circuit.outputs)
     counts = multinomial(conditions.shots, np.nan_to_num(probabilities), conditions.random)
-    means = counts @ z_eigenvalues(form.measured, form.wires).T / conditions.shots
+    means = counts @ family.bit_signs().T / conditions.shots
     means[np.isnan(probabilities).any(1)] = np.nan
     return torch.from_numpy(means).to(x)
 

@@ -30,7 +30,7 @@ PHI, THETA, OMEGA = 0, 1, 2
 class Angles:
     """One angle for each wire j, in radians: constant_j + the sum of `weights` + scale_j x_j.
 
-    A weight (row, k) is the k-th angle of Rot(phi, theta, omega) in that row of the stacked weights, on every wire.
+    A weight (row, k) is the k-th angle of Rot(phi, theta, omega) in that row of the weights, on every wire.
     """
 
     weights: tuple[tuple[int, int], ...] = ()

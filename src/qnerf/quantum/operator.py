@@ -20,7 +20,7 @@ class Evaluator(Protocol):
     def outputs(self) -> int: ...
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Outputs (B, outputs) for inputs (B, n) in radians and stacked weights (rows, 3, n)."""
+        """Outputs (B, outputs) for inputs (B, features) in radians and flat weights."""
         ...
 
 

@@ -153,11 +153,6 @@ def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
     return state.T
 
 
-def flat_weights(circuit: Circuit, weights: Tensor) -> Tensor:
-    """The flat weights, from the stacked ones (rows, 3, n) of a re-uploading circuit or from flat ones."""
-    return weights.transpose(1, 2).flatten() if circuit.reuploading else weights
-
-
 def action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """The word on a state a as (index, phases): phases * a[index]."""
     return (_kept_action if wires <= KEPT_WIRES else _new_action)(word, wires, device, dtype)

@@ -15,14 +15,11 @@ from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum.circuit import (
     Amplitudes,
     Circuit,
-    Encoding,
-    Entangler,
     Expression,
     Hamiltonian,
     Observable,
     PauliWord,
     Probabilities,
-    Rotations,
 )
 from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.noise import Noise
@@ -49,47 +46,14 @@ def check_shots(shots: int | None) -> None:
 
 
 def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) -> None:
-    """Queues the circuit's gates inside a QNode, for x (features,) or (B, features).
-
-    The weights are (rows, n, 3) for a re-uploading circuit, and flat for any other.
-    """
-    import pennylane as qml
-
-    if not circuit.reuploading:
-        _apply_gates(circuit, x, weights, noise)
-        return
-
-    def add_noise(*wires: int) -> None:
-        for wire in wires:
-            for name, probability in noise.after(len(wires)) if noise is not None else ():
-                getattr(qml, name)(probability, wires=wire)
-
-    for operation in circuit.operations:
-        if isinstance(operation, Rotations):
-            for wire in range(circuit.wires):
-                phi, theta, omega = (weights[operation.row, wire, k] for k in range(3))
-                qml.Rot(phi, theta, omega, wires=wire)
-                add_noise(wire)
-        elif isinstance(operation, Entangler):
-            for pair in operation.pairs:
-                getattr(qml, operation.gate)(wires=pair)
-                add_noise(*pair)
-        else:
-            assert isinstance(operation, Encoding)
-            gate = getattr(qml, f"R{operation.axis}")
-            for wire in range(circuit.wires):
-                gate(operation.scales[wire] * x[..., wire], wires=wire)
-                add_noise(wire)
-
-
-def _apply_gates(circuit: Circuit, x: Any, weights: Any, noise: Noise | None) -> None:
-    """`apply` gate by gate, for flat weights."""
+    """Queues the circuit's gates inside a QNode, for x (features,) or (B, features) and flat weights."""
     import pennylane as qml
 
     first = offsets(circuit.parameters)
+    zero = weights[:0].sum()  # of the kind of the weights, a tensor or an array
 
     def value(expression: Expression | float) -> Any:
-        total = weights.new_zeros(())
+        total = zero
         for coefficient, names, features in Expression.of(expression).terms:
             factors = [weights[first[name] + index] for name, index in names] + [x[..., index] for index in features]
             total = total + prod(factors, start=coefficient)
@@ -179,7 +143,7 @@ def make_node(
     noise: Noise | None = None,
     seed: Seed | None = None,
 ) -> Callable[[Tensor, Tensor], Tensor]:
-    """A function of x (B, features) in radians and weights, see `apply`, that returns (B, outputs).
+    """A function of x (B, features) in radians and flat weights that returns (B, outputs).
 
     Args:
         circuit: what is run.
@@ -253,6 +217,7 @@ def draw(circuit: Circuit | Any) -> str:
     import pennylane as qml
 
     circuit = circuit if isinstance(circuit, Circuit) else circuit.circuit
-    shape = (circuit.rows, circuit.wires, 3) if circuit.reuploading else (sum(map(prod, circuit.parameters.values())),)
     node = qml.QNode(_quantum_function(circuit, None), qml.device("default.qubit", wires=circuit.wires))
-    return str(qml.draw(node, decimals=None, max_length=200)(torch.ones(circuit.features or 0), torch.zeros(shape)))
+    return str(
+        qml.draw(node, decimals=None, max_length=200)(torch.ones(circuit.features or 0), torch.zeros(circuit.size))
+    )

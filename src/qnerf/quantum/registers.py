@@ -6,7 +6,7 @@ most registers are copies: the same circuit with other features and weights.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> wide = ANSATZE.build("qiren", 64, 1)
->>> parts = registers(wide)
+>>> parts = block_registers(wide)
 >>> len(parts), len({part.circuit for part in parts}), parts[0].circuit.wires
 (64, 1, 9)
 """
@@ -14,6 +14,7 @@ most registers are copies: the same circuit with other features and weights.
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,7 +29,6 @@ from qnerf.quantum.circuit import (
     Expression,
     Gate,
     Hamiltonian,
-    Observable,
     Operation,
     PauliWord,
     Probabilities,
@@ -53,8 +53,7 @@ class Register:
         circuit: on the register's wires, which are numbered from 0, as are its features and weights.
         wires: of the whole circuit, in this order.
         features: of the whole circuit's input, in this order.
-        weights: of the whole circuit: columns of the stacked weights (rows, 3, n) of a re-uploading circuit, else
-            places in the flat weights.
+        weights: of the whole circuit's flat weights, in this order.
         values: which of the `measured` values it has, in this order.
     """
 
@@ -98,15 +97,29 @@ def is_split(circuit: Circuit) -> bool:
     Raises:
         ValueError: the largest state that it needs has more than 20 wires.
     """
-    parts = registers(circuit) if circuit.wires > WHOLE else ()
+    parts = _joined_cones(circuit) if circuit.wires > WHOLE else ()
     if not parts:
         return False
-    largest = max(part.circuit.wires for part in parts)
-    if sum(2.0**part.circuit.wires for part in parts) <= 2.0 ** (circuit.wires - 1):
+    largest = max(len(part.wires) for part in parts)
+    if sum(2.0 ** len(part.wires) for part in parts) <= 2.0 ** (circuit.wires - 1):
         check_state(largest, f"an output of circuit {circuit.name} depends on {largest} of its {circuit.wires} wires")
         return True
     check_state(circuit.wires, f"circuit {circuit.name}")
     return False
+
+
+def state_wires(circuit: Circuit) -> int:
+    """Wires of the largest state that the circuit needs."""
+    return max(len(part.wires) for part in _joined_cones(circuit)) if is_split(circuit) else circuit.wires
+
+
+def as_registers(circuit: Circuit) -> str:
+    """
+    >>> from qnerf.quantum.circuit import ANSATZE
+    >>> as_registers(ANSATZE.build("qiren", 64, 1))
+    '64 registers of at most 9 wires'
+    """
+    return f"{len(_joined_cones(circuit))} registers of at most {state_wires(circuit)} wires"
 
 
 @lru_cache(maxsize=256)
@@ -147,53 +160,83 @@ def measured(circuit: Circuit) -> Measured:
     return Measured(tuple(index), tuple(places), values, None if are_values else combination, constants)
 
 
+class _Cone(NamedTuple):
+    """Light cones that share a register: their wires, their gates' places in `gates_of`, and their observables."""
+
+    wires: set[int]
+    gates: set[int]
+    observables: list[int]
+
+
 @lru_cache(maxsize=64)
-def registers(circuit: Circuit) -> tuple[Register, ...]:
-    """The registers of a circuit; each of its measured values is in one of them."""
-    observables = measured(circuit).observables
+def _joined_cones(circuit: Circuit) -> tuple[_Cone, ...]:
+    """The cones of all measured values, the largest first; smaller ones join those that hold their wires."""
     cones = []
-    for place, observable in enumerate(observables):
+    for place, observable in enumerate(measured(circuit).observables):
         if isinstance(observable, Probabilities):
             observable = tuple((wire, "Z") for wire in observable.wires)
         cones.append((trace(circuit, observable), place))
-    joined: list[tuple[set[int], set[int], list[int]]] = []
+    joined: list[_Cone] = []
     for cone, place in sorted(cones, key=lambda cone: -len(cone[0].wires)):
-        for wires, gates, places in joined:
-            if len(wires | cone.wires) <= max(len(wires), SMALL):
-                wires |= cone.wires
-                gates |= cone.gates
-                places.append(place)
+        for other in joined:
+            if len(other.wires | cone.wires) <= max(len(other.wires), SMALL):
+                other.wires.update(cone.wires)
+                other.gates.update(cone.gates)
+                other.observables.append(place)
                 break
         else:
-            joined.append((set(cone.wires), set(cone.gates), [place]))
-    return tuple(_register(circuit, *part) for part in joined)
+            joined.append(_Cone(set(cone.wires), set(cone.gates), [place]))
+    return tuple(joined)
 
 
-def _register(circuit: Circuit, wires: set[int], gates: set[int], places: list[int]) -> Register:
-    order = _in_ring_order(wires, circuit.wires)
-    number = {wire: index for index, wire in enumerate(order)}
+@lru_cache(maxsize=64)
+def block_registers(circuit: Circuit) -> tuple[Register, ...]:
+    """The registers of a re-uploading circuit: re-uploading circuits with its operations on some of the wires."""
+    registers = []
+    for cone in _joined_cones(circuit):
+        order = _in_ring_order(cone.wires, circuit.wires)
+        number = {wire: index for index, wire in enumerate(order)}
+        observables, values = _values(circuit, cone, number)
+        operations = tuple(_restricted(operation, order, number) for operation in circuit.operations)
+        own = replace(circuit, wires=len(order), features=None, operations=operations, observables=observables)
+        weights = np.arange(circuit.rows * circuit.wires * 3).reshape(circuit.rows, -1, 3)[:, order].ravel().tolist()
+        registers.append(Register(own, order, order, tuple(weights), values))
+    return tuple(registers)
+
+
+@lru_cache(maxsize=64)
+def gate_registers(circuit: Circuit) -> tuple[Register, ...]:
+    """The registers of any circuit: the gates of a cone, with the features and weights that they use."""
+    registers = []
+    for cone in _joined_cones(circuit):
+        order = _in_ring_order(cone.wires, circuit.wires)
+        number = {wire: index for index, wire in enumerate(order)}
+        observables, values = _values(circuit, cone, number)
+        renumbered = _Renumbered(circuit)
+        operations = tuple(renumbered(gates_of(circuit)[place][1], number) for place in sorted(cone.gates))
+        weights = (Weights("weights", (len(renumbered.weights),)),) if renumbered.weights else ()
+        features = len(renumbered.features)
+        own = Circuit(circuit.name, len(order), 0, 0, operations, observables, features, weights)
+        registers.append(Register(own, order, tuple(renumbered.features), tuple(renumbered.weights), values))
+    return tuple(registers)
+
+
+def _values(
+    circuit: Circuit, cone: _Cone, number: dict[int, int]
+) -> tuple[tuple[PauliWord | Probabilities, ...], tuple[int, ...]]:
+    """The observables of a register, and which of the `measured` values they are. number: its wires -> 0, 1, ..."""
     found = measured(circuit)
     values: list[int] = []
-    observables: list[Observable] = []
-    for place in places:
-        observable = found.observables[place]
+    observables: list[PauliWord | Probabilities] = []
+    for place in cone.observables:
+        observable, first = found.observables[place], found.places[place]
         if isinstance(observable, Probabilities):
             observables.append(Probabilities(tuple(number[wire] for wire in observable.wires)))
-            values += range(found.places[place], found.places[place] + 2 ** len(observable.wires))
+            values += range(first, first + 2 ** len(observable.wires))
         else:
             observables.append(tuple((number[wire], letter) for wire, letter in observable))
-            values.append(found.places[place])
-    if circuit.reuploading:
-        operations = tuple(_restricted(operation, order, number) for operation in circuit.operations)
-        own = replace(circuit, wires=len(order), features=None, operations=operations, observables=tuple(observables))
-        return Register(own, order, order, order, tuple(values))
-    renumbered = _Renumbered(circuit)
-    operations = tuple(renumbered(gates_of(circuit)[place][1], number) for place in sorted(gates))
-    weights = (Weights("weights", (len(renumbered.weights),)),) if renumbered.weights else ()
-    own = Circuit(
-        circuit.name, len(order), 0, 0, operations, tuple(observables), len(renumbered.features), weights
-    )  # fmt: skip
-    return Register(own, order, tuple(renumbered.features), tuple(renumbered.weights), tuple(values))
+            values.append(first)
+    return tuple(observables), tuple(values)
 
 
 def _in_ring_order(wires: Iterable[int], n: int) -> tuple[int, ...]:
@@ -240,11 +283,6 @@ class _Renumbered:
                 term = term * feature(self.features.setdefault(index, len(self.features)))
             total = total + term
         return total
-
-
-def state_wires(circuit: Circuit) -> int:
-    """Wires of the largest state that the circuit needs."""
-    return max(part.circuit.wires for part in registers(circuit)) if is_split(circuit) else circuit.wires
 
 
 assert SMALL <= WHOLE <= MAX_STATE_WIRES

@@ -23,14 +23,8 @@ GROUP = 4  # wires in one dense real matrix
 CHUNK_BYTES = 2**28  # what autograd may store for one chunk
 
 
-def stacked(weights1: Tensor, weights2: Tensor) -> Tensor:
-    """The stacked weights that every engine takes: (S, L, n, 3) and (L, n, 3) -> (rows, 3, n)."""
-    n = weights2.shape[-2]
-    return torch.cat([weights1.reshape(-1, n, 3), weights2.reshape(-1, n, 3)]).transpose(1, 2)
-
-
 def evaluate(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
-    """Expectation values (B, outputs) for inputs x (B, n) in radians and stacked weights (rows, 3, n)."""
+    """Expectation values (B, outputs) for inputs x (B, n) in radians and flat weights (of any shape)."""
     size = chunk_size(form, x.element_size())
     if x.shape[0] <= size:
         return _expectations(form, x, weights)
@@ -64,12 +58,12 @@ def final_state(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
     check_state(form.wires, f"the whole state of circuit {form.circuit.name}")
     state = torch.zeros(2**form.wires, 1, dtype=x.dtype.to_complex(), device=x.device)
     state[0] = 1
-    weights = weights.double()  # angles are added up before they are rounded
+    angles = weights.double().reshape(form.circuit.rows, form.wires, 3)  # added up before they are rounded
     for step in form.steps:
         if isinstance(step, Diagonal):
-            state = state * _diagonal(step, x, weights)
+            state = state * _diagonal(step, x, angles)
         elif isinstance(step, RYLayer):
-            state = _apply_ry(state, *_cos_sin_of_half(step.angles, x, weights))
+            state = _apply_ry(state, *_cos_sin_of_half(step.angles, x, angles))
         else:
             state = state[_table(cnot_permutation, step.pairs, form.wires, x.device, None)]
     return state.expand(-1, x.shape[0])
@@ -102,13 +96,13 @@ def cos_sin(x: Tensor, factors: Sequence[float]) -> tuple[Tensor, Tensor]:
 
 
 def _cos_sin_of_half(angles: Angles, x: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """cos and sin of half the angles: (n, 1), or (n, B) if they depend on the input. weights: float64.
+    """cos and sin of half the angles: (n, 1), or (n, B) if they depend on the input. weights: (rows, n, 3) float64.
 
     The input's part and the fixed part are not added up: a large input plus a small weight would round the weight away.
     """
     total = weights.new_zeros(x.shape[1])
     for row, kind in angles.weights:
-        total = total + weights[row, kind]
+        total = total + weights[row, :, kind]
     if angles.constant is not None:
         total = total + total.new_tensor(angles.constant)
     half = total[:, None] / 2

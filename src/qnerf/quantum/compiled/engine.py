@@ -21,10 +21,13 @@ from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import run
 from qnerf.kernels.simd import lanes
 from qnerf.quantum import statevector
+from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.compiled.sweeps import backward, forward, prepare, prepare_backward
 from qnerf.quantum.compiled.tables import (
     START,
     CircuitArrays,
+    Measurement,
+    Tables,
     add_weight_gradients,
     bind_weights,
     circuit_arrays,
@@ -42,7 +45,7 @@ class StatevectorEngine:
         self.arrays: CircuitArrays = circuit_arrays(form)
 
     def bind(self, weights: np.ndarray, dtype: Any) -> "BoundEngine":
-        """The engine with these weights, (rows * 3, n) float64 in radians, in the given precision."""
+        """The engine with these weights, (rows, n, 3) float64 in radians, in the given precision."""
         return BoundEngine(self.arrays, weights, dtype)
 
 
@@ -51,27 +54,26 @@ class BoundEngine:
 
     def __init__(self, arrays: CircuitArrays, weights: np.ndarray, dtype: Any) -> None:
         self.arrays, self.dtype = arrays, np.dtype(dtype)
-        steps, n = arrays.constants.shape
+        steps, n = arrays.steps.constants.shape
         self.n, self.width = n, lanes(self.dtype.itemsize)
-        tangents, diagonals = np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n))
-        flip_masks, self.angle_signs = np.zeros(steps, dtype=np.int64), np.zeros((steps, n))
-        last_layer, eigenvalues = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)
-        self.amplitude = bind_weights(
-            arrays.codes, arrays.weight_ranges, arrays.weight_rows, arrays.constants, arrays.cz_signs, arrays.cnots,
-            arrays.eigenvalues, arrays.form.measures_last_layer, weights, tangents, diagonals, flip_masks,
-            self.angle_signs, last_layer, eigenvalues,
-        )  # fmt: skip
-        cast = [array.astype(self.dtype) for array in (diagonals, tangents, self.angle_signs)]
-        self.tables = cast[0], cast[1], flip_masks, cast[2], arrays.permutations
-        measures_last_layer = arrays.form.measures_last_layer
-        self.measurement = (
-            measures_last_layer, arrays.wires, eigenvalues.astype(self.dtype), last_layer.astype(self.dtype)
+        tables = Tables(
+            np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n)), np.zeros(steps, np.int64), np.zeros((steps, n))
+        )
+        last_layer, flipped = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)
+        measured = Measurement(arrays.form.measures_last_layer, arrays.wires, arrays.eigenvalues, last_layer)
+        self.amplitude = bind_weights(arrays.steps, weights, measured, tables, flipped)
+        self.measurement = measured._replace(
+            eigenvalues=flipped.astype(self.dtype), last_layer=last_layer.astype(self.dtype)
+        )
+        self.tables = Tables(
+            tables.tangents.astype(self.dtype), tables.diagonals.astype(self.dtype), tables.flip_masks,
+            tables.angle_signs.astype(self.dtype),
         )  # fmt: skip
         self.psi = np.empty((2, 2**n), self.dtype)
-        prepare(arrays.once, n, self.width, self.amplitude, self.tables, self.psi)
+        prepare(arrays.once, n, self.width, self.amplitude, self.tables, arrays.permutations, self.psi)
         code, step, _, _ = arrays.per_sample[0]
         # The fixed phases of a first encoding that is diagonal belong to the state that all samples start from.
-        self.first_diagonal = cast[0][step] if code == START and step >= 0 else None
+        self.first_diagonal = self.tables.diagonals[step] if code == START and step >= 0 else None
         self.start = self.psi
         if self.first_diagonal is not None:
             u, v = self.first_diagonal
@@ -81,8 +83,11 @@ class BoundEngine:
 
     def _shared(self, trig: np.ndarray) -> tuple[Any, ...]:
         """Arguments that `forward` and `backward` begin with."""
-        parts = parts_of(trig)
-        return parts, parts, self.arrays.per_sample, self.n, self.width, trig, self.start, self.tables, self.measurement
+        arrays, parts = self.arrays, parts_of(trig)
+        return (
+            parts, parts, arrays.per_sample, self.n, self.width, trig, self.start, self.tables, arrays.permutations,
+            self.measurement,
+        )  # fmt: skip
 
     def forward(self, trig: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """trig (blocks, encodings, 2, n, width) -> outputs (blocks, outputs, width), and what `backward` needs.
@@ -98,11 +103,11 @@ class BoundEngine:
     def backward(
         self, trig: np.ndarray, expectations: np.ndarray, gradient: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of the inputs (blocks, n, width) and of the weights (rows * 3, n)."""
+        """Gradients of the inputs (blocks, n, width) and of the weights (rows, n, 3)."""
         arrays, n = self.arrays, self.n
         blocks, parts = trig.shape[0], parts_of(trig)
         inputs = np.empty((blocks, n, self.width), self.dtype)
-        sums, adjoints = np.zeros((parts, len(arrays.codes), n)), np.zeros((parts, 2, 2**n))
+        sums, adjoints = np.zeros((parts, len(arrays.steps.codes), n)), np.zeros((parts, 2, 2**n))
         run(
             backward, *self._shared(trig), expectations, arrays.stored_states, arrays.input_scales, gradient, inputs,
             sums, adjoints,
@@ -112,10 +117,11 @@ class BoundEngine:
             u, v = self.first_diagonal.astype(np.float64)
             adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
         prepare_backward(
-            arrays.once, n, self.width, self.amplitude, self.tables, adjoint, arrays.input_scales, total, self.dtype
+            arrays.once, n, self.width, self.amplitude, self.tables, arrays.permutations, adjoint, arrays.input_scales,
+            total, self.dtype,
         )  # fmt: skip
-        weights = np.zeros((arrays.form.circuit.rows * 3, n))
-        add_weight_gradients(arrays.weight_ranges, arrays.weight_rows, self.angle_signs, total, weights)
+        weights = np.zeros((arrays.form.circuit.rows, n, 3))
+        add_weight_gradients(arrays.steps, self.tables.angle_signs, total, weights)
         return inputs, weights
 
 
@@ -164,7 +170,7 @@ def cos_sin_of_half(x: np.ndarray, scales: np.ndarray) -> np.ndarray:
 class _Simulate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
-        bound = engine.bind(flat_weights(weights), numpy_dtype(x.dtype))
+        bound = engine.bind(by_row(weights, engine.form.circuit), numpy_dtype(x.dtype))
         trig = cos_sin_of_half(to_blocks(x.detach().numpy(), bound.width), engine.arrays.encoding_scales)
         out, expectations = bound.forward(trig)
         ctx.save_for_backward(x, weights)
@@ -189,11 +195,11 @@ def numpy_dtype(dtype: torch.dtype) -> Any:
     return np.float32 if dtype == torch.float32 else np.float64
 
 
-def flat_weights(weights: Tensor) -> np.ndarray:
-    """Stacked weights (rows, 3, n) -> (rows * 3, n) float64."""
-    return weights.detach().double().reshape(-1, weights.shape[-1]).contiguous().numpy()
+def by_row(weights: Tensor, circuit: Circuit) -> np.ndarray:
+    """The weights of a re-uploading circuit as (rows, n, 3) float64."""
+    return weights.detach().double().reshape(circuit.rows, circuit.wires, 3).numpy()
 
 
 def evaluate(engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
-    """Expectation values (B, outputs) for inputs x (B, n) in radians and stacked weights (rows, 3, n), on the CPU."""
+    """Expectation values (B, outputs) for inputs x (B, n) in radians and flat weights, on the CPU."""
     return _Simulate.apply(engine, x, weights)

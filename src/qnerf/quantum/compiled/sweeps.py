@@ -20,6 +20,8 @@ from qnerf.quantum.compiled.tables import (
     RY,
     RY_PER_SAMPLE,
     START,
+    Measurement,
+    Tables,
 )
 
 # Numba compiles a function once more for every True and False of Python's that it is called with. `ry_layer_per_sample`
@@ -83,13 +85,16 @@ def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: An
 
 
 @jit
-def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, psi: Any, store_states: bool) -> int:
+def _forward(
+    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, permutations: Any, psi: Any,
+    store_states: bool,
+) -> int:  # fmt: skip
     """Runs the operations and returns where the final state lies.
 
     With `store_states` the state before each operation that is no diagonal stays in the work array.
     """
     keep_apart()
-    diagonals, tangents, flip_masks, angle_signs, permutations = tables
+    tangents, diagonals, flip_masks, angle_signs = tables
     pair = 2 * (width << n)
     here = at.state
     for o in range(len(operations)):
@@ -117,14 +122,15 @@ def _forward(x: Any, at: Layout, n: int, width: int, operations: Any, tables: An
 
 @jit
 def _backward(
-    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Any, input_scales: Any, here: int
-) -> None:
+    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, permutations: Any, input_scales: Any,
+    here: int,
+) -> None:  # fmt: skip
     """Carries the adjoint state back through the operations; `here` is the last of the stored states.
 
     Adds to the work array's `sums`, `first_adjoint` and `inputs`.
     """
     keep_apart()
-    diagonals, tangents, flip_masks, angle_signs, permutations = tables
+    tangents, diagonals, flip_masks, angle_signs = tables
     pair = 2 * (width << n)
     adjoint, scratch, d = at.adjoint, at.scratch, at.gradients
     for o in range(len(operations) - 1, -1, -1):
@@ -176,16 +182,21 @@ def _sum(x: Any, first: int, width: int) -> float:
     return value
 
 
-def prepare(operations: np.ndarray, n: int, width: int, amplitude: float, tables: Any, psi: np.ndarray) -> None:
+def prepare(
+    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, permutations: np.ndarray,
+    psi: np.ndarray,
+) -> None:  # fmt: skip
     """Fills psi (2, 2^n), real and imaginary parts: the state before the first encoding."""
     x, at = _work_array(n, width, 2, 0, psi.dtype)
-    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, psi.dtype), NOT_STORED)
+    end = _forward(
+        x, at, n, width, operations, tables, permutations, _ground_state(n, amplitude, psi.dtype), NOT_STORED
+    )
     psi[:] = _state(x, end, n, width)[..., 0]
 
 
 def prepare_backward(
-    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Any, adjoint: np.ndarray,
-    input_scales: np.ndarray, sums_out: np.ndarray, dtype: Any,
+    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, permutations: np.ndarray,
+    adjoint: np.ndarray, input_scales: np.ndarray, sums_out: np.ndarray, dtype: Any,
 ) -> None:  # fmt: skip
     """Adds the gradients of the angles before the first encoding to `sums_out` (steps, n).
 
@@ -193,9 +204,9 @@ def prepare_backward(
     """
     steps = len(sums_out)
     x, at = _work_array(n, width, 1 + len(operations), steps, dtype)
-    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, dtype), STORED)
+    end = _forward(x, at, n, width, operations, tables, permutations, _ground_state(n, amplitude, dtype), STORED)
     _state(x, at.adjoint, n, width)[..., 0] = adjoint
-    _backward(x, at, n, width, operations, tables, input_scales, end)
+    _backward(x, at, n, width, operations, tables, permutations, input_scales, end)
     sums_out += x[at.sums : at.sums + steps * n * width].reshape(steps, n, width)[..., 0]
 
 
@@ -233,8 +244,8 @@ def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
 
 @jit
 def forward(
-    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Any,
-    measurement: Any, expectations: Any, out: Any,
+    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Tables,
+    permutations: Any, measurement: Measurement, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
     """The blocks of samples in the parts first..last.
 
@@ -249,7 +260,7 @@ def forward(
     q, d = at.scratch, at.gradients
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, trig[block], n, width)
-        end = _forward(x, at, n, width, operations, tables, psi, NOT_STORED)
+        end = _forward(x, at, n, width, operations, tables, permutations, psi, NOT_STORED)
         forward_passes.probabilities(x, end, n, width, q)
         if measures_last_layer:
             forward_passes.z_sums(x, q, n, width, d)
@@ -275,9 +286,9 @@ def forward(
 
 @jit
 def backward(
-    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Any,
-    measurement: Any, expectations: Any, states: int, input_scales: Any, gradient: Any, inputs_out: Any, sums_out: Any,
-    adjoint_out: Any,
+    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Tables,
+    permutations: Any, measurement: Measurement, expectations: Any, states: int, input_scales: Any, gradient: Any,
+    inputs_out: Any, sums_out: Any, adjoint_out: Any,
 ) -> None:  # fmt: skip
     """Gradients from those of the outputs, `gradient` (blocks, outputs, width); the others as in `forward`.
 
@@ -296,7 +307,7 @@ def backward(
         _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, trig[block], n, width)
-            end = _forward(x, at, n, width, operations, tables, psi, STORED)
+            end = _forward(x, at, n, width, operations, tables, permutations, psi, STORED)
             if measures_last_layer:
                 _fill_zero(x, at.factors, 2 * n, width)
                 for k in range(len(wires)):
@@ -325,7 +336,7 @@ def backward(
                         i += size
                         store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
             _fill_zero(x, at.inputs, n, width)
-            _backward(x, at, n, width, operations, tables, input_scales, end)
+            _backward(x, at, n, width, operations, tables, permutations, input_scales, end)
             for j in range(n):
                 for i in range(width):
                     inputs_out[block, j, i] = x[at.inputs + j * width + i]
