@@ -6,6 +6,7 @@ from typing import Any
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 from qnerf.cli.text import measured
@@ -48,71 +49,64 @@ def metric_column(metric: Metric, title: str | None = None, rank: int = 0, style
 
 def print_table(console: Console, columns: Sequence[Column], rows: Sequence[Row]) -> None:
     if console.is_terminal:
-        for line in table(columns, rows, console.width):
-            console.print(line, no_wrap=True, overflow="ellipsis", crop=True)
-        return
-    console.file.writelines(f"{line}\n" for line in plain_lines(columns, rows))
+        console.print(table(columns, rows, console.width))
+    else:
+        console.file.writelines(f"{line}\n" for line in plain_lines(columns, rows))
 
 
 def plain_lines(columns: Sequence[Column], rows: Sequence[Row]) -> Iterator[str]:
     """Lines aligned by spaces, for `awk`: no cell is empty or contains a space, and numbers have no commas."""
-    cells = [[_plain(column, column.title) for column in columns]]
-    cells += [[_plain(column, column.cell(row)) for column in columns] for row in rows]
+
+    def plain(column: Column, text: str) -> str:
+        return printable(text.replace(",", "") if column.right else text).replace(" ", "_") or "-"
+
+    cells = [[plain(column, column.title) for column in columns]]
+    cells += [[plain(column, column.cell(row)) for column in columns] for row in rows]
     widths = [max(cell_len(line[i]) for line in cells) for i in range(len(columns))]
     for line in cells:
-        yield _align(columns, line, widths).rstrip()
+        padded = []
+        for column, text, width in zip(columns, line, widths, strict=True):
+            fill = " " * (width - cell_len(text))
+            padded.append(fill + text if column.right else text + fill)
+        yield (" " * GAP).join(padded).rstrip()
 
 
-def _plain(column: Column, text: str) -> str:
-    return printable(text.replace(",", "") if column.right else text).replace(" ", "_") or "-"
-
-
-def table(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Text]:
-    """Lines of at most `width` characters, the titles first."""
+def table(columns: Sequence[Column], rows: Sequence[Row], width: int) -> Table:
+    """A table of at most `width` characters."""
     cells = _cells(columns, rows)
-    columns, widths = fit(columns, _widths(cells), width)
-    lines = [Text((" " * GAP).join(_padded(c, c.title, widths[c.title]) for c in columns).rstrip(), "bold")]
+    shown = Table(box=None, padding=(0, GAP, 0, 0), pad_edge=False, header_style="bold")
+    fitted = _fit(columns, cells, width)
+    for column in fitted:
+        shown.add_column(column.title, justify="right" if column.right else "left", no_wrap=True, overflow="ellipsis")
     for number, row in enumerate(rows):
-        line = Text()
-        for column in columns:
-            text = _padded(
-                column, shorten(cells[column.title][number], widths[column.title], column.tail), widths[column.title]
-            )
-            line.append(text, column.style(row))
-            line.append(" " * GAP)
-        line.rstrip()
-        lines.append(line)
-    return lines
+        texts = [shorten(cells[column.title][number], room, column.tail) for column, room in fitted.items()]
+        shown.add_row(*(Text(text, column.style(row)) for column, text in zip(fitted, texts, strict=True)))
+    return shown
 
 
 def fitting(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[Column]:
     """The columns that `table` shows."""
-    return fit(columns, _widths(_cells(columns, rows)), width)[0]
+    return list(_fit(columns, _cells(columns, rows), width))
 
 
 def _cells(columns: Sequence[Column], rows: Sequence[Row]) -> dict[str, list[str]]:
     return {c.title: [printable(c.cell(row), c.limit) or "-" for row in rows] for c in columns}
 
 
-def _widths(cells: Mapping[str, Sequence[str]]) -> dict[str, int]:
-    return {title: max(map(cell_len, [title, *own])) for title, own in cells.items()}
-
-
-def fit(columns: Sequence[Column], widths: Mapping[str, int], width: int) -> tuple[list[Column], dict[str, int]]:
-    """The columns that fit, and their widths; shrinkable columns take the room that is left."""
-    columns = list(columns)
-    while True:
-        fitted = {c.title: min(widths[c.title], c.min_width or widths[c.title]) for c in columns}
-        room = width - sum(fitted.values()) - GAP * (len(columns) - 1)
-        last = max(columns, key=lambda c: c.rank)
-        if room >= 0 or last.rank == 0:
+def _fit(columns: Sequence[Column], cells: Mapping[str, Sequence[str]], width: int) -> dict[Column, int]:
+    """The columns that fit, with their widths; columns that shrink take the room that is left."""
+    full = {column: max(map(cell_len, [column.title, *cells[column.title]])) for column in columns}
+    fitted = {column: min(full[column], column.min_width or full[column]) for column in columns}
+    while (room := width - sum(fitted.values()) - GAP * (len(fitted) - 1)) < 0:
+        last = max(fitted, key=lambda column: column.rank)
+        if last.rank == 0:
             break
-        columns.remove(last)
-    for title, smallest in fitted.items():
-        grow = min(max(room, 0), widths[title] - smallest)
-        fitted[title] += grow
+        del fitted[last]
+    for column, smallest in fitted.items():
+        grow = min(max(room, 0), full[column] - smallest)
+        fitted[column] += grow
         room -= grow
-    return columns, fitted
+    return fitted
 
 
 def shorten(text: str, width: int, tail: int = 0) -> str:
@@ -125,12 +119,3 @@ def shorten(text: str, width: int, tail: int = 0) -> str:
         return text
     tail = min(tail, width - 1)
     return set_cell_size(text, width - 1 - tail) + ELLIPSIS + text[len(text) - tail :]
-
-
-def _align(columns: Sequence[Column], line: Sequence[str], widths: Sequence[int]) -> str:
-    return (" " * GAP).join(_padded(c, text, w) for c, text, w in zip(columns, line, widths, strict=True))
-
-
-def _padded(column: Column, text: str, width: int) -> str:
-    fill = " " * max(width - cell_len(text), 0)
-    return fill + text if column.right else text + fill

@@ -16,12 +16,14 @@ def export(content: Content, out: Path) -> Path:
     value; an empty cell means that nothing was logged. eval.csv: one row per held-out image. summary.csv: one row with
     state, tags, note, results and configuration.
     """
-    folder = make_folder(out, content.run_id)
-    _write(folder / "metrics.csv", wide(content.metrics, content.created))
-    _write(folder / "eval.csv", content.evaluation)
-    labels = {"tags": ",".join(content.annotations.tags), "note": content.annotations.note}
-    row = {"run_id": content.run_id, **content.results, "state": content.state, **labels, **content.config}
-    _write(folder / "summary.csv", pd.DataFrame([row]))
+    run = content.run
+    folder = make_folder(out, run.path)
+    labels = {"state": run.state, "tags": ",".join(run.annotations.tags), "note": run.annotations.note}
+    summary = pd.DataFrame([{"run_id": run.run_id, **content.results, **labels, **run.flat}])
+    for name, frame in {
+        "metrics": wide(content.metrics, content.created), "eval": run.evaluation, "summary": summary,
+    }.items():  # fmt: skip
+        replace(folder / f"{name}.csv", as_csv(frame).encode(errors="backslashreplace"))
     return folder
 
 
@@ -32,7 +34,3 @@ def wide(metrics: pd.DataFrame, created: float) -> pd.DataFrame:
     time_s = rows.groupby("step")["time_s"].max()
     times = pd.DataFrame({"step": time_s.index, "time_s": time_s, "wall_time": created + time_s})
     return pd.concat([times, values], axis=1)  # a key may have the name of one of the first columns
-
-
-def _write(path: Path, frame: pd.DataFrame) -> None:
-    replace(path, as_csv(frame).encode(errors="backslashreplace"))

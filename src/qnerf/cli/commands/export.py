@@ -3,7 +3,6 @@
 import argparse
 import importlib
 from pathlib import Path
-from types import ModuleType
 
 from qnerf.cli.commands import add_many_runs
 from qnerf.cli.errors import report
@@ -11,9 +10,16 @@ from qnerf.cli.numbers import MAX_COUNT, number, whole
 from qnerf.records import StoreError, find
 from qnerf.records.printable import printable
 
-TARGETS = ("mlflow", "tensorboard", "csv", "points", "mesh")
-GEOMETRY = ("points", "mesh")
-OF_GEOMETRY = {"points": GEOMETRY, "within": GEOMETRY, "cells": ("mesh",), "level": ("mesh",)}
+COPIES, GEOMETRY = ("mlflow", "tensorboard", "csv"), ("points", "mesh")
+TARGETS_OF = {
+    "uri": ("mlflow",),
+    "experiment": ("mlflow",),
+    "out": ("tensorboard", "csv", *GEOMETRY),
+    "points": GEOMETRY,
+    "within": GEOMETRY,
+    "cells": ("mesh",),
+    "level": ("mesh",),
+}
 """Option -> the targets that take it."""
 
 
@@ -24,7 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "end, or a mesh."
     )
     add_many_runs(parser)
-    parser.add_argument("--to", required=True, choices=TARGETS, help="where the copies go")
+    parser.add_argument("--to", required=True, choices=(*COPIES, *GEOMETRY), help="where the copies go")
     parser.add_argument(
         "--out", metavar="DIR",
         help="a folder, but for mlflow (default: exports/csv, ...); for points or a mesh of one run also NAME.ply",
@@ -48,34 +54,32 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    target = options.to
-    if target == "mlflow" and options.out is not None:
-        raise ValueError("mlflow takes --uri, not --out")
-    if target != "mlflow" and (options.uri or options.experiment) is not None:
-        raise ValueError(f"--uri and --experiment are for mlflow; {target} takes --out")
-    for name, targets in OF_GEOMETRY.items():
-        if getattr(options, name) is not None and target not in targets:
+    for name, targets in TARGETS_OF.items():
+        if getattr(options, name) is not None and options.to not in targets:
             raise ValueError(f"--{name} is for {' and '.join(targets)}")
     folders = [find(name, options.store) for name in options.runs if not name.startswith("plugins=")]
-    if target in GEOMETRY:
-        return _geometry(folders, options)
-    exporter = _exporter(target)
+    return _geometry(folders, options) if options.to in GEOMETRY else _copies(folders, options)
+
+
+def _copies(folders: list[Path], options: argparse.Namespace) -> int:
+    try:
+        exporter = importlib.import_module(f"qnerf.export.to_{options.to}")
+    except ModuleNotFoundError as error:
+        raise ValueError(f'{options.to} is not installed here: pip install "qnerf[{options.to}]"') from error
     from qnerf.export.content import read
 
-    code = 0
+    code, out = 0, Path(options.out or f"exports/{options.to}")
     for folder in folders:
         try:
             content = read(folder)
-            if target == "mlflow":
-                copy = exporter.export(content, options.uri, options.experiment or "qnerf")
-            else:
-                copy = exporter.export(content, Path(options.out or f"exports/{target}"))
+            place = (options.uri, options.experiment or "qnerf") if options.to == "mlflow" else (out,)
+            copy = exporter.export(content, *place)
         except StoreError as error:  # of this run alone
             code = report(error)
             continue
-        print(f"{content.run_id}: {content.state}, step {content.step:,} -> {target} {printable(copy)}")
-    if target == "tensorboard":
-        print(f"tensorboard --logdir {printable(options.out or 'exports/tensorboard')}")
+        print(f"{printable(folder.name)}: {content.run.state}, step {content.step:,} -> {options.to} {printable(copy)}")
+    if options.to == "tensorboard":
+        print(f"tensorboard --logdir {printable(out)}")
     return code
 
 
@@ -102,12 +106,3 @@ def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
         triangles = "" if surface.faces is None else f", {len(surface.faces):,} triangles"
         print(f"{folder.name}: step {trained.step:,}, {len(surface.points):,} points{triangles} -> {printable(file)}")
     return 0
-
-
-def _exporter(target: str) -> ModuleType:
-    try:
-        return importlib.import_module(f"qnerf.export.to_{target}")
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] == "qnerf":
-            raise
-        raise ValueError(f'{target} is not installed here: pip install "qnerf[{target}]"') from error

@@ -1,7 +1,6 @@
 """`qnerf show RUN`: everything about one run."""
 
 import argparse
-import stat
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.details import Details
-from qnerf.records.files import entries_in
 from qnerf.records.printable import printable
 
 
@@ -136,14 +134,9 @@ def _environment(out: Console, run: Details) -> None:
     git, cpu, gpu, threads = (_dict(environment.get(name)) for name in ("git", "cpu", "gpu", "threads"))
     if git.get("commit"):
         _pair(out, "code", f"{git['commit']}{', with changes (dirty.diff)' if git.get('dirty') else ''}")
+    parts = [environment.get("host"), cpu.get("model"), f"cores {cpu.get('usable')}", f"threads {threads.get('torch')}"]
     names = gpu.get("names")
-    machine = [
-        environment.get("host"),
-        cpu.get("model"),
-        f"cores {cpu.get('usable')}",
-        f"threads {threads.get('torch')}",
-    ]
-    _pair(out, "machine", ", ".join(str(x) for x in [*machine, *(names if isinstance(names, list) else [])]))
+    _pair(out, "machine", ", ".join(map(str, [*parts, *(names if isinstance(names, list) else [])])))
     packages = _dict(environment.get("packages"))
     versions = "  ".join(f"{name} {version}" for name, version in packages.items() if version)
     _pair(out, "versions", f"python {environment.get('python')}  {versions}")
@@ -152,12 +145,12 @@ def _environment(out: Console, run: Details) -> None:
 def files(run: Path) -> dict[str, int]:
     """Name -> bytes of each file in the run's folder, and of each folder in it. Hidden ones are left out."""
     lengths = {}
-    for name, information in entries_in(run).items():
-        if stat.S_ISDIR(information.st_mode) and not name.startswith("."):
-            inside = [item.st_size for item in entries_in(run / name, root=run.parent).values()]
-            lengths[f"{name}/ ({len(inside)})"] = sum(inside)
-        elif not name.startswith("."):
-            lengths[name] = information.st_size
+    for path in sorted(run.glob("[!.]*")):
+        if path.is_dir():
+            inside = [item.lstat().st_size for item in path.iterdir()]
+            lengths[f"{path.name}/ ({len(inside)})"] = sum(inside)
+        else:
+            lengths[path.name] = path.lstat().st_size
     return lengths
 
 

@@ -75,7 +75,7 @@ def store_frame(store: str, out: Console) -> tuple[RenderableType, bool]:
     frame = listing.arrange(frame)
     rows = listing.records(listing.limited(frame, listing.screen(out)))
     columns = listing.columns(rows)
-    lines = table(columns, rows, out.width) if out.is_terminal else map(Text, plain_lines(columns, rows))
+    lines = [table(columns, rows, out.width)] if out.is_terminal else map(Text, plain_lines(columns, rows))
     return Group(*lines, Text(listing.counts(frame, len(rows)), "dim")), True
 
 
