@@ -64,6 +64,7 @@ def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
     assert row["step_cpu_ms"] > 0
     assert row["time.threads"] == torch.get_num_threads()
     assert len(row["machine"]) == 8
+    assert row["loops"] == "all compiled"
     if hasattr(os, "getloadavg"):
         assert row["time.load"] >= 0
     assert state(outcome.path) == "finished"

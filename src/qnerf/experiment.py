@@ -20,6 +20,7 @@ from qnerf.config.settings import (
     only_acting,
     schema,
 )
+from qnerf.kernels import dispatch
 from qnerf.metrics import quality_metrics
 from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
@@ -194,11 +195,17 @@ def run(
             if not record.resumed and config["scene"].get("path"):
                 for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
                     display.note(f"warning: {doubt}")
-        return _execute(task, record, display, lambda: bool(stops) or stopping(), unpromising)
+        with dispatch.report() as aside:
+            return _execute(task, record, display, lambda: bool(stops) or stopping(), unpromising, aside)
 
 
 def _execute(
-    task: Task, record: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
+    task: Task,
+    record: Run,
+    display: Display,
+    stopped: Callable[[], bool],
+    unpromising: Unpromising,
+    aside: Mapping[str, str],
 ) -> Outcome:
     settings, scene = task.settings, task.scene
     watch = Stopwatch(settings.torch_device, task.model, QuantumLayer)
@@ -266,6 +273,7 @@ def _execute(
         "peak_memory_mb": peak_memory_mb(settings.torch_device),
         "time.threads": torch.get_num_threads(),
         "machine": machine(settings.torch_device),
+        "loops": dispatch.described(aside),
     }
     record.finish(measured | timings | logged_times(record.dir))
     return Outcome(record.run_id, record.dir, "finished", read_summary(record.dir), "")

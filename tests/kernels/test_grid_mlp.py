@@ -6,10 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.autograd import gradcheck, gradgradcheck
 
-from qnerf.encoders import HashEncoder
-from qnerf.heads import MLPHead
-from qnerf.heads.on_grid import layers_on_grid
-from qnerf.kernels import plain
 from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp, grid_mlp_reference
 
 CASES = {
@@ -108,33 +104,6 @@ def test_points_that_want_a_gradient_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("encoder", "head", "fits"),
-    [
-        ({}, {"layers": 2}, True),
-        ({}, {"layers": 3}, False),
-        ({"frequency_window": 0.5}, {"layers": 2}, False),
-    ],
-)
-def test_which_heads_the_loop_takes(encoder, head, fits):
-    grid = HashEncoder(3, levels=2, max_resolution=16, log2_table_size=6, **encoder)
-    assert (layers_on_grid(grid, MLPHead(grid.out_dim, 4, width=8, **head)) is not None) == fits
-
-
-def test_encoder_and_head_are_called_where_somebody_watches_them():
-    grid = HashEncoder(3, levels=2, max_resolution=16, log2_table_size=6)
-    head = MLPHead(grid.out_dim, 4, width=8)
-    handle = head.net[0].register_forward_hook(lambda *_: None)
-    assert layers_on_grid(grid, head) is None
-    handle.remove()
-    points = torch.rand(30, 3)
-    layers = layers_on_grid(grid, head)
-    assert layers is not None
-    torch.testing.assert_close(grid_mlp(points, None, *layers), head(grid(points)))
-    with plain():
-        torch.testing.assert_close(grid_mlp(points, None, *layers), head(grid(points)))
-
-
-@pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda p, i, g, h, o: (p[:, :2], i, g, h, o), "points must be"),
@@ -151,25 +120,3 @@ def test_wrong_arguments_are_refused(change, message):
     arguments = case(300, 0.5, 2, 2, 8, 3, True, 0, torch.float32)
     with pytest.raises(ValueError, match=message):
         grid_mlp(*change(*arguments))
-
-
-def test_other_layers_than_linear_relu_linear_are_called():
-    encoder = HashEncoder(3, levels=2, max_resolution=32, log2_table_size=6)
-
-    def head() -> MLPHead:
-        return MLPHead(encoder.out_dim, 2, layers=2, width=8)
-
-    assert layers_on_grid(encoder, head()) is not None
-    other, hooked, own = head(), head(), head()
-    other.net[1] = torch.nn.Tanh()
-    hooked.net[0].register_full_backward_hook(lambda *_: None)
-    own.forward = lambda features: features
-    for changed in (other, hooked, own):
-        assert layers_on_grid(encoder, changed) is None
-    other.net[1], other.net[2] = torch.nn.ReLU(), torch.nn.Linear(8, 2, bias=False)
-    assert layers_on_grid(encoder, other) is None
-    handle = torch.nn.modules.module.register_module_forward_hook(lambda *_: None)
-    try:
-        assert layers_on_grid(encoder, head()) is None
-    finally:
-        handle.remove()

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Share
 from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
+from qnerf.kernels.grid_mlp import Grid
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 
 Levels = Annotated[int, Interval(ge=1, le=64)]
@@ -83,6 +84,12 @@ class HashEncoder(Encoder):
         self.register_buffer("resolutions", resolutions, persistent=False)
         self.table = nn.Parameter(torch.empty(levels, 2**log2_table_size, features))
         nn.init.uniform_(self.table, -1e-3, 1e-3, generator=generator)
+
+    def as_grid(self) -> Grid | None:
+        """The encoder in one loop with an MLP; None unless points have 3 coordinates and all levels start active."""
+        if self.in_dim != 3 or self.frequency_window:
+            return None
+        return Grid(self.table, self.resolutions, self.dense)
 
     def forward(self, points: Tensor) -> Tensor:
         flat = points.reshape(-1, self.in_dim)

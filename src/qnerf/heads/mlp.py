@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, Depth
 from qnerf.heads.base import HEADS, Head
+from qnerf.kernels.grid_mlp import Layer
 
 
 @HEADS.register("mlp")
@@ -51,6 +52,15 @@ class MLPHead(Head):
     def label(cls, options: Mapping[str, Any]) -> str:
         """`2x64`: layers x width."""
         return f"{options['layers']}x{options['width']}"
+
+    def as_layers(self) -> tuple[Layer, Layer] | None:
+        """The hidden and the last layer, for a loop that computes both; None unless there are two, with biases."""
+        if [type(layer) for layer in self.net] != [nn.Linear, nn.ReLU, nn.Linear]:
+            return None
+        hidden, _, out = self.net
+        if hidden.bias is None or out.bias is None:
+            return None
+        return Layer(hidden.weight, hidden.bias), Layer(out.weight, out.bias)  # type: ignore[arg-type]
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

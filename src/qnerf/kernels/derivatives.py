@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from qnerf.kernels import is_transformed
+from qnerf.kernels.dispatch import is_transformed
 
 
 def is_differentiated(*upstream: Tensor) -> bool:

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels import compiled
 from qnerf.kernels.buffer_pool import pooled_empty
 from qnerf.kernels.derivatives import is_differentiated, through_reference
+from qnerf.kernels.dispatch import serves
 from qnerf.kernels.hashgrid import BLOCK, U, add_gradient, check, corners, flat, hash_encode_reference, interpolate
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import VECTOR_BYTES, inner, load, splat, store, where_positive
@@ -63,7 +63,7 @@ def grid_mlp(points: Tensor, inside: Tensor | None, grid: Grid, hidden: Layer, o
         raise ValueError(f"grid_mlp: layers on {levels * features} features expected, got the shapes {shapes}")
     if inside is not None and (inside.shape != points.shape[:1] or inside.dtype != torch.bool):
         raise ValueError(f"grid_mlp: inside must be bool ({len(points)},), got {inside.dtype} {tuple(inside.shape)}")
-    if compiled(points, grid.table, *hidden, *out):
+    if serves("hash grid + MLP", points, grid.table, *hidden, *out):
         parameters = (grid.table, *hidden, *out)
         keeps = torch.is_grad_enabled() and any(parameter.requires_grad for parameter in parameters)
         values: Tensor = _GridMLP.apply(keeps, points, inside, grid.resolutions, grid.dense, *parameters)

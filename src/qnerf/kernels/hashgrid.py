@@ -22,9 +22,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels import compiled
 from qnerf.kernels.buffer_pool import pooled_empty
 from qnerf.kernels.derivatives import is_differentiated, through_reference
+from qnerf.kernels.dispatch import is_transformed, serves
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import (
     VECTOR_BYTES,
@@ -67,7 +67,7 @@ def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool 
         ValueError: shapes, dtypes or resolutions do not fit.
     """
     check(points, table, resolutions)
-    if compiled(points, table):
+    if serves("hash grid", points, table):
         encoded: Tensor = _HashEncode.apply(points, table, resolutions, dense)
         return encoded
     return hash_encode_reference(points, table, resolutions, dense)
@@ -110,7 +110,7 @@ def check(points: Tensor, table: Tensor, resolutions: Tensor) -> None:
         )
     if points.dtype != table.dtype or not points.is_floating_point():
         raise ValueError(f"hash grid: points and table must share a dtype, got {points.dtype} and {table.dtype}")
-    if compiled(points):
+    if points.device.type == "cpu" and not is_transformed(points):
         cells = resolutions.numpy()
         if cells.min() < 1 or cells.max() > FINEST:
             raise ValueError(f"hash grid: resolutions must be 1 to {FINEST}, got {cells.tolist()}")

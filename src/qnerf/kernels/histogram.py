@@ -51,7 +51,7 @@ def _draw(start, stop, s, w, jitter, padding, min_total, out):  # type: ignore[n
 
 
 def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None, min_total: float) -> Tensor:
-    """`qnerf.rendering.pdf.sample_edges` for tensors that `qnerf.kernels.compiled` takes."""
+    """`qnerf.rendering.pdf.sample_edges` for tensors that the loop serves (`dispatch`)."""
     out = torch.empty(s.shape[0], count, dtype=s.dtype)
     offset = torch.full((s.shape[0],), 0.5, dtype=s.dtype) if jitter is None else jitter[:, 0]
     arrays = (_array(s), _array(w), _array(offset))

@@ -4,7 +4,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels import compiled
 from qnerf.kernels.hashgrid import U, flat
 from qnerf.kernels.jit import jit, run
 
@@ -34,11 +33,6 @@ def unit_points(
     arrays = (flat(origins), flat(directions), flat(edges), count, contraction, half_extent, grid, cells)
     run(_place, rays, *arrays, flat(unit), flags, grain=GRAIN)
     return unit, inside
-
-
-def takes(*tensors: Tensor) -> bool:
-    """Whether `unit_points` takes these tensors: compiled loops do, and none needs a gradient."""
-    return compiled(*tensors) and not (torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors))
 
 
 @jit

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels import compiled
+from qnerf.kernels.dispatch import serves
 from qnerf.kernels.jit import jit, run
 
 GRAIN = 4096  # points that are worth waking a thread for
@@ -19,7 +19,7 @@ def count_views(points: Tensor, matrices: Tensor, width: int, height: int, max_v
         width, height: of the images, in pixels; their borders belong to them.
         max_views: where counting stops.
     """
-    if not compiled(points, matrices):
+    if not serves("counting views", points, matrices):
         return count_views_reference(points, matrices, width, height, max_views)
     counts = torch.empty(len(points), dtype=torch.int64)
     arrays = (points.contiguous().numpy(), matrices.contiguous().numpy(), width, height, max_views, counts.numpy())

@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from qnerf.encoders import Encoder
+from qnerf.encoders import Encoder, HashEncoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.heads.base import MIN_BATCH
-from qnerf.heads.on_grid import layers_on_grid
-from qnerf.kernels import compiled
-from qnerf.kernels.grid_mlp import grid_mlp
+from qnerf.heads.mlp import MLPHead
+from qnerf.kernels.dispatch import serves
+from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
 
 
 class Field(nn.Module):
@@ -86,8 +86,8 @@ class Field(nn.Module):
             evaluated = inside.clone()
             if last or int(inside.sum()) < MIN_BATCH:
                 evaluated[:, -1] = True
-        layers = layers_on_grid(self.encoder, self.density_head)
-        if layers is not None and compiled(points) and not points.requires_grad:
+        layers = self._on_grid(points)
+        if layers is not None:
             raw = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *layers).view(*shape, -1)
             density, features = self._activated(raw[..., 0]), raw[..., 1:]
         elif evaluated is None:
@@ -100,6 +100,21 @@ class Field(nn.Module):
         if inside is not None:
             density = density.masked_fill(~inside, 0)
         return density, features, evaluated
+
+    def _on_grid(self, points: Tensor) -> tuple[Grid, Layer, Layer] | None:
+        """The arguments of the loop that computes encoder and density head together; None: the two are called."""
+        encoder, head = self.encoder, self.density_head
+        if not isinstance(encoder, HashEncoder) or not isinstance(head, MLPHead):
+            return None
+        grid, layers = encoder.as_grid(), head.as_layers()
+        but = "not two layers with biases" if layers is None else None
+        but = "frequency_window of HashEncoder" if grid is None else but
+        but = "the points need a gradient" if points.requires_grad else but
+        if not serves("hash grid + MLP", points, modules=(encoder, head), but=but):
+            return None
+        assert grid is not None
+        assert layers is not None
+        return grid, *layers
 
     def _activated(self, raw: Tensor) -> Tensor:
         density = self.density_activation(raw)

@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from qnerf.kernels import compiled, histogram
+from qnerf.kernels import histogram
+from qnerf.kernels.dispatch import serves
 
 _MIN_TOTAL = 1e-5  # a smaller sum of weights is filled up evenly, so an empty ray is sampled evenly
 
@@ -29,7 +30,7 @@ def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jit
         (R, count) non-decreasing, within [s_0, s_J], detached.
     """
     s, w = s.detach(), w.detach()
-    if compiled(s, w):
+    if serves("drawing edges", s, w):
         return histogram.draw(s, w, count, padding, jitter, _MIN_TOTAL)
     return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)
 

@@ -11,7 +11,8 @@ from qnerf.encoders.hash import EntryFeatures, HashEncoder, Levels, Log2Size, Re
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.unit_points import unit_points
 from qnerf.heads.activations import trunc_exp
-from qnerf.kernels import compiled, grid_mlp, replaceable
+from qnerf.kernels.dispatch import serves
+from qnerf.kernels.grid_mlp import Layer, grid_mlp
 from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
@@ -35,9 +36,10 @@ class ProposalNetwork(nn.Module):
 
     def inside(self, points: Tensor, inside: Tensor | None) -> Tensor:
         """The same in a compiled loop; the density is 0 at points that are not `inside` (N,)."""
-        grid = grid_mlp.Grid(self.encoder.table, self.encoder.resolutions, self.encoder.dense)
-        layers = (grid_mlp.Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out))
-        return trunc_exp(grid_mlp.grid_mlp(points, inside, grid, *layers)[:, 0])
+        grid = self.encoder.as_grid()
+        assert grid is not None, "three dimensions, and all levels are active"
+        layers = (Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out))
+        return trunc_exp(grid_mlp(points, inside, grid, *layers)[:, 0])
 
 
 @SAMPLERS.register("proposal")
@@ -116,8 +118,10 @@ class ProposalSampler(Sampler):
     def proposed(self, network: nn.Module, unit: Tensor, inside: Tensor | None) -> Tensor:
         """Density (R, K) of a proposal network at points (R, K, 3) of the unit cube; 0 where not `inside` (R, K)."""
         points = unit.reshape(-1, 3)
-        if compiled(points) and type(network) is ProposalNetwork and replaceable(network):
-            return network.inside(points, None if inside is None else inside.reshape(-1)).view(unit.shape[:-1])
+        if isinstance(network, ProposalNetwork):
+            modules = (network, network.encoder)
+            if serves("hash grid + MLP", points, modules=modules):
+                return network.inside(points, None if inside is None else inside.reshape(-1)).view(unit.shape[:-1])
         density = network(points).view(unit.shape[:-1])
         return density if inside is None else density.masked_fill(~inside, 0)  # infinity times 0 would be NaN
 

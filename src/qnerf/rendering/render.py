@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from qnerf.kernels import is_transformed
 from qnerf.kernels.derivatives import is_differentiated, through_reference
+from qnerf.kernels.dispatch import is_transformed
 from qnerf.rendering.background import background_color
 from qnerf.types import Rendering, Samples
 

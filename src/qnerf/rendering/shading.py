@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Count
 from qnerf.config.registry import Registry
 from qnerf.heads.base import MIN_BATCH
-from qnerf.kernels import compiled
+from qnerf.kernels.dispatch import serves
 from qnerf.kernels.merging import Merge
 
 SHADINGS: "Registry[Shading]" = Registry("shading")
@@ -122,7 +122,7 @@ class MergeShading(Shading):
         self.parts = parts
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
-        if compiled(shares, geometry):
+        if serves("merging samples", shares, geometry):
             merged, mean = Merge.apply(shares, geometry, self.parts, SMALL / self.parts, merge_reference)
         else:
             merged, mean = merge_reference(shares, geometry, self.parts)

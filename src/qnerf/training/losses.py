@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from qnerf.kernels import compiled, histogram
+from qnerf.kernels import histogram
+from qnerf.kernels.dispatch import serves
 from qnerf.types import Samples
 
 _EPS = 1e-7  # against division by 0
@@ -38,7 +39,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     total = weights.new_zeros(())
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
-        if compiled(proposed, *arguments):
+        if serves("interlevel loss", proposed, *arguments):
             term: Tensor = histogram.Interlevel.apply(proposed, *arguments, _EPS, interlevel_reference)
         else:
             term = interlevel_reference(proposed, *arguments)
@@ -79,7 +80,7 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     [0.1667, 0.3333]
     """
     s = samples.spacing.detach()
-    if compiled(weights, s):
+    if serves("distortion loss", weights, s):
         return histogram.Distortion.apply(weights, s, distortion_reference) / weights.shape[0]
     return distortion_reference(weights, s) / weights.shape[0]
 

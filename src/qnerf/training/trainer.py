@@ -10,7 +10,7 @@ from torch import Tensor
 
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.geometry.rays import RayTable
-from qnerf.kernels import compiled
+from qnerf.kernels.dispatch import is_plain
 from qnerf.kernels.jit import one_torch_thread
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
@@ -124,7 +124,7 @@ class Loop:
         start, cpu = self.watch.now(), time.process_time()
         self.watch.begin(measure=measure)
         rate = self.rate
-        with one_torch_thread(self.few_products and compiled(next(self.model.parameters()))):
+        with one_torch_thread(self.few_products and not is_plain()):
             with self.watch.stage("sampling"):
                 self.prepare_step()
             terms = self.terms(self.streams, self.step)

@@ -1,0 +1,183 @@
+"""Which compiled loop serves which module, dtype and device: one table, and what stepped aside and why.
+
+A loop may stand for modules that it does not call, such as a hash grid with its MLP. It was written for exact classes
+and for the options that these had then. So the table names both, and a loop steps aside for anything else: a derived
+class, an option that came later, a module with hooks. The plain PyTorch reference runs instead.
+"""
+
+import contextlib
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.autograd import forward_ad
+
+FLOATS = (torch.float32, torch.float64)
+DEVICES = ("cpu",)
+
+
+class Loop(NamedTuple):
+    """What a compiled loop takes.
+
+    `modules` are the classes that it stands for, each with the options that it knows.
+    """
+
+    modules: Mapping[str, frozenset[str]] = {}
+    dtypes: tuple[torch.dtype, ...] = FLOATS
+    devices: tuple[str, ...] = DEVICES
+
+
+_GRID = "levels min_resolution max_resolution log2_table_size features dense frequency_window"
+
+LOOPS: dict[str, Loop] = {
+    "sample places": Loop(
+        {
+            "qnerf.geometry.contraction.CubeContraction": frozenset(),
+            "qnerf.geometry.contraction.Box": frozenset(["half_extent"]),
+            "qnerf.geometry.visibility.SpaceMask": frozenset(),
+            "qnerf.model.occupancy.Occupancy": frozenset(["every", "after", "min_opacity"]),
+        }
+    ),
+    "hash grid": Loop(),
+    "hash grid + MLP": Loop(
+        {
+            "qnerf.encoders.hash.HashEncoder": frozenset(_GRID.split()),
+            "qnerf.heads.mlp.MLPHead": frozenset(["layers", "width", "init"]),
+            "qnerf.rendering.proposal_sampler.ProposalNetwork": frozenset(),
+        }
+    ),
+    "drawing edges": Loop(),
+    "merging samples": Loop(),
+    "interlevel loss": Loop(),
+    "distortion loss": Loop(),
+    "counting views": Loop(),
+    "circuits": Loop(),
+}
+"""Every compiled loop, in the order of a step."""
+
+_HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
+_GLOBAL_HOOKS = [getattr(nn.modules.module, f"_global{hooks}") for hooks in _HOOKS]
+
+_plain = False
+_reports: list[dict[str, str]] = []
+
+
+def serves(loop: str, *tensors: Tensor, modules: Sequence[nn.Module] = (), but: str | None = None) -> bool:
+    """Whether a compiled loop computes this call; if not, every open `report` learns why.
+
+    Args:
+        loop: its name in `LOOPS`.
+        tensors: its inputs, of one dtype.
+        modules: what it stands for, without calling them.
+        but: another reason against it, which the caller knows.
+    """
+    reason = but or _against(LOOPS[loop], tensors, modules)
+    if reason is None:
+        return True
+    for report in _reports:
+        report.setdefault(loop, reason)
+    return False
+
+
+def _against(loop: Loop, tensors: Sequence[Tensor], modules: Sequence[nn.Module]) -> str | None:
+    """Why the loop does not compute this call; None: it does."""
+    if _plain:
+        return "inside plain()"
+    for tensor in tensors:
+        if tensor.device.type not in loop.devices:
+            return f"device {tensor.device.type}"
+        if tensor.dtype not in loop.dtypes or tensor.dtype != tensors[0].dtype:
+            return f"{tensor.dtype}".removeprefix("torch.")
+    if is_transformed(*tensors):
+        return "torch.func or forward-mode derivatives"
+    if modules and any(_GLOBAL_HOOKS):
+        return "hooks on all modules"
+    for module in modules:
+        if reason := _unknown(type(module), loop) or _watched(module):
+            return reason
+    return None
+
+
+def _unknown(kind: type, loop: Loop) -> str | None:
+    """Why a class is not one that the loop was written for; None: it is."""
+    options = loop.modules.get(_path(kind))
+    if options is None:
+        known = [base.__name__ for base in kind.__mro__ if _path(base) in loop.modules]
+        return f"{kind.__name__} extends {known[0]}" if known else f"{kind.__name__} has no loop"
+    later = _options(kind) - options
+    return f"option {min(later)} of {kind.__name__}" if later else None
+
+
+def _path(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+@cache
+def _options(kind: Any) -> frozenset[str]:
+    """The keyword-only parameters of a class, which are its options."""
+    parameters = inspect.signature(kind).parameters.values()
+    return frozenset(parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY)
+
+
+def _watched(module: nn.Module) -> str | None:
+    """Which of a module and its children has a hook or a `forward` of its own, in words."""
+    own = vars(module)
+    if "forward" in own:
+        return f"another forward of {type(module).__name__}"
+    if any(own[hooks] for hooks in _HOOKS):
+        return f"hooks on {type(module).__name__}"
+    return next(filter(None, map(_watched, module.children())), None)
+
+
+def is_transformed(*tensors: Tensor) -> bool:
+    """Whether `torch.func` is at work in this thread, or a tensor has a tangent of forward-mode differentiation.
+
+    Both follow only PyTorch's own operations. `torch.no_grad` stops neither of them; `detach` does.
+    """
+    if torch._C._are_functorch_transforms_active():
+        return True
+    return forward_ad._current_level >= 0 and any(forward_ad.unpack_dual(t).tangent is not None for t in tensors)
+
+
+@contextlib.contextmanager
+def report() -> Iterator[dict[str, str]]:
+    """Collects the loops that step aside inside, each with the first reason. `described` puts them into words."""
+    aside: dict[str, str] = {}
+    _reports.append(aside)
+    try:
+        yield aside
+    finally:
+        _reports.remove(aside)
+
+
+def described(aside: Mapping[str, str]) -> str:
+    """What a run's record says about its loops.
+
+    >>> described({})
+    'all compiled'
+    >>> described({"hash grid": "device cuda", "hash grid + MLP": "hooks on Linear", "circuits": "device cuda"})
+    'hash grid, circuits: device cuda; hash grid + MLP: hooks on Linear'
+    """
+    loops: dict[str, list[str]] = {}
+    for loop, reason in aside.items():
+        loops.setdefault(reason, []).append(loop)
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in loops.items()) or "all compiled"
+
+
+@contextlib.contextmanager
+def plain() -> Iterator[None]:
+    """Inside, every compiled loop is replaced by its plain PyTorch reference. Tests and benchmarks compare with it."""
+    global _plain
+    before, _plain = _plain, True
+    try:
+        yield
+    finally:
+        _plain = before
+
+
+def is_plain() -> bool:
+    """Whether `plain` is in force."""
+    return _plain
