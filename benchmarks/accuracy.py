@@ -1,8 +1,8 @@
-"""Error and time of each numerical part: `python -m benchmarks.accuracy --write docs/numerics.md`.
+"""Error and time of each numerical part: `python -m benchmarks.accuracy`.
 
 Compares every case of `benchmarks.accuracy_cases`, in each of its variants and dtypes, with its float64 reference.
-Saves benchmarks/results/accuracy.parquet, a row per case, variant and dtype; `--from-saved` writes the page without
-measuring.
+Saves benchmarks/results/accuracy.parquet, a row per case, variant and dtype, and writes docs/numerics.md, a row per
+part. `--from-saved` writes the page without measuring.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,31 @@ import torch
 from torch import Tensor
 
 from benchmarks.accuracy_cases import Case, Function, bound_in, modules
-from benchmarks.accuracy_page import page
 
 RESULTS = Path(__file__).parent / "results" / "accuracy.parquet"
+PAGE = Path(__file__).parents[1] / "docs" / "numerics.md"
+HEAD = """\
+# Numerics
+
+How far each part is from float64, on ordinary and on hard inputs. `python -m benchmarks.accuracy` writes this page and
+`benchmarks/results/accuracy.parquet`, which has every case. The same cases and bounds are tests
+(`python -m pytest tests/numerics`), in which hypothesis also searches for worse inputs.
+
+- **error**: the largest difference from the float64 reference over all cases of a part, relative to the largest value.
+- **gradient**: the same for the gradients of the output's dot product with fixed random numbers.
+- **bound**: what the error must not exceed in float32 on the CPU. In float64 the bound is 2^-29 times that, but at
+  least 1e-13, because the reference rounds as well.
+- **plain**: the error of the plain PyTorch form, where a compiled loop exists. This form runs on CUDA. It has no bound.
+- **faster**: the median, over the cases, of the plain form's time divided by the loop's; one thread, forward and
+  backward.
+
+No part runs in bfloat16. Derivatives of second and higher order (`create_graph=True`), forward-mode derivatives and
+`torch.func` (`grad`, `vmap`, `jvp`, `hessian`, ...) go through the plain form, whole models included; tests compare
+them with finite differences (`tests/model/test_derivatives.py`).
+
+The gradient of a normalisation has a wide bound: with a batch of two it divides by their difference, which enlarges
+roundings.
+"""
 
 
 def relative(result: Tensor, exact: Tensor) -> float:
@@ -112,33 +135,44 @@ def beyond(frame: pd.DataFrame) -> pd.DataFrame:
     return frame[frame["bounded"] & over]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument(
-        "--write", type=Path, metavar="PAGE", help="write the tables to this file as Markdown (default: print them)"
-    )
+def page(frame: pd.DataFrame, groups: Sequence[str]) -> str:
+    """The page in Markdown: a row per part, then the limits that each module of cases states.
+
+    Args:
+        frame: the rows of `measure`.
+        groups: docstrings of the modules of cases. What follows the first line is a paragraph of the page.
+    """
+    single = frame[frame["dtype"] == "float32"]
+    lines = ["| part | error | bound | gradient | bound | plain | faster |", "|---|---|---|---|---|---|---|"]
+    for part, rows in single.groupby("part", sort=False):
+        own, plain = rows[rows["bounded"]], rows[~rows["bounded"]]
+        largest = own[["error", "bound", "gradient_error", "gradient_bound"]].max()
+        times = plain.set_index("case")["ms"] / own.groupby("case")["ms"].min()
+        faster = f"{times.median():.1f}" if len(plain) else ""
+        cells = [*map(number, largest), number(plain["error"].max()), faster]
+        lines.append(f"| {part} | {' | '.join(cells)} |")
+    limits = [rest for text in groups if (rest := cleandoc(text).partition("\n")[2].strip())]
+    return "\n\n".join([HEAD.strip(), "\n".join(lines), "## Limits", *limits]) + "\n"
+
+
+def number(value: float) -> str:
+    """`1.2e-07`; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:.1e}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--from-saved", action="store_true", help="use the saved results instead of measuring")
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--threads", type=int, default=1)
-    options = parser.parse_args(arguments)
-    groups = modules()
+    options = parser.parse_args()
+    groups = modules().values()
     if not options.from_saved:
         torch.set_num_threads(options.threads)
-        rows = [
-            row | {"group": name}
-            for name, module in groups.items()
-            for case in module.cases()
-            for row in measure(case, options.repeats)
-        ]
+        rows = [row for module in groups for case in module.cases() for row in measure(case, options.repeats)]
         pd.DataFrame(rows).to_parquet(RESULTS, index=False)
-    elif not RESULTS.is_file():
-        parser.error(f"{RESULTS} does not exist; run without --from-saved first")
     frame = pd.read_parquet(RESULTS)
-    text = page(frame, {name: module.__doc__ or name for name, module in groups.items()})
-    if options.write:
-        options.write.write_text(text)
-    else:
-        print(text)
+    PAGE.write_text(page(frame, [module.__doc__ or "" for module in groups]))
     if len(beyond(frame)):
         raise SystemExit(f"errors beyond their bounds:\n{beyond(frame).to_string()}")
 

@@ -17,5 +17,5 @@ def read(benchmark: str, results: Results = None) -> pd.DataFrame:
         return results
     file = Path(results) if results else BENCHMARKS / f"{benchmark}.parquet"
     if not file.is_file():
-        raise ValueError(f"{file}: no benchmark; `python -m benchmarks.{benchmark}` writes it")
+        raise ValueError(f"{file}: expected the results of the benchmark {benchmark}; there is no such file")
     return read_table(file).to_pandas()

@@ -150,82 +150,6 @@ def tensorcircuit_jax(wires: int, spectral: int, chunk: int = 512) -> Step:
     return _jax_step(forward)
 
 
-def torchquantum(wires: int, spectral: int) -> Step:
-    from benchmarks.peers import stand_ins
-
-    stand_ins.install(("qiskit", "qiskit_aer", "qiskit_ibm_runtime", "torchpack", "torchvision"), ())
-    import torchquantum as tq
-    import torchquantum.functional as tqf
-
-    def forward(x: Any, w: Any) -> Any:
-        device = tq.QuantumDevice(n_wires=wires, bsz=x.shape[0])
-        for kind, *at in gates(wires, spectral):
-            if kind == "rot":
-                for name, k in (("rz", 0), ("ry", 1), ("rz", 2)):
-                    getattr(tqf, name)(device, wires=at[1], params=w[at[0], at[1], k].reshape(1, 1))
-            elif kind == "cz":
-                tqf.cz(device, wires=at)
-            else:
-                tqf.rz(device, wires=at[0], params=x[:, at[0]])
-        return tq.MeasureAll(tq.PauliZ)(device)
-
-    return _torch_step(forward)
-
-
-def deepquantum(wires: int, spectral: int) -> Step:
-    import deepquantum as dq
-    import torch
-
-    circuit = dq.QubitCircuit(wires)
-    sources: list[tuple[str, tuple[int, ...]]] = []
-    for kind, *at in gates(wires, spectral):
-        if kind == "rot":
-            for name, k in (("rz", 0), ("ry", 1), ("rz", 2)):
-                getattr(circuit, name)(at[1], encode=True)
-                sources.append(("w", (at[0], at[1], k)))
-        elif kind == "cz":
-            circuit.cz(*at)
-        else:
-            circuit.rz(at[0], encode=True)
-            sources.append(("x", (at[0],)))
-    for wire in range(wires):
-        circuit.observable(wires=wire, basis="z")
-
-    def forward(x: Any, w: Any) -> Any:
-        columns = [w[at].expand(x.shape[0]) if kind == "w" else x[:, at[0]] for kind, at in sources]
-        circuit(data=torch.stack(columns, -1))
-        return circuit.expectation()
-
-    return _torch_step(forward)
-
-
-def pyqtorch(wires: int, spectral: int) -> Step:
-    import pyqtorch as pyq
-    import torch
-
-    operations, names = [], {}
-    for index, (kind, *at) in enumerate(gates(wires, spectral)):
-        if kind == "rot":
-            for k, gate in enumerate((pyq.RZ, pyq.RY, pyq.RZ)):
-                operations.append(gate(at[1], f"w{index}_{k}"))
-                names[f"w{index}_{k}"] = (at[0], at[1], k)
-        elif kind == "cz":
-            operations.append(pyq.CZ(*at))
-        else:
-            operations.append(pyq.RZ(at[0], f"x{at[0]}"))
-    circuit = pyq.QuantumCircuit(wires, operations)
-    signs = torch.tensor(_signs(wires))
-
-    def forward(x: Any, w: Any) -> Any:
-        # pyqtorch computes in complex128 by default; the state is measured here, once for all wires.
-        values = {name: w[at].double() for name, at in names.items()}
-        values |= {f"x{wire}": x[:, wire].double() for wire in range(wires)}
-        state = circuit.run(state=pyq.zero_state(wires, batch_size=x.shape[0]), values=values)
-        return state.abs().square().reshape(2**wires, -1).T @ signs
-
-    return _torch_step(forward)
-
-
 PEERS: dict[str, tuple[Callable[[int, int], Step], str, int | None]] = {
     # name: builder, package, and how many samples are run (then scaled up) if the whole batch would take minutes
     "pennylane default.qubit torch": (pennylane_torch, "pennylane", None),
@@ -233,7 +157,4 @@ PEERS: dict[str, tuple[Callable[[int, int], Step], str, int | None]] = {
     "pennylane default.qubit jax jit vmap": (pennylane_jax_vmap, "jax", None),
     "pennylane lightning.qubit adjoint": (lightning_adjoint, "pennylane_lightning", 16),
     "tensorcircuit-ng jax jit vmap": (tensorcircuit_jax, "tensorcircuit", None),
-    "torchquantum": (torchquantum, "torchquantum", None),
-    "deepquantum": (deepquantum, "deepquantum", None),
-    "pyqtorch": (pyqtorch, "pyqtorch", 512),
 }

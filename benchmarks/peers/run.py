@@ -14,7 +14,6 @@ def main() -> None:
     import numpy as np
 
     from benchmarks.peers.circuits import PEERS
-    from benchmarks.peers.memory import growth
 
     build, package, samples = PEERS[name]
     try:
@@ -37,12 +36,11 @@ def main() -> None:
         begin = time.perf_counter()
         step(x, w, g)
         times.append((time.perf_counter() - begin) * batch / len(x))
-    memory = growth(lambda: step(x, w, g))
     try:
         version = importlib.metadata.version(package.replace("tensorcircuit", "tensorcircuit-ng"))
     except importlib.metadata.PackageNotFoundError:
         version = ""
-    about = {"times": times, "first": first, "peak": memory, "version": version}
+    about = {"times": times, "first": first, "version": version}
     np.savez(target, y=y, dx=dx, dw=dw, samples=len(x), about=json.dumps(about))
 
 

@@ -1,6 +1,6 @@
 """A model that trains in a process of its own and takes orders, one JSON object a line.
 
-The process that gives the orders can let two models train in turns, each in its own environment. `Remote` is its side.
+The process that gives the orders can train each model in its own environment. `Remote` is its side.
 """
 
 import json
@@ -9,11 +9,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
-
-from benchmarks.peers.memory import resident
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,16 +19,13 @@ ROOT = Path(__file__).parents[2]
 class Trained(Protocol):
     """A model that can train and render."""
 
-    def advance(self, step: int) -> None:
-        """Pretends that `step` steps were taken: the schedules go on from there."""
-
     def take_step(self) -> None: ...
 
     def render(self, path: str) -> None:
         """Writes the held-out views to an npz file: colour (V, H W, 3) in [0, 1], depth and accumulation (V, H W)."""
 
 
-def serve(build: Any) -> None:
+def serve(build: Callable[[], Trained]) -> None:
     """Builds the model and follows the orders on standard input until it ends.
 
     Answers go to the standard output that the process began with. Everything else that is printed goes to standard
@@ -38,8 +33,7 @@ def serve(build: Any) -> None:
     """
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    before = resident("VmRSS")
-    model: Trained = build()
+    model = build()
 
     def answer(**values: object) -> None:
         print(json.dumps(values), file=answers, flush=True)
@@ -47,20 +41,13 @@ def serve(build: Any) -> None:
     answer(ready=True)
     for line in sys.stdin:
         order = json.loads(line)
+        start, cpu = time.perf_counter(), time.process_time()
         if order["do"] == "steps":
-            start, cpu = time.perf_counter(), time.process_time()
             for _ in range(order["count"]):
                 model.take_step()
-            answer(seconds=time.perf_counter() - start, cpu=time.process_time() - cpu)
-        elif order["do"] == "advance":
-            model.advance(order["step"])
-            answer()
         elif order["do"] == "render":
-            start = time.perf_counter()
             model.render(order["path"])
-            answer(seconds=time.perf_counter() - start)
-        elif order["do"] == "memory":
-            answer(peak=resident("VmHWM"), growth=resident("VmHWM") - before)
+        answer(seconds=time.perf_counter() - start, cpu=time.process_time() - cpu)
 
 
 class Remote:

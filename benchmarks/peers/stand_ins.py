@@ -1,7 +1,7 @@
 """Empty stand-ins for packages that peers import but do not use where we run them.
 
-With them nerfstudio's models can be imported without a display, CUDA or a full installation (viewers, images and
-rasterisers are missing), and TorchQuantum without the old Qiskit that it wants.
+With them nerfstudio's models can be imported without a display, CUDA or a full installation: viewers, images and
+rasterisers are missing.
 """
 
 import importlib.abc

@@ -35,11 +35,6 @@ def test_the_figure_draws_what_was_trained_above_and_the_same_weights_below(resu
     assert [tuple(bars.lines[0].get_xydata()[0]) for bars in below.containers] == [(30.0, 1e-7), (20.0, 1e-4)]
 
 
-def test_no_benchmark_is_one_line(tmp_path) -> None:
-    with pytest.raises(ValueError, match=r"benchmarks\.speed_error"):
-        ladder_points(tmp_path / "none.parquet")
-
-
 def test_a_rung_looks_the_same_in_every_scene(results: pd.DataFrame) -> None:
     """Also where a scene lacks one that another has."""
     results = results[~((results["scene"] == "chair") & (results["rung"] == "full"))]

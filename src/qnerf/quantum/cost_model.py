@@ -4,8 +4,8 @@ Operations are multiply-adds on one sample, counted from the normal form of the 
 few operations a sample, but its circuit has to be evaluated on a grid once a step. It is cheaper from some batch size
 on; with large cones it never is.
 
-The expected time has seven constants, which `python -m benchmarks.cost_model` fits to a grid of wires, re-uploadings
-and batches. On the grid that it saved, the time of a step is within a factor of 2.
+The expected time has seven constants, which were fitted to a grid of wires, re-uploadings and batches
+(benchmarks/results/cost_model.parquet). On this grid the time of a step is within a factor of 2.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> for spectral in (1, 2):

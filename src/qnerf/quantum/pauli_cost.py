@@ -1,7 +1,7 @@
 """What a batch of any circuit costs in Pauli form: operations, memory, and the time of a step.
 
-The expected time has seven constants, which `python -m benchmarks.cost_model --any` fits to five kinds of circuits. On
-the grid that it saved, the time of a step is within a factor of 2.
+The expected time has seven constants, which were fitted to five kinds of circuits
+(benchmarks/results/cost_model_any.parquet). On these the time of a step is within a factor of 2.
 """
 
 from dataclasses import dataclass

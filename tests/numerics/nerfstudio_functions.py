@@ -1,6 +1,7 @@
 """Our functions on the inputs for which nerfstudio's results are stored, and the differences.
 
-The stored numbers are those of nerfstudio 1.1.5 in float32, written by `python -m benchmarks.nerfstudio --functions`.
+The stored numbers are those of nerfstudio 1.1.5 in float32. `benchmarks/peers/nerfstudio_functions.py` of commit
+5dd4eea wrote them. Keys of the file: `in/...` are inputs, `out/...` are results.
 """
 
 from pathlib import Path
@@ -13,22 +14,6 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from benchmarks.peers.nerfstudio_functions import (
-    FAR,
-    FINAL,
-    FINEST,
-    GEOMETRY,
-    HASH,
-    MODEL,
-    NEAR,
-    RAYS,
-    SAMPLES,
-    STEP,
-    STEPS,
-    TABLES,
-    UPDATES,
-    fill,
-)
 from qnerf.encoders import level_resolutions
 from qnerf.encoders.directions import DIRECTIONS
 from qnerf.encoders.hash import HashEncoder
@@ -51,7 +36,26 @@ from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.trainer import learning_rate
 from qnerf.types import Rays, Samples
 
-STORED = Path(__file__).parents[1] / "tests" / "numerics" / "nerfstudio_1.1.5.npz"
+STORED = Path(__file__).parent / "nerfstudio_1.1.5.npz"
+RAYS = 12
+NEAR, FAR = 0.05, 1000.0
+HASH = {"levels": 5, "min_resolution": 16, "max_resolution": 128, "log2_table_size": 9, "features": 2}
+TABLES = {  # levels, coarsest and finest resolution of the paper's hash tables and of the two proposal networks
+    "C1": (16, 16, 2048),
+    "C3": (12, 16, 2048),
+    "C5": (12, 16, 1024),
+    "C6": (8, 16, 1024),
+    "proposal 1": (5, 16, 128),
+    "proposal 2": (5, 16, 256),
+}
+STEPS = 10_000
+MODEL = {"levels": 4, "min_resolution": 16, "max_resolution": 128, "log2_table_size": 7, "features": 2}
+"""The field's hash grid of the model that takes a step; those of its proposal networks have as many entries."""
+GEOMETRY, SAMPLES, FINAL = 5, (24, 16), 12
+FINEST = (128, 256)  # of the proposal networks
+UPDATES = 6000  # steps of the schedule of proposal updates
+STEP = 99  # in the middle of annealing; the proposal networks learn
+
 BOUND = 5e-7
 """On the largest difference, relative to the largest value: a few roundings of float32."""
 STEP_BOUND = 5e-6
@@ -91,6 +95,14 @@ def read(path: Path = STORED) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
 def ours(given: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, Tensor]:
     """Our results, by the names of nerfstudio's. A function that takes another one's result takes nerfstudio's."""
     return {**_space(given), **_encodings(given), **_rays(given, theirs), **_schedules(), **_step(given)}
+
+
+def fill(parameters: list[torch.nn.Parameter], weights: Tensor) -> None:
+    """Sets the parameters, one after the other, to the numbers of `weights`; matrices are divided by sqrt(fan-in)."""
+    with torch.no_grad():
+        for parameter, values in zip(parameters, weights.split([p.numel() for p in parameters]), strict=True):
+            linear = parameter.ndim == 2 and parameter.shape[1] > 2
+            parameter.copy_(values.view(parameter.shape) / (parameter.shape[1] ** 0.5 if linear else 1))
 
 
 def _space(given: dict[str, Tensor]) -> dict[str, Tensor]:
