@@ -164,6 +164,6 @@ def test_float32_keeps_its_bounds_at_angles_of_any_size(
 def test_layers_take_any_input_and_give_numbers_in_range_or_nan() -> None:
     x = torch.tensor([0.0, 1e-45, 1e-30, 1e3, 1e6, 1e30, 3.4e38, -3.4e38, math.inf, -math.inf, math.nan])
     for method, backend in product(("statevector", "lightcone"), ("compiled", "torch")):
-        y = QuantumLayer(3, 1, method=method, backend=backend)(x[:, None].expand(-1, 3))  # type: ignore[arg-type]
+        y = QuantumLayer(3, 1, method=method, backend=backend)(x[:, None].expand(-1, 3))
         assert (y[:8].abs() <= 1).all()
         assert y[8:].isnan().all()

@@ -298,7 +298,7 @@ def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names() -
     assert Circuit("one", 1, observables=Probabilities(0)).outputs == 2
     for index in (2, (0, 3), (0, 0, 0), (0, slice(None))):
         with pytest.raises(IndexError, match=r"weights w have shape \(2, 3\), got the index"):
-            W[index]  # type: ignore[index]
+            W[index]
 
 
 def test_circuit_without_features_needs_no_input() -> None:

@@ -82,7 +82,7 @@ def test_wrong_descriptions_say_what_is_wrong() -> None:
         (Rotations(0), (word + word,), "has more than one letter on a wire"),
     ):
         with pytest.raises(ValueError, match=message):
-            Circuit("wrong", 2, 1, 2, (operation,), words)  # type: ignore[arg-type]
+            Circuit("wrong", 2, 1, 2, (operation,), words)
 
 
 def test_reuploading_circuits_measure_each_wire_in_one_letter() -> None:

@@ -1,6 +1,7 @@
 """Every engine of re-uploading circuits against every other and PennyLane, outputs and derivatives."""
 
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 import torch
@@ -139,8 +140,9 @@ def test_second_derivatives_are_those_of_differences() -> None:
     circuit = ANSATZE.build("qiren", 2, 1)
     x, w = (tensor.requires_grad_() for tensor in data(circuit, 2))
     for engine in (compiled_engine, cone_engine):
-        assert torch.autograd.gradgradcheck(engine(circuit), (x, w))
-        assert torch.autograd.gradgradcheck(lambda w, function=engine(circuit): function(x.detach(), w), (w,))
+        function = engine(circuit)
+        assert torch.autograd.gradgradcheck(function, (x, w))
+        assert torch.autograd.gradgradcheck(partial(function, x.detach()), (w,))
 
 
 def test_many_blocks_of_samples() -> None:

@@ -60,7 +60,7 @@ def test_shots_follow_the_seed_and_keep_nan_and_empty_batches() -> None:
     assert not torch.equal(outputs[0].nan_to_num(9), outputs[2].nan_to_num(9))
     assert outputs[0].isnan().all(1).nonzero().flatten().tolist() == [1]
     for options in ({"shots": 10}, {"shots": 10, "joint": False}, {"noise": Noise(depolarizing=0.1)}):
-        with hardware_conditions.conditions(layer, **options):  # type: ignore[arg-type]
+        with hardware_conditions.conditions(layer, **options):
             assert layer(torch.zeros(0, 2)).shape == (0, 2)
 
 
@@ -98,7 +98,7 @@ def test_noise_shrinks_signals_and_zero_noise_does_nothing() -> None:
 def test_wrong_conditions_are_refused() -> None:
     layer = QuantumLayer(2, 1)
     for options in ({"shots": 0}, {"shots": 2.5}, {"noise": 1.5}, {"noise": Noise}, {"method": "x"}, {"patterns": 0}):
-        with pytest.raises(ValueError), hardware_conditions.conditions(layer, **options):  # type: ignore[arg-type] # noqa: PT011
+        with pytest.raises(ValueError), hardware_conditions.conditions(layer, **options):  # noqa: PT011
             pass
 
 
@@ -111,7 +111,7 @@ def test_pennylane_differentiates_by_other_methods_too() -> None:
         return torch.autograd.grad(model(x).square().sum(), (x, model.weights1, model.weights2))
 
     for diff_method in ("parameter-shift", "adjoint"):
-        other = QuantumLayer(2, 1, method="pennylane", diff_method=diff_method).double()  # type: ignore[arg-type]
+        other = QuantumLayer(2, 1, method="pennylane", diff_method=diff_method).double()
         other.load_state_dict(layer.state_dict())
         for ours, theirs in zip(gradients(layer), gradients(other), strict=True):
             torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-10)

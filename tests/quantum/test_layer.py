@@ -56,7 +56,7 @@ def test_methods_agree_through_one_checkpoint() -> None:
     layer = QuantumLayer(5, 1).double()
     x = torch.randn(6, 5, dtype=torch.float64)
     for options in ({"method": "lightcone"}, {"method": "statevector", "backend": "torch"}, {"method": "pennylane"}):
-        other = QuantumLayer(5, 1, **options).double()  # type: ignore[arg-type]
+        other = QuantumLayer(5, 1, **options).double()
         other.load_state_dict(layer.state_dict())
         assert torch.allclose(layer(x), other(x), atol=1e-12), options
 

@@ -1,4 +1,4 @@
-"""Errors of gates and of the readout: patterns against gates, samples against density matrices, these against PennyLane."""
+"""Noise: patterns of errors against gates, samples against density matrices, these against PennyLane."""
 
 from dataclasses import replace
 from itertools import product

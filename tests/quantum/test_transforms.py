@@ -69,7 +69,7 @@ def test_forward_mode_gives_what_backward_mode_gives(layers: Layers) -> None:
 def compiled() -> Callable[[nn.Module], Callable[[Tensor], Tensor]]:
     """torch.compile without the C++ compiler: dynamo and autograd still trace the whole model."""
     torch.compiler.reset()
-    return lambda model: torch.compile(model, backend="aot_eager", fullgraph=True)  # type: ignore[return-value]
+    return lambda model: torch.compile(model, backend="aot_eager", fullgraph=True)
 
 
 def step(model: Callable[[Tensor], Tensor], parameters: list[nn.Parameter], x: Tensor) -> list[Tensor]:
