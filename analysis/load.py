@@ -78,7 +78,7 @@ def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | No
 
 
 def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
-    frame = index.locate(run).metrics()
+    frame = index.metrics(run)
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
 
 

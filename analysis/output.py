@@ -18,9 +18,9 @@ def write(path: Path, content: bytes | Callable[[Any], None]) -> None:
         StoreError: there is a link, a folder, a pipe or a device at the path.
         OSError: it cannot be written.
     """
-    require_file(path, root=path.parent)
+    require_file(path)
     try:
-        replace(path, content, durable=False, root=path.parent)
+        replace(path, content, durable=False)
     except StoreError as error:
         cause = error.__cause__
         if isinstance(cause, OSError):

@@ -12,7 +12,7 @@ import pandas as pd
 from qnerf.config.compatibility import today
 from qnerf.records import StoreError
 from qnerf.records.location import RUN_ID
-from qnerf.records.parquet import check_kinds, with_kinds
+from qnerf.records.parquet import require_columns
 from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
 from qnerf.records.schemas import known_kind
 
@@ -78,12 +78,11 @@ def load(folder: str | Path) -> pd.DataFrame:
         StoreError: the table is damaged, or a run's id is none.
     """
     file = Path(folder) / RUNS
-    table = read_table(file, root=file.parent)
+    table = read_table(file)
     table = table.rename_columns([today(name) for name in table.schema.names])
     known = {name: kind for name in table.schema.names if (kind := known_kind(name)) is not None}
     known = {name: "float" if kind == "int" else kind for name, kind in known.items()}  # pandas has no absent integers
-    check_kinds(table, {"run_id": "text", "state": "text"} | known, file)
-    frame = table.to_pandas()
+    frame = require_columns(table, {"run_id": "text", "state": "text"} | known, file).to_pandas()
     if odd := [name for name in frame["run_id"] if not isinstance(name, str) or not RUN_ID.fullmatch(name)]:
         raise StoreError(f"{file}: damaged: expected the ids of runs, got {odd[0]!r:.60}")
     return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])
@@ -140,5 +139,5 @@ def _of_runs(file: Path, name: str) -> dict[str, pd.DataFrame]:
 
 @lru_cache(maxsize=8)
 def _read(file: Path, name: str, _changed: int) -> dict[str, pd.DataFrame]:
-    table = checked_table(with_kinds(read_table(file, root=file.parent), {"run_id": "text"}, file), name, file)
+    table = checked_table(require_columns(read_table(file), {"run_id": "text"}, file), name, file)
     return {str(run): rows for run, rows in table.to_pandas().groupby("run_id", sort=False)}

@@ -28,7 +28,7 @@ def rooms_of(line: list[str]) -> list[str]:
 
 
 def room(module: str) -> str:
-    """`qnerf.records.index.table` -> `records`; a module of `qnerf` itself is named by its file."""
+    """`qnerf.records.index` -> `records`; a module of `qnerf` itself is named by its file."""
     head, *rest = module.split(".")
     if head in BESIDE:
         return head

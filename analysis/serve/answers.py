@@ -14,8 +14,7 @@ from PIL import Image
 
 import qnerf
 from qnerf.metrics import metric_of, quality_metrics
-from qnerf.records import StoreError, filters
-from qnerf.records.files import entries_in
+from qnerf.records import filters
 from qnerf.records.pictures import read_png_bytes
 
 from ..images import named_panels, pictures
@@ -120,11 +119,11 @@ class Answers:
         Image.fromarray(panels[panel]).save(data, "WEBP", lossless=True, quality=20)
         return data.getvalue(), "image/webp"
 
-    def differences(self, filter: str, rows: str, baseline: str, metric: str, within: str = "") -> ShownTable:
+    def differences(self, filter: str, rows: str, baseline: str, metric: str) -> ShownTable:
         """Rows over seeds, with their differences from the baseline, as `qnerf tables` makes them.
 
         filter, baseline: as `qnerf.records.filters` reads them. rows: columns between commas; empty for the settings
-        that differ. within: the smallest difference that matters, as a number; empty for the metric's own.
+        that differ.
         """
         _, frame = self.store.frame()
         if frame.empty:
@@ -135,11 +134,7 @@ class Answers:
         keys = [key.strip() for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
         if metric not in {item.key for item in quality_metrics()}:
             baseline = ""
-        try:
-            least = float(within) if within.strip() else None
-        except ValueError:
-            raise ValueError(f"within: expected a positive number, got {within!r:.40}") from None
-        return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
+        return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None))
 
     def _packed(self) -> tuple[int, dict[str, Any]]:
         version, frame = self.store.frame()
@@ -150,8 +145,8 @@ class Answers:
     def _logged(self, run: str) -> dict[str, Any]:
         folder = self.store.path(run)
         try:
-            stamp = str(entries_in(folder / "metrics"))
-        except (OSError, StoreError):
+            stamp = str([_stamp(path) for path in sorted((folder / "metrics").iterdir())])
+        except OSError:
             return {}
         return _curves(folder, stamp)
 
@@ -188,5 +183,8 @@ def _panels(path: Path, _stamp: str | None) -> dict[str, np.ndarray]:
 
 def _stamp(path: Path) -> str | None:
     """Tells versions of a file apart; None where there is none."""
-    found = entries_in(path.parent).get(path.name)
-    return None if found is None else f"{found.st_mtime_ns}-{found.st_ino}"
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return f"{found.st_mtime_ns}-{found.st_ino}"

@@ -1,11 +1,9 @@
 """A store that is read again while runs train: which runs changed since a reader last asked.
 
-A look at the store lists the times of all runs' folders, then the stamps of the files in those that changed, and
-reads the runs whose stamps differ. So it costs little where little changes, whatever the number of runs. Now and then
-it lists all stamps: some network file systems show a folder's new time late. Nobody looks unless a page asks.
+A look at the store lists the stamps of all runs' files, and reads the runs whose stamps differ. Nobody looks unless a
+page asks.
 """
 
-import stat
 import threading
 import time
 from collections.abc import Mapping
@@ -17,8 +15,7 @@ import pandas as pd
 
 from qnerf.records import index
 from qnerf.records.deletion import holds_runs
-from qnerf.records.files import entries_in
-from qnerf.records.index.locations import UNSETTLED, FolderLocation, Stamps, settled_before
+from qnerf.records.index import UNSETTLED, Stamps
 from qnerf.records.location import existing_store
 
 from .. import packed
@@ -28,9 +25,6 @@ from ..report.columns import plain
 
 FRESH = 0.5
 """Seconds for which a look at the store is good enough for the next question."""
-
-FULL_SCAN = 30.0
-"""Seconds between two looks at the files of all runs."""
 
 NAMES_SHARE = 0.1
 """Of the time, at most, goes into naming configurations anew."""
@@ -61,11 +55,8 @@ class WatchedStore:
         self.folder = existing_store(store)
         if packed.is_packed(self.folder) and not holds_runs(self.folder):
             raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
-        self._location = FolderLocation(self.folder)
         self._lock = threading.Lock()
-        self._folders: dict[str, str] = {}  # as they were at the last look
-        self._stamps: Stamps = self._location.scan()
-        self._scanned = time.monotonic()
+        self._stamps: Stamps = index.scan(self.folder)
         self._frame = index.load(self.folder, progress=progress)
         self._pending: list[pd.DataFrame] = []  # newer rows that are not in the frame yet
         self._rows: dict[str, dict[str, Any]] = {}
@@ -111,7 +102,7 @@ class WatchedStore:
         """The folder of a run. ValueError for a name that is none of the store's."""
         if run not in self._stamps:
             raise ValueError(f"{run:.100}: no such run")
-        return Path(self._location.path(run))
+        return self.folder / run
 
     def name_configurations(self) -> bool:
         """Names the configurations anew if finished runs have come, and not too often. Returns whether it did."""
@@ -146,20 +137,11 @@ class WatchedStore:
         """Reads what has changed, unless somebody did so within `FRESH` seconds."""
         if time.monotonic() - self._looked < FRESH:
             return
-        folders = _folders(self.folder)
-        if time.monotonic() - self._scanned > FULL_SCAN:
-            touched = set(folders)
-            self._scanned = time.monotonic()
-        else:
-            touched = {
-                name for name, stamp in folders.items() if self._folders.get(name) != stamp or stamp == UNSETTLED
-            }
-        touched |= self._alive & folders.keys()
-        stamps = self._location.stamps(sorted(touched))
-        changed = _changed(self._stamps, stamps) | (self._alive & stamps.keys())
-        gone = (self._stamps.keys() - folders.keys()) | (self._stamps.keys() & (touched - stamps.keys()))
-        self._stamps = {run: files for run, files in self._stamps.items() if run not in gone} | stamps
-        self._folders = folders
+        stamps = index.scan(self.folder)
+        changed = {run for run, stamp in stamps.items() if self._stamps.get(run) != stamp or stamp == UNSETTLED}
+        changed |= self._alive & stamps.keys()
+        gone = self._stamps.keys() - stamps.keys()
+        self._stamps = stamps
         self._looked = time.monotonic()
         rows, frame = self._read(sorted(changed))
         different = {run: row for run, row in rows.items() if self._rows.get(run) != row}
@@ -185,29 +167,10 @@ class WatchedStore:
     def _read(self, runs: list[str]) -> tuple[dict[str, dict[str, Any]], pd.DataFrame]:
         if not runs:
             return {}, pd.DataFrame()
-        frame = index.load_runs(self._location, runs)
+        frame = index.load_runs(self.folder, runs)
         shown = content.described(completed(frame.copy()))
         rows = {}
         for record in shown.drop(columns=["store", "scene"], errors="ignore").to_dict("records"):
             row = {str(name): plain(value) for name, value in record.items()}
             rows[record["run_id"]] = {name: value for name, value in row.items() if value is not None}
         return rows, frame
-
-
-def _folders(store: Path) -> dict[str, str]:
-    """A stamp of each folder in the store. Files of a run are replaced, which changes the time of its folder."""
-    settled = settled_before()
-    try:
-        found = entries_in(store)
-    except FileNotFoundError:
-        return {}
-    return {
-        name: UNSETTLED if max(status.st_mtime, status.st_ctime) > settled else f"{status.st_mtime_ns} {status.st_ino}"
-        for name, status in found.items()
-        if stat.S_ISDIR(status.st_mode)
-    }
-
-
-def _changed(before: Stamps, now: Stamps) -> set[str]:
-    """Runs whose files may have changed; an unsettled stamp says nothing."""
-    return {run for run, files in now.items() if before.get(run) != files or UNSETTLED in files.values()}

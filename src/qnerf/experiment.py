@@ -140,6 +140,9 @@ class SignalTask:
 Unpromising = Callable[[Path, int, Measures], bool]
 """Whether to give a run up, from its folder, the step and the means of its evaluation."""
 
+TYPES = {"seed": "int", "train.steps": "int"}
+"""Options with whole numbers, whose columns in the summary have this type."""
+
 Task = FieldTask | SignalTask
 """What a run trains on, what it trains, how a step's loss is computed, and how the result is judged."""
 
@@ -174,7 +177,9 @@ def run(
     config = config | {"needs": decisions}
     fingerprint = {"scene.fingerprint": scene.fingerprint}
     columns = labels(task.config) | parameter_counts(task.model) | fingerprint | {"steps": 0}
-    claim = RunStore(settings.store).claim(name, config, overrides, columns=columns, force=settings.run.force)
+    claim = RunStore(settings.store).claim(
+        name, config, overrides, columns=columns, types=TYPES, force=settings.run.force
+    )
     if claim.run is None:
         summary = read_summary(claim.dir)
         if claim.outcome == "finished" and (state := summary.get("state")) != "finished":

@@ -1,8 +1,7 @@
-"""Tables from elsewhere: damaged or oversized ones give one line that names the file."""
+"""Tables that are damaged or hold something else: one line that names the file."""
 
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -25,22 +24,6 @@ def test_what_is_no_table(tmp_path: Path, data: bytes) -> None:
         assert "\n" not in str(error.value)
 
 
-def test_rows_beyond_number_are_not_unpacked(tmp_path: Path) -> None:
-    """Two hundred million equal rows take a few kilobytes on the disk and gigabytes in memory."""
-    run = interrupted(tmp_path)
-    path = run / "metrics" / "part-00000.parquet"
-    rows = np.zeros(2_000_000, np.int64)
-    columns = {"step": rows, "time_s": rows.astype(float), "value": rows.astype(float)}
-    key = pa.DictionaryArray.from_arrays(pa.array(rows.astype(np.int32)), ["a"])
-    table = pa.table({"step": columns["step"], "time_s": columns["time_s"], "key": key, "value": columns["value"]})
-    with pq.ParquetWriter(path, table.schema) as writer:
-        for _ in range(3):
-            writer.write_table(table)
-    assert path.stat().st_size < 100_000
-    with pytest.raises(StoreError, match="has 6,000,000 rows; expected at most"):
-        records.read_metrics(run)
-
-
 @pytest.mark.parametrize(
     "columns",
     [
@@ -55,7 +38,7 @@ def test_rows_beyond_number_are_not_unpacked(tmp_path: Path) -> None:
 def test_other_columns(tmp_path: Path, columns: dict[str, list]) -> None:
     run = interrupted(tmp_path)
     pq.write_table(pa.table(columns), run / "metrics" / "part-00000.parquet")
-    with pytest.raises(StoreError, match=r"part-00000\.parquet: (damaged|expected columns)") as error:
+    with pytest.raises(StoreError, match=r"part-00000\.parquet: damaged") as error:
         records.read_metrics(run)
     assert "\n" not in str(error.value)
 

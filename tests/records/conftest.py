@@ -1,11 +1,8 @@
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from qnerf.records import RunStore
-from qnerf.records.index import locations
+from qnerf.records import RunStore, index
 
 
 @pytest.fixture
@@ -21,18 +18,18 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files count as settled as soon as they are written."""
-    monkeypatch.setattr(locations, "SETTLED", -3600.0)
+    monkeypatch.setattr(index, "SETTLED", -3600.0)
 
 
 @pytest.fixture
-def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """(file, run) of everything that the index reads from now on."""
-    seen: list[tuple[str, str]] = []
-    read = locations.FolderLocation.read
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The runs that the index reads from now on."""
+    seen: list[str] = []
+    row = index._row
 
-    def recording(location: locations.FolderLocation, file: str, runs: list[str]) -> Iterator[Any]:
-        seen.extend((file, run) for run in runs)
-        return read(location, file, runs)
+    def recording(folder: Path) -> object:
+        seen.append(folder.name)
+        return row(folder)
 
-    monkeypatch.setattr(locations.FolderLocation, "read", recording)
+    monkeypatch.setattr(index, "_row", recording)
     return seen

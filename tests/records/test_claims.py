@@ -90,11 +90,11 @@ def test_a_missing_file_is_made_again(store_: RunStore) -> None:
 
 def test_leftovers_of_killed_processes_go(store_: RunStore) -> None:
     claimed(store_).interrupt()
-    old, new = store_.root / ".tmp" / "old-a-00000000", store_.root / ".tmp" / "new-a-00000000"
+    old, new = store_.root / ".tmp" / "old-a-0000000000000000", store_.root / ".tmp" / "new-a-0000000000000000"
     old.mkdir()
     new.mkdir()
     os.utime(new, (0, 0))
-    fresh = store_.root / ".tmp" / "new-a-11111111"
+    fresh = store_.root / ".tmp" / "new-a-1111111111111111"
     fresh.mkdir()
     claimed(store_).finish()
     assert list((store_.root / ".tmp").iterdir()) == [fresh]

@@ -1,4 +1,4 @@
-"""Where a store may be, and which folders are runs."""
+"""Where a store may be, which folders are runs, and what is deleted."""
 
 import json
 import os
@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from qnerf.records import RunStore, StoreError, annotations, find
+from qnerf.records import RunStore, StoreError, annotations, find, owner
 from qnerf.records.deletion import delete_run, is_run
 from qnerf.records.location import existing_store, store_folder
-from qnerf.records.numbered import OWNERS, PARTS
 from tests.helpers.stores import CONFIG, claimed
 
 
@@ -61,11 +60,12 @@ def test_a_folder_with_files_of_the_same_names_is_no_run(tmp_path: Path) -> None
     assert {path: path.read_bytes() for path in mine.rglob("*") if path.is_file()} == before
 
 
-def test_a_run_whose_records_a_power_cut_emptied_goes_on(store_: RunStore) -> None:
+@pytest.mark.parametrize("damaged", ["status.json", "owner/000000.json"])
+def test_run_with_one_record_that_a_power_cut_emptied_goes_on(store_: RunStore, damaged: str) -> None:
     run = claimed(store_)
     run.interrupt()
+    (run.dir / damaged).write_bytes(b"")
     for path in [run.dir / "status.json", *run.dir.glob("owner/*")]:
-        path.write_bytes(b"")
         os.utime(path, (0, 0))
     claimed(store_).finish()
 
@@ -74,9 +74,6 @@ def test_one_mark_is_enough(store_: RunStore) -> None:
     run = claimed(store_)
     run.interrupt()
     assert is_run(run.dir)
-    status = json.loads((run.dir / "status.json").read_text())
-    del status["format"], status["config"]  # the first version wrote neither
-    (run.dir / "status.json").write_text(json.dumps(status))
     for path in run.dir.glob("owner/*"):
         path.unlink()
     assert is_run(run.dir)
@@ -95,38 +92,43 @@ def test_a_folder_of_the_working_directory_is_named_as_a_path(
         find("./other", store_.root)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "part-00000 (1).parquet",
-        "part-0.parquet",
-        "part-000000.parquet",
-        "part-\u0660\u0660\u0660\u0660\u0660.parquet",
-        "part-.parquet",
-        "part-1000000000.parquet",
-        f"part-{'9' * 200}.parquet",
-        "xpart-00000.parquet",
-    ],
-)
-def test_a_number_has_one_name(name: str) -> None:
-    assert PARTS.number(name) is None
-    assert PARTS.number("part-100000.parquet") == 100000
-
-
 @pytest.mark.parametrize("name", ["0000000000009.json", "\u0660\u0660\u0660\u0660\u0660\u0669.json", "000000 (1).json"])
 def test_other_files_beside_the_owner_s_do_not_count(store_: RunStore, name: str) -> None:
     run = claimed(store_)
     run.interrupt()
     (run.dir / "owner" / name).write_text("{}")
     claimed(store_).interrupt()
-    assert list(OWNERS.in_folder(run.dir / "owner")) == [1]
+    assert owner.latest(run.dir)[0] == 1
     delete_run(run.dir)
     assert not run.dir.exists()
 
 
-def test_the_last_number_is_told(store_: RunStore) -> None:
+def test_links_are_neither_written_nor_deleted_through(store_: RunStore, tmp_path: Path) -> None:
     run = claimed(store_)
     run.interrupt()
-    (run.dir / "owner" / "999999999.json").write_text(next(run.dir.glob("owner/*.json")).read_text())
-    with pytest.raises(StoreError, match="owner: there is no number after 999999999; delete this folder"):
-        store_.claim("a", CONFIG)
+    elsewhere = run.dir.rename(tmp_path / "elsewhere")
+    (store_.root / "a").symlink_to(elsewhere)
+    before = {path: path.read_bytes() for path in elsewhere.rglob("*") if path.is_file()}
+    for action in (
+        lambda: store_.claim("a", CONFIG),
+        lambda: store_.claim("a", CONFIG, force=True),
+        lambda: delete_run(store_.root / "a"),
+        lambda: annotations.write_note(store_.root / "a", "x"),
+    ):
+        with pytest.raises(StoreError, match="a: is a link"):
+            action()
+    assert {path: path.read_bytes() for path in elsewhere.rglob("*") if path.is_file()} == before
+
+
+def test_linked_trash_is_not_emptied(store_: RunStore, tmp_path: Path) -> None:
+    run = claimed(store_)
+    run.interrupt()
+    (store_.root / ".tmp").rmdir()
+    mine = tmp_path / "mine" / "old-a-0000000000000000"
+    mine.mkdir(parents=True)
+    (store_.root / ".tmp").symlink_to(mine.parent)
+    for action in (lambda: store_.claim("b", CONFIG), lambda: delete_run(run.dir)):
+        with pytest.raises(StoreError, match=r"\.tmp: is a link"):
+            action()
+    assert mine.exists()
+    assert is_run(run.dir)

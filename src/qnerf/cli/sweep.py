@@ -93,19 +93,15 @@ class Sweep:
     def failures(self) -> list[tuple[str, str]]:
         """Each failed job's own overrides and the reason, in the order of the jobs."""
         from qnerf.records.files import read_json  # imports pandas, which `qnerf --help` must not wait for
-        from qnerf.records.numbered import NumberedFiles
 
         failed = []
-        try:
-            reports = NumberedFiles("", 1, ".json").in_folder(self.folder / "failed")
-        except FileNotFoundError:
-            return []
-        for number, path in reports.items():
+        reports = [path for path in (self.folder / "failed").glob("*.json") if path.stem.isdecimal()]
+        for path in sorted(reports, key=lambda path: int(path.stem)):
             try:
                 job = read_json(path)
                 failed.append((self._own(list(map(str, job["overrides"]))), str(job["reason"])))
             except (OSError, ValueError, KeyError, TypeError) as error:
-                failed.append((f"job {number}", f"{path}: cannot be read: {error}"))
+                failed.append((f"job {path.stem}", f"{path}: cannot be read: {error}"))
         return failed
 
     def _own(self, overrides: Sequence[str]) -> str:

@@ -1,13 +1,12 @@
 """A run's scene and model, as its last checkpoint has them."""
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from qnerf.building.model import build_model, ray_table
 from qnerf.building.scene import prepare
@@ -19,14 +18,11 @@ from qnerf.model.model import Model
 from qnerf.quantum import QuantumLayer
 from qnerf.records import read_config, state
 from qnerf.records.checkpoints import load_archive
-from qnerf.records.files import exists, reporting
+from qnerf.records.files import reporting
 from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.state_checks import check_integer, check_model, largest_state
-
-Key = TypeVar("Key")
-Seen = TypeVar("Seen")
 
 
 @dataclass(frozen=True)
@@ -80,31 +76,11 @@ class Trained:
             raise ValueError(f"{self.folder}: neither of its heads has a re-uploading circuit")
         return circuits
 
-    @torch.no_grad()
-    def watched(
-        self,
-        model: Model,
-        modules: Mapping[Key, nn.Module],
-        see: Callable[[Tensor, Tensor], Seen],
-        rays: int,
-        step: int,
-    ) -> dict[Key, list[Seen]]:
-        """What `see(input, output)` gives for each call of each module, while training rays are rendered.
-
-        They are the same random rays each time.
-        """
-        seen: dict[Key, list[Seen]] = {key: [] for key in modules}
+    def render_training_rays(self, model: Model, rays: int, step: int) -> None:
+        """Renders the same random training rays each time, for hooks that watch what passes through the modules."""
         batch, _ = self.ray_table().batch(rays, torch.Generator().manual_seed(0), model.cameras)
         background = evaluation_background(self.settings.render.background)
-        with ExitStack() as hooks:
-            for key, module in modules.items():
-
-                def watch(_: nn.Module, inputs: tuple[Tensor, ...], out: Tensor, key: Key = key) -> None:
-                    seen[key].append(see(inputs[0], out))
-
-                hooks.callback(module.register_forward_hook(watch).remove)
-            model(batch, background=background, step=step, watch=self.stopwatch(model))
-        return seen
+        model(batch, background=background, step=step, watch=self.stopwatch(model))
 
 
 def heads_of(model: Model) -> dict[str, nn.Module]:
@@ -122,7 +98,7 @@ def require_loadable(folder: Path, *, unfinished: bool = False) -> None:
         raise ValueError(f"{folder} is not a run: it has no config.yaml")
     if not unfinished and state(folder) != "finished":
         raise ValueError(f"{folder}: expected a finished run, this one is {state(folder)}")
-    if unfinished and not exists(folder / "checkpoint.pt"):
+    if unfinished and not (folder / "checkpoint.pt").exists():
         raise ValueError(f"{folder}: this run is {state(folder)} and has no checkpoint")
 
 

@@ -4,7 +4,7 @@
       config.yaml          the resolved configuration
       overrides.txt        what the user typed
       environment.json     code, packages, machine; dirty.diff: changes since the commit
-      status.json          state, step, heartbeat, owner, error, format of the store, identity of the configuration
+      status.json          state, step, heartbeat, owner, error
       metrics/             part-00000.parquet ...: step int64, time_s float64, key string, value float64
       eval.parquet         one row per evaluated image
       summary.parquet      one row: final metrics, parameter counts, timings, the flat configuration
@@ -22,14 +22,14 @@ read it at any moment. Two files are different: tags and note are changed by any
 (`annotations.py`), and the index is written by whoever reads the store.
 
 What a reader sees. A file is never changed in place: the new version is written under a temporary name and renamed. A
-reader that opens a table twice while it is replaced gets the old version whole (`live_parquet.py`).
+column's type is declared, so the tables of all runs can be read as one.
 
 What survives kill -9. Everything that was written: at most the metrics of the last few seconds are lost, and the run
 resumes from its last checkpoint. The rows logged after that checkpoint are dropped, so that no step appears twice. The
 next claim removes the temporary files. If the checkpoint is damaged, the one before it is used.
 
-What a folder from elsewhere can do. Nothing in it is executed, no link below the store's root is followed, and files
-larger than a run writes are refused (`files.py`, `read.py`). Only what this package made is deleted (`deletion.py`).
+What a folder of another person can do. Nothing in it is executed. A damaged run is one damaged row of a table. Only
+what this package made is deleted (`deletion.py`).
 
 The file system must rename files and folders atomically and create hard links (or at least files) exclusively. Local
 file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.

@@ -8,12 +8,10 @@ one after the other and both tags stay, and a killed process blocks nobody.
 """
 
 import contextlib
-import json
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from qnerf.records import files, owner
 from qnerf.records.deletion import require_run
@@ -25,7 +23,7 @@ LOCK = ".annotations"
 TAG_LENGTH = 64
 TAGS = 100
 NOTE_LENGTH = 10_000
-WATCH_TIME = 2.0  # seconds in which a process whose clock is off shows that it lives, by ending its change
+WATCH_TIME = 2.0  # seconds in which a process of another machine shows that it lives, by ending its change
 PATIENCE = 10.0  # seconds to wait for another process's change, which takes milliseconds
 
 
@@ -67,7 +65,7 @@ def change_tags(run_dir: str | Path, add: Iterable[str] = (), remove: Iterable[s
         before = read(run_dir)
         if unknown := remove - set(before.tags):
             missing, existing = (", ".join(map(printable, tags)) for tags in (sorted(unknown), before.tags))
-            raise ValueError(f"{Path(run_dir).name} has no tag {missing}; it has {existing or 'none'}")
+            raise ValueError(f"{Path(run_dir).name} has no tag {missing}; it has {existing or 'no tags'}")
         tags = set(before.tags) - remove | add
         if len(tags) > TAGS:
             raise ValueError(f"expected at most {TAGS} tags a run, got {len(tags)}")
@@ -98,11 +96,7 @@ def check_tag(tag: str) -> str:
 
 
 def _write(path: Path, annotations: Annotations) -> Annotations:
-    content: dict[str, Any] = {}
-    with contextlib.suppress(FileNotFoundError):
-        content = files.read_json(path)  # a newer version may know more keys
-    content |= {"tags": list(annotations.tags), "note": annotations.note}
-    data = (json.dumps(content, indent=1) + "\n").encode()  # ASCII: safe to print whatever is in it
+    data = files.json_bytes({"tags": list(annotations.tags), "note": annotations.note})
     files.replace(path, data, temporary_folder=path.parent / LOCK)  # a run that is resumed tidies its own folder
     return annotations
 
@@ -113,7 +107,7 @@ def _changing(run_dir: Path) -> Iterator[Path]:
     path, lock = run_dir / FILE, run_dir / LOCK
     require_run(run_dir)
     with reporting(path):
-        files.make_folder(lock)
+        lock.mkdir(exist_ok=True)
     end = time.monotonic() + PATIENCE
     while not isinstance(claim := owner.acquire(lock, watch=WATCH_TIME), owner.Ownership):
         if time.monotonic() > end:

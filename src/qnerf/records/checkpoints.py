@@ -1,8 +1,7 @@
 """checkpoint.pt and the one before it, checkpoint.prev.pt."""
 
-import os
+import io
 import pickle
-import re
 import textwrap
 import time
 import zipfile
@@ -10,9 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from qnerf.config import memory
-from qnerf.records.files import StoreError, open_plain, preserve, rename, replace, reporting
-from qnerf.records.tensor_bounds import check_bounds
+from qnerf.records.files import StoreError, open_regular, preserve, replace, reporting
 
 
 class Checkpoints:
@@ -31,28 +28,31 @@ class Checkpoints:
     def save(self, content: dict[str, Any]) -> None:
         import torch
 
-        replace(self.current, lambda file: torch.save(content, file), before_rename=self._rotate)
-
-    def _rotate(self, new: Path) -> None:
+        archive = io.BytesIO()
+        torch.save(content, archive)
         if not self._was_read_back:  # content that cannot be loaded should fail now, not when the run is resumed
+            archive.seek(0)
             try:
-                load_archive(new)
+                torch.load(archive, weights_only=True)
             except pickle.UnpicklingError as error:
                 raise ValueError(f"checkpoint: expected tensors and plain values only: {_shortened(error)}") from error
             self._was_read_back = True
+        replace(self.current, archive.getbuffer(), before_rename=self._keep_previous)
+
+    def _keep_previous(self) -> None:
         self._check_owner()
         preserve(self.current, self.previous)
 
     def load(
         self, check: Callable[[dict[str, Any]], None] = lambda content: None, max_bytes: int | None = None
     ) -> dict[str, Any] | None:
-        """The newest checkpoint that can be read and that passes `check`; None if none can be read.
+        """The newest checkpoint that can be read and that passes `check`; None if no checkpoint can be read.
 
         check: raises ValueError if the content does not belong to the run. max_bytes: of a checkpoint's file, at most.
         A checkpoint that is not used is renamed, with a warning.
 
         Raises:
-            StoreError: a checkpoint can be read, but none belongs to the run. All files stay as they are.
+            StoreError: a checkpoint can be read, but it does not belong to the run. All files stay as they are.
         """
         refused: dict[Path, str] = {}
         foreign = False
@@ -62,8 +62,6 @@ class Checkpoints:
                 loaded = load_archive(path, max_bytes)
             except FileNotFoundError:
                 continue
-            except MemoryError:
-                raise
             except OSError as error:
                 raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
             except Exception as error:  # damaged archives raise many kinds of errors
@@ -85,42 +83,26 @@ class Checkpoints:
             aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
             self._warn(f"{path}: {reason}; set aside as {aside.name}; {onward}")
             with reporting(path):
-                rename(path, aside)
+                path.rename(aside)
         return content
 
 
 def load_archive(path: Path, max_bytes: int | None = None) -> dict[str, Any]:
     """The dict that `torch.save` wrote, with tensors on the CPU. Nothing in the file is executed.
 
-    max_bytes: of the file, at most; by default, what fits in memory.
+    The archive's checksums are compared. Shapes and values of the tensors are for the caller to check.
 
     Raises:
-        MemoryError: there is too little memory for a file of this size.
-        Exception: of any kind, if the file is damaged, too large or something else.
+        Exception: of any kind, if the file is damaged, larger than `max_bytes`, or something else.
     """
     import torch
 
-    with open_plain(path, max_bytes=max_bytes) as file:
-        size = os.fstat(file.fileno()).st_size
-        too_little = MemoryError(f"{path}: not enough memory for a checkpoint of {size:,} bytes")
-        available = memory.available_bytes()
-        if available is not None and size > available:
-            raise too_little
+    with open_regular(path, max_bytes) as file:
         with zipfile.ZipFile(file) as archive:
-            # torch.save neither compresses nor shares bytes. An archive that unpacks to more than its size is not its.
-            if sum(item.file_size for item in archive.infolist()) > size:
-                raise zipfile.BadZipFile("it would unpack to more than it holds")
-            if (name := archive.testzip()) is not None:  # torch.load does not check the checksums
+            if (name := archive.testzip()) is not None:  # torch.load does not compare checksums
                 raise zipfile.BadZipFile(f"wrong checksum of {name}")
-            check_bounds(archive)
         file.seek(0)
-        try:
-            content = torch.load(file, map_location="cpu", weights_only=True)
-        except RuntimeError as error:
-            wanted = re.search(r"tried to allocate (\d+) bytes", str(error))
-            if wanted and int(wanted[1]) <= size:
-                raise too_little from error
-            raise
+        content = torch.load(file, map_location="cpu", weights_only=True)
     if not isinstance(content, dict):
         raise pickle.UnpicklingError(f"expected a dict, got {type(content).__name__}")
     return content

@@ -14,8 +14,8 @@ from qnerf.records.annotations import Annotations
 from qnerf.records.files import StoreError, read_bytes, read_json, reporting
 from qnerf.records.owner import unix_time
 from qnerf.records.parquet import reading
-from qnerf.records.read import read_config, read_evaluation, read_status, read_summary, state
-from qnerf.records.schemas import check_status, results
+from qnerf.records.read import check_status, read_config, read_evaluation, read_status, read_summary, state
+from qnerf.records.schemas import results
 
 MAX_OVERRIDES_BYTES = 2**20
 _T = TypeVar("_T")

@@ -24,7 +24,6 @@ import numpy as np
 import pandas as pd
 
 from qnerf.config.checks import is_number
-from qnerf.config.compatibility import today_noted
 
 ALIASES = {"id": "run_id", "tag": "tags"}
 HELP = "only these runs, as `qnerf runs` takes it: \"field=qcolor seed=0,1 'psnr>25'\""
@@ -92,8 +91,8 @@ def _alternatives(value: Any) -> tuple[str, ...]:
 
 
 def column(name: str) -> str:
-    """The column's own name for `id` and `tag`, and today's for an old one, which is noted on standard error."""
-    return today_noted(ALIASES.get(name.strip(), name.strip()))
+    """The column's own name for `id` and `tag`."""
+    return ALIASES.get(name.strip(), name.strip())
 
 
 def select(frame: pd.DataFrame, filters: Sequence[Filter]) -> pd.DataFrame:

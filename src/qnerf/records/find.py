@@ -4,7 +4,6 @@ import difflib
 import os
 from pathlib import Path
 
-from qnerf.records.files import exists, refuse_links
 from qnerf.records.location import existing_store, resolved
 from qnerf.records.read import RUN_MARKERS, runs
 
@@ -24,12 +23,10 @@ def find(name: str | Path, store: str | Path = "runs", *, whole: bool = False) -
         folder = resolved(Path(name)) if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
         if Path(name).is_symlink() and folder.parent != resolved(Path(name).parent):
             raise ValueError(f"{text}: a link to {folder}; name that folder itself")
-        if not any(exists(folder / file) for file in RUN_MARKERS):
+        if not any((folder / file).exists() for file in RUN_MARKERS):
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder
     folder = existing_store(store)
-    if text:
-        refuse_links(folder / text, root=folder)
     known = {path.name: path for path in runs(folder)}
     if text in known:
         return known[text]

@@ -6,16 +6,18 @@ its own file as released; only the holder of a higher number removes files. So n
 cannot mistake a new owner for the dead one that it saw before.
 
 Is an owner alive? On this machine: if a process with the same pid and start time runs and is not a zombie. On another
-machine: if its heartbeat is younger than `HEARTBEAT_LIMIT`. A heartbeat that looks old is watched for a while before
-the run is taken over, because clocks may disagree. A writer checks that it still owns the run before every write and
-stops if it does not. One gap remains: a writer on another machine that froze for longer than the limit, exactly
-between this check and its rename, can still put one file in place.
+machine: if it wrote its last heartbeat less than `HEARTBEAT_LIMIT` ago by the clock of the file system, which is read
+from a file just written beside it. An old heartbeat is watched for a while before the run is taken over. A writer
+checks that it still owns the run before every write and stops if it does not. One gap remains: a writer on another
+machine that froze for longer than the limit, exactly between this check and its rename, can still put one file in
+place.
 """
 
 import contextlib
 import json
 import os
 import platform
+import re
 import secrets
 import subprocess
 import sys
@@ -25,16 +27,23 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from qnerf.records import files
-from qnerf.records.files import StoreError, read_json, reporting
-from qnerf.records.numbered import OWNERS
+from qnerf.records.files import (
+    StoreError,
+    create,
+    read_json,
+    refuse_links,
+    remove_temporary_files,
+    reporting,
+    temporary_path,
+)
 
 HEARTBEAT_INTERVAL = 3.0  # seconds between heartbeats
 HEARTBEAT_LIMIT = 180.0  # seconds; network file systems may show files a minute late
 WATCH_TIME = 4 * HEARTBEAT_INTERVAL  # seconds that an old heartbeat is watched before the run is taken over
 
 _HELD, _RELEASED = b'"released": false', b'"released": true '  # of equal length: the file is marked in place
-_released_nonces: set[str] = set()  # claims released by this process, in case a broken disk refused the mark
+_released_nonces: set[str] = set()  # claims that this process released, in case a broken disk refused the mark
+_NUMBER = re.compile(r"([0-9]{6,9})\.json")
 
 
 @dataclass(frozen=True)
@@ -70,20 +79,17 @@ class Process:
 
 @dataclass(frozen=True)
 class OwnerInfo:
-    """Who owns a run, for messages."""
+    """Who owns a run, for messages. age_s: seconds since its last sign of life."""
 
-    pid: int | None
-    host: str | None
-
-    @classmethod
-    def from_record(cls, record: dict[str, Any]) -> "OwnerInfo":
-        process = Process.from_record(record)
-        host = None if process is None else "".join(c if c.isprintable() else "?" for c in process.host[:64])
-        return cls(process.pid if process else None, host)
+    process: Process | None
+    age_s: float
 
     def __str__(self) -> str:
-        where = "this machine" if self.host == platform.node() else self.host or "an unknown machine"
-        return f"process {self.pid if self.pid is not None else '?'} on {where}"
+        age = f"last heartbeat {max(self.age_s, 0):.0f} s ago"
+        if self.process is None:
+            return f"an unknown process ({age})"
+        host = "".join(c if c.isprintable() else "?" for c in self.process.host[:64])
+        return f"process {self.process.pid} on {host} ({age})"
 
 
 class Ownership:
@@ -96,13 +102,10 @@ class Ownership:
 
     def check(self) -> None:
         """StoreError if the folder is gone or another process has taken the run over."""
-        try:
-            number, _ = latest(self.directory)
-        except FileNotFoundError:
-            number = -1
-        if number < 0:
+        numbers = _numbers(self.directory)
+        if not numbers:
             raise StoreError(f"{self.directory}: the run's folder was removed or moved while the run was writing to it")
-        if number != self.number:
+        if max(numbers) != self.number:
             raise StoreError(f"{self.directory}: the run was taken over by another process; this one stops writing")
 
     def release(self) -> None:
@@ -110,24 +113,11 @@ class Ownership:
         path = _owner_file(self.directory, self.number)
         if _read(path).get("nonce") != self.nonce:
             return
-        with reporting(path), files.open_plain(path, "r+b", max_bytes=files.MAX_JSON_BYTES) as file:
+        with reporting(path), open(path, "r+b") as file:
             position = file.read().find(_HELD)
             if position >= 0:
                 file.seek(position)
                 file.write(_RELEASED)  # in place: this must work on a full disk too
-
-
-def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:
-    """Whether the process in `record` (pid, host, boot, started) runs. heartbeat: Unix time."""
-    process = Process.from_record(record)
-    running = process.is_running() if process else None
-    return is_recent(heartbeat) if running is None else running
-
-
-def is_recent(heartbeat: float | None) -> bool:
-    """Whether a heartbeat (Unix time) is within `HEARTBEAT_LIMIT`. One far in the future is as old as one in the past:
-    the clock has been set back since."""
-    return heartbeat is not None and abs(time.time() - heartbeat) <= HEARTBEAT_LIMIT
 
 
 def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo | None:
@@ -135,36 +125,38 @@ def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo
 
     watch: seconds that an old heartbeat of an owner on another machine is watched.
     """
+    refuse_links(directory, directory / "owner")
     for _ in range(1000):
         with reporting(directory, "claim the run"):
             try:
-                files.make_folder(directory / "owner")
+                (directory / "owner").mkdir(exist_ok=True)
                 number, record = latest(directory)
-                if record is not None and not _is_released(record) and _is_active(directory, number, record, watch):
-                    return OwnerInfo.from_record(record)
-                ownership = create(directory, number + 1)
+                if record is not None and not _is_released(record):
+                    holder = _living_owner(directory, watch)
+                    if holder is not None:
+                        return holder
+                ownership = create_owner(directory, number + 1)
                 if ownership is None:
                     continue
                 if _succeeds(directory, ownership, record):
-                    _remove_older(directory, ownership.number)
+                    for older in _numbers(directory) - {ownership.number}:
+                        _owner_file(directory, older).unlink(missing_ok=True)
                     # A contender whose temporary file goes finds the run owned when it tries again.
-                    files.remove_temporary_files(directory / "owner")
+                    remove_temporary_files(directory / "owner")
                     return ownership
-                files.delete(_owner_file(directory, ownership.number), ignore_errors=True)
+                _owner_file(directory, ownership.number).unlink(missing_ok=True)
             except FileNotFoundError:
-                if not files.exists(directory, root=directory.parent):
+                if not directory.exists():
                     return None
     raise StoreError(f"{directory}: cannot claim the run: its owner changes all the time")
 
 
-def create(directory: Path, number: int) -> Ownership | None:
+def create_owner(directory: Path, number: int) -> Ownership | None:
     """Creates owner file `number`, exclusively and whole; None if it exists."""
     path = _owner_file(directory, number)
-    if OWNERS.number(path.name) is None:
-        raise StoreError(f"{path.parent}: there is no number after {number - 1}; delete this folder")
     nonce = secrets.token_hex(8)
     record = asdict(Process.current()) | {"nonce": nonce, "since": time.time(), "released": False}
-    return Ownership(directory, number, nonce) if files.create(path, json.dumps(record).encode()) else None
+    return Ownership(directory, number, nonce) if create(path, json.dumps(record).encode()) else None
 
 
 def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
@@ -175,52 +167,84 @@ def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
 
 def describe(directory: Path) -> OwnerInfo:
     """Who owns the run, or owned it last."""
-    return OwnerInfo.from_record(latest(directory)[1] or {})
+    return OwnerInfo(Process.from_record(latest(directory)[1] or {}), time.time() - _last_sign(directory))
 
 
-def last_heartbeat(directory: Path, record: dict[str, Any]) -> float | None:
-    """Last sign of life of the owner in `record`, in Unix time."""
-    status = _read(directory / "status.json")
-    value = status.get("heartbeat") if status.get("claim") == record.get("nonce") else record.get("since")
-    return unix_time(value)
-
-
-MAX_TIME = 253_402_300_799.0  # Unix time of the end of the year 9999, the last that a date can hold
-
-
-def unix_time(value: Any) -> float | None:
-    """A time from a file that anybody may have written; None if it is no number from 0 to `MAX_TIME`."""
-    is_time = isinstance(value, (int, float)) and 0 <= value <= MAX_TIME
-    return float(value) if is_time else None
+def is_owned(directory: Path) -> bool:
+    """Whether the run's last owner has not released it; it may be dead."""
+    record = latest(directory)[1]
+    return record is not None and not _is_released(record)
 
 
 def _is_released(record: dict[str, Any]) -> bool:
     return bool(record.get("released")) or str(record.get("nonce")) in _released_nonces
 
 
-def _is_active(directory: Path, number: int, record: dict[str, Any], watch: float) -> bool:
-    """Whether the owner in `record` lives. If only the clock says that it does not, it is watched for a sign of life:
-    a heartbeat that changes, to whatever time, or a change of its owner file."""
+def has_owner_file(directory: Path) -> bool:
+    """Whether a file of `owner/` is a record that this module wrote."""
+    records = (_read(_owner_file(directory, number)) for number in _numbers(directory))
+    return any("nonce" in record and "released" in record and Process.from_record(record) for record in records)
+
+
+def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:
+    """Whether the process in `record` (pid, host, boot, started) runs, for readers. heartbeat: Unix time.
+
+    The heartbeat of another machine is compared with this machine's clock, also if it lies in the future.
+    """
     process = Process.from_record(record)
-    running = None if process is None else process.is_running()
+    running = process.is_running() if process else None
+    if running is None:
+        return heartbeat is not None and abs(time.time() - heartbeat) <= HEARTBEAT_LIMIT
+    return running
+
+
+def unix_time(value: Any) -> float | None:
+    """A time from a file; None if it is no number that a date can hold."""
+    is_time = isinstance(value, (int, float)) and 0 <= value < 253_402_300_800  # the year 10000
+    return float(value) if is_time else None
+
+
+def _living_owner(directory: Path, watch: float) -> OwnerInfo | None:
+    """The owner, if it lives. If only its age says that it does not, it is watched for a sign of life: a change of
+    status.json or of `owner/`."""
+    holder = describe(directory)
+    running = None if holder.process is None else holder.process.is_running()
     if running is not None:
-        return running
-
-    def sign() -> tuple[float | None, int, dict[str, Any] | None]:
-        if process is not None:
-            return last_heartbeat(directory, record), *latest(directory)
-        # damaged, or still being written on a file system without hard links
-        return files.status(_owner_file(directory, number)).st_mtime, *latest(directory)
-
-    first = sign()
-    if is_recent(first[0]):
-        return True
-    end = time.monotonic() + watch
+        return holder if running else None
+    first = _signs(directory)
+    age = _file_system_time(directory) - _last_sign(directory)
+    end = time.monotonic() + (watch if age > HEARTBEAT_LIMIT else 0)
     while time.monotonic() < end:
         time.sleep(min(0.2, watch))
-        if sign() != first:
-            return True
-    return False
+        if _signs(directory) != first:
+            age = 0.0
+            break
+    return OwnerInfo(holder.process, age) if age <= HEARTBEAT_LIMIT else None
+
+
+def _signs(directory: Path) -> tuple[Any, ...]:
+    # Reading a file makes a network file system look at it again.
+    return _read(directory / "status.json"), *latest(directory), _last_sign(directory)
+
+
+def _last_sign(directory: Path) -> float:
+    """When status.json or the owner's file was written last, by the clock of the file system; 0 if neither exists."""
+    times = [0.0]
+    for path in (directory / "status.json", _owner_file(directory, max(_numbers(directory), default=0))):
+        with contextlib.suppress(OSError):
+            times.append(path.stat().st_mtime)
+    return max(times)
+
+
+def _file_system_time(directory: Path) -> float:
+    """The time of a file just written: by the same clock as the times of the files beside it."""
+    probe = temporary_path(directory / "owner" / "time")
+    try:
+        probe.write_bytes(b"")
+        return probe.stat().st_mtime
+    finally:
+        with contextlib.suppress(OSError):
+            probe.unlink()
 
 
 def _succeeds(directory: Path, ownership: Ownership, before: dict[str, Any] | None) -> bool:
@@ -232,18 +256,18 @@ def _succeeds(directory: Path, ownership: Ownership, before: dict[str, Any] | No
     return before is None or previous.get("nonce") == before.get("nonce")
 
 
-def _remove_older(directory: Path, number: int) -> None:
-    for older in sorted(_numbers(directory)):
-        if older < number:
-            files.delete(_owner_file(directory, older), ignore_errors=True)
-
-
-def _numbers(directory: Path) -> list[int]:
-    return list(OWNERS.in_folder(directory / "owner"))
+def _numbers(directory: Path) -> set[int]:
+    """The numbers of the owner's files; other names, such as the copies of a sync program, are left out."""
+    try:
+        names = os.listdir(directory / "owner")
+    except (FileNotFoundError, NotADirectoryError):
+        return set()
+    numbers = {int(match[1]) for match in map(_NUMBER.fullmatch, names) if match}
+    return {number for number in numbers if _owner_file(directory, number).name in names}
 
 
 def _owner_file(directory: Path, number: int) -> Path:
-    return directory / "owner" / OWNERS.name(number)
+    return directory / "owner" / f"{number:06d}.json"
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -260,9 +284,7 @@ def _boot_id() -> str:
     with contextlib.suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot}/{os.readlink('/proc/self/ns/pid')}"
-    if sys.platform == "darwin":
-        return _output("sysctl", "-n", "kern.bootsessionuuid")
-    return ""
+    return _output("sysctl", "-n", "kern.bootsessionuuid") if sys.platform == "darwin" else ""
 
 
 def _start_time(pid: int) -> str:
@@ -277,9 +299,7 @@ def _start_time(pid: int) -> str:
             return ""
         state, *fields = stat.rpartition(")")[2].split()
         return "" if state in "ZX" else fields[18]
-    if sys.platform == "darwin":
-        return _output("ps", "-o", "lstart=", "-p", str(pid))
-    return ""
+    return _output("ps", "-o", "lstart=", "-p", str(pid)) if sys.platform == "darwin" else ""
 
 
 def _is_hidden(pid: int) -> bool:

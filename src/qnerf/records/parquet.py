@@ -1,31 +1,18 @@
-"""The one reader of Parquet files: a table of numbers and text, within limits on everything that it could unpack to.
-
-Run-length encoding and dictionaries put more rows or text than fit into memory into a few bytes. So the limits are
-checked before anything is unpacked.
-"""
+"""Parquet files with columns of four kinds: whole numbers, numbers, booleans, text."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from qnerf.records.files import StoreError, one_line
+from qnerf.records.files import MAX_TABLE_BYTES, StoreError, one_line, read_bytes, reporting
 
-MAX_ROWS = 2**22
-MAX_COLUMNS = 2**14
-MAX_UNPACKED_BYTES = 2**30
+TYPES = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
+"""Kind of a column -> its Arrow type in every file of a store."""
 
-KINDS = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string(), "none": pa.null()}
-KIND_OF_TYPE = {
-    **dict.fromkeys(("int64", "int32", "int16", "int8", "uint32", "uint16", "uint8"), "int"),
-    **dict.fromkeys(("double", "float", "halffloat"), "float"),
-    **dict.fromkeys(("string", "large_string"), "text"),
-    "bool": "bool",
-    "null": "none",
-}
-"""Name of an Arrow type -> the kind that holds its values."""
+_NAMES = {"int": "whole numbers", "float": "numbers", "bool": "true or false", "text": "text"}
 
 
 @contextlib.contextmanager
@@ -39,100 +26,68 @@ def reading(label: object) -> Iterator[None]:
         raise StoreError(f"{label}: damaged: {one_line(error)}") from error
 
 
-def open_table(data: bytes, label: object, *, max_rows: int = MAX_ROWS) -> pq.ParquetFile:
-    """A Parquet file in memory, before anything of it is unpacked. Text is read as dictionaries.
+def encode(table: pa.Table) -> bytes:
+    """A Parquet file. One row is not compressed: each of its values would be, by itself."""
+    sink = pa.BufferOutputStream()
+    many = table.num_rows > 1
+    compression = "zstd" if many else "none"
+    pq.write_table(table, sink, compression=compression, use_dictionary=many, write_statistics=many, store_schema=False)
+    return sink.getvalue().to_pybytes()
 
-    label: the path or URL for error messages.
 
-    Raises:
-        StoreError: it is damaged, has nested columns, or would unpack to more than a run writes.
-    """
-    with reading(label):
+Kinds = Callable[[str], str | None]
+"""Name of a column -> its declared kind; None: it keeps its own."""
+
+
+def read_table(path: Path, kinds: Kinds = lambda name: None) -> pa.Table:
+    """A Parquet file in memory, see `typed`; StoreError if it is absent or damaged."""
+    with reporting(path, "read"):
+        data = read_bytes(path, MAX_TABLE_BYTES)
+    with reading(path):
         # Not pq.read_table: if its threads still hold Python's buffer when the interpreter ends, the process aborts.
-        metadata = pq.read_metadata(pa.BufferReader(data))
-        columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
-        _limit(label, metadata.num_rows, max_rows, "rows")
-        _limit(label, len(columns), MAX_COLUMNS, "columns")
-        if any(column.max_repetition_level or column.path != column.name for column in columns):
-            raise ValueError("expected columns of numbers and text, got nested ones")
-        # Not the sizes of single columns: pyarrow ends the process when their part of the footer is damaged.
-        sizes = [metadata.row_group(number).total_byte_size for number in range(metadata.num_row_groups)]
-        _limit(label, sum(max(size, 0) for size in sizes), MAX_UNPACKED_BYTES, "bytes when unpacked")
-        _limit(label, metadata.num_rows * len(columns), MAX_UNPACKED_BYTES // 8, "values")
-        text = [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
-        return pq.ParquetFile(pa.BufferReader(data), metadata=metadata, read_dictionary=text)
+        table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+        return typed(table, kinds)
 
 
-def read_columns(file: pq.ParquetFile, label: object, columns: Sequence[str] | None = None) -> pa.Table:
-    """The columns of an opened file, all by default. Values that are neither numbers nor text become text.
+def typed(table: pa.Table, kinds: Kinds) -> pa.Table:
+    """The table with the types of `TYPES`: of the declared kind, else of the column's own. Others become text.
 
     Raises:
-        StoreError: the file is damaged or its text would unpack to more than a run writes.
+        ValueError: a column occurs twice, or its values are of another kind.
     """
-    with reading(label):
-        table = file.read(columns, use_threads=False)
-        _limit(label, sum(map(_unpacked_bytes, table.columns)), MAX_UNPACKED_BYTES, "bytes when unpacked")
-        return pa.table(list(map(_plain, table.columns)), names=table.schema.names)
-
-
-def parse_table(data: bytes, label: object, *, max_rows: int = MAX_ROWS) -> pa.Table:
-    """All columns of a Parquet file in memory; StoreError as `open_table` and `read_columns` raise it."""
-    return read_columns(open_table(data, label, max_rows=max_rows), label)
-
-
-def with_kinds(table: pa.Table, kinds: Mapping[str, str], label: object) -> pa.Table:
-    """The table with the columns named in `kinds` cast to them; its other columns stay. StoreError as `check_kinds`."""
-    check_kinds(table, kinds, label)
-    for name, kind in kinds.items():
-        with reading(label):
-            number = table.schema.get_field_index(name)
-            table = table.set_column(number, name, table.column(number).cast(KINDS[kind]))
-    return table
-
-
-def check_kinds(table: pa.Table, kinds: Mapping[str, str], label: object) -> None:
-    """StoreError if one of these columns is missing or holds values of another kind, or any column occurs twice."""
     names = table.schema.names
-    if len(set(names)) < len(names):
-        doubled = next(name for name in names if names.count(name) > 1)
-        raise StoreError(f"{label}: damaged: expected one column {doubled}, got {names.count(doubled)}")
-    for name, kind in kinds.items():
-        if name not in names:
-            raise StoreError(f"{label}: damaged: expected one column {name}, got 0")
-        actual = table.schema.field(name).type
-        if not fits(KIND_OF_TYPE.get(str(actual), "other"), kind):
-            raise StoreError(f"{label}: damaged: {name}: expected {NAMES[kind]}, got {actual}")
+    if doubled := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"expected one column {doubled[0]}, got {names.count(doubled[0])}")
+    return pa.table({name: _typed(table[name], name, kinds(name)) for name in names})
 
 
-NAMES = {"int": "whole numbers", "float": "numbers", "bool": "true or false", "text": "text"}
-_ALLOWED = {("int", "float"), *((kind, kind) for kind in KINDS), *(("none", kind) for kind in KINDS)}
+def require_columns(table: pa.Table, kinds: Mapping[str, str], label: object) -> pa.Table:
+    """The table, typed, if it has all columns in `kinds`; StoreError otherwise."""
+    with reading(label):
+        if missing := [name for name in kinds if name not in table.schema.names]:
+            raise ValueError(f"expected a column {missing[0]}")
+        return typed(table, kinds.get)
 
 
-def fits(kind: str, expected: str) -> bool:
-    """Whether values of one kind can stand in a column of another: whole numbers are numbers, and none is anything.
-
-    >>> fits("int", "float"), fits("text", "float")
-    (True, False)
-    """
-    return (kind, expected) in _ALLOWED
-
-
-def _limit(label: object, number: int, maximum: int, unit: str) -> None:
-    if number > maximum:
-        raise StoreError(f"{label}: has {number:,} {unit}; expected at most {maximum:,}")
+def kind_of(kind: pa.DataType) -> str:
+    """The kind that holds values of an Arrow type; `none` for the type of nulls."""
+    if pa.types.is_null(kind):
+        return "none"
+    if pa.types.is_boolean(kind):
+        return "bool"
+    if pa.types.is_integer(kind):
+        return "int"
+    return "float" if pa.types.is_floating(kind) else "text"
 
 
-def _unpacked_bytes(column: pa.ChunkedArray) -> int:
-    if not pa.types.is_dictionary(column.type):
-        return int(column.nbytes)
-    lengths = (pc.binary_length(chunk.dictionary).take(chunk.indices) for chunk in column.chunks)
-    return sum(pc.sum(pc.cast(each, pa.int64())).as_py() or 0 for each in lengths)
-
-
-def _plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """The column as numbers, booleans or text."""
-    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
-    is_number = str(kind) in KIND_OF_TYPE and not pa.types.is_large_string(kind)
-    plain = column.cast(kind if is_number else pa.string())
-    plain.validate(full=True)  # text is UTF-8
-    return plain
+def _typed(column: pa.ChunkedArray, name: str, wanted: str | None) -> pa.ChunkedArray:
+    kind = kind_of(column.type)
+    wanted = wanted or kind
+    if wanted == "none":
+        return column
+    if kind not in ("none", wanted) and wanted != "text" and (kind, wanted) not in (("int", "float"), ("float", "int")):
+        raise ValueError(f"{name}: expected {_NAMES[wanted]}, got {column.type}")
+    result = column if column.type == TYPES[wanted] else column.cast(TYPES[wanted])
+    if wanted == "text":
+        result.validate(full=True)  # it is UTF-8
+    return result

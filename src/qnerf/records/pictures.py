@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qnerf.records.files import StoreError, files_in, read_bytes, reporting
+from qnerf.records.files import StoreError, read_bytes, reporting
 from qnerf.records.parquet import reading
 
 MAX_BYTES = 2**28
@@ -15,12 +15,8 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def listed(run_dir: str | Path) -> list[Path]:
-    """The pictures of a run, sorted by name. Links, folders and pipes are none, nor is what a linked folder holds."""
-    folder = Path(run_dir) / "images"
-    try:
-        return files_in(folder, "*.png")
-    except (OSError, StoreError):  # there is none, or a link
-        return []
+    """The pictures of a run, sorted by name; links are left out."""
+    return sorted(path for path in (Path(run_dir) / "images").glob("*.png") if path.is_file() and not path.is_symlink())
 
 
 def read_png_bytes(path: Path) -> tuple[bytes, int, int]:

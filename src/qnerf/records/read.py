@@ -1,9 +1,7 @@
-"""Reading runs, live or finished, without any right to write.
+"""Reading runs, live or finished, without any right to write. Nothing in a run's folder is executed."""
 
-A folder may come from anybody: nothing in it is executed, no link in it is followed, and no file is read or unpacked
-beyond the size of those that a run writes.
-"""
-
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +9,24 @@ import pandas as pd
 import pyarrow as pa
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.config.compatibility import upgrade_config
+from qnerf.config.identity import plain
 from qnerf.metrics import quality_metrics
-from qnerf.records import owner, summary_row
-from qnerf.records.files import StoreError, folders_in, one_line, read_bytes, read_json, reporting
-from qnerf.records.numbered import PARTS
-from qnerf.records.parquet import MAX_ROWS, parse_table, reading, with_kinds
-from qnerf.records.plain_values import check_plain
-from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, plain_row
+from qnerf.records import owner
+from qnerf.records.files import StoreError, one_line, read_bytes, read_json, reporting
+from qnerf.records.parquet import read_table, reading, require_columns
+from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, checked_summary, result_kind
 
 STATES = ("running", "finished", "interrupted", "failed")
 RUN_MARKERS = ("summary.parquet", "status.json", "config.yaml")
 """A folder with one of these files is a run."""
 
 MAX_CONFIG_BYTES = 2**18
-MAX_TABLE_BYTES = 2**28
-MAX_VIEWS = 2**14  # rows of eval.parquet, which `qnerf show` lists
+_PART = re.compile(r"part-([0-9]{5,9})\.parquet")
+_STATUS_TYPES: dict[str, tuple[Any, str]] = {
+    **dict.fromkeys(("state", "error", "run_id"), (str, "text")),
+    **dict.fromkeys(("created", "heartbeat"), ((int, float), "a Unix time")),
+    "step": (int, "a whole number"),
+}
 
 
 def runs(root: str | Path) -> list[Path]:
@@ -35,7 +35,7 @@ def runs(root: str | Path) -> list[Path]:
     with reporting(root, "read"):
         if not root.is_dir():
             return []
-        return [path for path in folders_in(root, root=root) if not path.name.startswith(".")]
+        return sorted(path for path in root.iterdir() if not path.name.startswith(".") and path.is_dir())
 
 
 def read_status(run_dir: str | Path) -> dict[str, Any]:
@@ -48,7 +48,17 @@ def read_status(run_dir: str | Path) -> dict[str, Any]:
             return {}
 
 
-def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
+def check_status(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The record of a status.json, if the values that readers use have their types; ValueError otherwise."""
+    for name, (kind, words) in _STATUS_TYPES.items():
+        value = record.get(name)
+        fits = isinstance(value, kind) and not isinstance(value, bool) and (kind is str or 0 <= value < 2**63)
+        if value is not None and not fits:
+            raise ValueError(f"{name}: expected {words}, got {value!r:.60}")
+    return record
+
+
+def state(run_dir: str | Path, status: Mapping[str, Any] | None = None) -> str:
     """running | finished | interrupted | failed. A run counts as running only while its owner is alive.
 
     status: what `read_status` returned, if the caller has it already.
@@ -58,36 +68,25 @@ def state(run_dir: str | Path, status: dict[str, Any] | None = None) -> str:
     stored = status.get("state")
     if stored != "running":
         return stored if stored in STATES else "interrupted"
-    if _has_living_owner(directory, status):
+    if owner.is_alive(dict(status), owner.unix_time(status.get("heartbeat"))) and owner.is_owned(directory):
         return "running"
     # The owner was killed, or it has finished since status.json was read.
     now = read_status(directory).get("state")
     return now if now in STATES and now != "running" else "interrupted"
 
 
-def _has_living_owner(directory: Path, status: dict[str, Any]) -> bool:
-    if not owner.is_alive(status, owner.unix_time(status.get("heartbeat"))):
-        return False
-    try:
-        _, record = owner.latest(directory)
-    except OSError:
-        return False
-    return record is not None and not record.get("released")
-
-
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The resolved configuration under today's names. YAML aliases and everything but plain values are refused."""
+    """The resolved configuration. YAML aliases and everything but plain values are refused."""
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
         data = read_bytes(path, MAX_CONFIG_BYTES)
     try:
         config = yaml.load(data, Loader=_Loader)
-        check_plain(config)
+        if not isinstance(config, dict):
+            raise ValueError(f"expected keys and values, got {type(config).__name__}")
+        return plain(config)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise StoreError(f"{path}: not readable as YAML: {one_line(error)}") from error
-    if not isinstance(config, dict):
-        raise StoreError(f"{path}: expected keys and values, got {type(config).__name__}")
-    return upgrade_config(config)
 
 
 class _Loader(yaml.SafeLoader):
@@ -107,26 +106,47 @@ class _Loader(yaml.SafeLoader):
 
 def read_summary(run_dir: str | Path) -> dict[str, Any]:
     """summary.parquet as plain values. Its `state` is the one last written; `state(run_dir)` is the true one."""
+    row: dict[str, Any] = read_summary_table(run_dir).to_pylist()[0]
+    return row
+
+
+def read_summary_table(run_dir: str | Path) -> pa.Table:
+    """The one row of summary.parquet, with results in their declared types."""
     path = Path(run_dir) / "summary.parquet"
-    data = read_table_bytes(path)
+    table = read_table(path, result_kind)
     with reading(path):
-        return plain_row(*summary_row.decode(data, path))
+        if table.num_rows != 1:
+            raise ValueError(f"expected one row, got {table.num_rows:,}")
+        return checked_summary(table)
+
+
+def metric_parts(run_dir: str | Path) -> dict[int, Path]:
+    """Number -> file of metrics/, in ascending order. Other names, such as copies of a sync program, are left out."""
+    folder = Path(run_dir) / "metrics"
+    with reporting(folder, "read"):
+        found = {int(match[1]): path for path in folder.iterdir() if (match := _PART.fullmatch(path.name))}
+    return {number: found[number] for number in sorted(found) if found[number].name == part_name(number)}
+
+
+def part_name(number: int) -> str:
+    """
+    >>> part_name(3)
+    'part-00003.parquet'
+    """
+    return f"part-{number:05d}.parquet"
 
 
 def read_metrics(run_dir: str | Path) -> pd.DataFrame:
     """Columns step, time_s, key, value, in the order of logging; StoreError names a damaged part."""
-    folder = Path(run_dir) / "metrics"
-    with reporting(folder, "read"):
-        parts = PARTS.in_folder(folder).values()
+    parts = metric_parts(run_dir).values()
     return pa.concat_tables([METRICS_SCHEMA.empty_table(), *map(read_part, parts)]).to_pandas()
 
 
 def read_part(path: Path) -> pa.Table:
     """One file of metrics/, with the columns and types of `schemas.METRICS_SCHEMA` and a value in every cell."""
-    table = read_table(path)
-    if table.schema.names != METRICS_SCHEMA.names:
-        raise StoreError(f"{path}: expected columns {METRICS_SCHEMA.names}, got {table.schema.names}")
-    table = with_kinds(table, METRICS_KINDS, path).cast(METRICS_SCHEMA)
+    table = read_table(path, METRICS_KINDS.get)
+    if not table.schema.equals(METRICS_SCHEMA):
+        raise StoreError(f"{path}: damaged: expected columns {METRICS_SCHEMA.names}, got {table.schema.names}")
     if any(column.null_count for column in table.columns):
         raise StoreError(f"{path}: damaged: has rows without a step, time, key or value")
     return table
@@ -148,24 +168,10 @@ def read_probe(run_dir: str | Path, name: str) -> pd.DataFrame:
         StoreError: the file is absent or damaged, or lacks one of the columns.
     """
     path = Path(run_dir) / f"{name}.parquet"
-    return checked_table(read_table(path, max_rows=MAX_VIEWS if name == "eval" else MAX_ROWS), name, path).to_pandas()
+    return checked_table(read_table(path), name, path).to_pandas()
 
 
 def checked_table(table: pa.Table, name: str, label: object) -> pa.Table:
     """The table with the columns of `schemas.TABLES[name]`, and image metrics as numbers; StoreError if it differs."""
     metrics = {item.key: "float" for item in quality_metrics() if item.key in table.schema.names}
-    return with_kinds(table, metrics | TABLES[name], label)
-
-
-def read_table_bytes(path: Path, *, root: Path | None = None) -> bytes:
-    """A Parquet file as it is; StoreError if it is absent or too large. root: as in `files`."""
-    with reporting(path, "read"):
-        return read_bytes(path, MAX_TABLE_BYTES, root=root)
-
-
-def read_table(path: Path, *, max_rows: int = MAX_ROWS, root: Path | None = None) -> pa.Table:
-    """A Parquet file in memory; StoreError if it is absent or damaged, or would unpack to more than a run writes.
-
-    root: as in `files`.
-    """
-    return parse_table(read_table_bytes(path, root=root), path, max_rows=max_rows)
+    return require_columns(table, metrics | TABLES[name], label)

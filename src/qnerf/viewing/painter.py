@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from qnerf.geometry.camera_paths import Camera
 from qnerf.geometry.rays import project
 from qnerf.records import state
-from qnerf.records.files import status
 from qnerf.training.evaluation import RenderedView, shade, shade_error
 from qnerf.viewing.frames import Frame, Renderer, as_bytes
 
@@ -114,7 +113,7 @@ class Painter:
 def _written(renderer: Renderer) -> tuple[int, int] | None:
     """What tells one checkpoint of the run from the next."""
     try:
-        found = status(renderer.trained.folder / "checkpoint.pt")
+        found = (renderer.trained.folder / "checkpoint.pt").stat()
     except OSError:
         return None
     return found.st_mtime_ns, found.st_ino

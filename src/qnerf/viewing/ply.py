@@ -52,7 +52,7 @@ def write(file: Path, surface: Surface) -> None:
     refuse_runs(file.parent)
     with reporting(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-    replace(file, encode(surface), root=file.parent)
+    replace(file, encode(surface))
 
 
 def decode(data: bytes) -> Surface:

@@ -30,7 +30,7 @@ def check(file: Path, width: int, height: int, frames: int) -> None:
     if kind == "" and file.exists():
         raise ValueError(f"{file}: exists already; expected a new folder for the PNG files")
     if kind:
-        require_file(file, root=file.parent)
+        require_file(file)
     if kind == ".webp":
         if max(width, height) > MAX_WEBP:
             raise ValueError(f"{file}: a WebP has at most {MAX_WEBP:,} pixels a side, got {width} x {height}")
@@ -57,7 +57,7 @@ def write(file: Path, pictures: Iterable[NDArray], fps: float) -> None:
 def _webp(file: Path, pictures: Iterator[NDArray], fps: float) -> None:
     first, *rest = map(Image.fromarray, pictures)
     options = {"save_all": True, "append_images": rest, "duration": round(1000 / fps), "loop": 0, "quality": 90}
-    replace(file, lambda sink: first.save(sink, format="WEBP", **options), root=file.parent)
+    replace(file, lambda sink: first.save(sink, format="WEBP", **options))
 
 
 def _mp4(file: Path, pictures: Iterator[NDArray], fps: float) -> None:

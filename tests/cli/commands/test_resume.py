@@ -132,7 +132,7 @@ def test_a_running_one_says_who_runs_it(tmp_path, resume):
     assert claim.run is not None
     code, said = resume(claim.dir)
     assert code == 0
-    assert f"being written by process {read_status(claim.dir)['pid']} on this machine" in said
+    assert f"being written by process {read_status(claim.dir)['pid']} on " in said
     claim.run.finish()
 
 
@@ -230,25 +230,6 @@ def test_a_group_that_is_none_is_one_line(config, resume, key, value):
     code, said = resume(run)
     assert code == 2
     assert f"expected options of {key}, got {value!r}" in said
-
-
-def test_a_run_of_a_newer_store_is_read_and_not_written(config, resume):
-    run = stopped(config)
-    status = json.loads((run / "status.json").read_text())
-    assert status["format"] == 1
-    (run / "status.json").write_text(json.dumps(status | {"format": 2}))
-    code, said = resume(run)
-    assert code == 2
-    assert "written by a newer qnerf (store format 2, this one knows 1)" in said
-    assert len(losses(run)) == 4
-
-
-def test_a_run_without_a_format_mark_is_of_the_first_format(config, resume):
-    run = stopped(config)
-    status = json.loads((run / "status.json").read_text())
-    (run / "status.json").write_text(json.dumps({k: v for k, v in status.items() if k not in ("format", "config")}))
-    assert resume(run)[0] == 0
-    assert state(run) == "finished"
 
 
 @pytest.mark.parametrize("choice", ["encoder=pe", "sampler=uniform", "cameras=se3", "train=paper", "scene=blender"])

@@ -73,7 +73,7 @@ def test_a_change_waits_for_another_one_and_says_who_is_at_it(make, monkeypatch)
     monkeypatch.setattr(annotations, "PATIENCE", 0.05)
     with (
         annotations._changing(run),
-        pytest.raises(StoreError, match=r"being changed by process .* on this machine; try again"),
+        pytest.raises(StoreError, match=r"being changed by process .* on .*; try again"),
     ):
         annotations.change_tags(run, ["one"])
 
@@ -88,19 +88,15 @@ def test_a_damaged_file_is_told_and_left_alone(make, content):
     assert (run / annotations.FILE).read_text() == content
 
 
-@pytest.mark.parametrize("name", [".annotations", ".annotations/owner", annotations.FILE])
+@pytest.mark.parametrize("name", [".annotations", ".annotations/owner"])
 def test_nothing_is_written_through_a_link(make, tmp_path, name):
     run, elsewhere = make("a"), tmp_path / "elsewhere"
     (run / name).parent.mkdir(exist_ok=True)
-    if name == annotations.FILE:
-        elsewhere.write_text('{"tags": ["theirs"]}')
-    else:
-        elsewhere.mkdir()
+    elsewhere.mkdir()
     (run / name).symlink_to(elsewhere)
     with pytest.raises(StoreError, match="is a link"):
         annotations.change_tags(run, ["one"])
-    left = elsewhere.read_text() if elsewhere.is_file() else list(elsewhere.iterdir())
-    assert left in ('{"tags": ["theirs"]}', [])
+    assert list(elsewhere.iterdir()) == []
 
 
 def test_a_run_outside_the_store_is_not_reached_through_a_link_in_it(make, qnerf, tmp_path):
@@ -126,11 +122,3 @@ def test_a_tag_that_is_accepted_is_one_visible_word(tag):
     except ValueError:
         fits = False
     assert fits == (tag.isprintable() and tag.split() == [tag] and "," not in tag and "=" not in tag)
-
-
-def test_keys_of_a_newer_version_stay(make):
-    run = make("a")
-    (run / "annotations.json").write_text(json.dumps({"tags": ["old"], "note": "n", "author": {"name": "me"}}))
-    annotations.change_tags(run, ["new"], ["old"])
-    content = json.loads((run / "annotations.json").read_text())
-    assert content == {"tags": ["new"], "note": "n", "author": {"name": "me"}}

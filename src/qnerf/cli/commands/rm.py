@@ -1,6 +1,7 @@
 """`qnerf rm RUN...`: deletes runs, after asking."""
 
 import argparse
+import contextlib
 import sys
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from qnerf.cli.commands import add_many_runs
 from qnerf.cli.text import STATE_STYLES, console, size, styled
 from qnerf.records import find, state
 from qnerf.records.deletion import delete_run, is_run, require_run
-from qnerf.records.files import delete, reporting, total_size
+from qnerf.records.files import reporting
 from qnerf.records.find import is_path
 from qnerf.records.location import existing_store, resolved
 
@@ -27,7 +28,7 @@ def main(options: argparse.Namespace) -> int:
     out = console()
     for path in paths:
         kind = "link" if path.is_symlink() else state(path)
-        bytes_in_all = size(0 if path.is_symlink() else total_size(path))
+        bytes_in_all = size(0 if path.is_symlink() else _total_size(path))
         out.print(styled(path, limit=200), styled(kind, STATE_STYLES.get(kind, "")), bytes_in_all, soft_wrap=True)
     if not options.yes and not _agreed(len(paths)):
         out.print("nothing deleted")
@@ -35,7 +36,7 @@ def main(options: argparse.Namespace) -> int:
     for path in paths:
         if path.is_symlink():
             with reporting(path, "delete"):
-                delete(path, root=path.parent)
+                path.unlink()
         else:
             delete_run(path)
         out.print("deleted", styled(path.name), soft_wrap=True)
@@ -57,6 +58,15 @@ def _checked(name: str, store: str, whole: bool) -> Path:
     except ValueError as error:
         raise ValueError(f"{error}; nothing deleted") from error
     return run
+
+
+def _total_size(folder: Path) -> int:
+    """Bytes of all files in the folder and below; links count as themselves, what cannot be read as nothing."""
+    total = 0
+    for path in folder.rglob("*"):
+        with contextlib.suppress(OSError):
+            total += 0 if path.is_dir() else path.lstat().st_size
+    return total
 
 
 def _agreed(count: int) -> bool:
