@@ -17,7 +17,7 @@ class Question:
 
     rows: the keys that distinguish the rows of each table.
     baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
-    metric: what the tables compare and rank.
+    metric: what the tables compare and rank; within: its smallest difference that matters, where not the usual one.
     values: the columns; those that no run has are left out.
     failures, units, hardware: whether to add the table of that name.
     paper: the names of the paper's tables to add.
@@ -28,6 +28,7 @@ class Question:
     rows: tuple[str, ...]
     baseline: Mapping[str, object] | None = None
     metric: str = "psnr"
+    within: float | None = None
     values: tuple[str, ...] = QUALITY
     failures: bool = False
     units: bool = False
@@ -38,9 +39,15 @@ class Question:
     def tables(self, frame: pd.DataFrame) -> list[Table]:
         """The tables of the question's runs, as `load.runs` gives them."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
-        tables = [ablation(frame, self.rows, metric=self.metric, values=values, baseline=self.baseline)]
+        tables = [
+            ablation(frame, self.rows, metric=self.metric, values=values, baseline=self.baseline, within=self.within)
+        ]
         for other in self.other_baselines:
-            tables.append(ablation(frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other))
+            tables.append(
+                ablation(
+                    frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other, within=self.within
+                )
+            )
         wanted = ((self.failures, stability), (self.units, units), (self.hardware, shots_and_noise))
         tables += [make(frame, self.rows) for wants, make in wanted if wants]
         return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
@@ -50,6 +57,8 @@ class Question:
         command = f"qnerf tables docs/results/{name} --rows {','.join(self.rows)}"
         if self.metric != "psnr":
             command += f" --metric {self.metric} --values {','.join(self.values)}"
+        if self.within is not None:
+            command += f" --within {self.within:g}"
         if self.baseline is None:
             return [command]
         baselines = [self.baseline, *self.other_baselines]

@@ -8,8 +8,8 @@ import pytest
 from qnerf.analysis import figures, load
 from qnerf.analysis.report import content, curves
 from qnerf.analysis.report.pictures import Pictures
-from qnerf.analysis.statistics import evaluations
 from qnerf.analysis.tables import ablation
+from qnerf.analysis.verdict import evaluations
 from rich.console import Console
 
 from qnerf.cli.commands import runs, show
@@ -59,7 +59,7 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     frame = load.runs(tmp_path / "runs")
     table = ablation(frame, ["field"])
     assert table.text["mean absolute error"].tolist() == [text]
-    assert evaluations(frame, "toy_error")["value"].tolist() == views["toy_error"].tolist()
+    assert evaluations(frame, "toy_error").iloc[0].tolist() == views["toy_error"].tolist()
     assert ablation(frame, ["field"], metric="toy_error").title == "mean absolute error over seeds"
 
     data = content.data(content.prepared(frame), Pictures(), {})

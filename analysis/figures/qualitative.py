@@ -14,7 +14,7 @@ from qnerf.config.identity import picture_names
 from .. import style
 from ..images import common_pictures, split
 from ..selection import select
-from ..statistics import evaluations
+from ..verdict import evaluations
 from . import points
 
 TITLES = ("truth", "render", "error x 4", "depth")
@@ -38,9 +38,8 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
     path). Raises ValueError if the runs of a scene have no picture in common.
     """
     rows = []
-    measured = evaluations(chosen)
-    measured["image"] = measured.groupby("path")["image"].transform(lambda images: picture_names(list(images)))
-    psnr = measured.set_index(["path", "image"])["value"]
+    views = {path: row.dropna() for path, row in evaluations(chosen).iterrows()}
+    psnr = {path: dict(zip(picture_names(list(row.index)), row, strict=True)) for path, row in views.items()}
     for scene, runs in chosen.groupby("scene_name"):
         names, pictures = common_pictures(runs["path"])
         readable = (name for name in names if _are_readable(own[name] for own in pictures.values()))
@@ -49,7 +48,7 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
             raise ValueError(f"{scene}: no picture that all {len(runs)} chosen runs have")
         for _, run in runs.iterrows():
             for image in common:
-                quality = psnr.get((run["path"], image), float("nan"))
+                quality = psnr.get(run["path"], {}).get(image, float("nan"))
                 signal, picture = pd.notna(run["head"]), pictures[run["path"]][image]
                 rows.append((scene, run["name"], signal, run["seed"], image, quality, picture))
     return pd.DataFrame(rows, columns=["scene_name", "name", "signal", "seed", "image", "psnr", "picture"])

@@ -12,7 +12,7 @@ from ..paper import PAPER_TABLES
 from ..selection import by_scene, remembering
 from ..settings import without_constants
 from ..tables import Table
-from ..tables.smallest import TOLERANCE
+from ..verdict import within_of
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, over_seeds, smallest_configurations
 
@@ -67,7 +67,7 @@ def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
         configurations.text = f"{repeats:,} runs {REPEATS}"
     configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame)]
     smallest = Part("smallest", "Smallest", "The smallest configuration that is nearly the best")
-    title = f"The fewest parameters within {TOLERANCE:g} dB of the best"
+    title = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
     smallest.tables = [attempt(title, smallest_configurations, frame)]
     colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
     colours.tables = [

@@ -119,11 +119,11 @@ class Answers:
         Image.fromarray(panels[panel]).save(data, "WEBP", lossless=True, quality=20)
         return data.getvalue(), "image/webp"
 
-    def differences(self, filter: str, rows: str, baseline: str, metric: str) -> ShownTable:
+    def differences(self, filter: str, rows: str, baseline: str, metric: str, within: str = "") -> ShownTable:
         """Rows over seeds, with their differences from the baseline, as `qnerf tables` makes them.
 
         filter, baseline: as `qnerf.records.filters` reads them. rows: columns between commas; empty for the settings
-        that differ.
+        that differ. within: the smallest difference that matters, as a number; empty for the metric's own.
         """
         _, frame = self.store.frame()
         if frame.empty:
@@ -134,7 +134,11 @@ class Answers:
         keys = [key.strip() for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
         if metric not in {item.key for item in quality_metrics()}:
             baseline = ""
-        return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None))
+        try:
+            least = float(within) if within.strip() else None
+        except ValueError:
+            raise ValueError(f"within: expected a positive number, got {within!r:.40}") from None
+        return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
 
     def _packed(self) -> tuple[int, dict[str, Any]]:
         version, frame = self.store.frame()

@@ -91,7 +91,9 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
 
     def differences(request: Request) -> Response:
         query = request.query_params
-        table = answers.differences(*(query.get(name, "") for name in ("filter", "rows", "baseline", "metric")))
+        table = answers.differences(
+            *(query.get(name, "") for name in ("filter", "rows", "baseline", "metric", "within"))
+        )
         return HTMLResponse(page.table(table))
 
     async def annotate(request: Request) -> Response:

@@ -1,4 +1,4 @@
-/** Means over seeds and paired differences, computed by the server from the selected runs. */
+/** Means over seeds and verdicts, computed by the server from the selected runs. */
 
 function offerDifferences() {
   options($("difference-metric"), DATA.kinds.image.filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]));
@@ -13,7 +13,7 @@ function selectionText() {
 
 async function showDifferences(event) {
   event?.preventDefault();
-  const said = { filter: selectionText(), rows: $("row-keys").value, baseline: $("baseline").value, metric: $("difference-metric").value };
+  const said = { filter: selectionText(), rows: $("row-keys").value, baseline: $("baseline").value, metric: $("difference-metric").value, within: $("within").value };
   $("differences-table").setAttribute("aria-busy", "true");
   try {
     const made = await (await ask("differences", said)).text();
@@ -29,7 +29,7 @@ async function showDifferences(event) {
 
 function startDifferences() {
   offerDifferences();
-  keep("row-keys", "baseline", "difference-metric");
+  keep("row-keys", "baseline", "difference-metric", "within");
   $("differences-form").addEventListener("submit", showDifferences);
   if (address.has("row-keys") || address.has("baseline")) showDifferences();
 }

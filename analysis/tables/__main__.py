@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from qnerf.cli.numbers import tolerance
+from qnerf.cli.numbers import number
 from qnerf.config.compatibility import today_noted
 from qnerf.metrics import METRICS
 
@@ -10,7 +10,7 @@ from .. import command
 from ..paper import PAPER_TABLES
 from .ablation import ablation
 from .shots_and_noise import shots_and_noise
-from .smallest import TOLERANCE, smallest
+from .smallest import smallest
 from .stability import stability
 from .units import units
 
@@ -23,7 +23,7 @@ EXAMPLES = """\
   {} runs
   {} runs --rows field,qiren --filter scene_name=poster
   {} runs --rows scene_name,field --baseline field=classical --format latex
-  {} runs --rows field,hash --smallest --tolerance 0.5 --size step_ms
+  {} runs --rows field,hash --smallest --within 0.5 --size step_ms
   {} runs --rows scene_name,field --stability
   {} runs --paper rgb --filter scene_name=poster
 """
@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--baseline",
         metavar="KEY=VALUE,...",
-        help="compare each row with this one, seed by seed and view by view: the difference with its interval",
+        help="compare each row with this one: the difference with its interval, and the verdict: better, worse, "
+        "equivalent or undecided",
     )
     parser.add_argument(
         "--smallest", "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
@@ -69,10 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf probe RUN shots=100` measured",
     )
     parser.add_argument(
-        "--tolerance",
-        type=tolerance,
-        default=TOLERANCE,
-        help="for --smallest, in the metric's unit; default: %(default)s dB",
+        "--within",
+        type=number(0, 1e9, above=True),
+        metavar="DELTA",
+        help="smallest difference that matters, in the metric's unit, for verdicts and --smallest; default: 0.5 dB",
     )
     parser.add_argument(
         "--size",
@@ -89,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.paper:
         table = PAPER_TABLES[options.paper][1](frame)
     elif options.smallest:
-        table = smallest(frame, rows, metric=options.metric, tolerance=options.tolerance, size=options.size)
+        table = smallest(frame, rows, metric=options.metric, within=options.within, size=options.size)
     elif options.stability:
         if options.metric != "psnr":
             raise ValueError(f"--stability counts dB of psnr, got --metric {options.metric}")
@@ -100,7 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table = shots_and_noise(frame, rows)
     else:
         values = options.values.split(",") if options.values else None
-        table = ablation(frame, rows, metric=options.metric, values=values, baseline=options.baseline)
+        table = ablation(
+            frame, rows, metric=options.metric, values=values, baseline=options.baseline, within=options.within
+        )
     command.show(table, options.format)
 
 

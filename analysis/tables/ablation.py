@@ -8,7 +8,8 @@ from qnerf.metrics import metric_of
 
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
 from ..step_times import doubts
-from .differences import against, effect, interval, pairs
+from ..verdict import Verdict, within_of
+from .differences import against, as_numbers, interval
 from .seeds import aggregate, mean_and_spread, values_of
 from .table import Table
 
@@ -20,13 +21,16 @@ def ablation(
     metric: str = "psnr",
     values: Sequence[str] | None = None,
     baseline: str | Mapping[str, object] | None = None,
+    within: float | None = None,
     title: str | None = None,
 ) -> Table:
     """Mean ± standard deviation over seeds, a row each group of `rows`; the best of each scene in bold.
 
     baseline: conditions on the row keys that exactly one row meets (one a scene, where scenes are among the rows); see
     `qnerf.records.filters`. The other rows then show their `metric` minus the baseline's with its interval, in the
-    metric's unit. Raises ValueError as `over_seeds` does, and for a baseline that matches no row or several.
+    metric's unit, and the verdict. within: the smallest difference that matters; the metric may have one of its own.
+    Raises ValueError as `over_seeds` does, for a baseline that matches no row or several, and with a baseline for
+    infinite values.
     """
     check_keys(frame, rows)
     selection = select(frame, metric)
@@ -34,12 +38,15 @@ def ablation(
     refuse_mixtures(runs, rows)
     table = aggregate(runs, rows, values_of(runs, metric, values))
     notes = [selection.note] if selection.note else []
-    differences = None
+    verdicts = None
     if baseline is not None:
-        differences, remarks = against(runs, rows, table.index.to_frame(index=False), baseline, metric)
+        if infinite := selection.left_out.get(f"infinite {metric}"):
+            raise ValueError(f"{metric} of {infinite} runs is infinite: compare another metric, or leave them out")
+        keys = table.index.to_frame(index=False)
+        verdicts, remarks = against(runs, rows, keys, baseline, metric, within_of(metric, within))
         notes += remarks
     unranked = doubts(runs, table.columns.get_level_values(0).unique())
-    return compose(table, differences, title or f"{metric_of(metric).heading} over seeds", notes, metric, unranked)
+    return compose(table, verdicts, title or f"{metric_of(metric).heading} over seeds", notes, metric, unranked)
 
 
 def markdown(table: pd.DataFrame) -> str:
@@ -49,13 +56,13 @@ def markdown(table: pd.DataFrame) -> str:
 
 def compose(
     table: pd.DataFrame,
-    differences: pd.DataFrame | None,
+    verdicts: Sequence[Verdict | None] | None,
     title: str,
     notes: Sequence[str],
     metric: str,
     unranked: Mapping[str, str],
 ) -> Table:
-    """The shown table of `over_seeds`' numbers and, where there is a baseline, the `differences` from it.
+    """The shown table of `over_seeds`' numbers and, where there is a baseline, the `verdicts` against it.
 
     unranked: values without a best row, and why.
     """
@@ -68,12 +75,11 @@ def compose(
         numbers = zip(column["mean"], column["std"], column["n"], seeds, strict=True)
         text[metric_of(name).heading] = [mean_and_spread(name, *row) for row in numbers]
         bold[metric_of(name).heading] = False if name in unranked else best(table, name).to_numpy()
-    if differences is not None:
+    if verdicts is not None:
         heading = f"difference, {metric_of(metric).heading}"
-        text[heading] = [interval(row, metric_of(metric).text) for row in differences.itertuples()]
-        text["effect"] = [effect(row) for row in differences.itertuples()]
-        text["pairs"] = [pairs(row) for row in differences.itertuples()]
-        table = table.join(pd.concat({"difference": differences.set_index(table.index)}, axis=1))
+        text[heading] = ["" if found is None else interval(found, metric) for found in verdicts]
+        text["verdict"] = ["" if found is None else found.text(metric) for found in verdicts]
+        table = table.join(pd.concat({"difference": as_numbers(verdicts).set_index(table.index)}, axis=1))
     text["seeds"] = seeds.map("{:d}".format).to_numpy()
     bold = bold.reindex(columns=text.columns, fill_value=False)
     single = int((seeds == 1).sum())

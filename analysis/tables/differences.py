@@ -1,53 +1,50 @@
-"""The difference of each row of a table from a baseline row, with its interval."""
+"""The difference of each row of a table from a baseline row, with its verdict."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, fields
-from math import isinf
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
 from qnerf.records import filters
 
-from .. import statistics
 from ..selection import SCENES, label
-from ..statistics import Difference
-
-_COLUMNS = [field.name for field in fields(Difference)]
+from ..verdict import Verdict, compare, evaluations, method
 
 
 def against(
-    runs: pd.DataFrame, rows: Sequence[str], keys: pd.DataFrame, baseline: str | Mapping[str, object], metric: str
-) -> tuple[pd.DataFrame, list[str]]:
-    """`Difference` of each group of `rows`, in `groupby`'s order, from the baseline of its scene; notes for under it.
+    runs: pd.DataFrame,
+    rows: Sequence[str],
+    keys: pd.DataFrame,
+    baseline: str | Mapping[str, object],
+    metric: str,
+    within: float,
+) -> tuple[list[Verdict | None], list[str]]:
+    """The verdict on each group of `rows`, in `groupby`'s order, against the baseline of its scene; notes for under it.
 
-    keys: one row a group, its key. The baseline's own row is NaN; where nothing pairs, seeds and views are 0. Two more
-    columns: `p_holm`, the p-values after `statistics.holm`, and `star`, see `statistics.stars`.
+    keys: one row a group, its key. The baseline's own row has None.
     """
     reference = references(keys, rows, baseline)
     unmatched = keys[[base is None for base in reference]]
-    group = dict(zip(runs["path"], runs.groupby(list(rows), dropna=False).ngroup(), strict=True))
-    views = statistics.evaluations(runs, metric)
-    parts = dict(list(views.groupby(views["path"].map(group))))
-    empty = views.iloc[:0]
-    lines = [
-        [float("nan")] * len(_COLUMNS) if number == base else _line(parts.get(base, empty), parts.get(number, empty))
-        for number, base in enumerate(reference)
-    ]
-    table = pd.DataFrame(lines, columns=_COLUMNS)
-    table["p_holm"] = statistics.holm(table["p"].tolist())
-    table["star"] = statistics.stars(table["p"].tolist(), table["seeds"].tolist())
+    views = evaluations(runs, metric)
+    numbers = runs.set_index("path").groupby(list(rows), dropna=False).ngroup()
+    groups = {number: views[views.index.map(numbers) == number] for number in range(len(keys))}
+    pairs = {number: base for number, base in enumerate(reference) if base not in (None, number)}
+    found = {
+        number: compare(groups[base], groups[number], within, metric=metric, comparisons=len(pairs))
+        for number, base in pairs.items()
+    }
     name = ", ".join(",".join(condition.values) for condition in filters.parse(baseline))
-    notes = [f"difference from {name}: {statistics.method()}"]
+    notes = [f"difference from {name}: {method(metric, within)}"]
+    if moved := max((other for _, other in found.values()), default=0):
+        notes.append(f"other views: up to ± {metric_of(metric).text(moved)} more, whatever the number of seeds")
     if len(unmatched):
         scenes = dict.fromkeys(label(tuple(scene)) for scene in unmatched[_scene_keys(rows)].to_numpy())
         notes.append(f"no baseline in {', '.join(scenes)}")
-    if (table["seeds"] == 1).any():
-        notes.append("pairs of one seed: the interval speaks about views alone")
-    without = len(runs) - views["path"].nunique()
-    if without:
+    if without := len(runs) - len(views):
         notes.append(f"{without} runs have no readable {metric} in eval.parquet and take no part in the differences")
-    return table, notes
+    return [found[number][0] if number in found else None for number in range(len(keys))], notes
 
 
 def references(keys: pd.DataFrame, rows: Sequence[str], baseline: str | Mapping[str, object]) -> list[int | None]:
@@ -74,30 +71,16 @@ def _scene_keys(rows: Sequence[str]) -> list[str]:
     return [key for key in rows if key in SCENES]
 
 
-def interval(row: Any, text: Callable[..., str]) -> str:
-    """`+0.52 [+0.10, +0.93] *`, see `statistics.stars`."""
-    if pd.isna(row.seeds):
-        return "baseline"
-    if row.seeds == 0:
-        return "no pairs"
-    if isinf(row.low):
-        return f"{text(row.mean, sign='+')} (one view)"
-    mean, low, high = (text(x, sign="+") for x in (row.mean, row.low, row.high))
-    return f"{mean} [{low}, {high}]" + (" *" if row.star else "")
+def interval(found: Verdict, metric: str) -> str:
+    """`+0.52 ± 0.41`; without the interval where a side has a single run."""
+    text = metric_of(metric).text
+    if pd.isna(found.difference):
+        return "no common views"
+    reach = f" ± {text(found.reach)}" if found.freedom else " (one seed)"
+    return text(found.difference, sign="+") + reach
 
 
-def effect(row: Any) -> str:
-    """Mean difference / its standard deviation over seeds."""
-    return "" if pd.isna(row.effect) else f"{row.effect:+.1f}"
-
-
-def pairs(row: Any) -> str:
-    """Seeds x views that were paired."""
-    return "" if pd.isna(row.seeds) else f"{row.seeds:.0f} x {row.views:.0f}"
-
-
-def _line(first: pd.DataFrame, second: pd.DataFrame) -> list[float]:
-    found = statistics.difference(statistics.paired(first, second))
-    if found is None:
-        return [0 if name in ("seeds", "views") else float("nan") for name in _COLUMNS]
-    return list(astuple(found))
+def as_numbers(found: Sequence[Verdict | None]) -> pd.DataFrame:
+    """The verdicts as numbers, a row each."""
+    empty = dict.fromkeys(asdict(Verdict("undecided", 0, 0, 0, 0, 0)))
+    return pd.DataFrame([empty if one is None else asdict(one) for one in found])

@@ -31,6 +31,8 @@ class Metric:
     explanation: str = ""
     on_request: bool = False
     """Whether tables leave it out unless it is asked for."""
+    within: float | None = None
+    """The smallest difference that matters; None where a user has to say it."""
 
     @property
     def heading(self) -> str:
@@ -91,12 +93,14 @@ def metric_of(key: str) -> Metric:
 _LOGGED = {"train": "training", "validation": "validation", "eval": "evaluation", "time": ""}
 
 for _metric in (
-    Metric("psnr", "PSNR", "dB", 2, "higher", "image"),
-    Metric("ssim", "SSIM", "", 3, "higher", "image"),
+    Metric("psnr", "PSNR", "dB", 2, "higher", "image", within=0.5),
+    Metric("ssim", "SSIM", "", 3, "higher", "image", within=0.01),
     Metric("lpips", "LPIPS", "", 4, "lower", "image"),
-    Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger"),
+    Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger", within=0.01),
     Metric("depth_error_median", "median depth error", "world units", 3, "lower", "image", "median of |depth - truth|"),
-    Metric("psnr_unseen", "PSNR of unseen pixels", "dB", 2, "higher", "signal", "pixels kept out of training"),
+    Metric(
+        "psnr_unseen", "PSNR of unseen pixels", "dB", 2, "higher", "signal", "pixels kept out of training", within=0.5
+    ),
     Metric(
         "distance_error", "distance error", "", 4, "lower", "signal", "mean of |distance - truth|, in sides of the cube"
     ),

@@ -5,11 +5,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from qnerf.analysis import load, statistics
+from qnerf.analysis import load
 from qnerf.analysis.pack import main
 from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.results import stored
 from qnerf.analysis.tables import ablation
+from qnerf.analysis.verdict import evaluations
 
 from tests.helpers.packed_stores import write_run
 from tests.helpers.sweep import sweep
@@ -36,7 +37,7 @@ def test_a_packed_store_gives_the_tables_of_the_store(store, tmp_path, capsys):
     assert "+0.75" in tables[1]
     assert "left out: 1 failed" in tables[1]
     assert PAPER_TABLES["rgb"][1](packed).markdown().count("\n") > 10
-    assert len(statistics.evaluations(packed[packed["state"] == "finished"])) == 8
+    assert evaluations(packed[packed["state"] == "finished"]).size == 8
 
 
 def test_a_packed_folder_names_no_machine(store, tmp_path):
@@ -49,9 +50,9 @@ def test_a_packed_folder_names_no_machine(store, tmp_path):
 def test_packing_again_reads_the_new_views(store, tmp_path):
     packed = tmp_path / "packed"
     main([str(store), str(packed), "--filter", "seed=0"])
-    assert len(statistics.evaluations(load.runs(packed))) == 4
+    assert evaluations(load.runs(packed)).size == 4
     main([str(store), str(packed)])
-    assert len(statistics.evaluations(load.runs(packed, "state=finished"))) == 8
+    assert evaluations(load.runs(packed, "state=finished")).size == 8
 
 
 def test_runs_are_added_to_packed_ones(store, tmp_path):
@@ -67,7 +68,7 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     frame = load.runs(packed)
     assert frame["run_id"].nunique() == len(frame) == 6
     assert frame["more"].count() == 1
-    assert len(statistics.evaluations(frame[frame["state"] == "finished"])) == 10
+    assert evaluations(frame[frame["state"] == "finished"]).size == 10
     main([str(store), str(packed), "--add", "--figures", "capacity"])
     assert load.runs(packed)["run_id"].nunique() == len(frame)
 
@@ -134,7 +135,7 @@ def test_a_full_disk_keeps_the_earlier_tables(store, tmp_path, monkeypatch):
 def test_a_packed_folder_can_be_packed_again(store, tmp_path):
     main([str(store), str(tmp_path / "packed")])
     main([str(tmp_path / "packed"), str(tmp_path / "part"), "--filter", "field=qcolor"])
-    assert len(statistics.evaluations(load.runs(tmp_path / "part", "state=finished"))) == 4
+    assert evaluations(load.runs(tmp_path / "part", "state=finished")).size == 4
 
 
 def test_what_needs_pictures_and_curves_is_drawn_of_the_store(tmp_path, tmp_path_factory):

@@ -21,16 +21,15 @@ def test_each_scene_gets_its_smallest_configuration_within_the_tolerance(store):
     assert data["best"].to_dict() == {"poster": "classical", "chair": "classical"}
     assert data["smallest"].to_dict() == {"poster": "qcolor", "chair": "classical"}
     assert data.loc["poster", "smallest_size"] == 393216 + 1222 + 491
-    assert data.loc["poster", ["loss", "loss_low", "loss_high"]].tolist() == pytest.approx([0.3] * 3)
-    assert not data["star"].any()  # two seeds
-    assert data.loc["poster", "shown"]
+    assert data.loc["poster", ["difference", "reach"]].tolist() == pytest.approx([-0.3, 0])
+    assert data.loc["poster", "verdict"] == "equivalent, below 0 *"
 
 
-def test_size_and_tolerance_are_the_callers(store):
+def test_size_and_difference_are_the_callers(store):
     frame = runs(store)
     assert set(smallest(frame, ["scene_name", "field"], size="step_ms").data["smallest"]) == {"classical"}
-    assert set(smallest(frame, ["field"], tolerance=5).data["smallest"]) == {"qcolor"}
-    assert set(smallest(frame, ["field"], tolerance=0).data["smallest"]) == {"classical"}
+    assert set(smallest(frame, ["field"], within=5).data["smallest"]) == {"qcolor"}
+    assert set(smallest(frame, ["field"], within=0.1).data["smallest"]) == {"classical"}
 
 
 def test_a_mean_within_the_tolerance_may_not_be_shown_to_be(tmp_path):
@@ -38,20 +37,17 @@ def test_a_mean_within_the_tolerance_may_not_be_shown_to_be(tmp_path):
         write_run(tmp_path, "classical", seed, [25.0, 25.0])
         write_run(tmp_path, "qcolor", seed, [25.0 - loss, 25.0 - loss])
     table = smallest(runs(tmp_path), ["field"])
-    assert table.text.loc[0, "loss"] == "0.20 [-15.05, 15.45]"  # 0.2 ± 12.7 x 1.2: two seeds say next to nothing
-    assert table.text.loc[0, "within 0.5"] == "mean only"
+    assert table.text.loc[0, ["difference", "verdict"]].tolist() == ["-0.20 ± 15.25", "undecided"]  # 12.7 x 1.2
 
 
 def test_a_lower_metric_may_be_the_better_one(tmp_path):
     for field, error in (("classical", 0.1), ("qcolor", 0.3)):
         write_run(tmp_path, field, results={"depth_error": error})
-    assert smallest(runs(tmp_path), ["field"], metric="depth_error", tolerance=0.1).data.loc[0, "best"] == "classical"
+    assert smallest(runs(tmp_path), ["field"], metric="depth_error", within=0.1).data.loc[0, "best"] == "classical"
 
 
 def test_mistakes_are_named(store):
     frame = runs(store)
-    with pytest.raises(ValueError, match=r"tolerance must be at least 0, got -1"):
-        smallest(frame, ["field"], tolerance=-1)
     with pytest.raises(ValueError, match=r"expected a key that tells configurations apart, got only scene_name"):
         smallest(frame, ["scene_name"])
     with pytest.raises(ValueError, match=r"params.total does not tell how good a run is; expected psnr"):
@@ -64,4 +60,4 @@ def test_the_command_prints_it(store, capsys):
     main([str(store), "--rows", "field", "--needs", "--filter", "scene_name=poster"])
     line = capsys.readouterr().out.splitlines()[2]
     assert line.startswith("| poster | classical | 26.00 ± 0.00 | 400,201 | qcolor | 25.70 ± 0.00 | 394,929 |")
-    assert line.endswith("| 0.30 [0.30, 0.30] | whole interval |")
+    assert line.endswith("| -0.30 ± 0.00 | equivalent, below 0 * |")

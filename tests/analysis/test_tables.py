@@ -15,6 +15,7 @@ from qnerf.analysis.tables.table import latex_escape, markdown_escape
 from qnerf.analysis.tables.terminal import print_aligned
 from rich.console import Console
 from rich.text import Text
+from scipy import stats
 
 from qnerf.experiment import run
 from tests.helpers.packed_stores import write_run
@@ -44,27 +45,23 @@ def test_means_spreads_and_counts_are_those_of_the_runs(store):
     assert "| 393,216 | 1,222 | 491 |" in lines[3]
 
 
-def test_the_difference_from_the_baseline_is_paired_by_seed_and_view(store):
+def test_a_row_has_its_verdict_against_the_baseline(store):
     table = ablation(runs(store), ["field"], baseline={"field": "classical"})
     difference = table.data["difference"]
-    # Every view of every seed is 1 dB better: no seed and no view brings an error.
-    assert difference.loc["qcolor", ["mean", "low", "high", "seeds", "views"]].tolist() == pytest.approx(
-        [1, 1, 1, 3, 2]
-    )
-    assert difference.loc["classical"].drop("star").isna().all()
-    assert table.text["difference, PSNR, dB"].tolist() == ["baseline", "+1.00 [+1.00, +1.00]"]
-    assert table.text["pairs"].tolist() == ["", "3 x 2"]
-    assert "95 % interval of the mean difference" in table.notes[0]
+    reach = stats.t.ppf(0.975, 4) * np.sqrt(2 * 1.5**2 / 3)  # both have seeds at 20, 21.5, 23 dB, or 1 dB more
+    assert difference.loc["qcolor", ["difference", "reach"]].tolist() == pytest.approx([1, reach])
+    assert difference.loc["classical"].isna().all()
+    assert table.text["difference, PSNR, dB"].tolist() == ["", f"+1.00 ± {reach:.2f}"]
+    assert table.text["verdict"].tolist() == ["", "undecided"]
+    assert table.notes[0].endswith("equivalent: closer than 0.5 dB; * holds for all rows together")
+    assert ablation(runs(store), ["field"], baseline="field=classical", within=5).text["verdict"][1] == "equivalent *"
 
 
-def test_a_star_needs_five_seeds(tmp_path):
-    for field, psnr in (("classical", 20.0), ("qcolor", 22.0), ("qdensity", 19.8)):
-        for seed in range(6):
-            write_run(tmp_path, field, seed, [psnr + 0.1 * seed * (field != "classical")] * 2)
-    table = ablation(runs(tmp_path), ["field"], baseline={"field": "classical"})
-    assert [cell.endswith("*") for cell in table.text["difference, PSNR, dB"]] == [False, True, False]
-    assert table.text["effect"].tolist()[0] == ""
-    assert float(table.text["effect"][1]) == pytest.approx(2.25 / np.std(0.1 * np.arange(6), ddof=1), abs=0.05)
+def test_an_infinite_value_has_no_verdict(store):
+    write_run(store, "qcolor", 4, [float("inf"), 20.0])
+    assert ablation(runs(store), ["field"]).notes == ("left out: 1 infinite psnr",)
+    with pytest.raises(ValueError, match="psnr of 1 runs is infinite"):
+        ablation(runs(store), ["field"], baseline={"field": "classical"})
 
 
 def test_one_seed_has_no_spread_and_says_so(store):
@@ -73,7 +70,8 @@ def test_one_seed_has_no_spread_and_says_so(store):
     assert "±" not in table.markdown()
     assert table.text["seeds"].tolist() == ["1", "1"]
     assert "n = 1 in 2 of 2 rows: no spread" in table.notes
-    assert "pairs of one seed: the interval speaks about views alone" in table.notes
+    assert table.text["difference, PSNR, dB"][1] == "+1.00 (one seed)"
+    assert table.text["verdict"][1] == "undecided"
 
 
 def test_runs_that_are_left_out_are_counted_with_the_reason(store):
@@ -131,9 +129,8 @@ def test_a_scene_without_the_baseline_is_noted(store):
     table = ablation(runs(store), ["scene_name", "field"], baseline={"field": "classical"})
     assert "no baseline in chair" in table.notes
     difference = table.text.set_index(["scene_name", "field"])["difference, PSNR, dB"]
-    assert difference["chair", "qcolor"] == "no pairs"
-    assert difference["poster", "classical"] == "baseline"
-    assert "[" in difference["poster", "qcolor"]
+    assert difference["chair", "qcolor"] == difference["poster", "classical"] == ""
+    assert "±" in difference["poster", "qcolor"]
 
 
 def test_mistakes_are_named(store, tmp_path):
@@ -164,17 +161,17 @@ def test_a_table_is_the_same_in_every_format(store):
     numbers = pd.read_csv(io.StringIO(table.csv()), index_col="field")
     assert numbers["psnr_mean"].tolist() == pytest.approx([21.5, 22.5])
     assert numbers["psnr_std"].tolist() == pytest.approx([1.5, 1.5])
-    assert numbers.loc["qcolor", "difference_low"] == pytest.approx(1)
+    assert numbers.loc["qcolor", "difference_difference"] == pytest.approx(1)
     latex = table.latex().splitlines()
     assert [line for line in latex if line.startswith("\\") and "rule" in line] == [
         r"\toprule",
         r"\midrule",
         r"\bottomrule",
     ]
-    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 {[}+1.00, +1.00{]} & 3 x 2 & 3 \\" in latex
-    assert r"\begin{tabular}{lrrlrr}" in latex  # without the empty column `effect`
+    assert r"qcolor & \textbf{22.50 $\pm$ 1.50} & 491 & +1.00 $\pm$ 3.40 & undecided & 3 \\" in latex
+    assert r"\begin{tabular}{lrrrlr}" in latex
     assert r"\label{tab:psnr-db-over-seeds}" in latex
-    assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 [+1.00, +1.00] |  | 3 x 2 | 3 |" in table.markdown()
+    assert "| qcolor | **22.50 ± 1.50** | 491 | +1.00 ± 3.40 | undecided | 3 |" in table.markdown()
 
 
 def test_a_terminal_gets_an_aligned_table_of_the_metrics_that_fit(store):
@@ -185,7 +182,7 @@ def test_a_terminal_gets_an_aligned_table_of_the_metrics_that_fit(store):
     every, some = (Text.from_ansi(console.file.getvalue()).plain.splitlines() for console in (wide, narrow))
     assert all(name in every[0] for name in table.text.columns)
     assert not any(line.startswith("left out, because") for line in every)
-    for name in ("field", "PSNR, dB", "difference, PSNR, dB", "effect", "pairs", "seeds"):
+    for name in ("field", "PSNR, dB", "difference, PSNR, dB", "verdict", "seeds"):
         assert name in some[0]
     assert max(map(len, some)) <= 90
     (note,) = [line for line in some if line.startswith("left out, because the terminal is narrow: ")]
@@ -256,7 +253,7 @@ def test_tables_of_trained_runs(tiny, tmp_path):
     psnr = frame[frame["field"] == "qcolor"]["psnr"]
     line = table.data.loc[("scene", "qcolor", "1L2S")]
     assert line["psnr"].tolist() == pytest.approx([psnr.mean(), psnr.std(), 2])
-    assert line[("difference", "mean")] == pytest.approx(
+    assert line[("difference", "difference")] == pytest.approx(
         psnr.mean() - frame[frame["field"] == "classical"]["psnr"].mean()
     )
     assert line["params.color"].tolist() == [491, 0, 2]

@@ -142,18 +142,15 @@ def test_random_circuits_equal_pennylane(circuit: Circuit) -> None:
         torch.testing.assert_close(fast(x), peer(x), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ANSATZE.names())
-def test_the_pauli_form_of_reuploading_circuits_equals_their_normal_form(name: str) -> None:
-    circuit = ANSATZE.build(name, 3, 2)
-    torch.manual_seed(1)
-    layer = QuantumLayer(circuit).double()
-    x = torch.randn(5, 3, dtype=torch.float64)
-    flat = torch.cat([layer.weights1.flatten(), layer.weights2.flatten()])
-    expected = statevector.evaluate(normal_form(circuit), x, flat)
-    torch.testing.assert_close(PauliCircuit(circuit).evaluate(x, flat), expected, rtol=0, atol=1e-13)
+def test_pauli_form_of_reuploading_circuits_equals_their_normal_form() -> None:
+    for name in ANSATZE.names():
+        circuit = ANSATZE.build(name, 3, 2)
+        x, w = torch.randn(5, 3, dtype=torch.float64), torch.randn(circuit.size, dtype=torch.float64)
+        expected = statevector.evaluate(normal_form(circuit), x, w)
+        torch.testing.assert_close(PauliCircuit(circuit).evaluate(x, w), expected, rtol=0, atol=1e-13)
 
 
-def test_a_mixture_of_operations_is_one_circuit() -> None:
+def test_mixture_of_operations_is_one_circuit() -> None:
     operations = (
         Rotations(0), Entangler("CZ", ((0, 1),)), Encoding("X", (1.0, 2.0)), Gate("H", (0,)), Rotations(1),
     )  # fmt: skip
@@ -173,9 +170,8 @@ def test_clifford_gates_cost_nothing() -> None:
     assert len(form.rotations) <= 3  # two of them make the probabilities diagonal
 
 
-@pytest.mark.parametrize("backend", ["compiled", "torch"])
-def test_second_derivatives(backend: Any) -> None:
-    layer = QuantumLayer(MIXED, backend=backend).double()
+def test_second_derivatives_are_those_of_differences() -> None:
+    layer = QuantumLayer(MIXED).double()
     x = torch.randn(2, FEATURES, dtype=torch.float64, requires_grad=True)
     names = list(layer.state_dict())
 
@@ -207,17 +203,16 @@ def test_float32_threads_and_blocks() -> None:
     fast, plain = layers(MIXED)
     exact = results(plain, 700)
     threads = torch.get_num_threads()
-    single = fast.float()
+    single, found = fast.float(), []
     try:
-        torch.set_num_threads(1)
-        one = results(single, 700, torch.float32)
-        torch.set_num_threads(2)
-        two = results(single, 700, torch.float32)
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            found.append(results(single, 700, torch.float32))
     finally:
         torch.set_num_threads(threads)
-    assert all(map(torch.equal, one, two))
-    for found, expected in zip(one, exact, strict=True):
-        torch.testing.assert_close(found.double(), expected, rtol=1e-4, atol=1e-5)
+    assert all(map(torch.equal, *found))
+    for one, expected in zip(found[0], exact, strict=True):
+        torch.testing.assert_close(one.double(), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_samples_do_not_depend_on_their_neighbours() -> None:
@@ -228,7 +223,7 @@ def test_samples_do_not_depend_on_their_neighbours() -> None:
     assert torch.equal(layer(x[4:20]), layer(x)[4:20])
 
 
-def test_any_batch_shape_and_number_of_weights() -> None:
+def test_batches_of_any_shape_and_number_of_weights() -> None:
     layer = QuantumLayer(MIXED)
     assert layer.scale.item() == 1.0
     for other in layers(MIXED):
@@ -242,45 +237,45 @@ def test_any_batch_shape_and_number_of_weights() -> None:
         QuantumLayer(MIXED, method="lightcone")
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Gate("RW", (0,)), "unknown gate 'RW'; known: X, Y, Z, H"),
-        (lambda: Gate("CNOT", (0,)), r"CNOT expects 2 wires, got \(0,\)"),
-        (lambda: Gate("CNOT", (1, 1)), "CNOT expects different wires"),
-        (lambda: Gate("RX", (0,)), "RX expects 1 angles, got 0"),
-        (lambda: Gate("RX", (0,), (float("nan"),)), "finite numbers, got nan"),
-        (lambda: Gate("PauliRot", (0,), (1.0,), "XY"), "a letter for each of the wires"),
-        (lambda: Amplitudes((0, 1), (1.0,)), "2 wires expect 4 values, got 1"),
-        (lambda: feature(0) / feature(1), "cannot divide"),
-        (lambda: Weights("a b", (2,)), "an identifier, got 'a b'"),
-        (lambda: Hamiltonian((1.0,), ()), "one finite coefficient for each word"),
-        (lambda: Gate("X", "a"), "X expects wires as integers from 0, got 'a'"),
-        (lambda: of(measured="ZZ"), "observable 'ZZ' expects pairs of a wire and a letter"),
-        (lambda: of(measured=(0, "Z")), r"observable \(0, 'Z'\) expects pairs of a wire and a letter"),
-        (lambda: of(measured=qml.Z(0)), r"or a Hamiltonian, or Probabilities"),
-        (lambda: QuantumLayer(of())(np.zeros((1, 2))), r"tensor \(..., 2\) of angles in radians, got ndarray"),
-        (lambda: QuantumLayer(of())(torch.zeros(1, 2).int()), "got a tensor of torch.int32"),
-        (lambda: of(Gate("X", (2,))), "needs wires below 2"),
-        (lambda: of(Gate("RX", (0,), (feature(2),))), "the input has 2 features"),
-        (lambda: of(Gate("RX", (0,), (weight("v", 0),))), r"declared weights: w with 6"),
-        (lambda: of(Gate("X", (0,)), Amplitudes((0,), (1.0, 0.0))), "must come before every gate"),
-        (lambda: of(measured=Probabilities((0, 0))), "probabilities of wires .* need different wires below 2"),
-        (lambda: of(measured=Hamiltonian((1.0,), (((0, "A"),),))), "letters X, Y, Z"),
-        (lambda: QuantumLayer(Circuit("c", 1, observables=((),), weights=(Weights("forward", (1,)),))), "an attribute"),
-    ],
-)
-def test_wrong_descriptions_say_what_is_wrong(make: Callable[[], Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as error:
-        make()
-    assert "\n" not in str(error.value)
-
-
 def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
     return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
 
 
-def test_lists_single_wires_rows_of_weights_and_long_names_are_taken() -> None:
+MISTAKES: list[tuple[Callable[[], Any], str]] = [
+    (lambda: Gate("RW", (0,)), "unknown gate 'RW'; known: X, Y, Z, H"),
+    (lambda: Gate("CNOT", (0,)), r"CNOT expects 2 wires, got \(0,\)"),
+    (lambda: Gate("CNOT", (1, 1)), "CNOT expects different wires"),
+    (lambda: Gate("RX", (0,)), "RX expects 1 angles, got 0"),
+    (lambda: Gate("RX", (0,), (float("nan"),)), "finite numbers, got nan"),
+    (lambda: Gate("PauliRot", (0,), (1.0,), "XY"), "a letter for each of the wires"),
+    (lambda: Amplitudes((0, 1), (1.0,)), "2 wires expect 4 values, got 1"),
+    (lambda: feature(0) / feature(1), "cannot divide"),
+    (lambda: Weights("a b", (2,)), "an identifier, got 'a b'"),
+    (lambda: Hamiltonian((1.0,), ()), "one finite coefficient for each word"),
+    (lambda: Gate("X", "a"), "X expects wires as integers from 0, got 'a'"),
+    (lambda: of(measured="ZZ"), "observable 'ZZ' expects pairs of a wire and a letter"),
+    (lambda: of(measured=(0, "Z")), r"observable \(0, 'Z'\) expects pairs of a wire and a letter"),
+    (lambda: of(measured=qml.Z(0)), r"or a Hamiltonian, or Probabilities"),
+    (lambda: QuantumLayer(of())(np.zeros((1, 2))), r"tensor \(..., 2\) of angles in radians, got ndarray"),
+    (lambda: QuantumLayer(of())(torch.zeros(1, 2).int()), "got a tensor of torch.int32"),
+    (lambda: of(Gate("X", (2,))), "needs wires below 2"),
+    (lambda: of(Gate("RX", (0,), (feature(2),))), "the input has 2 features"),
+    (lambda: of(Gate("RX", (0,), (weight("v", 0),))), r"declared weights: w with 6"),
+    (lambda: of(Gate("X", (0,)), Amplitudes((0,), (1.0, 0.0))), "must come before every gate"),
+    (lambda: of(measured=Probabilities((0, 0))), "probabilities of wires .* need different wires below 2"),
+    (lambda: of(measured=Hamiltonian((1.0,), (((0, "A"),),))), "letters X, Y, Z"),
+    (lambda: QuantumLayer(Circuit("c", 1, observables=((),), weights=(Weights("forward", (1,)),))), "an attribute"),
+]
+
+
+def test_wrong_descriptions_say_what_is_wrong() -> None:
+    for make, message in MISTAKES:
+        with pytest.raises(ValueError, match=message) as error:
+            make()
+        assert "\n" not in str(error.value)
+
+
+def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names() -> None:
     v = Weights("v", 3)
     loose = Circuit(
         "loose", 2, features=2, weights=W,  # one for all
@@ -303,10 +298,10 @@ def test_lists_single_wires_rows_of_weights_and_long_names_are_taken() -> None:
     assert Circuit("one", 1, observables=Probabilities(0)).outputs == 2
     for index in (2, (0, 3), (0, 0, 0), (0, slice(None))):
         with pytest.raises(IndexError, match=r"weights w have shape \(2, 3\), got the index"):
-            W[index]  # type: ignore[index]
+            W[index]
 
 
-def test_a_circuit_without_features_needs_no_input() -> None:
+def test_circuit_without_features_needs_no_input() -> None:
     layer = QuantumLayer(Circuit("vqe", 1, 0, 0, (Gate("RX", 0, W[0, 0]),), (((0, "Z"),),), 0, W))
     assert torch.allclose(layer(), layer.w[0, 0].cos()[None])
     with pytest.raises(
@@ -316,6 +311,6 @@ def test_a_circuit_without_features_needs_no_input() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of torch.jit
-def test_a_trace_that_would_hold_constants_is_refused() -> None:
+def test_trace_that_would_hold_constants_is_refused() -> None:
     with pytest.raises(ValueError, match=r"torch\.compile takes a QuantumLayer"):
         torch.jit.trace(QuantumLayer(MIXED), torch.rand(3, FEATURES))

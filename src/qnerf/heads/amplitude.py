@@ -1,6 +1,6 @@
 """Amplitude encoding: features become the amplitudes of a state, a unitary acts on it, Z is measured."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Annotated, Any, Literal
 
@@ -16,7 +16,6 @@ from qnerf.kernels import is_transformed
 from qnerf.kernels.derivatives import is_differentiated
 from qnerf.quantum.circuit import EntanglingGate
 from qnerf.quantum.normal_form import z_eigenvalues
-from qnerf.quantum.unitary import apply
 
 MAX_QUBITS = 10  # that one circuit acts on: matrices have 4^n entries
 Qubits = Annotated[int, Interval(ge=1, le=MAX_QUBITS)]
@@ -131,25 +130,6 @@ class System(nn.Module):
                 state = state * torch.complex(half.cos(), -half.sin())
         return probabilities(state) @ weights.T
 
-    def plain(self, parts: list[Tensor], features: Tensor, weights: Tensor) -> Tensor:
-        """The reference of `forward`: prepares the state, runs the circuit gate by gate, measures."""
-        state = self.prepared(parts, features)
-        state = state.to(state.dtype.to_complex())
-        unitaries = self.unitaries
-        circuit = unitaries.circuit
-        cut = [i for i, operation in enumerate(circuit.operations) if hasattr(operation, "scales")]
-        for index in range(unitaries.count):
-            if unitaries.kind in ("circuit", "local"):
-                first, last = [-1, *cut, len(circuit.operations)][index : index + 2]
-                block = circuit.operations[first + 1 : last]
-                state = apply(circuit, state, unitaries.angles, operations=block)
-            elif (unitary := unitaries()[index]) is not None:
-                state = state @ unitary.to(state.dtype).T
-            if index < self.uploads:
-                x = self.upload(features) * self.frequencies[index]
-                state = apply(circuit, state, state.real, x, operations=circuit.operations[cut[index] :][:1])
-        return probabilities(state) @ self.measured.T @ weights.T
-
     def prepared(self, parts: list[Tensor], features: Tensor) -> Tensor:
         """The state (N, 2^n) before the first unitary; without registers |0...0> (1, 2^n), the same for all samples."""
         if self.registers:
@@ -250,71 +230,63 @@ class AmplitudeHead(Head):
             raise ValueError("encoding=none expects uploads of at least 1: else the state holds no features")
         self.gain = gain
         self.out_dim = out_dim
-        self.last = len(registers) - 1  # the register that sees the direction, where one does
         self.direction_features = direction_features if branch != "joint" else 0
         if self.direction_features >= in_dim or (self.direction_features and len(registers) < 2):
             raise ValueError(
                 f"branch={branch} expects two registers and more than {direction_features} features, "
                 f"got registers {list(registers)} and {in_dim} features"
             )
+        options = {"encoding": encoding, "is_complex": amplitudes == "complex", "bias": bias, "hidden": hidden}
+        sizes = [in_dim - self.direction_features] * len(registers)
+        if self.direction_features:
+            sizes[-1] = self.direction_features  # the last register sees the direction alone
         made: list[nn.Module] = []
-        for index, qubits in enumerate(registers if encoding != "none" else []):
-            size = in_dim
-            if self.direction_features:
-                size = direction_features if index == len(registers) - 1 else in_dim - direction_features
-            if branch == "bloch" and index == len(registers) - 1:
-                made.append(BlochRegister(size, qubits))
-            else:
-                options = {"encoding": encoding, "is_complex": amplitudes == "complex", "bias": bias, "hidden": hidden}
-                made.append(AmplitudeRegister(size, qubits, **options))  # type: ignore[arg-type]
-        groups = [range(len(registers))] if joint else [range(i, i + 1) for i in range(len(registers))]
-        self.groups = [group if made else range(0) for group in groups]
+        for size, qubits in zip(sizes, registers, strict=True) if encoding != "none" else ():
+            points = branch == "bloch" and len(made) == len(registers) - 1
+            made.append(BlochRegister(size, qubits) if points else AmplitudeRegister(size, qubits, **options))  # type: ignore[arg-type]
+        self.groups = [range(len(registers))] if joint else [range(i, i + 1) for i in range(len(registers))]
         self.systems = nn.ModuleList()
-        self.counts: list[int] = []  # values of each system
-        for group, own in zip(groups, self.groups, strict=True):
+        for group in self.groups:
             wires = sum(registers[index] for index in group)
             unitaries = Unitaries(
                 wires, uploads + 1, kind=unitary, layers=layers, rotations=rotations, entangler=entangler
             )
-            system = System([made[index] for index in own], wires, in_dim, unitaries, frequencies, values)
-            self.systems.append(system)
-            self.counts.append(len(system.measured))
-        count = sum(self.counts)
-        self.readout = nn.Linear(count, out_dim) if readout else None
-        if self.readout is None and count < out_dim:
+            own = [made[index] for index in group] if made else []
+            self.systems.append(System(own, wires, in_dim, unitaries, frequencies, values))
+        self.counts = [len(system.measured) for system in self.systems]  # type: ignore[arg-type]
+        self.readout = self._readout(in_dim) if readout else None
+        if self.readout is None and sum(self.counts) < out_dim:
             raise ValueError(
-                f"readout=false expects at least {out_dim} values, got {count}; take values=ZZ or more qubits"
+                f"readout=false expects at least {out_dim} values, got {sum(self.counts)}; "
+                "take values=ZZ or more qubits"
             )
-        if self.readout is not None and not self.readout.weight.is_meta:
-            nn.init.kaiming_normal_(self.readout.weight, nonlinearity="relu")
-            with torch.no_grad():
-                self.readout.bias.zero_()
-                self.readout.bias.copy_(-self(torch.zeros(1, in_dim))[0])
+
+    @torch.no_grad()
+    def _readout(self, in_dim: int) -> nn.Linear:
+        """The last linear map, which makes 0 of the features 0."""
+        readout = nn.Linear(sum(self.counts), self.out_dim)
+        if not readout.weight.is_meta:
+            nn.init.kaiming_normal_(readout.weight, nonlinearity="relu")
+            readout.bias.copy_(-self._values(torch.zeros(1, in_dim), readout.weight)[0])
+        return readout
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
-        return self._evaluated(features, System.__call__)
-
-    def plain(self, features: Tensor) -> Tensor:
-        """`forward` with the states prepared and the circuits run gate by gate: its reference."""
-        return self._evaluated(features, System.plain)
-
-    def _evaluated(
-        self, features: Tensor, evaluate: Callable[[System, list[Tensor], Tensor, Tensor], Tensor]
-    ) -> Tensor:
-        direction, rest = features[:, : self.direction_features], features[:, self.direction_features :]
-        parts = [
-            direction if self.direction_features and index == self.last else rest for index in range(self.last + 1)
-        ]
         if self.readout is None:
             weights = torch.eye(self.out_dim, sum(self.counts), dtype=features.dtype, device=features.device)
-        else:
-            weights = self.readout.weight
+            return self._values(features, weights)
+        return self._values(features, self.readout.weight) + self.readout.bias
+
+    def _values(self, features: Tensor, weights: Tensor) -> Tensor:
+        """The values of all systems times the gain and weights (out, values): (N, out)."""
+        direction, rest = features[:, : self.direction_features], features[:, self.direction_features :]
+        parts = [rest] * sum(map(len, self.groups))
+        if self.direction_features:
+            parts[-1] = direction
         values = [
-            evaluate(system, [parts[index] for index in group], features, own)  # type: ignore[arg-type]
+            system([parts[index] for index in group], features, own)
             for system, group, own in zip(
                 self.systems, self.groups, (self.gain * weights).split(self.counts, 1), strict=True
             )
         ]
-        total = sum(values[1:], values[0])
-        return total if self.readout is None else total + self.readout.bias
+        return sum(values[1:], values[0])

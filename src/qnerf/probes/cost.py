@@ -1,13 +1,11 @@
 """What the circuits of a run would cost on quantum hardware, where each expectation value takes shots."""
 
 import copy
-from collections import Counter
-from contextlib import ExitStack
 from typing import Any
 
 import pandas as pd
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from qnerf.heads.amplitude import System
 from qnerf.heads.registers import AmplitudeRegister, BlochRegister
@@ -52,8 +50,8 @@ def table(trained: Trained) -> pd.DataFrame:
     if not layers:
         raise ValueError(f"{trained.folder}: neither of its heads has a circuit")
     width, height = trained.scene.cameras.size(trained.scene.eval[0])
-    in_view = samples(trained, trained.model)
-    in_step = samples(trained, copy.deepcopy(trained.model).train())  # a copy: its normalisations learn statistics
+    in_view = _samples(trained, trained.model)
+    in_step = _samples(trained, copy.deepcopy(trained.model).train())  # a copy: its normalisations learn statistics
     rows: list[dict[str, Any]] = []
     for (name, place), module in layers.items():
         circuit = circuit_of(module)
@@ -165,17 +163,8 @@ def _modules(head: nn.Module) -> dict[str, QuantumLayer | System]:
     return {name: module for name, module in head.named_modules() if isinstance(module, QuantumLayer | System)}
 
 
-@torch.no_grad()
-def samples(trained: Trained, model: Model) -> Counter[tuple[str, str]]:
+def _samples(trained: Trained, model: Model) -> dict[tuple[str, str], int]:
     """Head and place of each circuit -> samples that it gets for `RAYS` training rays."""
-    seen: Counter[tuple[str, str]] = Counter()
-    with ExitStack() as hooks:
-        for name, head in heads_of(model).items():
-            for place, layer in _modules(head).items():
-
-                def count(_: nn.Module, inputs: tuple[Tensor, ...], out: Tensor, key: Any = (name, place)) -> None:
-                    seen[key] += out.shape[:-1].numel()
-
-                hooks.callback(layer.register_forward_hook(count).remove)
-        trained.render_training_rays(model, RAYS, trained.step)
-    return seen
+    modules = {(name, place): each for name, head in heads_of(model).items() for place, each in _modules(head).items()}
+    seen = trained.watched(model, modules, lambda _, out: out.shape[:-1].numel(), RAYS, trained.step)
+    return {key: sum(counts) for key, counts in seen.items()}

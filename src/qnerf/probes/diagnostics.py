@@ -1,7 +1,6 @@
 """Diagnostics of a run's circuits, see `qnerf.quantum.diagnostics`: what they can express, and how they learn."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from typing import Any
 
 import pandas as pd
@@ -137,18 +136,9 @@ def _circuits(trained: Trained) -> Iterator[tuple[dict[str, Any], QuantumLayer, 
             yield {"head": name, "circuit": number}, layer, inputs[name, number]
 
 
-@torch.no_grad()
 def _inputs(trained: Trained, modules: Mapping[Any, nn.Module]) -> dict[Any, Tensor]:
     """The inputs (N, in) of each module while `RAYS` training rays are rendered, in one random order for all."""
-    seen: dict[Any, list[Tensor]] = {key: [] for key in modules}
-    with ExitStack() as hooks:
-        for key, module in modules.items():
-
-            def record(_: nn.Module, inputs: tuple[Tensor, ...], key: Any = key) -> None:
-                seen[key].append(inputs[0].reshape(-1, inputs[0].shape[-1]).clone())
-
-            hooks.callback(module.register_forward_pre_hook(record).remove)
-        trained.render_training_rays(trained.model, RAYS, trained.step)
+    seen = trained.watched(trained.model, modules, lambda x, _: x.reshape(-1, x.shape[-1]).clone(), RAYS, trained.step)
     generator = torch.Generator().manual_seed(0)
     return {
         key: all_of[torch.randperm(len(all_of), generator=generator).to(all_of.device)]

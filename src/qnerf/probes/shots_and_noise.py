@@ -3,18 +3,16 @@
 import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from typing import Any
 
 import pandas as pd
 import torch
-from torch import Tensor
 
 from qnerf.config.checks import at_least
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.probes.trained import Trained
-from qnerf.quantum import QuantumLayer, density, hardware_conditions
+from qnerf.quantum import hardware_conditions
 from qnerf.quantum.noise import CHANNELS, Noise
 from qnerf.records.files import replace
 from qnerf.records.read import read_probe
@@ -85,33 +83,17 @@ def grid(
     return list(dict.fromkeys([Condition(seed=seed), *conditions]))
 
 
+@torch.no_grad()
 def seconds_of_noise(evaluator: Evaluator, condition: Condition, patterns: int, views: int) -> float:
-    """About how long a condition takes, from rendering a few rays without noise."""
+    """About how long a condition takes, from rendering a few rays under it."""
     pixels = evaluator.table.view(evaluator.scene.eval[0])
     rays = pixels[:RAYS]
-    layers = [m for m in evaluator.model.modules() if isinstance(m, QuantumLayer)]
-    measured = hardware_conditions.Conditions(noise=condition.device, patterns=patterns)
-    seconds: list[float] = []
-    begun: list[float] = []
-
-    def start(layer: QuantumLayer, inputs: tuple[Tensor]) -> None:
-        begun.append(time.perf_counter())
-
-    def stop(layer: QuantumLayer, inputs: tuple[Tensor], out: Tensor) -> None:
-        if measured.is_sampled(layer.circuit):
-            seconds.append((time.perf_counter() - begun[-1]) * (patterns + 1))
-        elif layer.spectral > 1:  # else a polynomial
-            seconds.append(out.shape[:-1].numel() * density.seconds_of_sample(layer.circuit))
-
-    with torch.no_grad():
-        for _ in range(2):  # the first time compiles
-            seconds.clear()
-            with ExitStack() as hooks:
-                for layer in layers:
-                    hooks.callback(layer.register_forward_pre_hook(start).remove)
-                    hooks.callback(layer.register_forward_hook(stop).remove)
-                evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
-    return sum(seconds) / len(rays) * views * len(pixels)
+    begun = 0.0
+    with hardware_conditions.conditions(evaluator.model, noise=condition.device, patterns=patterns):
+        for _ in range(2):  # the first time compiles, and computes the polynomials of small light cones
+            begun = time.perf_counter()
+            evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
+    return (time.perf_counter() - begun) / len(rays) * views * len(pixels)
 
 
 def evaluate_hardware(

@@ -1,12 +1,13 @@
 """A run's scene and model, as its last checkpoint has them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from qnerf.building.model import build_model, ray_table
 from qnerf.building.scene import prepare
@@ -23,6 +24,9 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.state_checks import check_integer, check_model, largest_state
+
+Key = TypeVar("Key")
+Seen = TypeVar("Seen")
 
 
 @dataclass(frozen=True)
@@ -76,11 +80,31 @@ class Trained:
             raise ValueError(f"{self.folder}: neither of its heads has a re-uploading circuit")
         return circuits
 
-    def render_training_rays(self, model: Model, rays: int, step: int) -> None:
-        """Renders the same random training rays each time, for hooks that watch what passes through the modules."""
+    @torch.no_grad()
+    def watched(
+        self,
+        model: Model,
+        modules: Mapping[Key, nn.Module],
+        see: Callable[[Tensor, Tensor], Seen],
+        rays: int,
+        step: int,
+    ) -> dict[Key, list[Seen]]:
+        """What `see(input, output)` gives for each call of each module, while training rays are rendered.
+
+        They are the same random rays each time.
+        """
+        seen: dict[Key, list[Seen]] = {key: [] for key in modules}
         batch, _ = self.ray_table().batch(rays, torch.Generator().manual_seed(0), model.cameras)
         background = evaluation_background(self.settings.render.background)
-        model(batch, background=background, step=step, watch=self.stopwatch(model))
+        with ExitStack() as hooks:
+            for key, module in modules.items():
+
+                def watch(_: nn.Module, inputs: tuple[Tensor, ...], out: Tensor, key: Key = key) -> None:
+                    seen[key].append(see(inputs[0], out))
+
+                hooks.callback(module.register_forward_hook(watch).remove)
+            model(batch, background=background, step=step, watch=self.stopwatch(model))
+        return seen
 
 
 def heads_of(model: Model) -> dict[str, nn.Module]:

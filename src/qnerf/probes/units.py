@@ -1,12 +1,10 @@
 """Dead units of the heads, and how much each layer's values vary over the scene."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack
-from itertools import chain
 
 import pandas as pd
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from qnerf.building.model import build_model
 from qnerf.model.model import Model
@@ -31,26 +29,19 @@ def table(trained: Trained) -> pd.DataFrame:
     return pd.DataFrame(parts).astype({"dead": "float64"})
 
 
-@torch.no_grad()
 def _measured(trained: Trained, model: Model, step: int) -> Iterator[dict[str, object]]:
     """The rows of one model. A fresh one is in training mode, because its normalisations have no statistics yet."""
-    outputs: dict[nn.Module, list[Tensor]] = {}
     layers = {
-        name: [*(module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))), head]
+        (name, number): module
         for name, head in heads_of(model).items()
+        for number, module in enumerate(
+            [*(module for module in head.modules() if isinstance(module, (nn.ReLU, QuantumLayer))), head]
+        )
     }
-
-    def record(module: nn.Module, _: tuple[Tensor, ...], out: Tensor) -> None:
-        outputs.setdefault(module, []).append(out.clone())  # the next layer may work in place
-
-    with ExitStack() as hooks:
-        for module in chain(*layers.values()):
-            hooks.callback(module.register_forward_hook(record).remove)
-        trained.render_training_rays(model, RAYS, step)
-    for name, modules in layers.items():
-        for number, module in enumerate(modules):
-            values = torch.cat(outputs[module]).double().reshape(-1, outputs[module][0].shape[-1])
-            kind = {nn.ReLU: "relu", QuantumLayer: "circuit"}.get(type(module), "output")
-            dead = float((values <= 0).all(0).double().mean()) if kind == "relu" else None
-            std = float(values.var(0, unbiased=False).mean().sqrt())
-            yield {"head": name, "layer": number, "kind": kind, "units": values.shape[-1], "dead": dead, "std": std}
+    outputs = trained.watched(model, layers, lambda _, out: out.clone(), RAYS, step)  # the next layer may work in place
+    for (name, number), module in layers.items():
+        values = torch.cat([out.double().reshape(-1, out.shape[-1]) for out in outputs[name, number]])
+        kind = {nn.ReLU: "relu", QuantumLayer: "circuit"}.get(type(module), "output")
+        dead = float((values <= 0).all(0).double().mean()) if kind == "relu" else None
+        std = float(values.var(0, unbiased=False).mean().sqrt())
+        yield {"head": name, "layer": number, "kind": kind, "units": values.shape[-1], "dead": dead, "std": std}

@@ -145,7 +145,8 @@ class QuantumLayer(nn.Module):
         if self._simulator is None:
             return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
         first = next(self.parameters(), torch.empty(0))
-        return self._simulator.cost(batch, first.device, first.dtype)
+        computed = torch.empty(0, dtype=_computed(first.dtype), device=first.device)
+        return self._simulator.cost(batch, computed.dtype, self._simulator.is_compiled(computed))
 
     @property
     def outputs(self) -> int:
@@ -174,8 +175,7 @@ class QuantumLayer(nn.Module):
         if x.ndim == 0 or x.shape[-1] != features:
             raise ValueError(f"QuantumLayer expects shape (..., {features}), got {tuple(x.shape)}")
         parameters = [getattr(self, name) for name in self.circuit.parameters]
-        dtype = torch.promote_types(x.dtype, parameters[-1].dtype) if parameters else x.dtype
-        dtype = dtype if dtype in (torch.float32, torch.float64) else torch.float32
+        dtype = _computed(torch.promote_types(x.dtype, parameters[-1].dtype) if parameters else x.dtype)
         angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).resolve_neg().to(dtype)
         with torch.autocast(x.device.type, enabled=False):
             weights = torch.cat([angles.new_zeros(0), *(parameter.flatten().to(dtype) for parameter in parameters)])
@@ -197,6 +197,11 @@ class QuantumLayer(nn.Module):
             return self._simulator(x, weights)
         assert self._node is not None
         return self._node(x, weights)
+
+
+def _computed(dtype: torch.dtype) -> torch.dtype:
+    """The precision of the engines for inputs or parameters of this one."""
+    return dtype if dtype in (torch.float32, torch.float64) else torch.float32
 
 
 def _described(

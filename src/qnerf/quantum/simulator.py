@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.kernels import is_transformed
+from qnerf.kernels.dispatch import serves
 from qnerf.kernels.jit import loop_threads
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.cost_model import Cost
@@ -46,22 +46,29 @@ class Simulator:
         own = {c: Simulator(c, method, self.backend) for c in dict.fromkeys(part.circuit for part in found)}
         return [(part, own[part.circuit]) for part in found]
 
-    def cost(self, batch: int, device: torch.device, dtype: torch.dtype, transformed: bool = False) -> Cost:
-        """The engine for a batch, and what a step costs. transformed: inside `torch.func`."""
-        on_cpu = device.type == "cpu"
-        if self.backend == "compiled" and not on_cpu:
-            raise ValueError(f"backend=compiled expects tensors on the CPU, got {device}; choose auto or torch")
-        key = batch, device, dtype, loop_threads(), transformed
+    def cost(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
+        """The engine for a batch, and what a step costs. compiled: whether the compiled engines serve it."""
+        key = batch, dtype, compiled, loop_threads()
         if key not in self._costs:
             if len(self._costs) > 1000:
                 self._costs.clear()
-            compiled = on_cpu and self.backend != "torch" and not transformed
             self._costs[key] = self.family.cost(batch, dtype, compiled)
         return self._costs[key]
 
+    def is_compiled(self, *tensors: Tensor) -> bool:
+        """Whether the compiled engines serve these tensors.
+
+        Raises:
+            ValueError: backend=compiled, and a tensor that is not on the CPU.
+        """
+        if self.backend == "compiled" and tensors[0].device.type != "cpu":
+            device = tensors[0].device
+            raise ValueError(f"backend=compiled expects tensors on the CPU, got {device}; choose auto or torch")
+        return serves("circuits", *tensors, but="backend=torch" if self.backend == "torch" else None)
+
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs (B, features) in radians and flat weights."""
-        cost = self.cost(x.shape[0], x.device, x.dtype, is_transformed(x, weights))
+        cost = self.cost(x.shape[0], x.dtype, self.is_compiled(x, weights))
         if cost.method == "statevector" and self._is_split:
             return self.of_registers(x, weights)
         if cost.method == "statevector" and cost.backend == "compiled" and cost.memory > memory.LARGE:

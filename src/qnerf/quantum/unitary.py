@@ -1,17 +1,15 @@
 """The matrix of a circuit that holds no data. A step builds it once, for all samples.
 
-It is plain PyTorch, for any device, with derivatives of any order. `apply` is its reference: it runs the gates one by
-one on given states, and takes encodings as well.
+It is plain PyTorch, for any device, with derivatives of any order. PennyLane is its reference.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations, ring
-from qnerf.quantum.normal_form import basis_bits, cnot_permutation, cz_signs
+from qnerf.quantum.normal_form import cnot_permutation, cz_signs
 
 
 def layered(
@@ -90,37 +88,6 @@ def blocks(circuit: Circuit, angles: Tensor) -> list[Tensor]:
             assert isinstance(operation, Entangler)
             whole = _entangled(whole, operation, circuit.wires)
     return [*parts, whole]
-
-
-def apply(
-    circuit: Circuit,
-    states: Tensor,
-    angles: Tensor,
-    x: Tensor | None = None,
-    *,
-    operations: Sequence[Operation] | None = None,
-) -> Tensor:
-    """Runs the gates one by one on states (N, 2^n), complex, and returns the states at the end.
-
-    angles: as in `blocks`. x: (N, n) radians, the input of the encodings about Z. operations: a
-    part of the circuit; None: all.
-    """
-    n = circuit.wires
-    signs = torch.from_numpy(1.0 - 2.0 * basis_bits(n)).to(states.real)
-    for operation in circuit.operations if operations is None else operations:
-        if isinstance(operation, Rotations):
-            for wire, matrix in enumerate(rotation(angles[operation.row]).to(states.dtype)):
-                view = states.reshape(-1, 2**wire, 2, 2 ** (n - wire - 1))
-                states = torch.einsum("ab,nibj->niaj", matrix, view).reshape(states.shape)
-        elif isinstance(operation, Encoding):
-            assert x is not None
-            assert operation.axis == "Z"
-            phases = (x * x.new_tensor(operation.scales)) @ signs.T / 2
-            states = states * torch.polar(torch.ones_like(phases), -phases)
-        else:
-            assert isinstance(operation, Entangler)
-            states = _entangled(states.T, operation, n).T
-    return states
 
 
 def _entangled(states: Tensor, operation: Entangler, wires: int) -> Tensor:

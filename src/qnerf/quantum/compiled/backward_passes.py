@@ -21,6 +21,8 @@ def _ry_gradient_group(
     """Adds the gradients of a few neighbouring wires to the vectors at `out`."""
     keep_apart()
     real, imaginary = zeros, zeros
+    # The loops are those of `forward_passes.ry_layer`. For each wire one sum of adjoint_1 state_0 and one of adjoint_0
+    # state_1 stay in registers; their difference is the gradient.
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
@@ -36,6 +38,7 @@ def _ry_gradients(x: Any, state: int, adjoint: int, wires: int, below: int, size
     """Adds the gradients of `wires` neighbouring wires with `below` less significant ones."""
     keep_apart()
     zero = splat(x.dtype.type(0))
+    # Three wires at a time, which takes 16 amplitudes of both states and 12 sums; then two or one.
     j = 0
     while wires - j >= 3:
         six = (zero, zero, zero, zero, zero, zero)
@@ -62,6 +65,8 @@ def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int)
     zero = splat(x.dtype.type(0))
     for i in range(out, out + n * width, width):
         store(x, i, zero)
+    # The last wires first, chunk by chunk: the amplitudes that they couple stay in the first-level cache for all of
+    # them. The wires before couple amplitudes of different chunks.
     low = min(n, LOW)
     chunk = width << low
     for c in range(1 << (n - low)):
@@ -78,6 +83,8 @@ def diagonal_backward(
     size = width << n
     half = size >> 1
     zero = splat(x.dtype.type(0))
+    # q_b = Im(conj(adjoint_b) state_b) is the gradient of the phase of basis state b. A diagonal does not change it, so
+    # the state after the diagonal and the adjoint before it is taken off will do.
     if phases < 0:
         for b in range(1 << n):
             i = b * width
@@ -88,6 +95,8 @@ def diagonal_backward(
             store(x, adjoint + size + i, u * s - v * r)
     else:
         flip = (1 << n) - 1
+        # The adjoint times the conjugates of the fixed phases u + i v and of the input's c + i e. The second side is
+        # the basis state with all bits flipped, whose phase is the conjugate.
         for k in range(1 << (n - 1)):
             c, e = load(x, phases + k * width), load(x, phases + half + k * width)
             for side in range(2):
@@ -100,6 +109,7 @@ def diagonal_backward(
                 store(x, adjoint + i, c * r + e * s)
                 store(x, adjoint + size + i, c * s - e * r)
                 e = zero - e
+    # The angle of wire j moves the phase of b by -z_j(b) / 2.
     z_sums(x, q, n, width, out)
 
 
@@ -112,11 +122,13 @@ def start_backward(
     size = width << n
     half = size >> 1
     zero = splat(x.dtype.type(0))
+    # Without an input the first state is the common one itself.
     if phases < 0:
         for k in range(0, 2 * size, width):
             store(x, total + k, load(x, total + k) + load(x, adjoint + k))
         return
     flip = (1 << n) - 1
+    # As above; the adjoint with the phases taken off is added to the sum over samples.
     for k in range(1 << (n - 1)):
         c, e = load(x, phases + k * width), load(x, phases + half + k * width)
         for side in range(2):
@@ -133,6 +145,7 @@ def start_backward(
 def _z_sums_of_weights(x: Any, weight: int, wires: int, width: int, out: int) -> None:
     """sum_j z_j(b) weight_j for the 2^wires basis states b of a few wires."""
     keep_apart()
+    # Each wire makes two sums of one, in the same place, from the last to the first.
     store(x, out, splat(x.dtype.type(0)))
     for j in range(wires):
         w = load(x, weight + j * width)
@@ -146,6 +159,7 @@ def _z_sums_of_weights(x: Any, weight: int, wires: int, width: int, out: int) ->
 def _add_x_group(x: Any, state: int, adjoint: int, outer: int, distance: int, width: int, weights: Any) -> None:
     """adjoint += sum_j weight_j X_j state for a few neighbouring wires."""
     keep_apart()
+    # The loops are those of `forward_passes.ry_layer`.
     span = distance << len(weights)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
@@ -156,6 +170,7 @@ def _add_x_group(x: Any, state: int, adjoint: int, outer: int, distance: int, wi
 def _add_x(x: Any, state: int, adjoint: int, wires: int, below: int, width: int, weight: int) -> None:
     """adjoint += sum_j weight_j X_j state for `wires` neighbouring wires with `below` less significant ones."""
     keep_apart()
+    # Four wires at a time, as long as there are as many; then one by one.
     j = 0
     while wires - j >= 4:
         k = weight + j * width
@@ -172,10 +187,14 @@ def apply_observables(x: Any, state: int, adjoint: int, n: int, width: int, weig
     """adjoint = sum_j (a_j Z_j + b_j X_j) state; the vectors a, then b, lie at `weight`."""
     keep_apart()
     size = width << n
+    # The eigenvalue sum_j a_j z_j(b) is that of the first wires plus that of the last four: two short tables instead of
+    # one with an entry for each basis state.
     low = min(n, 4)
     inner, high = 1 << low, n - low
     _z_sums_of_weights(x, weight + high * width, low, width, q)
     _z_sums_of_weights(x, weight, high, width, q + inner * width)
+    # For each value of the first wires: the Z part, then the X part of the last four wires while these 16 amplitudes
+    # are in the first-level cache.
     flip = weight + n * width
     for h in range(1 << high):
         above = load(x, q + (inner + h) * width)
@@ -187,5 +206,6 @@ def apply_observables(x: Any, state: int, adjoint: int, n: int, width: int, weig
             store(x, adjoint + size + i, a * load(x, state + size + i))
         for part in range(first, first + 2 * size, size):
             _add_x(x, state + part, adjoint + part, low, 0, width, flip + high * width)
+    # The X part of the first wires, which couple amplitudes far apart.
     for part in range(0, 2 * size, size):
         _add_x(x, state + part, adjoint + part, high, low, width, flip)

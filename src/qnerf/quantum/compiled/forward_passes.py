@@ -19,6 +19,8 @@ from qnerf.quantum.compiled.wire_blocks import ry_block, x_block
 def _ry_group(x: Any, source: int, target: int, outer: int, distance: int, width: int, tangents: Any) -> None:
     """`ry_layer` for a few neighbouring wires: those with `outer` = 2^j basis states of the j wires before them."""
     keep_apart()
+    # The k wires of the group couple 2^k amplitudes that lie `distance` apart. The outer loop goes over the values of
+    # the wires before the group, the inner one over those after it, which lie side by side.
     span = distance << len(tangents)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
@@ -31,6 +33,9 @@ def ry_layer(x: Any, source: int, target: int, n: int, width: int, tangents: Any
     keep_apart()
     size = width << n
     t = tangents if forward else -tangents
+    # The rotations are real, so the real and the imaginary parts go through separately. Four wires at a time: their 16
+    # amplitudes fit the vector registers, and the state is read and written once for all four. The first group reads
+    # the source, the others work in place.
     for part in range(0, 2 * size, size):
         read, write = source + part, target + part
         j = 0
@@ -53,6 +58,8 @@ def ry_layer_per_sample(x: Any, source: int, target: int, n: int, width: int, ha
     keep_apart()
     size = width << n
     sign = splat(x.dtype.type(1 if forward else -1))
+    # One wire at a time: with an angle for each sample, cosine and sine are vectors, and those of four wires would
+    # leave no registers for the amplitudes.
     for part in range(2):
         read, write = source + part * size, target + part * size
         for j in range(n):
@@ -74,10 +81,13 @@ def input_phases(x: Any, out: int, n: int, width: int, trig: int) -> None:
     """
     keep_apart()
     half = (width << n) >> 1
+    # Wire 0 has bit 0: its factor is c - i s.
     store(x, out, load(x, trig))
     store(x, out + half, splat(x.dtype.type(0)) - load(x, trig + n * width))
     for j in range(1, n):
         c, s = load(x, trig + j * width), load(x, trig + (n + j) * width)
+        # Each further wire makes two phases of one, in the same place. From the last to the first, so that none is
+        # overwritten before it was read.
         for k in range((1 << (j - 1)) - 1, -1, -1):
             a, b = load(x, out + k * width), load(x, out + half + k * width)
             ac, bs, bc, asine = a * c, b * s, b * c, a * s
@@ -93,12 +103,15 @@ def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: 
     keep_apart()
     size = width << n
     half = size >> 1
+    # Without an input every sample starts from the same amplitudes.
     if phases < 0:
         for b in range(1 << n):
             store(x, target + b * width, splat(psi[0, b]))
             store(x, target + size + b * width, splat(psi[1, b]))
         return
     flip = (1 << n) - 1
+    # A phase c + i s of half of the basis states, and its conjugate for the states with all bits flipped. The Pauli
+    # frame has flipped the bits in `mask`.
     for k in range(1 << (n - 1)):
         c, s = load(x, phases + k * width), load(x, phases + half + k * width)
         b = k ^ mask
@@ -117,6 +130,7 @@ def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, m
     keep_apart()
     size = width << n
     half = size >> 1
+    # The fixed phases u + i v are the same for all samples of the block.
     if phases < 0:
         for b in range(1 << n):
             u, v = splat(table[0, b]), splat(table[1, b])
@@ -125,6 +139,7 @@ def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, m
             store(x, target + size + b * width, u * i + v * r)
         return
     flip = (1 << n) - 1
+    # Both products in one pass over the state. The input's phases come in conjugate pairs, as in `start`.
     for k in range(1 << (n - 1)):
         c, s = load(x, phases + k * width), load(x, phases + half + k * width)
         p = target + (k ^ mask) * width
@@ -147,10 +162,13 @@ def z_sums(x: Any, q: int, n: int, width: int, out: int) -> None:
     """For each wire sum_b z_j(b) q_b, a vector at `out`: of probabilities q these are <Z>. Overwrites q."""
     keep_apart()
     zero = splat(x.dtype.type(0))
+    # Wire by wire, the most significant first: the sum of the first half less that of the second. Then the two halves
+    # are added up, and the next wire needs half as many: 2^n additions for all wires instead of n 2^n.
     for j in range(n):
         half = width << (n - j - 1)
         s0, s1, s2, s3 = zero, zero, zero, zero
         i = q
+        # Four sums at once, because each addition has to wait for the last one into the same sum.
         while i + 3 * width < q + half:
             a0, a1, a2, a3 = load(x, i), load(x, i + width), load(x, i + 2 * width), load(x, i + 3 * width)
             k = i + half
@@ -161,6 +179,7 @@ def z_sums(x: Any, q: int, n: int, width: int, out: int) -> None:
             store(x, i + 2 * width, a2 + b2)
             store(x, i + 3 * width, a3 + b3)
             i += 4 * width
+        # What is left over, fewer than four.
         while i < q + half:
             a0, b0 = load(x, i), load(x, i + half)
             s0 = s0 + (a0 - b0)
@@ -197,6 +216,8 @@ def _x_group(x: Any, state: int, outer: int, distance: int, size: int, width: in
     """`x_expectations` of a few neighbouring wires."""
     keep_apart()
     real, imaginary = zeros, zeros
+    # <X> of a wire is twice the sum over pairs a, b that differ in it of Re(conj(a) b). Two sums for each wire and part
+    # stay in registers throughout; they are added up at the end.
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
         for i in range(state + h * span, state + h * span + distance, width):
@@ -214,6 +235,7 @@ def x_expectations(x: Any, state: int, n: int, width: int, out: int) -> None:
     keep_apart()
     size = width << n
     zero = splat(x.dtype.type(0))
+    # Three wires at a time: 8 amplitudes, and 6 sums for each of real and imaginary parts.
     j = 0
     while n - j >= 3:
         six = (zero, zero, zero, zero, zero, zero)

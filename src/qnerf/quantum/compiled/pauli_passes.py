@@ -27,6 +27,7 @@ def _parity(typing_context: Any, bits: Any) -> Any:
 
 @inner
 def highest_bit(value: int) -> int:
+    """The most significant bit of a positive number."""
     bit = 1
     while bit << 1 <= value:
         bit <<= 1
@@ -35,6 +36,7 @@ def highest_bit(value: int) -> int:
 
 @inner
 def store_signs(x: Any, signs: int, width: int, value: Any) -> None:
+    """The value, then its negative: a sign (0 or 1) times `width` finds the one that it asks for, without a branch."""
     store(x, signs, value)
     store(x, signs + width, splat(x.dtype.type(0)) - value)
 
@@ -45,6 +47,7 @@ def rotate(x: Any, state: int, n: int, width: int, word: Any, cosine: Any, sines
     keep_apart()
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
+    # A word of Z's alone: every amplitude gets a phase of its own.
     if wx == 0:
         for b in range(1 << n):
             s = load(x, sines + (_parity(b & wz) ^ flip) * width)
@@ -53,6 +56,8 @@ def rotate(x: Any, state: int, n: int, width: int, word: Any, cosine: Any, sines
             store(x, i, cosine * re + s * im)
             store(x, i + size, cosine * im - s * re)
         return
+    # Else the word couples b with b ^ wx. Each pair is met once, at its member without the highest bit of wx: `high`
+    # runs over the bits above it, b over those below. Names with an underscore belong to the other member.
     half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
@@ -60,6 +65,7 @@ def rotate(x: Any, state: int, n: int, width: int, word: Any, cosine: Any, sines
             i, k = state + b * width, state + (b ^ wx) * width
             re, im = load(x, i), load(x, i + size)
             re_, im_ = load(x, k), load(x, k + size)
+            # With an odd number of Y's the word is imaginary, and the rotation -i s P is real.
             if imaginary:
                 store(x, i, cosine * re + s * re_)
                 store(x, i + size, cosine * im + s * im_)
@@ -83,6 +89,9 @@ def rotate_back(
     keep_apart()
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
+    # The gradient is the same before and after the rotation, which commutes with P. So one pass reads both states, adds
+    # to the gradient and turns both states back. The loops are those of `rotate`; re + i im is the state, u + i v the
+    # adjoint.
     total = splat(x.dtype.type(0))
     if wx == 0:
         for b in range(1 << n):
@@ -135,6 +144,7 @@ def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, ou
     keep_apart()
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
+    # The loops are those of `rotate`.
     total = splat(x.dtype.type(0))
     if wx == 0:
         for b in range(1 << n):
@@ -151,6 +161,7 @@ def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, ou
             re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k + size)
             product = im * re_ - re * im_ if imaginary else re * re_ + im * im_
             total = total + one * product
+    # Both members of a pair give the same real part.
     store(x, out, total + total)
 
 
@@ -160,6 +171,7 @@ def add_word(x: Any, state: int, adjoint: int, n: int, width: int, word: Any, we
     keep_apart()
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
+    # The loops are those of `rotate`.
     if wx == 0:
         for b in range(1 << n):
             w = load(x, weights + (_parity(b & wz) ^ flip) * width)

@@ -20,6 +20,7 @@ from qnerf.quantum.compiled import pauli_passes
 def _ready(x: Any, at: int, width: int, row: Any, fixed: Any, trig: Any) -> Any:
     """Stores the `signs` of the sine of half a rotation's angle at `at`; returns the cosine."""
     column = row[5]
+    # An angle that moves with the input has its cosine and sine for each sample; a fixed one is the same for all.
     if row[4]:
         for i in range(width):
             x[at + i] = trig[0, column, i]
@@ -35,6 +36,7 @@ def _ready(x: Any, at: int, width: int, row: Any, fixed: Any, trig: Any) -> Any:
 def _forward(
     x: Any, state: int, spare: int, n: int, width: int, rotations: Any, first: int, fixed: Any, trig: Any
 ) -> None:
+    """The rotations from `first` on, in place."""
     keep_apart()
     for r in range(first, len(rotations)):
         cosine = _ready(x, spare, width, rotations[r], fixed, trig)
@@ -43,6 +45,7 @@ def _forward(
 
 @inner
 def _set_shared(x: Any, state: int, n: int, width: int, shared: Any) -> None:
+    """The same state (2, 2^n) for all samples of the block."""
     keep_apart()
     size = width << n
     for b in range(1 << n):
@@ -52,6 +55,7 @@ def _set_shared(x: Any, state: int, n: int, width: int, shared: Any) -> None:
 
 @inner
 def _set(x: Any, state: int, n: int, width: int, block: Any) -> None:
+    """A state for each sample, from `block` (2, 2^n, width)."""
     keep_apart()
     size = width << n
     for part in range(2):
@@ -62,6 +66,7 @@ def _set(x: Any, state: int, n: int, width: int, block: Any) -> None:
 
 @inner
 def _get(x: Any, state: int, n: int, width: int, factor: Any, block: Any) -> None:
+    """A factor times the states goes to `block` (2, 2^n, width)."""
     keep_apart()
     size = width << n
     for part in range(2):
@@ -74,6 +79,7 @@ def _get(x: Any, state: int, n: int, width: int, factor: Any, block: Any) -> Non
 def prepare(rotations: Any, count: int, n: int, width: int, fixed: Any, shared: Any) -> None:
     """Applies the first `count` rotations, which no input moves, to the state `shared` (2, 2^n)."""
     size = width << n
+    # A block whose samples are all the same; the first lane is read at the end.
     x = np.zeros(2 * size + 2 * width + 64, fixed.dtype)
     state = start_of_line(x)
     _set_shared(x, state, n, width, shared)
@@ -91,6 +97,7 @@ def prepare_backward(
     `adjoint` becomes the adjoint of the state before them.
     """
     size = width << n
+    # As in `prepare`, with the adjoint beside the state. Both are carried back rotation by rotation.
     x = np.zeros(4 * size + 5 * width + 64, fixed.dtype)
     state = start_of_line(x)
     other, spare = state + 2 * size, state + 4 * size
@@ -123,6 +130,7 @@ def forward(
     """
     blocks = trig.shape[0]
     size = width << n
+    # The work array: the state, two vectors for the sine of a rotation, two for 1 and -1, one for a value.
     x = np.zeros(2 * size + 5 * width + 64, fixed.dtype)
     state = start_of_line(x)
     spare = state + 2 * size
@@ -138,6 +146,7 @@ def forward(
             pauli_passes.expectation(x, state, n, width, words[k], ones, value)
             for i in range(width):
                 out[block, k, i] = x[value + i]
+        # Probabilities: each basis state counts for one outcome of each table.
         for row in range(len(words), out.shape[1]):
             for i in range(width):
                 out[block, row, i] = 0
@@ -159,6 +168,7 @@ def _apply_observables(
     size = width << n
     for i in range(adjoint, adjoint + 2 * size, width):
         store(x, i, splat(x.dtype.type(0)))
+    # Words, then probabilities, whose operators project on the basis states of an outcome.
     for k in range(len(words)):
         for i in range(width):
             x[spare + i] = gradient[k, i]
@@ -188,11 +198,13 @@ def backward(
     """
     blocks = trig.shape[0]
     size = width << n
+    # The work array: state, adjoint, the adjoints summed over the part; then the vectors of `forward`.
     x = np.zeros(6 * size + 5 * width + 64, fixed.dtype)
     state = start_of_line(x)
     adjoint, total, spare = state + 2 * size, state + 4 * size, state + 6 * size
     ones, out = spare + 2 * width, spare + 4 * width
     pauli_passes.store_signs(x, ones, width, splat(fixed.dtype.type(1)))
+    # A part is a fixed range of blocks with sums of its own, so that no bit depends on the number of threads.
     for part in range(first, last):
         for i in range(total, total + 2 * size, width):
             store(x, i, splat(x.dtype.type(0)))
@@ -203,6 +215,7 @@ def backward(
                 _set_shared(x, state, n, width, shared)
             _forward(x, state, spare, n, width, rotations, count, fixed, trig[block])
             _apply_observables(x, state, adjoint, spare, n, width, words, tables, outcomes, gradient[block])
+            # The rotations back to those that run once a step. Each leaves its gradient at `out`, one lane a sample.
             for r in range(len(rotations) - 1, count - 1, -1):
                 cosine = _ready(x, spare, width, rotations[r], fixed, trig[block])
                 pauli_passes.rotate_back(x, state, adjoint, n, width, rotations[r], cosine, spare, ones, out)
@@ -217,6 +230,7 @@ def backward(
                 _get(x, adjoint, n, width, fixed.dtype.type(2), starts_out[block])
             for i in range(0, 2 * size, width):
                 store(x, total + i, load(x, total + i) + load(x, adjoint + i))
+        # The lanes are samples; they are added up once a part.
         for side in range(2):
             for b in range(1 << n):
                 value = 0.0

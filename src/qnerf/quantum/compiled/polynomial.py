@@ -19,6 +19,7 @@ def _basis(x: Any, at: int, n: int, width: int, highest: int, trig: Any) -> None
     keep_apart()
     row = (2 * highest + 1) * width
     zero, one = splat(x.dtype.type(0)), splat(x.dtype.type(1))
+    # cos and sin of (k + 1) a follow from those of k a and a: a product of complex numbers instead of a cosine.
     for j in range(n):
         value, slope = at + j * row, at + (n + j) * row
         for i in range(width):
@@ -50,6 +51,8 @@ def _contract(
     if count == 0:
         store(x, stages, splat(coefficients[0]))
         return stages
+    # The first stage reads the coefficients, which are the same for all samples: total / size sums, each of `size`
+    # products with the basis of the last wire.
     total = 1
     for w in range(count):
         total *= basis_sizes[w]
@@ -61,6 +64,7 @@ def _contract(
         for k in range(1, size):
             value = value + splat(coefficients[m * size + k]) * load(x, b + k * width)
         store(x, stages + m * width, value)
+    # The others read the stage before, which has a vector of samples for each number. The backward pass needs them all.
     here = stages
     for w in range(count - 2, -1, -1):
         size = basis_sizes[w]
@@ -83,6 +87,9 @@ def _contract_backward(
 ) -> None:  # fmt: skip
     """The reverse of `_contract`: adds to `sums` of the coefficients and to `inputs`, one vector each."""
     keep_apart()
+    # Stage by stage, the last one first. `adjoints` are the gradients of the numbers of a stage; those of the stage
+    # before are its products with the basis, and the change of the basis gives the gradient of the wire's angle. Two
+    # arrays of adjoints take turns.
     store(x, adjoints, load(x, g))
     total, here = 1, end
     for w in range(count):
@@ -127,6 +134,7 @@ def evaluate(
     x = np.empty(2 * n * row + 2 * coefficients.shape[1] * width + 64, coefficients.dtype)
     basis = start_of_line(x)
     stages = basis + 2 * n * row
+    # The basis of a block of samples is computed once and serves all outputs.
     for block in range(blocks * first // parts, blocks * last // parts):
         _basis(x, basis, n, width, highest, trig[block])
         for k in range(len(wire_counts)):
@@ -157,6 +165,8 @@ def gradients(
     inputs = g + width
     sums = inputs + n * width
     zero = splat(coefficients.dtype.type(0))
+    # A part is a fixed range of blocks with sums of its own, so that no bit depends on the number of threads. The
+    # values are computed again rather than kept since the forward pass.
     for part in range(first, last):
         for i in range(sums, sums + outputs * coefficient_count * width, width):
             store(x, i, zero)
@@ -175,6 +185,7 @@ def gradients(
             for j in range(n):
                 for i in range(width):
                     inputs_out[block, j, i] = x[inputs + j * width + i]
+        # The lanes are samples; they are added up once a part, in float64.
         for k in range(outputs):
             for m in range(coefficient_count):
                 value = 0.0

@@ -77,6 +77,7 @@ def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: An
     """`half_angles` = cos and sin of half of (the input's angle + the fixed angle)."""
     keep_apart()
     trig, out = at.trig + 2 * encoding * n * width, at.half_angles
+    # Cosine and sine of a sum: a large input plus a small weight would round the weight away.
     for j in range(n):
         c, s = load(x, trig + j * width), splat(signs[j]) * load(x, trig + (n + j) * width)
         u, v = splat(fixed[0, j]), splat(fixed[1, j])
@@ -97,6 +98,8 @@ def _forward(
     tangents, diagonals, flip_masks, angle_signs = tables
     pair = 2 * (width << n)
     here = at.state
+    # Diagonals work in place. With `store_states` every other operation writes the state behind the one that it reads,
+    # so that the states stay in the work array in order.
     for o in range(len(operations)):
         code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
         p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
@@ -113,6 +116,7 @@ def _forward(
             forward_passes.ry_layer_per_sample(x, here, after, n, width, at.half_angles, True)
             here = after
         else:
+            # A permutation cannot work in place: two states take turns.
             if not store_states:
                 after = at.state + pair if here == at.state else at.state
             forward_passes.permute(x, here, after, n, width, permutations[operations[o, 3]], FORWARD)
@@ -133,6 +137,8 @@ def _backward(
     tangents, diagonals, flip_masks, angle_signs = tables
     pair = 2 * (width << n)
     adjoint, scratch, d = at.adjoint, at.scratch, at.gradients
+    # Each operation is taken off the adjoint, and its gradients (a vector for each wire, at `d`) are inner products of
+    # the adjoint with the state. Rotations use the state before them, which was stored; diagonals the one after them.
     for o in range(len(operations) - 1, -1, -1):
         code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
         p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
@@ -157,6 +163,7 @@ def _backward(
         else:
             mask = flip_masks[step] if step >= 0 else 0
             backward_passes.start_backward(x, here, adjoint, n, width, p, mask, scratch, d, at.first_adjoint)
+        # The gradients go into the sums of the step, and into those of the input where the angles hold it.
         if step >= 0 and code != PERMUTATION:
             for j in range(n):
                 value = load(x, d + j * width)
@@ -233,6 +240,7 @@ def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
     """Copies a block's cosines and sines, and forms the phases of all basis states."""
     keep_apart()
     size = width << n
+    # NumPy's layout becomes that of the passes, one number after the other; then whole vectors make the phases.
     for encoding in range(trig.shape[0]):
         here = at.trig + 2 * encoding * n * width
         for part in range(2):
@@ -258,10 +266,12 @@ def forward(
     x = np.empty(_size(n, width, 2, encodings, 0), psi.dtype)
     at = _layout(start_of_line(x), n, width, 2, encodings, 0)
     q, d = at.scratch, at.gradients
+    # A block of samples at a time, through the whole circuit, while its state is in cache.
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, trig[block], n, width)
         end = _forward(x, at, n, width, operations, tables, permutations, psi, NOT_STORED)
         forward_passes.probabilities(x, end, n, width, q)
+        # <Z> behind the last RY layer from <Z> and <X> before it: the layer itself need not be applied.
         if measures_last_layer:
             forward_passes.z_sums(x, q, n, width, d)
             forward_passes.x_expectations(x, end, n, width, d + n * width)
@@ -274,6 +284,7 @@ def forward(
                 for i in range(width):
                     z, x_ = expectations[block, 0, j, i], expectations[block, 1, j, i]
                     out[block, k, i] = last_layer[0, j] * z + last_layer[1, j] * x_
+        # Products of several Z's: the probabilities, each times its eigenvalue.
         else:
             for k in range(len(wires)):
                 value = splat(psi.dtype.type(0))
@@ -302,12 +313,16 @@ def backward(
     x = np.zeros(_size(n, width, states, encodings, steps), psi.dtype)
     at = _layout(start_of_line(x), n, width, states, encodings, steps)
     adjoint, d = at.adjoint, at.gradients
+    # A part is a fixed range of blocks with sums of its own, whichever thread takes it. The sums over all parts are
+    # taken in order afterwards, so the bits do not depend on the number of threads.
     for part in range(first, last):
         _fill_zero(x, at.sums, steps * n, width)
         _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, trig[block], n, width)
             end = _forward(x, at, n, width, operations, tables, permutations, psi, STORED)
+            # The adjoint starts as sum_k g_k O_k |state>. Where the last RY layer is part of the measurement, O_k is
+            # a Z + b X of the output's wire, and the angles of that layer have their gradients from <Z> and <X>.
             if measures_last_layer:
                 _fill_zero(x, at.factors, 2 * n, width)
                 for k in range(len(wires)):
@@ -340,6 +355,7 @@ def backward(
             for j in range(n):
                 for i in range(width):
                     inputs_out[block, j, i] = x[at.inputs + j * width + i]
+        # The lanes of each vector are samples; they are added up once a part.
         for step in range(steps):
             for j in range(n):
                 sums_out[part, step, j] = _sum(x, at.sums + (step * n + j) * width, width)

@@ -61,6 +61,7 @@ def ry_block(typing_context: Any, x: Any, source: Any, target: Any, distance: An
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         block = _Block(context, builder, x, arguments[0], arguments[3], vector, k)
+        # All 2^k amplitudes are loaded, go through the k rotations in registers, and are stored.
         a = block.load(arguments[1])
         for j, t in enumerate(_unpacked(builder, arguments[4], k)):
             bit = 1 << (k - 1 - j)
@@ -82,6 +83,7 @@ def add_x_block(typing_context: Any, x: Any, state: Any, adjoint: Any, distance:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         block = _Block(context, builder, x, arguments[0], arguments[3], vector, k)
+        # X_j takes amplitude m from the place with bit j flipped. The adjoint is read and written once for all wires.
         a, factors = block.load(arguments[1]), _unpacked(builder, arguments[4], k)
         for m in range(2**k):
             total = block.load_one(arguments[2], m)
@@ -100,6 +102,8 @@ def x_block(typing_context: Any, x: Any, state: Any, distance: Any, sums: Any) -
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         block = _Block(context, builder, x, arguments[0], arguments[2], vector, k)
+        # The pairs of a wire take turns between two sums: a fused multiply-add has to wait for the last one into the
+        # same sum.
         a, total = block.load(arguments[1]), _unpacked(builder, arguments[3], 2 * k)
         for m in range(2**k):
             for j in range(k):
@@ -119,6 +123,7 @@ def ry_gradient_block(typing_context: Any, x: Any, state: Any, adjoint: Any, dis
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         block = _Block(context, builder, x, arguments[0], arguments[3], vector, k)
+        # Both states are loaded once for all k wires.
         a, b = block.load(arguments[1]), block.load(arguments[2])
         total = _unpacked(builder, arguments[4], 2 * k)
         for m in range(2**k):

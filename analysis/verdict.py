@@ -1,0 +1,222 @@
+"""Is one configuration better than another, worse, equivalent, or is that undecided?
+
+Two groups of runs that differ only in their seeds are compared by the mean of a metric over the held-out views that
+every run of both groups has. The difference of the groups' means has Welch's standard error, because the seeds of two
+heads are not paired: equal seeds draw the same rays, and that explains nothing of how two different heads end.
+
+`within` is the smallest difference that matters, in the metric's unit. Only one of "equivalent" and "better or worse"
+can be wrong, so both are tested at the whole error rate `alpha`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from scipy.special import stdtrit
+
+from qnerf.metrics import metric_of, quality_metrics
+from qnerf.records import StoreError
+
+from . import packed
+
+ALPHA = 0.05
+"""The share of verdicts that may be wrong, where there is no difference or one of exactly `within`."""
+COLLAPSE, MADS = 5.0, 7.4
+"""dB, and median absolute deviations (five standard deviations of normal seeds), see `collapses`."""
+
+Kind = Literal["better", "worse", "equivalent", "undecided"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What runs say about `difference`, other - baseline in the metric's unit.
+
+    `reach` is the half width of its interval of level 1 - alpha, infinite where a side has fewer than two runs.
+    `excluded` names what an undecided comparison rules out, "a loss" or "a gain" of at least `within`; of an
+    equivalent one, "above 0" or "below 0" where the interval excludes 0. `seeds` and `collapsed` count the runs that
+    were compared and those that were set aside, baseline first.
+    """
+
+    kind: Kind
+    difference: float
+    reach: float
+    error: float
+    freedom: float
+    within: float
+    excluded: str = ""
+    star: bool = False
+    seeds: tuple[int, int] = (0, 0)
+    collapsed: tuple[int, int] = (0, 0)
+
+    def text(self, metric: str = "psnr") -> str:
+        """`better *`, `equivalent, above 0`, `undecided: a loss of 0.5 dB is ruled out`."""
+        more = self.excluded and (
+            f", {self.excluded}"
+            if self.kind == "equivalent"
+            else f": {self.excluded} of {self.within:g} {metric_of(metric).unit}".rstrip() + " is ruled out"
+        )
+        collapsed = f"; collapsed {self.collapsed[1]} of {self.seeds[1] + self.collapsed[1]}"
+        return self.kind + more + (" *" if self.star else "") + (collapsed if self.collapsed[1] else "")
+
+
+def judge(
+    difference: float, error: float, freedom: float, within: float, *, sign: int = 1, alpha: float = ALPHA
+) -> Verdict:
+    """The verdict on a difference with its standard error and degrees of freedom.
+
+    sign: -1 where a lower value is better.
+
+    >>> judge(0.1, 0.1, 18, 0.5).kind, judge(1.2, 0.2, 18, 0.5).kind, judge(0.4, 0.2, 18, 0.5).excluded
+    ('equivalent', 'better', 'a loss')
+    """
+    known = freedom > 0
+    one, two = (error * stdtrit(freedom, 1 - share) if known else np.inf for share in (alpha, alpha / 2))
+    nonzero = abs(difference) > two
+    kind: Kind = "undecided"
+    excluded = ""
+    if abs(difference) + one < within:
+        kind = "equivalent"
+        excluded = ("above 0" if difference > 0 else "below 0") if nonzero else ""
+    elif nonzero:
+        kind = "better" if sign * difference > 0 else "worse"
+    elif sign * difference - one > -within:
+        excluded = "a loss"
+    elif sign * difference + one < within:
+        excluded = "a gain"
+    return Verdict(kind, float(difference), float(two), float(error), float(freedom), within, excluded)
+
+
+def welch(baseline: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+    """Difference of the means, its standard error, and Satterthwaite's degrees of freedom: 0 for a group of one."""
+    groups = [np.asarray(group, dtype=float) for group in (baseline, other)]
+    difference = float(groups[1].mean() - groups[0].mean())
+    if min(map(len, groups)) < 2:
+        return difference, float("nan"), 0.0
+    parts = [group.var(ddof=1) / group.size for group in groups]
+    square = sum(parts)
+    if square <= (1e-12 * np.abs(np.concatenate(groups)).max()) ** 2:  # rounding alone is no spread
+        return difference, 0.0, float(sum(map(len, groups)) - 2)
+    freedom = square**2 / sum(part**2 / (group.size - 1) for part, group in zip(parts, groups, strict=True))
+    return difference, float(np.sqrt(square)), float(freedom)
+
+
+def collapses(baseline: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which values of each group, in dB, are of runs that collapsed.
+
+    Such a value is NaN, or both `COLLAPSE` below the better of the two medians and, below the median of its own group,
+    more than `COLLAPSE` and `MADS` median absolute deviations.
+    """
+    medians = [np.nanmedian(group) if np.isfinite(group).any() else -np.inf for group in (baseline, other)]
+    found = []
+    for group, median in zip((baseline, other), medians, strict=True):
+        spread = np.nanmedian(np.abs(group - median)) if np.isfinite(median) else 0.0
+        low = (group < max(medians) - COLLAPSE) & (group < median - max(COLLAPSE, MADS * spread))
+        found.append(low | np.isnan(group))
+    return found[0], found[1]
+
+
+def verdict(
+    baseline: Sequence[float] | np.ndarray,
+    other: Sequence[float] | np.ndarray,
+    within: float,
+    *,
+    metric: str = "psnr",
+    alpha: float = ALPHA,
+    comparisons: int = 1,
+) -> Verdict:
+    """The verdict on the runs of `other` against those of `baseline`, a value a run.
+
+    comparisons: how many rows the table has; a star stands where the verdict holds at alpha / comparisons, too.
+    Collapsed runs are set aside for metrics in dB. ValueError for a value of infinity: an exact fit has no PSNR.
+    """
+    groups = [np.asarray(group, dtype=float) for group in (baseline, other)]
+    if infinite := sum(int(np.isinf(group).sum()) for group in groups):
+        raise ValueError(f"{metric} of {infinite} runs is infinite, so their mean says nothing: compare another metric")
+    item = metric_of(metric)
+    dropped = collapses(*groups) if item.unit == "dB" else tuple(np.isnan(group) for group in groups)
+    kept = [group[~out] for group, out in zip(groups, dropped, strict=True)]
+    if not min(map(len, kept)):
+        kept = [np.full(1, np.nan)] * 2
+    found = welch(*kept)
+    made = judge(*found, within, sign=item.sign, alpha=alpha)
+    strict = judge(*found, within, sign=item.sign, alpha=alpha / comparisons)
+    return replace(
+        made,
+        star=made.kind != "undecided" and strict.kind == made.kind,
+        seeds=tuple(int((~out).sum()) for out in dropped),
+        collapsed=tuple(int(out.sum()) for out in dropped),
+    )
+
+
+def within_of(metric: str, asked: float | None = None) -> float:
+    """`asked`, or the metric's own smallest difference that matters.
+
+    ValueError where neither is a positive number, or the metric is not measured on each view.
+    """
+    _refuse_others(metric)
+    within = metric_of(metric).within if asked is None else asked
+    if within is None:
+        unit = metric_of(metric).unit or "its unit"
+        raise ValueError(f"{metric}: give --within, the smallest difference that matters, in {unit}")
+    if not 0 < within < np.inf:
+        raise ValueError(f"--within: expected a positive number, got {within:g}")
+    return within
+
+
+def evaluations(runs: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
+    """The metric of each held-out view of each run: a row a run, named by its path, and a column a view.
+
+    A run whose eval.parquet is absent, damaged or without the metric has no row. ValueError for a metric that is not
+    measured on each view.
+    """
+    _refuse_others(metric)
+    rows = {path: _views(path, metric) for path in runs["path"]}
+    return pd.DataFrame.from_dict({path: row for path, row in rows.items() if row}, orient="index", dtype=float)
+
+
+def compare(
+    baseline: pd.DataFrame, other: pd.DataFrame, within: float, *, metric: str = "psnr", comparisons: int = 1
+) -> tuple[Verdict, float]:
+    """The verdict on two groups of `evaluations`, and how far other views would move the difference.
+
+    Views that only some of the runs have count nowhere. The second number is the half width of Student's interval over
+    the views' mean differences: 0 for one view.
+    """
+    together = pd.concat([baseline, other], join="inner").dropna(axis=1)
+    one, two = (group[list(together)] for group in (baseline, other))
+    found = verdict(one.mean(axis=1), two.mean(axis=1), within, metric=metric, comparisons=comparisons)
+    return found, other_views(one.mean(), two.mean())
+
+
+def other_views(baseline: pd.Series, other: pd.Series) -> float:
+    """Half width of the 95 % interval over views of the difference of two groups' mean values of each view."""
+    differences = (other - baseline).dropna()
+    if len(differences) < 2:
+        return 0.0
+    return float(stdtrit(len(differences) - 1, 1 - ALPHA / 2) * differences.sem())
+
+
+def method(metric: str, within: float) -> str:
+    """What a table's verdicts are, for under it."""
+    close = f"{within:g} {metric_of(metric).unit}".rstrip()
+    return (
+        f"verdicts by Welch's t on run means over the same views, 95 % each; equivalent: closer than {close}; "
+        "* holds for all rows together"
+    )
+
+
+def _refuse_others(metric: str) -> None:
+    if metric_of(metric) not in quality_metrics():
+        known = ", ".join(item.key for item in quality_metrics())
+        raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
+
+
+def _views(path: str, metric: str) -> dict[str, float]:
+    """View -> value; empty where the file is absent, damaged or without the metric."""
+    try:
+        own = packed.views(path)
+        return dict(zip(own["image"].tolist(), own[metric].astype(float), strict=True))
+    except (StoreError, KeyError):
+        return {}
