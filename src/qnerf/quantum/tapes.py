@@ -1,11 +1,14 @@
 """PennyLane's tapes as circuits: what `from_qnode` and the device `qnerf.fast` share.
 
 A tape is a list of operations and of measurements. PennyLane's own decompositions reduce the operations to the gates of
-`gates.GATES`. What a measurement needs of the state is a few Pauli words or probabilities; `Measured` combines them.
+`gates.GATES`. They run on expressions in place of the tape's numbers, once for all tapes that differ in numbers alone.
+What a measurement needs of the state is a few Pauli words or probabilities; `Measured` combines them.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from itertools import chain
+from math import prod
+from typing import Any, NamedTuple
 
 import numpy as np
 import pennylane as qml
@@ -13,28 +16,219 @@ import torch
 from torch import Tensor
 
 from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Operation, PauliWord, Probabilities, Weights
-from qnerf.quantum.expressions import Expression
+from qnerf.quantum.expressions import Expression, feature, weight
 from qnerf.quantum.gates import GATES, SHORT_NAMES
+from qnerf.quantum.simulator import Simulator
 
 WITHOUT_EFFECT = frozenset({"Identity", "GlobalPhase", "Barrier", "WireCut"})
 STATES = frozenset({"StatePrep", "AmplitudeEmbedding"})
 MEASUREMENTS = (qml.measurements.ExpectationMP, qml.measurements.VarianceMP, qml.measurements.ProbabilityMP)
-REFUSED = {"MidMeasureMP": "qml.defer_measurements replaces measurements in the middle of a circuit"}
 KNOWN_MEASUREMENTS = "expval, var, probs"
-MAX_MATRIX_WIRES = 6  # of an operation or an observable that is a matrix: it has 4^wires entries
+MAX_MATRIX_WIRES = 6  # of an observable that is a matrix: it has 4^wires entries
+MAX_CACHED = 256  # circuits, and lists of measurements
+NUMBERS = (float, int, complex, np.number, np.ndarray, Tensor)
+SINGLE = frozenset({torch.float32, torch.complex64})
 
-Read = Callable[[Any], Expression]
+_operations: dict[Any, tuple[Operation, ...] | None] = {}  # None: a decomposition depends on the numbers
+_measured: dict[Any, "Measured"] = {}
+_engines: dict[Any, Simulator] = {}
+
+
+class Execution(NamedTuple):
+    """A tape with the engine that evaluates it."""
+
+    engine: Simulator
+    numbers: "Numbers"
+    measured: "Measured"
+
+    def results(self) -> list[Tensor]:
+        """Each measurement: () or (2^k,), with a batch (B,) or (B, 2^k); float32 if all tensors of the tape are."""
+        values = self.engine(*self.numbers.tensors())
+        results = self.measured.results(values, self.numbers.squared_norm(values))
+        return [value[0] for value in results] if self.numbers.batch is None else results
+
+
+def execution_of(tape: Any, labels: Any) -> Execution:
+    """How to evaluate a tape, exactly.
+
+    Args:
+        tape: of PennyLane; some of its parameters may hold a number for each sample of a batch.
+        labels: the wires of the device, None if it takes any.
+
+    Raises:
+        ValueError: an operation, a parameter or a measurement that no engine takes, by its name.
+    """
+    if tape.shots:
+        raise ValueError("finite shots are not computed")
+    if labels is not None and not labels.contains_wires(tape.wires):
+        raise ValueError(f"wires {tape.wires.tolist()} on a device with wires {labels.tolist()}")
+    places = places_of(tape, labels)
+    measured = _measurements_of(tape, places)
+    numbers, operations = _operations_of(tape, places)
+    key = numbers.key, *places, measured.key
+    engine = _remembered(_engines, key, lambda: _engine(operations, measured, len(places), numbers))
+    return Execution(engine, numbers, measured)
+
+
+def _remembered(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any:
+    if key not in known:
+        if len(known) >= MAX_CACHED:
+            known.clear()
+        known[key] = make()
+    return known[key]
+
+
+def _engine(operations: tuple[Operation, ...], measured: "Measured", wires: int, numbers: "Numbers") -> Simulator:
+    own = (Weights("parameters", (numbers.count[False],)),) if numbers.count[False] else ()
+    return Simulator(circuit_of(operations, measured, max(wires, 1), numbers.count[True], own))
+
+
+def _operations_of(tape: Any, places: dict[Any, int]) -> "tuple[Numbers, tuple[Operation, ...]]":
+    """The tape's numbers, and operations whose angles are expressions of them."""
+    try:
+        numbers = Numbers(tape.operations)
+        found = _remembered(_operations, (numbers.key, *places), lambda: _on_expressions(numbers, places))
+        if found is not None:
+            return numbers, found
+    except (TypeError, ValueError):  # a parameter that is no number, or a structure without a hash
+        pass
+    numbers = Numbers(decomposed(tape.operations))
+    return numbers, _remembered(_operations, (numbers.key, *places), lambda: numbers.described(places))
+
+
+def _on_expressions(numbers: "Numbers", places: dict[Any, int]) -> tuple[Operation, ...] | None:
+    try:
+        return numbers.described(places)
+    except Exception:  # whatever a decomposition meets that has expected numbers
+        return None
+
+
+class Numbers:
+    """The parameters of operations. One for each sample is a feature of a circuit, any other one is a weight.
+
+    Args:
+        operations: of a tape.
+
+    Raises:
+        ValueError: a parameter that is no number, array or tensor of PyTorch.
+    """
+
+    def __init__(self, operations: Iterable[Any]) -> None:
+        self.count = {False: 0, True: 0}  # of the weights, of the features
+        self.batch: int | None = None
+        self._values: dict[bool, list[Any]] = {False: [], True: []}
+        self._slots: dict[tuple[int, bool], Slot] = {}
+        self._states: list[Any] = []  # those that PennyLane has not normalised
+        self._operations: list[tuple[Any, tuple[Slot, ...]]] = []
+        self.key = tuple(map(self._taken, operations))
+
+    def _taken(self, operation: Any) -> Any:
+        """What tells the operation apart from others that differ in more than numbers."""
+        name = operation.name
+        leaves, structure = operation.data, (name, operation.wires)
+        if not is_gate(operation) or name == "PauliRot":
+            leaves, structure = qml.pytrees.flatten(operation)
+        if len(leaves) != len(operation.data):
+            raise ValueError(f"{name} has parameters that are no numbers")
+        slots = tuple(self._slot(operation, place, leaf) for place, leaf in enumerate(leaves))
+        if name in STATES and not operation.hyperparameters["normalize"]:
+            self._states += leaves
+        self._operations.append((operation, slots))
+        return structure, slots
+
+    def _slot(self, operation: Any, place: int, value: Any) -> "Slot":
+        if not isinstance(value, NUMBERS):
+            raise ValueError(f"{operation.name} has a parameter of type {type(value).__name__}")
+        shape = tuple(getattr(value, "shape", ()))
+        batched = bool(shape) and _is_batched(operation, place, len(shape))
+        known = self._slots.get((id(value), batched))
+        if known is not None:
+            return known
+        is_complex = "complex" in str(value.dtype) if shape else False
+        slot = Slot(batched, self.count[batched], shape[batched:], is_complex)
+        self.count[batched] += prod(slot.shape) * (1 + is_complex)
+        if batched and self.batch not in (None, shape[0]):
+            raise ValueError(f"batches of {self.batch} and of {shape[0]} samples")
+        self.batch = shape[0] if batched else self.batch
+        self._values[batched].append(value)
+        if torch.is_tensor(value):  # the same tensor twice: features and weights that two operations share
+            self._slots[id(value), batched] = slot
+        return slot
+
+    def described(self, places: dict[Any, int]) -> tuple[Operation, ...]:
+        """The operations with expressions as angles."""
+        return described(decomposed(_bound(*own) for own in self._operations), places)
+
+    @property
+    def is_torch(self) -> bool:
+        """Whether one of them is a tensor of PyTorch."""
+        return any(map(torch.is_tensor, chain(*self._values.values())))
+
+    def tensors(self) -> tuple[Tensor, Tensor]:
+        """The features (B, features) and the flat weights."""
+        given = [value for value in chain(*self._values.values()) if torch.is_tensor(value)]
+        dtype = torch.float32 if given and all(value.dtype in SINGLE for value in given) else torch.float64
+        device = given[0].device if given else torch.device("cpu")
+
+        def joined(batched: bool, rows: int) -> Tensor:
+            values = [_tensor(value).to(device) for value in self._values[batched]]
+            if all(value.ndim == batched for value in values) and values:
+                return torch.stack([value.to(dtype) for value in values], -1).reshape(rows, -1)
+            parts = [torch.view_as_real(value.resolve_conj()) if value.is_complex() else value for value in values]
+            empty = torch.zeros(rows, 0, dtype=dtype, device=device)
+            return torch.cat([empty, *(part.to(dtype).reshape(rows, -1) for part in parts)], 1)
+
+        return joined(True, 1 if self.batch is None else self.batch), joined(False, 1)[0]
+
+    def squared_norm(self, like: Tensor) -> Tensor | None:
+        """That of the states at the start, (1,) or (B,), None for 1: PennyLane takes states as they are."""
+        norms = [_tensor(state).abs().square().sum(-1).to(like).reshape(-1) for state in self._states]
+        return prod(norms, start=like.new_ones(1)) if norms else None  # type: ignore[call-overload]
+
+
+def _is_batched(operation: Any, place: int, dimensions: int) -> bool:
+    """Whether a parameter has an entry for each sample, as PennyLane says."""
+    if dimensions == 1 and is_gate(operation) and operation.name not in STATES:
+        return True  # an angle: PennyLane's check takes longer
+    return operation.batch_size is not None and dimensions > operation.ndim_params[place]
+
+
+def _tensor(value: Any) -> Tensor:
+    return value if torch.is_tensor(value) else torch.as_tensor(np.asarray(value))
+
+
+def _bound(operation: Any, slots: tuple["Slot", ...]) -> Any:
+    """The operation on expressions in place of its numbers."""
+    entries = [slot.expressions() for slot in slots]
+    if operation.name in STATES:
+        return qml.StatePrep(entries[0], wires=operation.wires)
+    return qml.pytrees.unflatten(entries, qml.pytrees.flatten(operation)[1])
+
+
+class Slot(NamedTuple):
+    """Where the entries of a parameter lie among the features or the weights."""
+
+    is_feature: bool
+    first: int
+    shape: tuple[int, ...]
+    is_complex: bool
+
+    def expressions(self) -> Any:
+        """An array of expressions. A complex entry is a pair, its real and its imaginary part."""
+        out = np.empty(self.shape, dtype=object)
+        for place, index in enumerate(np.ndindex(*self.shape)):
+            own = self.first + place * (1 + self.is_complex)
+            out[index] = (self._entry(own), self._entry(own + 1)) if self.is_complex else self._entry(own)
+        return out if self.shape else out[()]
+
+    def _entry(self, index: int) -> Expression:
+        return feature(index) if self.is_feature else weight("parameters", index)
 
 
 def is_gate(operation: Any) -> bool:
     """Whether the operation needs no decomposition."""
     name = operation.name
     return name in WITHOUT_EFFECT or name in STATES or SHORT_NAMES.get(name, name) in GATES
-
-
-def is_measurement(measurement: Any) -> bool:
-    """Whether the measurement can be computed: expectation values, variances and probabilities."""
-    return isinstance(measurement, MEASUREMENTS) and measurement.mv is None
 
 
 def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Iterator[Any]:
@@ -49,24 +243,14 @@ def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Itera
             used.update(operation.wires)
             yield operation
             continue
-        if operation.name in REFUSED or isinstance(operation, qml.operation.Channel):
-            advice = REFUSED.get(
-                operation.name, "noise is an argument of QuantumLayer, and default.mixed takes channels"
-            )
-            raise ValueError(f"{operation.name} is no gate; {advice}")
+        if isinstance(operation, qml.Snapshot) or not isinstance(operation, qml.operation.Operator):
+            raise ValueError(f"{operation.name} is no gate")
         try:
-            parts = _controlled_rotation(operation) or _decomposition(operation)
+            parts = _controlled_rotation(operation) or operation.decomposition()
         except Exception as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise ValueError(f"{operation.name} does not decompose into gates of qnerf: {reason}") from error
         yield from decomposed(parts, used)
-
-
-def _decomposition(operation: Any) -> list[Any]:
-    if not operation.has_decomposition and operation.has_matrix and len(operation.wires) <= MAX_MATRIX_WIRES:
-        return [qml.QubitUnitary(operation.matrix(), wires=operation.wires)]
-    parts: list[Any] = operation.decomposition()
-    return parts
 
 
 def _controlled_rotation(operation: Any) -> list[Any]:
@@ -79,28 +263,77 @@ def _controlled_rotation(operation: Any) -> list[Any]:
     return [*flips, qml.ctrl(operation.base, operation.control_wires), *flips]
 
 
-def described(operations: Iterable[Any], places: dict[Any, int], read: Read) -> tuple[Operation, ...]:
-    """Gates of PennyLane as operations. `places` numbers the wires; `read` turns a parameter into an expression."""
+def described(operations: Iterable[Any], places: dict[Any, int]) -> tuple[Operation, ...]:
+    """Gates of PennyLane, with expressions as angles, as operations of a circuit. `places` numbers the wires."""
     out: list[Operation] = []
     for operation in operations:
         name, wires = operation.name, tuple(places[wire] for wire in operation.wires)
         if name in WITHOUT_EFFECT:
             continue
         if name in STATES:
-            out.append(_amplitudes(operation.parameters[0], wires, read))
+            real, imaginary = zip(*map(_parts, operation.parameters[0]), strict=True)
+            out.append(Amplitudes(wires, real, imaginary if any(part.terms for part in imaginary) else ()))
             continue
         word = operation.hyperparameters["pauli_word"] if name == "PauliRot" else ""
-        angles = tuple(read(parameter) for parameter in operation.parameters)
+        angles = tuple(_angle(parameter) for parameter in operation.parameters)
         out.append(Gate(SHORT_NAMES.get(name, name), wires, angles, word))
     return tuple(out)
 
 
-def _amplitudes(state: Any, wires: tuple[int, ...], read: Read) -> Amplitudes:
-    columns = [state[..., index] for index in range(2 ** len(wires))]
-    if qml.math.get_dtype_name(state).startswith("complex"):
-        real, imaginary = ([read(part(column)) for column in columns] for part in (qml.math.real, qml.math.imag))
-        return Amplitudes(wires, tuple(real), tuple(imaginary))
-    return Amplitudes(wires, tuple(map(read, columns)))
+def _angle(parameter: Any) -> Expression:
+    if isinstance(parameter, Expression):
+        return parameter
+    values = np.asarray(parameter, dtype=object).reshape(-1)
+    if len(values) != 1:
+        raise ValueError(f"an angle expects one number for each sample, got {len(values)}")
+    return Expression.of(values[0])
+
+
+def _parts(amplitude: Any) -> tuple[Expression, Expression]:
+    if isinstance(amplitude, tuple):
+        return amplitude
+    if isinstance(amplitude, Expression):
+        return amplitude, Expression()
+    return Expression.of(amplitude.real), Expression.of(amplitude.imag)
+
+
+def places_of(tape: Any, labels: Any) -> dict[Any, int]:
+    """A number for each wire of a tape; `labels` are the wires of the device, or None."""
+    everything = labels is not None and any(not measurement.wires for measurement in tape.measurements)
+    return {wire: place for place, wire in enumerate(labels if everything else tape.wires)}
+
+
+def circuit_of(
+    operations: tuple[Operation, ...],
+    measured: "Measured",
+    wires: int,
+    features: int,
+    weights: tuple[Weights, ...],
+) -> Circuit:
+    """The circuit of a tape."""
+    return Circuit(
+        "tape", wires, operations=operations, observables=measured.observables, features=features, weights=weights
+    )
+
+
+def _measurements_of(tape: Any, places: dict[Any, int]) -> "Measured":
+    leaves, structure = qml.pytrees.flatten(tape.measurements)
+    try:
+        key = structure, *map(_constant, leaves), *places
+        return _remembered(_measured, key, lambda: Measured(tape.measurements, places))
+    except TypeError:  # numbers that change, such as trainable coefficients
+        if not all(leaf is None or isinstance(leaf, NUMBERS) for leaf in leaves):
+            raise ValueError("a measurement has a parameter that is no number, array or tensor of PyTorch") from None
+        return Measured(tape.measurements, places)
+
+
+def _constant(value: Any) -> Any:
+    """What stands for the value in a key; TypeError if it may be another one in the next tape."""
+    if type(value) is np.ndarray:
+        return value.shape, value.dtype.str, value.tobytes()
+    if torch.is_tensor(value) or not (value is None or isinstance(value, NUMBERS)):
+        raise TypeError
+    return value
 
 
 class Measured:
@@ -119,12 +352,12 @@ class Measured:
         self.tables: list[Probabilities] = []
         self.parts: list[tuple[str, Any]] = []
         for measurement in measurements:
-            if not is_measurement(measurement):
+            if not isinstance(measurement, MEASUREMENTS) or measurement.mv is not None:
                 name = type(measurement).__name__.removesuffix("MP")
                 raise ValueError(f"the measurement {name} is not computed; known: {KNOWN_MEASUREMENTS}")
             if isinstance(measurement, qml.measurements.ProbabilityMP):
                 if measurement.obs is not None:
-                    raise ValueError(f"probabilities of {measurement.obs.name} are not supported; give wires")
+                    raise ValueError(f"probabilities of {measurement.obs.name} are not computed; give wires")
                 wires = tuple(places[wire] for wire in measurement.wires) or tuple(places.values())
                 self.tables.append(Probabilities(wires))
                 self.parts.append(("probabilities", len(self.tables) - 1))
@@ -136,13 +369,17 @@ class Measured:
                 )
             else:
                 self.parts.append(("mean", self._terms(sentence, places)))
+        self.key = tuple(self.words), tuple(self.tables)
 
     def _terms(self, sentence: Any, places: dict[Any, int]) -> list[tuple[Any, int | None]]:
         """Each coefficient with the place of its word; None for the identity."""
         terms: list[tuple[Any, int | None]] = []
         for word, coefficient in sentence.items():
             letters = tuple(sorted((places[wire], letter) for wire, letter in word.items()))
-            terms.append((coefficient, self.words.setdefault(letters, len(self.words)) if letters else None))
+            number = coefficient.real if torch.is_tensor(coefficient) else float(np.real(coefficient))
+            if np.ndim(number):
+                raise ValueError("coefficients of an observable expect one number each")
+            terms.append((number, self.words.setdefault(letters, len(self.words)) if letters else None))
         return terms
 
     @property
@@ -150,31 +387,32 @@ class Measured:
         """What the circuit measures: a constant if nothing else is asked for."""
         return (*self.words, *self.tables) or ((),)
 
-    @property
-    def key(self) -> Any:
-        return tuple(self.words), tuple(self.tables)
+    def results(self, values: Tensor, norm: Tensor | None) -> list[Tensor]:
+        """The measurements, (B,) or (B, 2^k) each, from outputs of the circuit (B, outputs).
 
-    def results(self, values: Tensor) -> list[Tensor]:
-        """The measurements, (B,) or (B, 2^k) each, from the circuit's outputs (B, outputs)."""
+        norm: squared, of the state, (1,) or (B,); None for 1. The outputs are those of the normalised state.
+        """
+        if norm is not None:
+            values = values * norm[:, None]
         firsts = np.cumsum([len(self.words), *(2 ** len(table.wires) for table in self.tables)])
         out = []
         for kind, part in self.parts:
             if kind == "probabilities":
                 out.append(values[:, firsts[part] : firsts[part + 1]])
             elif kind == "mean":
-                out.append(_combined(part, values))
+                out.append(_combined(part, values, norm))
             else:
-                out.append(_combined(part[1], values) - _combined(part[0], values).square())
+                out.append(_combined(part[1], values, norm) - _combined(part[0], values, norm).square())
         return out
 
 
-def _combined(terms: list[tuple[Any, int | None]], values: Tensor) -> Tensor:
-    if len(terms) == 1 and terms[0][1] is not None and isinstance(terms[0][0], float) and terms[0][0] == 1:
+def _combined(terms: list[tuple[Any, int | None]], values: Tensor, norm: Tensor | None) -> Tensor:
+    if len(terms) == 1 and terms[0][1] is not None and not torch.is_tensor(terms[0][0]) and terms[0][0] == 1:
         return values[:, terms[0][1]]
     total = values.new_zeros(values.shape[0])
     for coefficient, place in terms:
-        factor = coefficient.real.to(values) if torch.is_tensor(coefficient) else float(np.real(coefficient))
-        total = total + (factor if place is None else factor * values[:, place])
+        factor = coefficient.to(values) if torch.is_tensor(coefficient) else coefficient
+        total = total + factor * (values[:, place] if place is not None else 1 if norm is None else norm)
     return total
 
 
@@ -185,18 +423,3 @@ def _sentence(observable: Any) -> Any:
     if not observable.has_matrix or len(observable.wires) > MAX_MATRIX_WIRES:
         raise ValueError(f"the observable {observable.name} has no Pauli words")
     return qml.pauli_decompose(qml.matrix(observable), wire_order=observable.wires, pauli=True)
-
-
-def places_of(tape: Any, labels: Any) -> dict[Any, int]:
-    """A number for each wire of a tape; `labels` are the wires of the device, or None."""
-    everything = labels is not None and any(not measurement.wires for measurement in tape.measurements)
-    return {wire: place for place, wire in enumerate(labels if everything else tape.wires)}
-
-
-def circuit_of(
-    operations: tuple[Operation, ...], measured: Measured, wires: int, features: int, weights: tuple[Weights, ...]
-) -> Circuit:
-    """The circuit of a tape."""
-    return Circuit(
-        "tape", wires, operations=operations, observables=measured.observables, features=features, weights=weights
-    )
