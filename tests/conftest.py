@@ -56,6 +56,8 @@ SLOW = (
     "records/test_index.py::test_store_that_changes",
     "records/test_live_readers.py",
     "scenes/test_fingerprint.py",
+    "quantum/test_tapes.py::test_random",
+    "quantum/test_tapes.py::test_the_device_passes",
     "scenes/test_memory.py",
     "search/",
     "slurm/",

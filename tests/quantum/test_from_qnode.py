@@ -261,7 +261,8 @@ def test_a_circuit_is_made_of_polynomials_alone() -> None:
 
 
 def rotated() -> Any:
-    return from_qnode(NODE, {"weights": (2, 2, 3)})
+    node = qml.QNode(at_module_level, qml.device("default.qubit", wires=2))
+    return from_qnode(node, {"weights": (2, 2, 3)})
 
 
 def test_from_qnode_sees_a_parameter_that_was_replaced() -> None:

@@ -245,7 +245,7 @@ def test_a_state_that_does_not_fit_into_memory_is_refused_before_it_is_made() ->
         node()
 
 
-@pytest.mark.parametrize("shots", [None, 1000])
+@pytest.mark.parametrize("shots", [None, *([1000] if LONG else [])])
 def test_the_device_passes_the_suite_of_pennylane(shots: int | None, tmp_path: Path) -> None:
     """Whatever fails also fails on default.qubit: with shots some tests are too narrow for the seed."""
     pytest.importorskip("pytest_mock")

@@ -60,7 +60,7 @@ class _FastQnode(qml.QNode):
     """The QNode, evaluated by qnerf where its device would give the same."""
 
     def __init__(self, qnode: Any) -> None:
-        vars(self).update(vars(copy(qnode)))
+        self.__dict__.update(vars(copy(qnode)))
         self.runs_on = "qnerf"
         self._has_warned = False
 

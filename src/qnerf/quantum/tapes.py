@@ -144,7 +144,7 @@ class Numbers:
         known = self._slots.get((id(value), batched))
         if known is not None:
             return known
-        is_complex = "complex" in str(value.dtype) if shape else False
+        is_complex = "complex" in str(getattr(value, "dtype", ""))
         slot = Slot(batched, self.count[batched], shape[batched:], is_complex)
         self.count[batched] += prod(slot.shape) * (1 + is_complex)
         if batched and self.batch not in (None, shape[0]):
@@ -183,7 +183,7 @@ class Numbers:
     def squared_norm(self, like: Tensor) -> Tensor | None:
         """That of the states at the start, (1,) or (B,), None for 1: PennyLane takes states as they are."""
         norms = [_tensor(state).abs().square().sum(-1).to(like).reshape(-1) for state in self._states]
-        return prod(norms, start=like.new_ones(1)) if norms else None  # type: ignore[call-overload]
+        return prod(norms, start=like.new_ones(1)) if norms else None
 
 
 def _is_batched(operation: Any, place: int, dimensions: int) -> bool:
