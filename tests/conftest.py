@@ -149,6 +149,5 @@ def run_until(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, dict[str, Any]]
 
 
 @pytest.fixture(autouse=True)
-def _threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def _threads() -> None:
     torch.set_num_threads(min(2, torch.get_num_threads()))
-    monkeypatch.setattr("qnerf.building.first_use.keeps", lambda kernel: False)  # runs start no second process

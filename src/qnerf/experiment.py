@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from qnerf.auto import exposure, poses
-from qnerf.building import first_use
 from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
 from qnerf.building.scene import id_of, prepare, prepare_signal
 from qnerf.config.checks import is_number
@@ -31,11 +30,9 @@ from qnerf.scenes.base import even_subset
 from qnerf.signals import SignalEvaluator, SignalTrainer, build_signal_model
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
-from qnerf.training.checked_trainer import FILE as NONFINITE
-from qnerf.training.checked_trainer import CheckedTrainer, RunContext
 from qnerf.training.evaluation import Evaluator, colormap
+from qnerf.training.finite_checks import check_every_value
 from qnerf.training.preview import Preview
-from qnerf.training.state_checks import largest_state
 from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
@@ -93,12 +90,10 @@ class FieldTask:
     """Trains a radiance field on posed images. ValueError as `run`."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        with first_use.two_processes(config) as finish_compiling:
-            self.config, self.settings, self.scene = prepare(config, begun=True)
-            if self.settings.threads is not None:
-                torch.set_num_threads(self.settings.threads)
-            self.model = build_model(self.settings, self.scene)
-            finish_compiling(self.model)
+        self.config, self.settings, self.scene = prepare(config, begun=True)
+        if self.settings.threads is not None:
+            torch.set_num_threads(self.settings.threads)
+        self.model = build_model(self.settings, self.scene)
         check_samples_of_a_step(self.settings, self.model)
         self.table = ray_table(self.settings, self.scene)
         self.curve_views = self.settings.train.eval_views
@@ -106,11 +101,8 @@ class FieldTask:
         lpips.weights()
         colormap()
 
-    def trainer(self, watch: Stopwatch, record: Run) -> Trainer:
-        if not self.settings.numerics.finite_checks:
-            return Trainer(self.model, self.table, self.settings, watch)
-        context = RunContext(self.scene.names, record.config, record.dir / NONFINITE)
-        return CheckedTrainer(self.model, self.table, self.settings, watch, context)
+    def trainer(self, watch: Stopwatch) -> Trainer:
+        return Trainer(self.model, self.table, self.settings, watch)
 
     def evaluator(self, watch: Stopwatch) -> Evaluator:
         background, chunk = self.settings.render.background, self.settings.train.chunk
@@ -130,7 +122,7 @@ class SignalTask:
         self.model = build_signal_model(self.settings, self.scene)
         colormap()
 
-    def trainer(self, watch: Stopwatch, record: Run) -> SignalTrainer:
+    def trainer(self, watch: Stopwatch) -> SignalTrainer:
         return SignalTrainer(self.model, self.scene, self.settings, watch)
 
     def evaluator(self, watch: Stopwatch) -> SignalEvaluator:
@@ -214,9 +206,10 @@ def _execute(
 ) -> Outcome:
     settings, scene = task.settings, task.scene
     watch = Stopwatch(settings.torch_device, task.model, QuantumLayer)
-    trainer, evaluator = task.trainer(watch, record), task.evaluator(watch)
-    max_bytes = largest_state(task.model, settings.train.steps)
-    checkpoint = record.load_checkpoint(trainer.check, max_bytes) if record.resumed else None
+    trainer, evaluator = task.trainer(watch), task.evaluator(watch)
+    if settings.numerics.finite_checks:
+        check_every_value(trainer)
+    checkpoint = record.load_checkpoint(trainer.check) if record.resumed else None
     if checkpoint is not None:
         trainer.load(checkpoint)
     if record.resumed:

@@ -112,7 +112,6 @@ MISTAKES = [
     ["export", "nobody", "--to", "csv"],
     ["resume", "nobody"],
     ["reproduce", "nobody"],
-    ["replay", "nowhere.pt"],
     ["probe", "nobody", "shots=10"],
     ["report", "nowhere"],
     ["tables", "nowhere"],

@@ -178,32 +178,11 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path):
     (tmp_path / "__pycache__").write_text("")
     result = _python(COMPILES, tmp_path, HOME=str(blocked), XDG_CACHE_HOME=str(blocked), IPYTHONDIR=str(blocked))
     assert result.returncode == 0, result.stderr
-    assert "cannot be kept" in result.stderr
 
 
-@pytest.mark.skipif(os.name == "nt", reason="the user's cache folder is found otherwise there")
-def test_the_cache_moves_to_the_user_where_the_package_is_read_only(tmp_path):
-    (tmp_path / "kernels_for_test.py").write_text(KERNEL)
-    (tmp_path / "__pycache__").write_text("")
-    user = tmp_path / "user"
-    user.mkdir()
-    first, second = (_python(COMPILES, tmp_path, HOME=str(user), XDG_CACHE_HOME=str(user)) for _ in range(2))
-    assert first.returncode == second.returncode == 0
-    assert "once for this environment" in first.stderr
-    assert second.stderr == ""
-    assert list(user.rglob("*.nbc"))
-
-
-def test_loops_are_compiled_also_where_numba_is_told_not_to(tmp_path):
-    (tmp_path / "kernels_for_test.py").write_text(KERNEL)
-    code = f"{COMPILES}\nimport numba\ndef own(): pass\nassert numba.njit(own) is own"
-    result = _python(code, tmp_path, NUMBA_DISABLE_JIT="1")
-    assert result.returncode == 0, result.stderr
-    assert "compiling kernels" in result.stderr
-    code = "import torch\nfrom qnerf.kernels.hashgrid import hash_encode\n"
-    code += "print(hash_encode(torch.rand(5, 3), torch.rand(2, 16, 2), torch.tensor([2, 4])).shape)"
-    result = _python(code, NUMBA_DISABLE_JIT="1", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert result.stdout == "torch.Size([5, 4])\n", result.stderr
+def test_numba_that_may_not_compile_is_refused_in_words():
+    result = _python("import qnerf.kernels.hashgrid", NUMBA_DISABLE_JIT="1")
+    assert "ValueError: NUMBA_DISABLE_JIT: expected to be unset" in result.stderr
 
 
 def _python(code: str, *folders: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -211,24 +190,6 @@ def _python(code: str, *folders: Path, **environment: str) -> subprocess.Complet
     variables = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     variables |= {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1", **environment}
     return subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, timeout=120)
-
-
-def test_a_cache_that_cannot_be_read_is_made_anew(tmp_path):
-    """It may be cut off, or name a class of the package that has moved since."""
-    (tmp_path / "loops.py").write_text("from qnerf.kernels.jit import jit\n\n@jit\ndef twice(x):\n    return 2 * x\n")
-    environment = os.environ | {"PYTHONPATH": f"{SOURCE}{os.pathsep}{tmp_path}"}
-
-    def call() -> str:
-        command = [sys.executable, "-c", "import loops; print(loops.twice(21))"]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-
-    assert call() == "42\n"
-    (index,) = tmp_path.rglob("*.nbi")
-    whole = index.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b"", whole.replace(b"numba", b"nimba")):
-        index.write_bytes(damaged)
-        assert call() == "42\n"
-        assert index.read_bytes() != damaged
 
 
 def test_loops_keep_their_threads_where_pytorch_has_one(threads):

@@ -1,5 +1,6 @@
 import copy
 import math
+import re
 
 import pytest
 import torch
@@ -7,9 +8,9 @@ import torch
 from qnerf.config.settings import settings_from
 from qnerf.experiment import run
 from qnerf.records import read_metrics
-from qnerf.timing import STAGES, median_ms
+from qnerf.timing import STAGES
 from qnerf.training.threads import few_products
-from qnerf.training.trainer import all_finite, learning_rate
+from qnerf.training.trainer import learning_rate
 from tests.helpers.trainer import same, trainer
 
 
@@ -65,12 +66,12 @@ def test_steps_lower_the_loss(tiny):
     assert sum(losses[-10:]) < 0.9 * sum(losses[:10])
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_parameters_and_gradients_stay_in_their_dtype(tiny, dtype):
-    taken = trainer(tiny("field=qboth", f"numerics.dtype={dtype}"))
-    taken.take_step(measure=False)
-    assert {p.dtype for p in taken.model.parameters()} == {getattr(torch, dtype)}
-    assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {getattr(torch, dtype)}
+def test_parameters_and_gradients_stay_in_their_dtype(tiny):
+    for dtype in ("float32", "float64"):
+        taken = trainer(tiny("field=qboth", f"numerics.dtype={dtype}"))
+        taken.take_step(measure=False)
+        assert {p.dtype for p in taken.model.parameters()} == {getattr(torch, dtype)}
+        assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {getattr(torch, dtype)}
 
 
 STOP = ("stop.every=2", "stop.share=0.1", "stop.rays=9", "field=classical")
@@ -126,10 +127,10 @@ def test_a_run_goes_on_on_another_kind_of_device(tiny):
     other.load(state)
     other.take_step(measure=False)
     assert other.step == 2
-    assert all_finite(other.model.parameters())
+    assert all(bool(torch.isfinite(p).all()) for p in other.model.parameters())
 
 
-@pytest.mark.parametrize("stop_at", [1, 2, 3, 5])
+@pytest.mark.parametrize("stop_at", [2, 5])
 def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, run_until, stop_at):
     options = [*STOP, "train.steps=12", "stop.patience=2", "stop.min_gain_db=50"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
@@ -147,11 +148,6 @@ def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(
     assert len(logged[0]) == 3
 
 
-def test_the_median_leaves_the_first_fifty_steps_out():
-    assert median_ms([9.0] * 50 + [1.0, 2.0, 3.0]) == 2000
-    assert median_ms([1.0, 3.0, 2.0]) == 2000
-
-
 def test_a_part_learns_at_its_own_rate(tiny):
     frozen = trainer(tiny("train.rates.color=0", "train.rates.density=0.5"))
     before = [p.detach().clone() for p in frozen.model.field.color_head.parameters()]
@@ -161,21 +157,20 @@ def test_a_part_learns_at_its_own_rate(tiny):
     assert rates["density"] == pytest.approx(rates["encoder"] / 2)
 
 
-@pytest.mark.parametrize("steps", [1, 2])
-def test_a_loaded_state_is_the_saved_one_also_after_the_last_step(tiny, steps):
+def test_a_loaded_state_is_the_saved_one_also_after_the_last_step(tiny):
     """A run that is killed between its last checkpoint and its results writes that checkpoint again."""
     one, again = trainer(tiny("train.steps=2")), trainer(tiny("train.steps=2"))
-    for _ in range(steps):
+    for _ in range(2):
         one.take_step(measure=False)
-    again.load(copy.deepcopy(one.state()))
-    assert same(again.state(), one.state())
+        again.load(copy.deepcopy(one.state()))
+        assert same(again.state(), one.state())
 
 
-@pytest.mark.parametrize("override", ["+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"])
-def test_a_bad_rate_is_one_line(tiny, override):
-    with pytest.raises(ValueError, match=r"train\.rates") as caught:
-        settings_from(tiny(override))
-    assert "\n" not in str(caught.value)
+def test_a_bad_rate_is_one_line(tiny):
+    for override in ("+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"):
+        with pytest.raises(ValueError, match=r"train\.rates") as caught:
+            settings_from(tiny(override))
+        assert "\n" not in str(caught.value)
 
 
 def test_fine_levels_are_released_while_training_goes_on(tiny):
@@ -193,37 +188,54 @@ def test_fine_levels_are_released_while_training_goes_on(tiny):
     assert bool((grad[0] != 0).any())
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda state: state.update(step=-5), "step: expected an integer from 0 to 2, got -5"),
-        (lambda state: state.update(step=float("nan")), "step: expected an integer from 0 to 2, got nan"),
-        (lambda state: state["optimiser"]["state"][0].update(exp_avg=torch.zeros(3)), "got float32 of shape \\[3\\]"),
-        (lambda state: state["optimiser"]["state"][0].pop("exp_avg_sq"), "lacks exp_avg_sq"),
-        (lambda state: state["optimiser"]["state"][0]["exp_avg_sq"].fill_(math.nan), "exp_avg_sq: not finite"),
-        (lambda state: state["optimiser"]["state"].pop(0), "a parameter has no moments"),
-        (lambda state: state["model"].popitem(), "model: lacks"),
-        (lambda state: next(iter(state["model"].values())).fill_(math.nan), "not finite"),
-        (
-            lambda state: state["streams"].update(pixels=torch.zeros(5056, dtype=torch.uint8)),
-            "not the state of a random",
-        ),
-        (lambda state: state["plateau"].update(best=math.nan), "plateau.best"),
-        (lambda state: state.pop("streams"), "lacks streams"),
-    ],
-)
-def test_a_state_that_does_not_fit_is_one_line_and_changes_nothing(tiny, change, message):
+UNFIT = {
+    "step: expected an integer from 0 to 2, got -5": lambda state: state.update(step=-5),
+    "step: expected an integer from 0 to 2, got nan": lambda state: state.update(step=math.nan),
+    "got float32 of shape [3]": lambda state: state["optimiser"][0].update(exp_avg=torch.zeros(3)),
+    "lacks exp_avg_sq": lambda state: state["optimiser"][0].pop("exp_avg_sq"),
+    "has the unknown key more": lambda state: state["optimiser"][0].update(more=torch.zeros(3)),
+    "exp_avg_sq: not finite": lambda state: state["optimiser"][0]["exp_avg_sq"].fill_(math.nan),
+    "each parameter of this run": lambda state: state["optimiser"].update({99: {}}),
+    "model: lacks": lambda state: state["model"].popitem(),
+    "table: not finite": lambda state: state["model"]["field.encoder.table"].fill_(math.nan),
+    "sparse, nested or empty": lambda state: state["model"].update({"field.encoder.table": torch.zeros(3).to("meta")}),
+    "expected a tensor, got str": lambda state: state["model"].update({"field.encoder.table": "3"}),
+    "not the state of a random": lambda state: state["streams"].update(pixels=torch.zeros(5056, dtype=torch.uint8)),
+    "torch_random: expected the state": lambda state: state.update(torch_random=torch.zeros(3)),
+    "streams: expected pixels, samples": lambda state: state["streams"].popitem(),
+    "plateau.best: expected a number, got nan": lambda state: state["plateau"].update(best=math.nan),
+    "plateau.since: expected int": lambda state: state["plateau"].update(since="1"),
+    "step_seconds: expected float64 of shape [1]": lambda state: state.update(step_seconds=torch.zeros(4).double()),
+    "lacks streams": lambda state: state.pop("streams"),
+}
+
+
+def test_a_state_that_does_not_fit_is_one_line_and_changes_nothing(tiny):
     taken, other = trainer(tiny("field=classical")), trainer(tiny("field=classical"))
     taken.take_step(measure=False)
-    state = copy.deepcopy(taken.state())
-    change(state)
     before = copy.deepcopy(other.state()["model"])
-    with pytest.raises(ValueError, match=message) as caught:
-        other.load(state)
-    assert "\n" not in str(caught.value)
-    assert other.step == 0
-    assert all(torch.equal(before[name], value) for name, value in other.state()["model"].items())
-    assert not other.optimiser.state
+    for message, change in UNFIT.items():
+        state = copy.deepcopy(taken.state())
+        change(state)
+        with pytest.raises(ValueError, match=re.escape(message)) as caught:
+            other.load(state)
+        assert "\n" not in str(caught.value)
+        assert other.step == 0
+        assert same(dict(before), dict(other.state()["model"]))
+        assert not other.optimiser.state
+    other.load(taken.state())
+
+
+def test_another_optimiser_needs_no_other_check(tiny, monkeypatch):
+    def sgd(groups, train):
+        return torch.optim.SGD(groups, lr=train.lr, momentum=0.9)
+
+    for module in ("optimiser", "trainer"):
+        monkeypatch.setattr(f"qnerf.training.{module}.build_optimiser", sgd)
+    taken, other = trainer(tiny("field=classical")), trainer(tiny("field=classical"))
+    taken.take_step(measure=False)
+    other.load(taken.state())
+    assert same(other.state(), taken.state())
 
 
 def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):
@@ -235,23 +247,20 @@ def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):
     assert all(torch.equal(value, other.state()["model"][name]) for name, value in taken.state()["model"].items())
 
 
-@pytest.mark.parametrize(("products", "parameters", "expected"), [(None, None, (1, 1)), (0.0, 0.0, (3, 3))])
-def test_small_steps_run_pytorch_on_one_thread(tiny, monkeypatch, products, parameters, expected):
-    if products is not None:
-        monkeypatch.setattr("qnerf.training.threads.MANY_PRODUCTS", products)
-        monkeypatch.setattr("qnerf.training.threads.MANY_PARAMETERS", parameters)
-    taken = trainer(tiny("field=classical"))
-    seen = []
-    taken.model.register_forward_hook(lambda *_: seen.append(torch.get_num_threads()))
-    taken.optimiser.register_step_pre_hook(lambda *_: seen.append(torch.get_num_threads()))
+def test_small_steps_run_pytorch_on_one_thread(tiny, monkeypatch):
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     try:
-        taken.take_step(measure=False)
-        assert torch.get_num_threads() == 3
+        for few, expected in ((True, [1]), (False, [3])):
+            monkeypatch.setattr("qnerf.training.trainer.few_products", lambda *_, few=few: few)
+            taken = trainer(tiny("field=classical"))
+            seen = []
+            taken.model.register_forward_hook(lambda *_, seen=seen: seen.append(torch.get_num_threads()))
+            taken.take_step(measure=False)
+            assert torch.get_num_threads() == 3
+            assert seen == expected
     finally:
         torch.set_num_threads(before)
-    assert tuple(seen) == expected
 
 
 def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):
@@ -266,24 +275,13 @@ def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):
     assert [("interlevel" in found) for found in given] == [True] * 10 + [False] * 3 + [True]
 
 
-@pytest.mark.parametrize(
-    ("overrides", "few"),
-    [
+def test_which_steps_are_small(tiny):
+    for overrides, few in (
         (["field=qcolor"], True),
         (["field=qcolor", "qiren.method=pennylane"], False),
         (["field=classical", "color.mlp.width=1024", "color.mlp.layers=8"], False),
-    ],
-)
-def test_which_steps_are_small(tiny, overrides, few):
-    model = trainer(tiny(*overrides)).model
-    assert few_products(model, 8192) == few
-
-
-def test_a_step_with_a_module_of_ones_own_is_not_small(tiny):
-    class Own(torch.nn.Module):
-        pass
-
-    model = trainer(tiny("field=classical")).model
-    assert few_products(model, 8192)
-    model.own = Own()
-    assert not few_products(model, 8192)
+    ):
+        model = trainer(tiny(*overrides)).model
+        assert few_products(model, 8192) == few
+    own = torch.nn.ModuleList([type("Own", (torch.nn.Module,), {"__module__": "elsewhere"})()])
+    assert not few_products(own, 8192)

@@ -237,11 +237,6 @@ class SignalSettings(Common):
     train: Fit
     head: dict[str, Any]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.numerics.finite_checks:
-            raise ValueError("numerics.finite_checks=true names rays and pixels: it acts on radiance fields only")
-
 
 def schema(config: Mapping[str, Any]) -> type[Settings] | type[SignalSettings]:
     """The settings that the configuration has: with the group `head` it is a signal's."""

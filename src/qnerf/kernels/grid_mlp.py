@@ -13,10 +13,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.buffer_pool import pooled_empty
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.hashgrid import BLOCK, U, add_gradient, check, corners, flat, hash_encode_reference, interpolate
+from qnerf.kernels.hashgrid import (
+    BLOCK,
+    U,
+    add_gradient,
+    check,
+    corners,
+    empty,
+    flat,
+    hash_encode_reference,
+    interpolate,
+)
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import VECTOR_BYTES, inner, load, splat, store, where_positive
 
@@ -107,7 +116,7 @@ class _GridMLP(torch.autograd.Function):
         dtype = flat(points).dtype
         width = _padded(w1.shape[1])
         where = np.ones(0, np.bool_) if inside is None else flat(inside)
-        encoded = pooled_empty((blocks if keeps else 0, width * BLOCK), dtype)
+        encoded = empty((blocks if keeps else 0, width * BLOCK), dtype)
         number_of = np.empty((blocks if keeps else 0, BLOCK), np.int32)
         kept = np.empty(blocks, np.int32)
         values = points.new_empty(count, w2.shape[0])
@@ -134,12 +143,12 @@ class _GridMLP(torch.autograd.Function):
         layers = _packed(w1, b1, w2, b2)
         rows, outputs = layers[1].size, w2.shape[0]
         width = layers[0].size // rows
-        to_encoded = pooled_empty(tuple(encoded.shape), dtype)
+        to_encoded = empty(tuple(encoded.shape), dtype)
         sums = np.empty((parts, rows * (width + 1 + outputs) + outputs), dtype)
         common = (ctx.number_of, ctx.kept)
         arrays = (encoded.numpy(), *layers, *common, flat(upstream), to_encoded.numpy(), sums)
         run(_backward, parts, *arrays, grain=1)
-        to_table = pooled_empty(tuple(table.shape), dtype)
+        to_table = empty(tuple(table.shape), dtype)
         arrays = (flat(points), *common, to_encoded.numpy(), flat(resolutions), ctx.dense, table.shape[2])
         run(_table_gradient, len(table), *arrays, flat(to_table), grain=1)
         total = torch.from_numpy(sums.sum(0))

@@ -22,7 +22,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.buffer_pool import pooled_empty
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.dispatch import is_transformed, serves
 from qnerf.kernels.jit import jit, run
@@ -137,9 +136,7 @@ class _HashEncode(torch.autograd.Function):
         common = (flat(points), flat(gradient), flat(resolutions), ctx.dense, features)
         to_points = to_table = None
         if ctx.needs_input_grad[1]:
-            to_table = pooled_empty(
-                tuple(table.shape), flat(table).dtype
-            )  # each level is zeroed by the thread that owns it
+            to_table = empty(tuple(table.shape), flat(table).dtype)  # each level is zeroed by the thread that owns it
             run(_table_gradient, levels, *common, flat(to_table), grain=1)
         if ctx.needs_input_grad[0]:
             to_points = torch.empty(points.shape, dtype=points.dtype)
@@ -151,6 +148,11 @@ def flat(tensor: Tensor) -> np.ndarray:
     """The tensor's numbers, row by row. This runs 60 times a step, and NumPy reshapes faster than PyTorch."""
     array: np.ndarray = (tensor.detach() if tensor.requires_grad else tensor).numpy().reshape(-1)
     return array
+
+
+def empty(shape: tuple[int, ...], dtype: np.dtype) -> Tensor:
+    """A tensor with arbitrary contents. NumPy asks for huge pages, where PyTorch does not: large ones cost less."""
+    return torch.from_numpy(np.empty(shape, dtype))
 
 
 # The loops below index flat arrays with unsigned integers: Numba tests every signed index for wrap-around.

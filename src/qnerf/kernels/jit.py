@@ -22,74 +22,35 @@ from numba.core import event
 Kernel: TypeAlias = Callable[..., Any]
 
 
-_numba: Any = numba.config
-
-
 class _Loops(local):
     threads: int | None = None  # of compiled loops that this thread starts, where PyTorch has fewer
 
 
 _loops = _Loops()
 _kernels: set[Any] = set()
-_uncached: set[Any] = set()
 
 
 def jit(function: Kernel, **options: Any) -> Kernel:
     """Compiles on first use for the types at hand and caches the machine code on disk. `options` are those of Numba.
 
     The cache is beside the source file, or in the user's cache folder. If neither can be written there is none.
-    NUMBA_DISABLE_JIT, which is for debugging a user's own functions, does not hold here: most loops use vectors, which
-    Python does not have.
+
+    Raises:
+        ValueError: NUMBA_DISABLE_JIT is set. Most loops use vectors, which Python does not have.
     """
+    if numba.config.DISABLE_JIT:
+        raise ValueError("NUMBA_DISABLE_JIT: expected to be unset, because the loops of qnerf only exist compiled")
     options |= {"nogil": True, "error_model": "numpy"}
-    disabled, _numba.DISABLE_JIT = _numba.DISABLE_JIT, 0
     try:
         kernel: Any = numba.njit(function, cache=True, **options)
-        kernel._cache.load_overload = _or_nothing(kernel._cache)
     except RuntimeError:  # "no locator available": no folder for the cache can be written
         kernel = numba.njit(function, cache=False, **options)
-        _uncached.add(kernel)
-    finally:
-        _numba.DISABLE_JIT = disabled
     _kernels.add(kernel)
     return kernel
 
 
-def _or_nothing(cache: Any) -> Callable[..., Any]:
-    """The cache's `load_overload`, which finds nothing where its files cannot be read.
-
-    They may be cut off, or name a class that a newer version of this package has moved. Numba raises an error then.
-    """
-    load = cache.load_overload
-
-    def load_overload(*arguments: Any) -> Any:
-        try:
-            return load(*arguments)
-        except Exception:
-            cache.flush()
-            return None
-
-    return load_overload
-
-
-def keeps(kernel: Kernel) -> bool:
-    """Whether the kernel's machine code is kept for other processes."""
-    return kernel not in _uncached
-
-
-def is_cached(kernel: Kernel) -> bool:
-    """Whether the cache has machine code of this version of the kernel, for whatever types."""
-    cache: Any = kernel._cache  # type: ignore[attr-defined]
-    try:
-        return bool(cache._cache_file._load_index())
-    except Exception:  # unreadable, as for `_or_nothing`
-        return False
-
-
 class _Announcer(event.Listener):
     """Says once, on stderr, that kernels are being compiled. Numba sends the event on a cache miss only.
-
-    A kernel is compiled with what it calls, whatever NUMBA_DISABLE_JIT says (see `jit`).
 
     Meanwhile no garbage is collected. The compiler makes millions of objects, and to look through them all again and
     again takes a tenth of its time.
@@ -97,29 +58,22 @@ class _Announcer(event.Listener):
 
     def __init__(self) -> None:
         self.announced = False
-        self.depth = 0  # Numba compiles in one thread at a time
+        self.depth = 0  # Numba compiles in one thread at a time, a kernel with what it calls
         self.collects = False
-        self.disabled = 0
 
     def on_start(self, event: Any) -> None:
         if self.depth == 0:
-            self.disabled, _numba.DISABLE_JIT = _numba.DISABLE_JIT, 0
-            if gc.isenabled():
-                self.collects = True
-                gc.disable()
+            self.collects = gc.isenabled()
+            gc.disable()
         self.depth += 1
         if not self.announced and event.data["dispatcher"] in _kernels and "pytest" not in sys.modules:
             self.announced = True
-            after = "they cannot be kept: no folder can be written" if _uncached else "once for this environment"
-            print(f"compiling kernels, {after}", file=sys.stderr, flush=True)
+            print("compiling kernels, once for this environment", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
         self.depth -= 1
-        if self.depth == 0:
-            _numba.DISABLE_JIT = self.disabled
-            if self.collects:
-                self.collects = False
-                gc.enable()
+        if self.depth == 0 and self.collects:
+            gc.enable()
 
 
 event.register("numba:compile", _Announcer())

@@ -23,7 +23,7 @@ from qnerf.records.files import reporting
 from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
-from qnerf.training.state_checks import check_integer, check_model, largest_state
+from qnerf.training.state_checks import check_integer, check_like
 
 Key = TypeVar("Key")
 Seen = TypeVar("Seen")
@@ -48,10 +48,10 @@ class Trained:
         path, model, steps = self.folder / "checkpoint.pt", self.model, self.settings.train.steps
         with reporting(path, "read"):
             try:
-                checkpoint = load_archive(path, largest_state(model, steps))
+                checkpoint = load_archive(path)
                 step = checkpoint["step"]
                 check_integer("step", step, 0, steps)
-                check_model(checkpoint["model"], model.state_dict(), finite=True)
+                check_like("model", checkpoint["model"], model.state_dict())
             except (OSError, MemoryError):
                 raise
             except Exception as error:  # a damaged archive can raise anything

@@ -22,7 +22,6 @@ CHUNK = 4096  # points evaluated at once
 class SignalTrainer(Loop):
     """Trains on batches of the signal's points: on all of them in every step where there are no more than a batch."""
 
-    advice = "a smaller train.lr may help"
     model: SignalModel
     train: Fit
 

@@ -6,14 +6,12 @@ from qnerf.quantum import QuantumLayer
 
 MANY_PRODUCTS = 5e8
 """From so many multiplications in a step's linear layers, forward, several threads pay."""
-MANY_PARAMETERS = 2e6
-"""From so many parameters on, several threads pay in Adam's update."""
 
 
 def few_products(model: nn.Module, points: int) -> bool:
     """Whether a step that evaluates the model at `points` points is many small operations, and no large one.
 
-    Modules from outside this package may do anything, and PennyLane's circuits are large operations of PyTorch.
+    Modules from outside this package and PennyLane's circuits are large operations of PyTorch.
     """
     modules = list(model.modules())
     circuits = [module for module in modules if isinstance(module, QuantumLayer)]
@@ -22,8 +20,3 @@ def few_products(model: nn.Module, points: int) -> bool:
     if any(type(module).__module__.split(".")[0] not in ("qnerf", "torch") for module in modules):
         return False
     return points * sum(module.weight.numel() for module in modules if isinstance(module, nn.Linear)) < MANY_PRODUCTS
-
-
-def few_parameters(model: nn.Module) -> bool:
-    """Whether Adam's update is a small operation."""
-    return sum(parameter.numel() for parameter in model.parameters()) < MANY_PARAMETERS

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
@@ -19,18 +19,10 @@ from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.losses import distortion, interlevel, mse
-from qnerf.training.state_checks import (
-    check_adam,
-    check_integer,
-    check_keys,
-    check_model,
-    check_plateau,
-    check_seconds,
-    check_stream,
-    first_non_finite,
-)
+from qnerf.training.optimiser import build_optimiser, kept_of_a_parameter
+from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
 from qnerf.training.stopping import Plateau
-from qnerf.training.threads import few_parameters, few_products
+from qnerf.training.threads import few_products
 from qnerf.types import Rendering
 
 ADVICE = (
@@ -73,7 +65,6 @@ class Loop:
         plateau: when to stop early.
     """
 
-    advice = ADVICE
     train: Schedule
     points_a_step: int
     """Points at which a step evaluates the model, known before `__init__`."""
@@ -87,9 +78,8 @@ class Loop:
         self.plateau = plateau
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
-        self.optimiser = torch.optim.Adam(groups, lr=self.train.lr, eps=self.train.eps, fused=True)
-        self.few_products = few_products(model, self.points_a_step)
-        self.few_parameters = few_parameters(model)
+        self.optimiser = build_optimiser(groups, self.train)
+        self.few_products = device.type == "cpu" and few_products(model, self.points_a_step)
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
         self.streams = {
@@ -132,11 +122,11 @@ class Loop:
                 loss = torch.stack(list(terms.values())).sum()
                 value = float(loss.detach())
             if not math.isfinite(value):
-                raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {self.advice}")
+                raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
             with self.watch.stage("backward"):
                 self.optimiser.zero_grad(set_to_none=True)
                 loss.backward()
-        with self.watch.stage("optimiser"), one_torch_thread(self.few_parameters):
+        with self.watch.stage("optimiser"):
             self.optimiser.step()
         self._set_step(self.step + 1)
         seconds = self.watch.now() - start
@@ -158,7 +148,7 @@ class Loop:
     def _culprit(self, terms: dict[str, Tensor]) -> str:
         """The first parameters or loss term with a value that is not finite, in words."""
         for name, parameters in self.model.parts.items():
-            if not all_finite(parameters):
+            if first_non_finite(name, parameters):
                 return f"in the parameters of {name!r}"
         bad = [name for name, term in terms.items() if not math.isfinite(float(term.detach()))]
         return f"in the loss term {bad[0]!r}" if bad else "in the sum of the loss terms"
@@ -168,65 +158,50 @@ class Loop:
         return {
             "step": self.step,
             "model": self.model.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
+            "optimiser": self.optimiser.state_dict()["state"],
             "streams": {name: stream.get_state() for name, stream in self.streams.items()},
             "torch_random": torch.get_rng_state(),
             "plateau": self.plateau.state(),
             "step_seconds": torch.tensor(self.step_seconds, dtype=torch.float64),
         }
 
-    def check(self, state: Mapping[str, Any], *, finite: bool = True) -> None:
-        """ValueError unless `state` is one that this run's `state()` can have returned. Nothing of it is loaded.
-
-        finite: refuse NaN and infinities in the model and in the optimiser.
-        """
+    def check(self, state: Mapping[str, Any]) -> None:
+        """ValueError unless this run's `state()` can have returned `state`. Nothing of it is loaded."""
         own = self.state()
         if lacking := own.keys() - state.keys():
             raise ValueError(f"lacks {', '.join(sorted(lacking))}")
         check_integer("step", state["step"], 0, self.train.steps)
-        check_model(state["model"], own["model"], finite=finite)
-        without = check_adam(state["optimiser"], self.optimiser, state["step"], finite=finite)
-        if state["step"] and without and without & self._with_gradient():
-            raise ValueError("optimiser: a parameter has no moments")
-        check_keys("streams", state["streams"], list(self.streams))
+        seconds = state["step_seconds"]
+        times = min(seconds.numel(), state["step"]) if isinstance(seconds, Tensor) else 0
+        for name, like in {**own, "step_seconds": torch.zeros(times, dtype=torch.float64)}.items():
+            if name not in ("step", "optimiser", "streams", "torch_random"):
+                check_like(name, state[name], like)
+        parameters = (parameter for group in self.optimiser.param_groups for parameter in group["params"])
+        check_optimiser(state["optimiser"], dict(enumerate(parameters)), kept_of_a_parameter(self.train))
+        if not isinstance(state["streams"], dict) or state["streams"].keys() != self.streams.keys():
+            raise ValueError(f"streams: expected {', '.join(self.streams)}")
         for name, stream in self.streams.items():
-            check_stream(f"streams.{name}", state["streams"][name], stream.device)
-        check_stream("torch_random", state["torch_random"], torch.device("cpu"))
-        check_plateau(state["plateau"])
-        check_seconds(state["step_seconds"], state["step"])
+            check_stream(f"streams.{name}", state["streams"][name], stream)
+        check_stream("torch_random", state["torch_random"], torch.default_generator)
 
-    def _with_gradient(self) -> set[Tensor]:
-        """The parameters that the loss depends on, found in a step that is not taken."""
-        self.watch.begin(measure=False)
-        buffers = {name: buffer.clone() for name, buffer in self.model.named_buffers()}
-        streams = {name: torch.Generator(stream.device).manual_seed(0) for name, stream in self.streams.items()}
-        torch.stack(list(self.terms(streams, 0).values())).sum().backward()
-        found: set[Tensor] = {parameter for parameter in self.model.parameters() if parameter.grad is not None}
-        self.optimiser.zero_grad(set_to_none=True)
-        for name, buffer in self.model.named_buffers():
-            buffer.copy_(buffers[name])
-        return found
-
-    def load(self, state: Mapping[str, Any], *, finite: bool = True) -> None:
+    def load(self, state: Mapping[str, Any]) -> None:
         """Restores what `state()` returned.
-
-        finite: as in `check`.
 
         Raises:
             ValueError: it does not pass `check`; nothing has been restored.
         """
         try:
-            self.check(state, finite=finite)
+            self.check(state)
         except ValueError as error:
             raise ValueError(f"the checkpoint does not fit this run's model: {error}") from error
         self._set_step(state["step"])
         self.model.load_state_dict(state["model"])
         # Copies, because tensors of a foreign file may share their memory. The options of the groups are this run's.
-        moments = {
-            number: {key: value.clone() for key, value in values.items()}
-            for number, values in state["optimiser"]["state"].items()
+        kept = {
+            number: {key: value.clone(memory_format=torch.contiguous_format) for key, value in values.items()}
+            for number, values in state["optimiser"].items()
         }
-        self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": moments})
+        self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": kept})
         for name, stream in self.streams.items():
             saved = state["streams"][name]
             if len(saved) == len(stream.get_state()):
@@ -268,12 +243,12 @@ class Loop:
         self.save(checkpoints)
 
     def save(self, checkpoints: Checkpoints) -> None:
-        """Writes a checkpoint. Diverged if a parameter, a buffer or a moment of Adam is not finite."""
-        if not all_finite(self.model.parameters()):
-            raise Diverged(f"a parameter is not finite after step {self.step - 1}, {self._culprit({})}; {self.advice}")
-        if name := first_non_finite(self.model, self.optimiser):
-            raise Diverged(f"{name} is not finite after step {self.step - 1}; {self.advice}")
-        checkpoints.save_checkpoint(self.state())
+        """Writes a checkpoint. Diverged if a parameter, a buffer or a value of the optimiser is not finite."""
+        state = self.state()
+        for kind in ("model", "optimiser"):
+            if name := first_non_finite(kind, state[kind]):
+                raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
+        checkpoints.save_checkpoint(state)
 
 
 class Trainer(Loop):
@@ -346,7 +321,3 @@ class Trainer(Loop):
         self.step_seconds[-1] += seconds
         self.seconds += seconds
         return decibels(float(torch.cat(errors).mean()))
-
-
-def all_finite(parameters: Iterable[Tensor]) -> bool:
-    return all(bool(torch.isfinite(parameter).all()) for parameter in parameters)

@@ -12,7 +12,6 @@ GROUPS = {
         "run": "train and evaluate one configuration, or a sweep of many",
         "resume": "continue an interrupted run, or repeat a failed one",
         "reproduce": "train a finished run again and compare every number",
-        "replay": "repeat the training step that produced a NaN or an infinity",
     },
     "bring a scene": {
         "capture": "photographs or a video to a folder with camera poses",
