@@ -38,7 +38,7 @@ def jit(function: Kernel, **options: Any) -> Kernel:
     Raises:
         ValueError: NUMBA_DISABLE_JIT is set. Most loops use vectors, which Python does not have.
     """
-    if numba.config.DISABLE_JIT:
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise ValueError("NUMBA_DISABLE_JIT: expected to be unset, because the loops of qnerf only exist compiled")
     options |= {"nogil": True, "error_model": "numpy"}
     try:
