@@ -7,10 +7,9 @@ import contextlib
 import json
 import logging
 import os
-import shutil
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from qnerf import experiment, records
 from qnerf.records import StoreError
 from tests.helpers import processes
 from tests.helpers.configs import TINY, composed
+from tests.helpers.disks import mount, small_disk
 from tests.helpers.scenes import write_scene
 from tests.helpers.trainer import same
 
@@ -180,21 +180,10 @@ def interrupted(config: dict[str, Any], step: int) -> Path:
     return only_run(Path(config["store"]))
 
 
-def mount(*arguments: str) -> None:
-    done = subprocess.run(["mount", *arguments], capture_output=True, text=True, timeout=20, check=False)
-    if done.returncode != 0:
-        pytest.skip(f"cannot mount a small disk here: {done.stderr.strip()}")
-
-
 @pytest.fixture
-def disk(tmp_path: Path) -> Any:
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    if shutil.which("mount") is None:
-        pytest.skip("there is no command `mount` here")
-    mount("-t", "tmpfs", "-o", "size=3m", "tmpfs", str(folder))
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True, timeout=20)
+def disk(tmp_path: Path) -> Iterator[Path]:
+    with small_disk(tmp_path / "disk", "3m") as folder:
+        yield folder
 
 
 def test_a_full_disk_stops_the_training_and_with_room_it_goes_on(
@@ -231,45 +220,16 @@ def test_a_disk_that_turns_read_only(training: dict[str, Any], whole: Path, disk
     assert_equal_runs(experiment.run(config).path, whole)
 
 
-def test_a_store_that_is_deleted_under_a_training(config: dict[str, Any]) -> None:
-    with pytest.raises(StoreError, match="folder was removed or moved while the run was writing to it") as error:
-        experiment.run(config, display=At(4, lambda: shutil.rmtree(config["store"])))
-    assert "\n" not in str(error.value)
-    assert not Path(config["store"]).exists()
-    assert experiment.run(config).state == "finished"
-
-
-def test_a_clock_that_jumps_backwards(config: dict[str, Any], whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It jumps by hours at every call. Neither rows nor checkpoints depend on the wall clock."""
-    now = [time.time()]
-
-    def backwards() -> float:
-        now[0] -= 5000.0
-        return now[0]
-
-    with monkeypatch.context() as patch:
-        patch.setattr(time, "time", backwards)
-        run = interrupted(config, 5)
-        assert records.state(run) == "interrupted"
-        resumed = experiment.run(config)
-    assert_equal_runs(resumed.path, whole)
-    logged = records.read_metrics(run)
-    assert logged["time_s"].is_monotonic_increasing
-
-
-@pytest.mark.parametrize("damage", ["truncated", "flipped", "both"])
 def test_a_damaged_checkpoint_falls_back_and_the_numbers_stay(
-    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture, damage: str
+    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = interrupted(config, 5)
-    for path in [run / "checkpoint.pt", *([run / "checkpoint.prev.pt"] if damage == "both" else [])]:
-        data = bytearray(path.read_bytes())
-        data[len(data) // 2] ^= 1
-        path.write_bytes(data if damage == "flipped" else data[: len(data) // 2])
+    data = (run / "checkpoint.pt").read_bytes()
+    (run / "checkpoint.pt").write_bytes(data[: len(data) // 2])
     with caplog.at_level(logging.WARNING):
         resumed = experiment.run(config)
-    assert len(caplog.messages) == (2 if damage == "both" else 1)
-    assert ("starting over" if damage == "both" else "going on from the checkpoint before") in caplog.messages[-1]
+    (message,) = caplog.messages
+    assert "going on from the checkpoint before" in message
     assert_equal_runs(resumed.path, whole)
 
 

@@ -1,13 +1,11 @@
 """Processes for the fault tests, forked from one that has imported everything, so that a round takes milliseconds.
 
-python -m tests.helpers.jobs kills STORE RUNS SEED   short trainings, each killed at four random moments, then finished
-python -m tests.helpers.jobs claims STORE ROUNDS     several processes claim one run at the same moment; rounds per kind
+python -m tests.helpers.jobs STORE ROUNDS: several processes claim one run at the same moment; rounds per kind.
 Prints one JSON line per round.
 """
 
 import json
 import os
-import random
 import signal
 import sys
 import time
@@ -15,35 +13,9 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from qnerf.records import Run, RunStore
+from qnerf.records import RunStore
 
-STEPS = 120
 CONTENDERS = 3
-KILLS = 4
-
-
-def train(run: Run, pace: float = 0.0005) -> None:
-    """A random walk: every number depends on all before it."""
-    import torch
-
-    random_state = torch.Generator().manual_seed(0)
-    value = torch.zeros(50, dtype=torch.float64)
-    first = 0
-    content = run.load_checkpoint() if run.resumed else None
-    if content is not None:
-        value, first = content["value"], content["step"] + 1
-        random_state.set_state(content["random"])
-    run.resume(first - 1)
-    for step in range(first, STEPS):
-        value = 0.9 * value + torch.randn(50, dtype=torch.float64, generator=random_state)
-        run.log(step, time.monotonic(), {f"value{i}": value[i].item() for i in range(10)})
-        if step % 7 == 6:
-            run.save_checkpoint({"step": step, "value": value, "random": random_state.get_state()})
-        if step % 40 == 39:
-            run.write_eval([{"image": f"{i}", "psnr": value[i].item()} for i in range(5)])
-        time.sleep(pace)
-    run.save_checkpoint({"step": STEPS - 1, "value": value, "random": random_state.get_state()})
-    run.finish({"psnr": value.sum().item(), "steps": STEPS})
 
 
 def fork(job: Callable[[], None]) -> int:
@@ -63,34 +35,6 @@ def fork(job: Callable[[], None]) -> int:
             sys.stderr.flush()
             os._exit(code)
     return pid
-
-
-def kills(root: Path, runs: int, seed: int) -> None:
-    import torch
-
-    torch.set_num_threads(1)
-    store = RunStore(root, every=0.003)
-    rng = random.Random(seed)
-
-    def job(name: str) -> None:
-        claim = store.claim(name, {"seed": 0})
-        if claim.outcome == "finished":  # it was killed after its last write
-            return
-        assert claim.run is not None, claim.message
-        train(claim.run)
-
-    begin = time.monotonic()
-    assert os.waitpid(fork(lambda: job("whole")), 0)[1] == 0
-    whole = time.monotonic() - begin  # seconds, with the present load of the machine
-    for number in range(runs):
-        name, killed = f"run-{number}", 0
-        for _ in range(KILLS):
-            pid = fork(lambda name=name: job(name))
-            time.sleep(rng.uniform(0.0, 0.6 * whole))
-            os.kill(pid, signal.SIGKILL)
-            killed += os.WIFSIGNALED(os.waitpid(pid, 0)[1])
-        assert os.waitpid(fork(lambda name=name: job(name)), 0)[1] == 0
-        print(json.dumps({"run": name, "killed": killed}), flush=True)
 
 
 def claims(root: Path, rounds: int, kind: str) -> None:
@@ -137,9 +81,5 @@ def claims(root: Path, rounds: int, kind: str) -> None:
 
 
 if __name__ == "__main__":
-    mode, store_root, count = sys.argv[1:4]
-    if mode == "kills":
-        kills(Path(store_root), int(count), int(sys.argv[4]))
-    else:
-        for kind in ("new", "stale", "force"):
-            claims(Path(store_root), int(count), kind)
+    for kind in ("new", "stale", "force"):
+        claims(Path(sys.argv[1]), int(sys.argv[2]), kind)

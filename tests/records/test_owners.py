@@ -24,8 +24,6 @@ def test_a_living_owner_is_respected(store_: RunStore) -> None:
     run = claimed(store_)
     claim = store_.claim("a", CONFIG)
     assert (claim.outcome, claim.run) == ("busy", None)
-    assert claim.owner is not None
-    assert claim.owner.process == owner.Process.current()
     expected = rf"already being written by process {os.getpid()} on {platform.node()} \(last heartbeat \d+ s ago\)"
     assert re.search(expected, claim.message)
     run.finish()
@@ -137,7 +135,7 @@ def test_a_clock_set_back_changes_nothing_here(store_: RunStore, monkeypatch: py
     run.log(0, 0.0, {"loss": 1.0})
     now = time.time()
     monkeypatch.setattr(time, "time", lambda: now - 1e6)
-    run.status(step=1)
+    run.flush()
     assert records.state(run.dir) == "running"
     assert store_.claim("a", CONFIG).outcome == "busy"
     monkeypatch.undo()
@@ -153,7 +151,7 @@ def test_a_writer_that_was_succeeded_stops(store_: RunStore) -> None:
     record = json.loads(mine.read_text())
     mine.write_text(json.dumps(record | {"started": "1"}))
     second = claimed(store_)
-    for write in (first.flush, first.status, lambda: first.save_checkpoint({}), lambda: first.write_eval([])):
+    for write in (first.flush, lambda: first.save_checkpoint({}), lambda: first.write_eval([])):
         with pytest.raises(StoreError, match="taken over by another process"):
             write()
     with pytest.raises(StoreError, match="taken over"):

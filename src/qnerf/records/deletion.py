@@ -29,7 +29,7 @@ def is_run(folder: Path) -> bool:
     """Whether the folder was made by `RunStore.claim`."""
     status = read_status(folder)
     named = status.get("run_id") == folder.name and "claim" in status and (folder / "config.yaml").exists()
-    return named or owner.has_owner_file(folder)
+    return named or owner.was_owned(folder)
 
 
 def holds_runs(folder: Path) -> bool:

@@ -180,10 +180,10 @@ def _is_released(record: dict[str, Any]) -> bool:
     return bool(record.get("released")) or str(record.get("nonce")) in _released_nonces
 
 
-def has_owner_file(directory: Path) -> bool:
-    """Whether a file of `owner/` is a record that this module wrote."""
-    records = (_read(_owner_file(directory, number)) for number in _numbers(directory))
-    return any("nonce" in record and "released" in record and Process.from_record(record) for record in records)
+def was_owned(directory: Path) -> bool:
+    """Whether the last file of `owner/` is a record that this module wrote."""
+    record = latest(directory)[1] or {}
+    return "nonce" in record and "released" in record and Process.from_record(record) is not None
 
 
 def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:

@@ -162,16 +162,16 @@ def read_evaluation(run_dir: str | Path) -> pd.DataFrame:
 
 
 def read_probe(run_dir: str | Path, name: str) -> pd.DataFrame:
-    """The table `<name>.parquet` that `qnerf probe` left in a run's folder, see `schemas.TABLES`.
+    """The table `<name>.parquet` that `qnerf probe` left in a run's folder.
 
     Raises:
-        StoreError: the file is absent or damaged, or lacks one of the columns.
+        StoreError: the file is absent or damaged, or lacks one of the columns of `schemas.TABLES`.
     """
     path = Path(run_dir) / f"{name}.parquet"
     return checked_table(read_table(path), name, path).to_pandas()
 
 
 def checked_table(table: pa.Table, name: str, label: object) -> pa.Table:
-    """The table with the columns of `schemas.TABLES[name]`, and image metrics as numbers; StoreError if it differs."""
+    """The table with the columns of `schemas.TABLES`, and image metrics as numbers; StoreError if it differs."""
     metrics = {item.key: "float" for item in quality_metrics() if item.key in table.schema.names}
-    return require_columns(table, metrics | TABLES[name], label)
+    return require_columns(table, metrics | TABLES.get(name, {}), label)

@@ -38,37 +38,10 @@ NUMBERS = ("seed", "train.steps", *(f"{head}.{name}" for head in ("density", "co
 """Options that tables and figures compute with."""
 
 
-def _columns(**kinds: str) -> dict[str, str]:
-    return {name: kind for kind, names in kinds.items() for name in names.split()}
-
-
 TABLES = {
-    "eval": _columns(text="image", int="step"),
-    "eval_hardware": _columns(text="image noise", int="shots", float="p psnr"),
-    "units": _columns(text="when head kind", int="units", float="dead std"),
-    "rays": _columns(
-        text="image strategy level", int="pixel_x pixel_y", float="start end weight transmittance depth", bool="own"
-    ),
-    "encoding": _columns(
-        text="encoder", bool="trained", int="row column", float=" ".join(f"channel_{number}" for number in range(8))
-    ),
-    "cost": _columns(
-        text="head", int="circuit wires one_qubit_gates two_qubit_gates depth view step", float="view_hours step_hours"
-    ),
-    "expressibility": _columns(text="head weights", int="circuit pairs", float="expressibility haar"),
-    "entangling": _columns(text="head weights", int="circuit", float="entanglement standard_error haar"),
-    "fisher": _columns(
-        text="head",
-        int="circuit index parameters rank",
-        float="eigenvalue effective_dimension local_effective_dimension",
-    ),
-    "kernel": _columns(text="head", int="circuit index", float="eigenvalue effective_rank"),
-    "surrogate": _columns(text="head", int="circuit waves", float="error", bool="covered"),
-    "spectrum": _columns(
-        text="head method",
-        int="circuit wire output",
-        float="frequency power mean variance standard_error angle_std",
-    ),
+    "eval": {"image": "text", "step": "int"},
+    "eval_hardware": {"image": "text", "shots": "int", "noise": "text", "p": "float", "psnr": "float"},
+    "units": {"when": "text", "head": "text", "kind": "text", "units": "int", "dead": "float", "std": "float"},
 }
 """Table of a run, such as eval.parquet -> the columns that its readers need, and the kind of their values."""
 

@@ -27,14 +27,13 @@ class Claim:
     """The answer to a claim.
 
     new: there was no such run. resumed: there was one, and nobody alive owns it. finished, busy: there is nothing to do
-    here and `run` is None; `owner` says who writes a busy run. `message` is one line for the user.
+    here and `run` is None. `message` is one line for the user.
     """
 
     outcome: Literal["new", "resumed", "finished", "busy"]
     dir: Path
     message: str
     run: Run | None = None
-    owner: OwnerInfo | None = None
 
 
 class RunStore:
@@ -105,7 +104,7 @@ class RunStore:
         if holder is None:
             return None
         if isinstance(holder, OwnerInfo):
-            return Claim("busy", directory, f"{directory}: already being written by {holder}", owner=holder)
+            return Claim("busy", directory, f"{directory}: already being written by {holder}")
         with _released_on_error(holder):
             before = read_status(directory).get("state")
             if not force and before == "finished":  # in the meantime

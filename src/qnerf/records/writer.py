@@ -251,15 +251,6 @@ class Run:
 
     # State
 
-    def status(self, *, state: str = "running", step: int | None = None, error: str | None = None) -> None:
-        """Writes status.json now; the thread writes it again with every heartbeat."""
-        if self._error is not None:
-            raise self._error
-        with self._io:
-            self._step = self._step if step is None else int(step)
-            self._status |= {"state": state, "error": error}
-            self._write_status()
-
     def finish(self, summary: Mapping[str, Any] | None = None) -> None:
         """The run is complete. The same command again will skip it."""
         self._end("finished", None, summary)

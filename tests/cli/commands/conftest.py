@@ -89,7 +89,7 @@ def running(tmp_path: Path) -> Iterator[Run]:
     claim.run.log(10, 1.0, {"train/loss": 0.5, "train/psnr": 12.0})
     claim.run.log(20, 2.0, {"train/loss": 0.25, "train/psnr": 15.0})
     claim.run.flush()
-    claim.run.status()
+    claim.run._write_status()
     with claim.run as run:
         yield run
 
