@@ -28,15 +28,28 @@ def test_a_degree_or_two_shows_on_the_poster(poster, degrees):
     assert error.given - error.best > OFF
 
 
-def test_wrong_axes_and_poses_of_the_wrong_direction_are_told(poster):
+def test_warnings_name_what_is_wrong_and_following_them_ends_them(poster):
     assert warning(poster) is None
     assert warning(turned(poster, 1.0)) is None  # which pose refinement corrects
-    poses = poster.cameras.poses
-    turned_axes = poses * torch.tensor([1.0, -1, -1, 1])
-    inverse = torch.linalg.inv(torch.nn.functional.pad(poses, (0, 0, 0, 1)) + torch.diag(torch.tensor([0.0, 0, 0, 1])))
-    for given_poses, text in ((turned_axes, "OpenCV's axes"), (inverse[:, :3], "do not fit the images")):
-        changed = dataclasses.replace(poster.cameras, poses=given_poses)
+    assert "do not fit the images" in str(warning(turned(poster, 10.0)))
+    of = poster.cameras
+    turned_axes = of.poses * torch.tensor([1.0, -1, -1, 1])
+    inverse = torch.linalg.inv(
+        torch.nn.functional.pad(of.poses, (0, 0, 0, 1)) + torch.diag(torch.tensor([0.0, 0, 0, 1]))
+    )
+    for wrong, text in (
+        ({"poses": turned_axes}, "OpenCV's axes"),
+        ({"poses": inverse[:, :3]}, "from the world to the camera"),
+        ({"cx": 0 * of.cx, "cy": 0 * of.cy}, "the principal point seems to be wrong"),
+        ({"fx": 2.1 * of.fx, "fy": 2.1 * of.fy}, "the focal length seems to be wrong (about 0.5 times fl_x would fit"),
+        ({"fx": of.fx / 5, "fy": of.fy / 5}, "the focal length seems to be wrong (about 4.76 times"),
+    ):
+        changed = dataclasses.replace(of, **wrong)
         assert text in str(warning(dataclasses.replace(poster, cameras=changed)))
+        factor = 0.5 if "0.5" in text else 4.76
+        cures = {"poses": of.poses, "cx": of.cx, "cy": of.cy, "fx": factor * changed.fx, "fy": factor * changed.fy}
+        cured = dataclasses.replace(changed, **{key: cures[key] for key in wrong})
+        assert warning(dataclasses.replace(poster, cameras=cured)) is None
 
 
 @given(seed=st.integers(0, 2**20))
@@ -47,7 +60,7 @@ def test_points_seen_twice_lie_on_each_others_epipolar_lines(seed):
     seen = [project(poses.cameras, torch.full((10,), view), points) for view in (0, 2)]
     if bool((torch.stack([depth for _, depth in seen]) > 0.1).all()):
         pixels = torch.stack([where for where, _ in seen], dim=1).numpy()
-        assert distances(fundamental(poses, 0, 2), pixels).max() < 1e-6
+        assert distances(fundamental(poses.cameras, 0, 2), pixels).max() < 1e-6
 
 
 @given(offset=st.floats(-5, 5))
@@ -58,7 +71,7 @@ def test_distances_are_in_pixels(offset):
     poses[:, 0, 3] = across
     side = dataclasses.replace(FLOOR, cameras=dataclasses.replace(FLOOR.cameras, poses=poses))
     matches = np.array([[[10.0, 20.0], [14.0, 20.0 + offset]]])
-    assert distances(fundamental(side, 0, 1), matches) == pytest.approx(abs(offset), abs=1e-9)
+    assert distances(fundamental(side.cameras, 0, 1), matches) == pytest.approx(abs(offset), abs=1e-9)
 
 
 def test_features_lie_where_both_images_have_them():

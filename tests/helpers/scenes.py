@@ -1,10 +1,15 @@
 """Scenes small enough for a unit test."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
+
+from qnerf.scenes import SCENES, Scene
 
 
 def write_scene(folder: Path, views: int = 6, width: int = 8, height: int = 6, channels: int = 3) -> Path:
@@ -34,3 +39,30 @@ def write_scene(folder: Path, views: int = 6, width: int = 8, height: int = 6, c
     }
     (folder / "transforms.json").write_text(json.dumps(transforms))
     return folder
+
+
+def change(folder: Path, edit: Callable[[dict[str, Any]], object], file: str = "transforms.json") -> None:
+    """Edits the content of the folder's JSON file."""
+    content = json.loads((folder / file).read_text())
+    edit(content)
+    (folder / file).write_text(json.dumps(content))
+
+
+def change_frame(folder: Path, view: int = 2, /, **keys: Any) -> None:
+    """Sets keys of one frame of the folder's transforms.json."""
+    change(folder, lambda content: content["frames"][view].update(keys))
+
+
+def build(kind: str, folder: Path, **options: Any) -> Scene:
+    return SCENES.build(kind, path=str(folder), **options)
+
+
+def refused(kind: str, folder: Path, *needles: str, **options: Any) -> str:
+    """The message, of one line, with which the folder is refused."""
+    with pytest.raises(ValueError) as error:  # noqa: PT011
+        build(kind, folder, **options)
+    message = str(error.value)
+    assert "\n" not in message
+    for needle in needles:
+        assert needle in message, message
+    return message

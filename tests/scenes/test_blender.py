@@ -1,19 +1,24 @@
 """The synthetic-NeRF layout."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from qnerf.scenes import SCENES
+from tests.helpers import scenes
 from tests.helpers.configs import DATA
-from tests.helpers.scenes import write_scene
+from tests.helpers.scenes import change, write_scene
 
 
 def build(folder: Path, **options):
-    return SCENES.build("blender", path=str(folder), **options)
+    return scenes.build("blender", folder, **options)
+
+
+def refused(folder: Path, *needles: str, **options) -> str:
+    return scenes.refused("blender", folder, *needles, **options)
 
 
 @pytest.fixture
@@ -26,14 +31,6 @@ def folder(tmp_path: Path) -> Path:
         named = [dict(frame, file_path=f"./{frame['file_path'][:-4]}", rotation=0.1) for frame in part]
         (folder / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": named}))
     return folder
-
-
-def refused(folder: Path, *needles: str, **options) -> None:
-    with pytest.raises(ValueError) as error:  # noqa: PT011
-        build(folder, **options)
-    assert "\n" not in str(error.value)
-    for needle in needles:
-        assert needle in str(error.value), str(error.value)
 
 
 def test_the_splits_are_the_files(folder):
@@ -67,27 +64,38 @@ def test_an_even_subset_evaluates_in_the_same_world(folder):
     assert build(folder, eval_views=99).fingerprint == scene.fingerprint
 
 
+def test_without_a_split_or_its_images_some_training_views_are_held_out(folder):
+    for view in (5, 6, 7):  # poses without images, as of a benchmark
+        (folder / "images" / f"{view:03d}.png").unlink()
+    for skip in (False, True):
+        scene = build(folder, skip_missing=skip)
+        assert (scene.train, scene.eval) == ([0, 1, 2, 4], [3])
+        told = "transforms_test.json has no image, so one in ten views of transforms_train.json is held out"
+        assert told in scene.description()
+    for split in ("test", "val"):
+        (folder / f"transforms_{split}.json").unlink()
+    scene = build(folder)
+    assert (scene.train, scene.eval) == ([0, 1, 2, 4], [3])
+    assert "transforms_test.json does not exist, so one in ten" in scene.description()
+
+
 def test_bad_options_and_files(folder, tmp_path):
     refused(folder, "eval_split expects one of test, val", eval_split="train")
     refused(folder, "eval_views must be between 1 and", eval_views=0)
-    refused(folder, "downscale=9 is larger", downscale=9)
     refused(tmp_path / "none", "does not exist")
     (folder / "images" / "006.png").unlink()
-    refused(folder, "1 of 8 images are missing", "'./images/006'")
+    refused(folder, "1 of 8 images are missing", "'./images/006'", "skip_missing=true goes on with the other 7")
     assert len(build(folder, skip_missing=True).eval) == 2
-    for name in ("005", "007"):
-        (folder / "images" / f"{name}.png").unlink()
-    refused(folder, "no image to evaluate", skip_missing=True)
-    (folder / "transforms_test.json").unlink()
-    refused(folder, "no transforms_test.json")
-    (folder / "transforms.json").write_text("{}")
-    refused(folder, "no transforms_test.json", "scene=nerfstudio")
-
-
-def test_a_view_in_both_splits_is_refused(folder):
-    train = (folder / "transforms_train.json").read_text()
-    (folder / "transforms_test.json").write_text(train)
+    train = folder / "transforms_train.json"
+    shutil.copy(train, folder / "transforms_test.json")
     refused(folder, "training and in the evaluation split")
+    (folder / "other.png").symlink_to(folder / "images" / "000.png")
+    change(folder, lambda t: t.update(frames=[t["frames"][0] | {"file_path": "other.png"}]), "transforms_test.json")
+    refused(folder, "training and in the evaluation split")
+    train.rename(folder / "transforms.json")
+    message = refused(folder, "no transforms_train.json", "it has transforms.json: use scene=nerfstudio")
+    assert "scene=blender;" not in message
+    scenes.build("nerfstudio", folder)
 
 
 @pytest.mark.skipif(not (DATA / "chair_64").is_dir(), reason="no chair_64")

@@ -1,18 +1,21 @@
 """COLMAP models and LLFF folders, and what is said where a folder holds something else."""
 
 import json
+import shutil
 import struct
+import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from qnerf.scenes import SCENES, Scene
-from qnerf.scenes.colmap import MODELS, camera_to_world, read_model
-from tests.helpers.scenes import write_scene
+from qnerf.scenes import Scene
+from qnerf.scenes.formats.colmap import MODELS, camera_to_world, model_ending, read_model
+from tests.helpers.scenes import build, refused, write_scene
 
 VIEWS, WIDTH, HEIGHT = 9, 16, 12
 
@@ -60,17 +63,15 @@ def write_binary(folder: Path) -> Path:
     return place
 
 
-def write_llff(folder: Path, factor: int = 1) -> None:
+def write_llff(folder: Path, factor: int = 1, from_text: Path | None = None) -> None:
+    """factor: by which the file's images are larger; from_text: a model that has the poses."""
     rows = []
-    for pose in poses(folder):
+    frames = read_model(from_text)["frames"] if from_text else []
+    for pose in [np.array(frame["transform_matrix"]) for frame in frames] or poses(folder):
         columns = np.stack([-pose[:3, 1], pose[:3, 0], pose[:3, 2], pose[:3, 3]], axis=1)
         size = np.array([[HEIGHT * factor], [WIDTH * factor], [8.0 * factor]])
         rows.append([*np.concatenate([columns, size], axis=1).ravel(), 0.5, 9.0])
     np.save(folder / "poses_bounds.npy", np.array(rows))
-
-
-def build(kind: str, folder: Path, **options: Any) -> Scene:
-    return SCENES.build(kind, path=str(folder), **options)
 
 
 def same(one: Scene, other: Scene) -> None:
@@ -79,18 +80,19 @@ def same(one: Scene, other: Scene) -> None:
     assert torch.equal(one.images, other.images)
 
 
-@pytest.mark.parametrize("write", [write_text, write_binary, write_llff])
-def test_a_reconstruction_is_the_scene_that_it_was_written_from(posed: Path, write: Any) -> None:
-    expected = build("nerfstudio", posed)
-    write(posed)
-    kind = "llff" if write is write_llff else "colmap"
-    scene = build(kind, posed)
-    same(scene, expected)
-    assert (scene.eval, len(scene.train)) == ([0, 8], VIEWS - 2)  # every eighth, as in the papers
-    assert build(kind, posed, eval_every=None).eval == expected.eval
-    assert scene.fingerprint != build(kind, posed, eval_every=None).fingerprint
-    small = build(kind, posed, width=8)
-    assert (small.cameras.width, small.cameras.height) == (8, 6)
+def test_a_reconstruction_is_the_scene_that_it_was_written_from(tmp_path: Path) -> None:
+    for write, kind in ((write_text, "colmap"), (write_binary, "colmap"), (write_llff, "llff")):
+        folder = write_scene(tmp_path / write.__name__, VIEWS, WIDTH, HEIGHT)
+        expected = build("nerfstudio", folder)
+        write(folder)
+        scene = build(kind, folder)
+        same(scene, expected)
+        assert (scene.eval, len(scene.train)) == ([0, 8], VIEWS - 2)  # every eighth, as in the papers
+        assert scene.description() == "9 views of 16 x 12 pixels, 7 train, 2 held out, 0 masks"
+        assert build(kind, folder, eval_every=None).eval == expected.eval
+        assert scene.fingerprint != build(kind, folder, eval_every=None).fingerprint
+        small = build(kind, folder, width=8)
+        assert (small.cameras.width, small.cameras.height) == (8, 6)
 
 
 def test_smaller_images_stand_in(posed: Path) -> None:
@@ -108,14 +110,13 @@ def test_photographs_may_lie_in_the_scene_s_folder_itself(posed: Path) -> None:
         file.rename(posed / file.name)
     same(build("colmap", posed), expected)
     (posed / "003.png").unlink()
-    with pytest.raises(ValueError, match=r"1 of 9 images are missing, the first is 'images/003.png'"):
-        build("colmap", posed)
+    refused("colmap", posed, "1 of 9 images are missing, the first is 'images/003.png'", "scene.skip_missing=true")
     assert len(build("colmap", posed, skip_missing=True).names) == VIEWS - 1
 
 
-@pytest.mark.parametrize(
-    ("model", "lens"),
-    [
+def test_camera_models(posed: Path) -> None:
+    place = write_text(posed)
+    for model, lens in (
         ("SIMPLE_PINHOLE 16 12 9 8 6", [9, 9, 8, 6, 0, 0, 0, 0]),
         ("SIMPLE_RADIAL 16 12 9 8 6 0.1", [9, 9, 8, 6, 0.1, 0, 0, 0]),
         ("RADIAL 16 12 9 8 6 0.1 0.01", [9, 9, 8, 6, 0.1, 0.01, 0, 0]),
@@ -123,13 +124,21 @@ def test_photographs_may_lie_in_the_scene_s_folder_itself(posed: Path) -> None:
         ("FULL_OPENCV 16 12 9 8 8 6 0.1 0 0 0 0 0 0 0", [9, 8, 8, 6, 0.1, 0, 0, 0]),
         ("OPENCV_FISHEYE 16 12 9 8 8 6 0.1 0.01 0.002 0.003", [9, 8, 8, 6, 0.1, 0.01, 0.002, 0.003]),
         ("RADIAL_FISHEYE 16 12 9 8 6 0.1 0.01", [9, 9, 8, 6, 0.1, 0.01, 0, 0]),
-    ],
-)
-def test_camera_models(posed: Path, model: str, lens: list[float]) -> None:
-    write_text(posed, model)
-    cameras = build("colmap", posed).cameras
-    assert cameras.intrinsics[3].tolist() == lens
-    assert (cameras.fisheye is not None) is ("FISHEYE" in model)
+    ):
+        (place / "cameras.txt").write_text(f"7 {model}\n")
+        cameras = build("colmap", posed).cameras
+        assert cameras.intrinsics[3].tolist() == lens
+        assert (cameras.fisheye is not None) is ("FISHEYE" in model)
+    for model, *needles in (
+        ("FOV 16 12 8 8 8 6 0.1", "camera model FOV is not supported; known: SIMPLE_PINHOLE, ", "`qnerf capture`"),
+        ("FULL_OPENCV 16 12 8 8 8 6 0 0 0 0 0.1 0 0 0", "distortion k3=0.1 is not supported", "`qnerf capture`"),
+        ("PINHOLE 16 12 8 8 8", "damaged"),
+        ("PINHOLE 16 12 8 8 8 x", "damaged"),
+        ("PINHOLE 16 12 8 8 8 6\n7 PINHOLE 16 12 8 8 8 6", "cameras.txt: number 7 comes twice"),
+        ("PINHOLE 16 12 8 8 8 6".replace("PINHOLE", "pinhole"), "camera model pinhole is not supported"),
+    ):
+        (place / "cameras.txt").write_text(f"7 {model}\n")
+        refused("colmap", posed, *needles)
 
 
 def test_the_numbers_and_names_of_camera_models_are_colmap_s() -> None:
@@ -156,20 +165,111 @@ def test_a_model_that_pycolmap_wrote(tmp_path: Path) -> None:
             np.testing.assert_allclose(np.array(frame["transform_matrix"])[:3], expected, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        ("FOV 16 12 8 8 8 6 0.1", "camera model FOV is not supported; known: SIMPLE_PINHOLE, .*`qnerf capture`"),
-        ("FULL_OPENCV 16 12 8 8 8 6 0 0 0 0 0.1 0 0 0", "distortion k3=0.1 is not supported.*`qnerf capture`"),
-        ("PINHOLE 16 12 8 8 8", "damaged"),
-        ("PINHOLE 16 12 8 8 8 x", "damaged"),
-    ],
+RECORD = "{number} 1 0 0 0 0 0 {number} 7 {name}"
+POINTS = ("", "1.5 2.5 -1", "1.5 2.5 -1 3 4 12", "# a comment")
+
+
+def pycolmap_names(place: Path) -> list[str] | None:
+    """The posed images that COLMAP itself reads; None: it refuses the model."""
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    try:
+        return sorted(image.name for image in pycolmap.Reconstruction(str(place)).images.values())
+    except (ValueError, IndexError):
+        return None
+
+
+def names_read(place: Path) -> list[str] | None:
+    try:
+        return sorted(frame["file_path"] for frame in read_model(place)["frames"])
+    except ValueError:
+        return None
+
+
+@given(
+    images=st.lists(
+        st.tuples(
+            st.lists(st.sampled_from(["", "  ", "# comment", "\t"]), max_size=2),  # lines before the record
+            st.sampled_from(["", " ", "\t"]),  # before and after it
+            st.sampled_from(POINTS),
+        ),
+        min_size=1,
+        max_size=4,
+    ),
+    gap=st.sampled_from([" ", "  ", "\t"]),
+    newline=st.sampled_from(["\n", "\r\n"]),
+    end=st.sampled_from(["", "\n", "\n\n", "\n# end\n"]),
+    cut=st.booleans(),
 )
-def test_bad_cameras_are_one_line(posed: Path, model: str, message: str) -> None:
-    write_text(posed, model)
-    with pytest.raises(ValueError, match=message) as error:
-        build("colmap", posed)
-    assert "\n" not in str(error.value)
+def test_text_models_are_read_as_by_colmap(images, gap, newline, end, cut) -> None:
+    """Blank lines, comments, white space, line ends, and a last line of points that is missing."""
+    lines = []
+    for number, (before, around, points) in enumerate(images, 1):
+        record = RECORD.format(number=number, name=f"{number}.png").replace(" ", gap)
+        lines += [*before, around + record + around, points]
+    lines = lines[:-1] if cut else lines
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / "cameras.txt").write_bytes(f"# x{newline}{newline} 7  PINHOLE 16 12 8 8 8 6 {newline}".encode())
+        (place / "images.txt").write_bytes((newline.join(lines) + end).encode())
+        (place / "points3D.txt").touch()
+        expected = pycolmap_names(place)
+        assert names_read(place) == (expected or None)
+
+
+def test_a_text_model_without_lines_of_points_is_refused_with_what_to_do(posed: Path) -> None:
+    place = write_text(posed)
+    text = (place / "images.txt").read_text()
+    records = [line for line in text.splitlines() if line.endswith(".png")]
+    (place / "images.txt").write_text("\n".join(records))
+    message = refused("colmap", posed, "image '000.png' must be followed by the line of its points")
+    assert message.endswith("where an image has none, write an empty line after it")
+    (place / "images.txt").write_text("".join(f"{record}\n\n" for record in records))
+    assert len(build("colmap", posed).names) == VIEWS
+    (place / "images.txt").write_text("\n\n".join(records))
+    told = build("colmap", posed).description()
+    assert told.startswith("8 views")
+    assert "images.txt ends before the line of points of '008.png', which is left out as in COLMAP" in told
+    (place / "images.txt").write_text(text.replace(" 7 00", " 8 00", 1))
+    refused("colmap", posed, "image '000.png' has camera 8, which cameras.txt lacks")
+    (place / "images.txt").write_text(text.replace("\n2 ", "\n1 ", 1))
+    refused("colmap", posed, "images.txt: number 1 comes twice")
+
+
+def test_names_with_spaces_and_files_left_over_from_another_model(posed: Path) -> None:
+    place = write_text(posed)
+    (posed / "images" / "003.png").rename(posed / "images" / "0 3.png")
+    (place / "images.txt").write_text((place / "images.txt").read_text().replace("003.png", "0 3.png  "))
+    (place / "points3D.txt").touch()
+    (place / "cameras.bin").write_bytes(b"left over")
+    (place / "images.bin").write_bytes(b"left over")
+    assert "images/0 3.png" in build("colmap", posed).names
+    (place / "points3D.bin").write_bytes(b"\0" * 8)  # now the binary model is complete, and COLMAP reads it
+    refused("colmap", posed, "damaged or cut short")
+    assert pycolmap_names(place) is None
+
+
+def test_which_files_make_a_model_is_as_in_colmap(tmp_path: Path) -> None:
+    """Of every set of files; a model without points is enough here."""
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=3, num_points3D=5)
+    for kind in ("binary", "text"):
+        (tmp_path / kind).mkdir()
+        model = pycolmap.synthesize_dataset(options)
+        for number, image in model.images.items():
+            image.name = f"{kind}{number}.png"
+        getattr(model, f"write_{kind}")(str(tmp_path / kind))
+    files = [f"{name}{ending}" for name in ("cameras", "images", "points3D") for ending in (".bin", ".txt")]
+    for number in range(2 ** len(files)):
+        place = tmp_path / str(number)
+        place.mkdir()
+        for bit, file in enumerate(files):
+            if number >> bit & 1:
+                shutil.copy(tmp_path / ("binary" if file.endswith(".bin") else "text") / file, place)
+        expected = pycolmap_names(place)
+        if expected is not None:
+            assert names_read(place) == expected
+        elif model_ending(place) is not None:
+            assert len(names_read(place) or []) == 3
 
 
 def test_damaged_models_are_one_line(posed: Path) -> None:
@@ -178,45 +278,62 @@ def test_damaged_models_are_one_line(posed: Path) -> None:
         whole = (place / name).read_bytes()
         for length in (0, 5, 30, len(whole) // 2):
             (place / name).write_bytes(whole[:length])
-            with pytest.raises(ValueError, match="damaged or cut short"):
-                build("colmap", posed)
+            refused("colmap", posed, "damaged or cut short")
         (place / name).write_bytes(whole)
-    with pytest.raises(ValueError, match="which is no rotation"):
+    (place / "images.bin").write_bytes(struct.pack("<Q", 0))
+    refused("colmap", posed, "images.bin: no image is posed")
+    with pytest.raises(ValueError, match="no rotation"):
         camera_to_world(0, 0, 0, 0, 1, 2, 3)
+
+
+def test_llff_takes_its_lens_from_the_model_beside_it(posed: Path) -> None:
+    place = write_text(posed)
+    write_llff(posed, from_text=place)
+    for camera, told in (
+        ("OPENCV 16 12 8 8 9 5 0.1 0.01 0.002 0.003", "distortion and principal point from sparse/0"),
+        ("OPENCV 32 24 16 16 18 10 0.1 0.01 0.002 0.003", "distortion and principal point from sparse/0"),
+        ("OPENCV 16 12 9 9 9 5 0.1 0.01 0.002 0.003", "lenses of sparse/0 not used: focal lengths are 1.12 times"),
+    ):
+        (place / "cameras.txt").write_text(f"7 {camera}\n")
+        scene = build("llff", posed)
+        used = told.startswith("distortion")
+        assert scene.cameras.intrinsics[2].tolist() == (
+            [8, 8, 9, 5, 0.1, 0.01, 0.002, 0.003] if used else [8, 8, 8, 6] + [0] * 4
+        )
+        assert told in scene.description()
+    (place / "images.txt").write_text((place / "images.txt").read_text().replace("004.png", "4.png"))
+    assert "lenses of sparse/0 not used: it lacks 'images/004.png'" in build("llff", posed).description()
 
 
 def test_bad_llff_folders_are_one_line(posed: Path) -> None:
     write_llff(posed)
     (posed / "images" / "000.png").unlink()
-    with pytest.raises(ValueError, match=r"poses_bounds.npy has 9 poses, but .*images has 8 images"):
-        build("llff", posed)
+    refused("llff", posed, "poses_bounds.npy has 9 poses, but ", "images has 8 images")
     np.save(posed / "poses_bounds.npy", np.zeros((9, 3)))
-    with pytest.raises(ValueError, match="expected an array of V x 17 numbers"):
-        build("llff", posed)
+    refused("llff", posed, "expected an array of V x 17 numbers")
     (posed / "poses_bounds.npy").write_bytes(b"hello")
-    with pytest.raises(ValueError, match="is no array that NumPy can read"):
-        build("llff", posed)
+    refused("llff", posed, "is no array that NumPy can read")
 
 
-@pytest.mark.parametrize(
-    ("file", "hint"),
-    [
-        ("transforms.json", "scene=nerfstudio"),
-        ("transforms_train.json", "scene=blender"),
-        ("poses_bounds.npy", "scene=llff"),
-        ("sparse/0/cameras.bin", "it has a COLMAP model in sparse/0: use scene=colmap"),
-        ("images/0.JPG", "it has 1 images without poses: `qnerf capture .*images --out DIR` finds the poses"),
-        ("walk.mp4", "it has a video: `qnerf capture .*walk.mp4 --out DIR`"),
-        ("notes.txt", "expected|has no"),
-    ],
-)
-def test_a_folder_without_the_file_is_told_what_it_holds(tmp_path: Path, file: str, hint: str) -> None:
-    place = tmp_path / file
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.touch()
-    if place.name == "cameras.bin":
-        (place.parent / "images.bin").touch()
-    for kind in ("nerfstudio", "llff", "colmap"):
-        if f"scene={kind}" not in hint:
-            with pytest.raises(ValueError, match=hint):
-                build(kind, tmp_path)
+def test_a_folder_without_the_file_is_told_what_it_holds(tmp_path: Path) -> None:
+    """What it advises is then read, or gets as far as the file."""
+    for number, (file, hint) in enumerate(
+        (
+            ("transforms.json", "scene=nerfstudio"),
+            ("transforms_train.json", "scene=blender"),
+            ("poses_bounds.npy", "scene=llff"),
+            ("sparse/0/images.bin", "it has sparse/0/images.bin: use scene=colmap"),
+            ("images/0.JPG", "it has 1 images without poses: `qnerf capture "),
+            ("walk.mp4", "it has a video: `qnerf capture "),
+        )
+    ):
+        folder = tmp_path / f"a folder {number}"
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).touch()
+        for kind in ("nerfstudio", "llff", "colmap", "blender"):
+            if f"scene={kind}" in hint:
+                assert "use scene=" not in refused(kind, folder)
+            else:
+                refused(kind, folder, hint, "'" if "capture" in hint else "")
+        if file == "walk.mp4":
+            refused("nerfstudio", folder / file, "is a video; `qnerf capture ")

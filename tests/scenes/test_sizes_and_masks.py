@@ -1,7 +1,7 @@
 """Images of differing size, masks, fisheyes, and images reduced to any width."""
 
 import json
-from collections.abc import Callable
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +15,18 @@ from qnerf.building.scene import prepare
 from qnerf.geometry.hull import sees_through
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
 from qnerf.geometry.visibility import count_cameras
-from qnerf.scenes import SCENES, Scene
+from qnerf.scenes import Scene
 from qnerf.scenes.area import area_resize
+from tests.helpers import scenes
 from tests.helpers.configs import composed
-from tests.helpers.scenes import write_scene
+from tests.helpers.scenes import change, change_frame, write_scene
 
 SIZES = [(8, 6), (6, 8), (8, 6), (12, 9), (8, 6), (6, 8)]
 BLACK = 2  # columns of each mask
 
 
-def change(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
-    file = folder / "transforms.json"
-    content = json.loads(file.read_text())
-    edit(content)
-    file.write_text(json.dumps(content))
-
-
 def build(folder: Path, **options: Any) -> Scene:
-    return SCENES.build("nerfstudio", path=str(folder), **options)
+    return scenes.build("nerfstudio", folder, **options)
 
 
 @pytest.fixture
@@ -125,31 +119,59 @@ def test_masked_pixels_are_not_trained_on_and_a_mask_decides_the_fingerprint(mix
     assert len(seen) == 3
 
 
-@pytest.mark.parametrize(("options", "columns"), [({"downscale": 2}, 1), ({"width": 4}, 1), ({"width": 5}, 2)])
-def test_a_reduced_pixel_counts_if_no_black_pixel_is_in_it(tmp_path: Path, options: Any, columns: int) -> None:
+def test_a_reduced_pixel_counts_if_no_black_pixel_is_in_it(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "scene")
     mask(folder)
-    reduced = build(folder, **options).mask
-    assert reduced is not None
-    assert bool((~reduced[..., :columns]).all())
-    assert bool(reduced[..., columns:].all())
+    for options, columns in (({"downscale": 2}, 1), ({"width": 4}, 1), ({"width": 5}, 2)):
+        reduced = build(folder, **options).mask
+        assert reduced is not None
+        assert bool((~reduced[..., :columns]).all())
+        assert bool(reduced[..., columns:].all())
+
+
+def test_masks_are_found_where_other_tools_put_them(tmp_path: Path) -> None:
+    """Each place once: another key, instant-ngp's file beside the image, a folder of masks, a larger mask."""
+    folder = write_scene(tmp_path / "scene")
+    mask(folder)
+    expected = build(folder)
+    assert expected.mask is not None
+    assert expected.masks == 6
+    for key in ("mask_filename", "mask_file_path"):
+        place = shutil.copytree(folder, tmp_path / key)
+        change(place, lambda t, key=key: [frame.update({key: frame.pop("mask_path")}) for frame in t["frames"]])
+        assert torch.equal(build(place).mask, expected.mask)
+    change(folder, lambda t: [frame.pop("mask_path") for frame in t["frames"]])
+    folders = {"a.png": "{:03d}.png", "a.png.png": "{:03d}.png.png", "images": "images/{:03d}.png"}
+    for number, name in enumerate(folders.values()):
+        place = shutil.copytree(folder, tmp_path / f"folder {number}")
+        for view in range(6):
+            file = place / "masks" / name.format(view)
+            file.parent.mkdir(exist_ok=True)
+            with Image.open(place / "masks" / f"{view}.png") as small:
+                small.resize((16, 12), Image.Resampling.NEAREST).save(file)
+        scene = build(place)
+        assert torch.equal(scene.mask, expected.mask)
+        assert scene.fingerprint != expected.fingerprint
+    for view in range(6):
+        values = 255 - np.asarray(Image.open(folder / "masks" / f"{view}.png"))
+        Image.fromarray(values).save(folder / "images" / f"dynamic_mask_{view:03d}.png")
+    shutil.rmtree(folder / "masks")
+    scene = build(folder)
+    assert torch.equal(scene.mask, expected.mask)
+    assert scene.description() == "6 views of 8 x 6 pixels, 5 train, 1 held out, 6 masks"
 
 
 def test_bad_masks_are_one_line(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "scene")
     mask(folder)
-    Image.new("L", (4, 4)).save(folder / "masks" / "2.png")
-    with pytest.raises(ValueError, match=r"mask 'masks/2.png' has 4 x 4 pixels, its image 'images/002.png' 8 x 6$"):
-        build(folder)
+    for size in ((4, 4), (16, 16), (12, 6)):
+        Image.new("L", size).save(folder / "masks" / "2.png")
+        told = f"mask 'masks/2.png' has {size[0]} x {size[1]} pixels; expected the 8 x 6 of its image 'images/002.png'"
+        scenes.refused("nerfstudio", folder, told)
     (folder / "masks" / "2.png").unlink()
-    with pytest.raises(ValueError, match=r"frame 'images/002.png': mask 'masks/2.png' does not exist$"):
-        build(folder)
-    change(folder, lambda t: t["frames"][2].update(mask_path=5))
-    with pytest.raises(ValueError, match="mask_path must be a file name, got 5"):
-        build(folder)
+    scenes.refused("nerfstudio", folder, "frame 'images/002.png': mask 'masks/2.png' does not exist")
     for view in range(6):
         Image.new("L", (8, 6)).save(folder / "masks" / f"{view}.png")
-    change(folder, lambda t: t["frames"][2].update(mask_path="masks/2.png"))
     with pytest.raises(ValueError, match="the masks leave no pixel to train on"):
         RayTable(build(folder))
     with pytest.raises(ValueError, match="the masks leave no pixel to train on"):
@@ -158,7 +180,7 @@ def test_bad_masks_are_one_line(tmp_path: Path) -> None:
 
 def test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size(mixed: Path, tmp_path: Path) -> None:
     mask(mixed)
-    change(mixed, lambda t: t["frames"][1].update(camera_model="OPENCV_FISHEYE", k1=0.02))
+    change_frame(mixed, 1, camera_model="OPENCV_FISHEYE", k1=0.02)
     options = [
         "scene=nerfstudio",
         f"scene.path={mixed}",
@@ -187,7 +209,7 @@ def test_silhouettes_say_nothing_behind_a_mask(tmp_path: Path) -> None:
     assert bool(sees_through(build(folder), 0, point, radius))
     (folder / "masks").mkdir()
     Image.new("L", (8, 6), 0).save(folder / "masks" / "0.png")
-    change(folder, lambda t: t["frames"][0].update(mask_path="masks/0.png"))
+    change_frame(folder, 0, mask_path="masks/0.png")
     assert not bool(sees_through(build(folder), 0, point, radius))
 
 

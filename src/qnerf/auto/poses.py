@@ -1,10 +1,12 @@
-"""Whether the given poses are off, judged by matching features in pairs of images."""
+"""Whether the given cameras are off, and in what, judged by matching features in pairs of images."""
 
 import math
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from skimage.feature import SIFT, match_descriptors
@@ -12,7 +14,7 @@ from skimage.measure import ransac
 from skimage.transform import FundamentalMatrixTransform, rescale
 
 from qnerf.auto.views import grey, neighbours, subset
-from qnerf.scenes import Scene
+from qnerf.scenes import Cameras, Scene
 
 PAIRS = 8  # most pairs of views to compare
 MIN_MATCHES = 20  # pairs of views with fewer consistent matches are left out
@@ -20,7 +22,12 @@ WITHIN = 1.0  # pixels: a match this close to its epipolar line is consistent
 OUTLINE = 2.0  # features this close to a transparent pixel are left out
 OFF = 0.15  # pixels: poses whose matches fit worse than the best by more are off; true poses stay below 0.06
 WRONG = 1.0  # pixels: poses that are off by more are not merely imprecise
+EXPLAINED = 0.35  # share of the error that may be left where one thing explains it
 SMALL = 256  # pixels: smaller images are enlarged to this height before matching, at most four times
+
+
+FACTORS = tuple(2 ** (step / 4) for step in range(-12, 13) if step)  # by which a focal length may be wrong
+AXES, DIRECTION, CENTRE, FOCAL = "axes", "direction", "centre", "focal"
 
 
 @dataclass(frozen=True)
@@ -29,43 +36,76 @@ class Epipolar:
 
     given: float  # median distance under the given poses
     best: float  # under the fundamental matrix that fits each pair of views best
-    as_opencv: float  # under the given poses if their axes were OpenCV's: y down, z forward
     pairs: int  # pairs of views with enough matches
+    others: Mapping[str, float]  # under the given poses with one thing changed, see `changes`
 
 
 def epipolar_error(scene: Scene) -> Epipolar:
     """Compares the given poses of neighbouring views with the geometry that their images imply.
 
-    Lens distortion is not removed; it adds to both distances alike.
+    Lens distortion is not removed; it adds to all distances alike.
     """
-    errors = [pair_error(scene, a, b) for a, b in subset(neighbours(scene), PAIRS)]
-    known = np.array([pair for pair in errors if pair is not None]).reshape(-1, 3)
+    changed = {"": scene.cameras, **changes(scene.cameras)}
+    found = [pair_error(scene, changed, a, b) for a, b in subset(neighbours(scene), PAIRS)]
+    known = np.array([pair for pair in found if pair is not None]).reshape(-1, 1 + len(changed))
     if len(known) == 0:
-        return Epipolar(math.nan, math.nan, math.nan, 0)
-    given, best, as_opencv = np.median(known, axis=0).tolist()
-    return Epipolar(given, best, as_opencv, len(known))
+        return Epipolar(math.nan, math.nan, 0, {})
+    best, given, *others = np.median(known, axis=0).tolist()
+    return Epipolar(given, best, len(known), dict(zip(list(changed)[1:], others, strict=True)))
+
+
+def changes(cameras: Cameras) -> dict[str, Cameras]:
+    """The cameras with one thing changed that files often have wrong.
+
+    Turned axes, as if they were OpenCV's; poses as if they were from the world to the camera; the principal point in
+    the middle of the image; the focal length times a number, which follows the name.
+    """
+    poses = cameras.poses
+    inverse = poses[:, :, :3].mT
+    middle = cameras.all_sizes.to(torch.float64).unbind(1)
+    return {
+        AXES: replace(cameras, poses=poses * torch.tensor([1.0, -1, -1, 1])),
+        DIRECTION: replace(cameras, poses=torch.cat([inverse, -inverse @ poses[:, :, 3:]], dim=2)),
+        CENTRE: replace(cameras, cx=middle[0] / 2, cy=middle[1] / 2),
+        **{
+            f"{FOCAL} {factor:.3g}": replace(cameras, fx=cameras.fx * factor, fy=cameras.fy * factor)
+            for factor in FACTORS
+        },
+    }
 
 
 def warning(scene: Scene) -> str | None:
-    """One line if the images contradict the given poses, such as those with OpenCV's axes; else None."""
+    """One line if the images contradict the given cameras; it names what explains them better. Else None."""
     error = epipolar_error(scene)
     off = error.given - error.best
+    if not off > OFF:  # also NaN
+        return None
     told = f"matched features lie {error.given:.2g} pixels from where the poses put them, {error.best:.2g} at best"
-    if off > OFF and error.as_opencv - error.best < off / 2:
-        return (
-            f"the poses seem to have OpenCV's axes: {told}, {error.as_opencv:.2g} with y and z turned; camera-to-world "
-            "poses with OpenGL's axes are expected, so multiply columns 2 and 3 of each transform_matrix by -1"
-        )
+    likely = min(error.others, key=lambda name: error.others[name])
+    left = error.others[likely]
+    if left - error.best < EXPLAINED * off:
+        return f"{EXPLANATIONS[likely.split()[0]].format(factor=likely.split()[-1])}: {told}, {left:.2g} so changed"
     if off > WRONG:
         return (
-            f"the poses do not fit the images: {told}; camera-to-world poses with OpenGL's axes are expected (+x "
-            "right, +y up, the camera looks along -z); cameras=so3xr3 corrects small errors"
+            f"the poses do not fit the images: {told}; axes, direction, principal point and focal length alone do not "
+            "explain it; cameras=so3xr3 corrects small errors"
         )
     return None
 
 
-def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float, float] | None:
-    """Median distances from epipolar lines, `given`, `best` and `as_opencv` of `Epipolar`; or None."""
+EXPLANATIONS = {
+    AXES: "the poses seem to have OpenCV's axes, and OpenGL's are expected (multiply columns 2 and 3 of each "
+    "transform_matrix by -1)",
+    DIRECTION: "the poses seem to be from the world to the camera, and those from the camera to the world are expected "
+    "(invert each transform_matrix)",
+    CENTRE: "the principal point seems to be wrong (cx and cy are in pixels; left out, it is the middle of the image)",
+    FOCAL: "the focal length seems to be wrong (about {factor} times fl_x would fit; it is in pixels of the images)",
+}
+"""What is said where a change of the cameras explains the images, and what to do."""
+
+
+def pair_error(scene: Scene, changed: Mapping[str, Cameras], a: int, b: int) -> list[float] | None:
+    """Median distances from epipolar lines: under the matrix that fits best, then under all of the cameras; or None."""
     points = matched(grey(scene, a), grey(scene, b))
     if len(points) < MIN_MATCHES:
         return None
@@ -81,9 +121,8 @@ def pair_error(scene: Scene, a: int, b: int) -> tuple[float, float, float] | Non
     if not model or explained.sum() < MIN_MATCHES:
         return None
     points = points[explained]
-    matrices = fundamental(scene, a, b), model.params, fundamental(scene, a, b, opencv=True)
-    given, best, as_opencv = (float(np.median(distances(matrix, points))) for matrix in matrices)
-    return given, best, as_opencv
+    matrices = [model.params, *(fundamental(cameras, a, b) for cameras in changed.values())]
+    return [float(np.median(distances(matrix, points))) for matrix in matrices]
 
 
 def matched(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -117,13 +156,10 @@ def off_outline(image: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     return inside
 
 
-def fundamental(scene: Scene, a: int, b: int, *, opencv: bool = False) -> NDArray[np.float64]:
-    """The matrix (3, 3) for which x_b^T F x_a = 0 at pixels of the same point, under the given poses.
-
-    opencv: take the poses' axes for OpenCV's.
-    """
-    poses, intrinsics = scene.cameras.poses.numpy(), scene.cameras.intrinsics.numpy()
-    flip = np.eye(3) if opencv else np.diag([1.0, -1.0, -1.0])  # OpenGL's axes -> x right, y down, z forward
+def fundamental(cameras: Cameras, a: int, b: int) -> NDArray[np.float64]:
+    """The matrix (3, 3) for which x_b^T F x_a = 0 at pixels of the same point."""
+    poses, intrinsics = cameras.poses.numpy(), cameras.intrinsics.numpy()
+    flip = np.diag([1.0, -1.0, -1.0])  # OpenGL's axes -> x right, y down
     inverse = []
     for view in (a, b):
         fx, fy, cx, cy = intrinsics[view, :4]

@@ -45,7 +45,7 @@ def collect_masks(folder: Path, taken: Path, out: Path) -> int:
             Image.new("L", size, 255).save(out / f"{name}.png")
             continue
         path = mask_of[name]
-        open_header(folder, path.name, path)
+        open_header(folder, path)
         try:
             with Image.open(path) as image:
                 counts = np.asarray(ImageOps.exif_transpose(image).convert("L")) > 0

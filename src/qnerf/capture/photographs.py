@@ -25,8 +25,8 @@ from qnerf.capture.steps import Model
 from qnerf.capture.video import extract_frames
 from qnerf.config.checks import at_least
 from qnerf.scenes.base import MIN_VIEWS
-from qnerf.scenes.colmap import read_model
 from qnerf.scenes.folders import PHOTOGRAPHS, photographs
+from qnerf.scenes.formats.colmap import read_model
 from qnerf.scenes.images import open_header
 
 MIN_FEATURES = 40  # an image with fewer cannot be posed
@@ -188,7 +188,7 @@ def _check_photographs(source: Path) -> None:
         kinds = ", ".join(kind[1:] for kind in PHOTOGRAPHS)
         raise ValueError(f"{source}: expected a folder of at least {MIN_VIEWS} photographs ({kinds}), got {len(found)}")
     for path in found:
-        open_header(source, path.name, path)
+        open_header(source, path)
 
 
 def _collect(found: list[Path], folder: Path) -> None:

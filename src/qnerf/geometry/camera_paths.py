@@ -191,7 +191,7 @@ def read_path(file: Path, width: int, height: int, focal: float, transform: NDAr
             matrix = np.array(node["camera_to_world"], dtype=np.float64).reshape(-1, 4)
         except (KeyError, TypeError, ValueError):
             raise ValueError(f"{label}: expected camera_to_world with 16 numbers") from None
-        pose = rigid(matrix, label)
+        pose, _ = rigid(matrix, label)
         if transform is not None:
             scale = np.cbrt(np.linalg.det(transform[:3, :3]))
             pose = (transform @ np.vstack([pose, [0, 0, 0, 1]]))[:3]

@@ -1,49 +1,130 @@
-"""What a folder holds: files that a scene is read from, and how to make them."""
+"""What a scene's folder holds: the files that a format names, and how to go on with a folder of something else."""
 
+import os
+import posixpath
+import re
+import shlex
+import unicodedata
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
-MODELS = ("sparse/0", "sparse", "colmap/sparse/0", ".")
-"""Where a COLMAP model lies in a scene's folder."""
+FORMATS: dict[str, tuple[str, ...]] = {}
+"""Format -> files that tell it, relative to a scene's folder. Each reader adds its own."""
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".ppm")
+SUFFIXES = ("", ".png", *(suffix for suffix in PHOTOGRAPHS if suffix != ".png"))
+"""What a name without a suffix may lack, in the order in which instant-ngp tries it."""
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
+SMALLER = (2, 4, 8)  # factors in the names of folders with reduced images: images_2, images_4, images_8
 
 
-def scene_folder(path: str | Path) -> Path:
-    """`scene.path` as an existing folder; ValueError if it is none."""
-    folder = Path(path).expanduser()
-    if folder.is_file() and folder.suffix.lower() in VIDEOS:
-        raise ValueError(f"scene.path={str(path)!r} is a video; {capture_hint(folder)}")
-    if not folder.is_dir():
-        state = "is not a folder" if folder.exists() else "does not exist"
-        raise ValueError(f"scene.path={str(path)!r} {state}; expected a folder with posed images")
-    return folder
+class SceneFolder:
+    """A scene's folder. It finds images by the names that the files of a format give them.
 
-
-def find_file(path: str | Path, name: str) -> Path:
-    """The file `name` in `scene.path`.
+    Args:
+        path: `scene.path`.
 
     Raises:
-        ValueError: the folder or the file does not exist; the message says what is there and how to go on.
+        ValueError: there is no such folder.
     """
-    folder = scene_folder(path)
-    if not (folder / name).is_file():
-        raise ValueError(f"scene.path={str(path)!r} has no {name}{contents(folder)}")
-    return folder / name
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path).expanduser()
+        self._entries: dict[Path, dict[str, list[Path]]] = {}
+        if self.path.is_file() and self.path.suffix.lower() in VIDEOS:
+            raise ValueError(f"scene.path={str(path)!r} is a video; {capture_hint(self.path)}")
+        if not self.path.is_dir():
+            state = "is not a folder" if self.path.exists() else "does not exist"
+            raise ValueError(f"scene.path={str(path)!r} {state}; expected a folder with posed images")
+
+    def file(self, name: str) -> Path:
+        """The file `name` of a format; ValueError says what the folder holds instead, and how to go on."""
+        if not (self.path / name).is_file():
+            raise ValueError(f"scene.path={str(self.path)!r} has no {name}{contents(self.path, [name])}")
+        return self.path / name
+
+    def image(self, name: str) -> Path | None:
+        """The image file that `name` stands for; None if it does not exist.
+
+        A backslash may stand for a slash, the suffix may be missing or written twice, and letter case and Unicode form
+        may differ. An absolute path stands for a file inside the folder, also if the folder has moved since.
+
+        Raises:
+            ValueError: the name leads out of the folder, or stands for several files.
+        """
+        return next((path for place in self._places(name) if (path := self._named(place)) is not None), None)
+
+    def smaller(self, name: str) -> Path | None:
+        """The image in `images_2`, `images_4` or `images_8` that stands for `images/...`, the largest; None: there is
+        none. Its suffix may be another one."""
+        first, _, rest = posixpath.normpath(name.replace("\\", "/")).partition("/")
+        found = (
+            self._named(f"{first}_{factor}/{other}")
+            for factor in SMALLER
+            for other in (rest, posixpath.splitext(rest)[0])
+            if rest
+        )
+        return next((path for path in found if path is not None), None)
+
+    def relative(self, path: Path) -> str:
+        """The path of a file in the folder, relative to it."""
+        return path.relative_to(self.path).as_posix()
+
+    def _places(self, name: str) -> Iterator[str]:
+        """Relative paths that a name may stand for, the most likely one first."""
+        slashed = re.sub(r"^[A-Za-z]:/", "/", name.replace("\\", "/"))
+        absolute = posixpath.isabs(slashed)
+        if "\\" in name and (self.path / name).is_file():
+            yield name
+        root = os.path.abspath(self.path)
+        target = os.path.normpath(os.path.join(root, slashed))
+        for base in (root, os.path.realpath(root)):
+            if os.path.commonpath([base, target]) == base:
+                yield os.path.relpath(target, base)
+                return
+        if not absolute or os.path.exists(target):
+            raise ValueError(
+                f"{self.path}: image {name!r} lies outside the scene's folder; copy it into the folder, and write its "
+                "path relative to the folder"
+            )
+        parts = posixpath.normpath(slashed).strip("/").split("/")
+        for first in range(len(parts)):
+            yield "/".join(parts[first:])
+
+    def _named(self, relative: str) -> Path | None:
+        for suffix in SUFFIXES:
+            if os.path.isfile(self.path / (relative + suffix)):
+                return self.path / (relative + suffix)
+        alike = self._alike(posixpath.normpath(relative).split("/"))
+        if len(alike) > 1:
+            several = ", ".join(sorted(self.relative(path) for path in alike))
+            raise ValueError(f"{self.path}: image {relative!r} may stand for {several}; write the name of one of them")
+        return alike[0] if alike else None
+
+    def _alike(self, parts: list[str]) -> list[Path]:
+        """Image files whose path is `parts`, apart from letter case, Unicode form, and the suffix of the last part."""
+        places = [self.path]
+        for part in parts[:-1]:
+            places = [path for place in places for path in self._list(place).get(_folded(part), [])]
+        stem, suffix = posixpath.splitext(_folded(parts[-1]))
+        names = [stem + suffix + more for more in SUFFIXES]
+        if suffix in PHOTOGRAPHS and posixpath.splitext(stem)[1] in PHOTOGRAPHS:
+            names.append(stem)
+        return [
+            path for place in places for name in names for path in self._list(place).get(name, []) if path.is_file()
+        ]
+
+    def _list(self, place: Path) -> dict[str, list[Path]]:
+        """The entries of a folder by their folded names; each folder is read once."""
+        if place not in self._entries:
+            self._entries[place] = {}
+            for path in place.iterdir() if place.is_dir() else []:
+                self._entries[place].setdefault(_folded(path.name), []).append(path)
+        return self._entries[place]
 
 
-def find_model(folder: Path) -> Path | None:
-    """The folder of a COLMAP model, binary or text, inside a scene's folder."""
-    places = (folder / place for place in MODELS)
-    endings = (".bin", ".txt")
-    return next(
-        (
-            place
-            for place in places
-            for ending in endings
-            if (place / f"cameras{ending}").is_file() and (place / f"images{ending}").is_file()
-        ),
-        None,
-    )
+def _folded(name: str) -> str:
+    """Equal for names that differ only in letter case or Unicode form."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
 def photographs(folder: Path) -> list[Path]:
@@ -54,20 +135,20 @@ def photographs(folder: Path) -> list[Path]:
 
 
 def capture_hint(source: Path) -> str:
-    return f"`qnerf capture {source} --out DIR` finds the poses and writes a scene"
+    return f"`qnerf capture {shlex.quote(str(source))} --out DIR` finds the poses and writes a scene"
 
 
-def contents(folder: Path) -> str:
-    """What a folder holds that a scene can be made from, as the second half of a message; empty if it holds nothing."""
-    kinds = {"transforms.json": "nerfstudio", "transforms_train.json": "blender", "poses_bounds.npy": "llff"}
-    for file, kind in kinds.items():
-        if (folder / file).is_file():
-            return f"; it has {file}: use scene={kind}"
-    model = find_model(folder)
-    if model is not None:
-        return f"; it has a COLMAP model in {model.relative_to(folder)}: use scene=colmap"
+def contents(folder: Path, besides: Collection[str] = ()) -> str:
+    """What a folder holds that a scene can be made from, as the second half of a message; empty if it holds nothing.
+
+    besides: files of the format that was looked for, which is not advised again.
+    """
+    for kind, files in FORMATS.items():
+        found = next((file for file in files if (folder / file).is_file()), None)
+        if found is not None and not set(besides) & set(files):
+            return f"; it has {found}: use scene={kind}"
     for place in (folder / "images", folder):
-        if found := photographs(place):
-            return f"; it has {len(found)} images without poses: {capture_hint(place)}"
+        if found_images := photographs(place):
+            return f"; it has {len(found_images)} images without poses: {capture_hint(place)}"
     videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS)
     return f"; it has a video: {capture_hint(videos[0])}" if videos else ""

@@ -1,11 +1,9 @@
-"""Image files of a scene: found only inside its folder, checked before decoding, reduced with an area filter."""
+"""Image files of a scene, decoded and reduced with an area filter, and their masks."""
 
-import contextlib
 import io
 import os
-import posixpath
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,101 +18,41 @@ from qnerf.config.checks import at_least
 from qnerf.scenes.area import area_downscale, area_means, area_resize
 from qnerf.scenes.base import digest
 
-SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")  # other decoders may run programs, or read no picture
-SMALLER = (2, 4, 8)  # factors in the names of folders with reduced images: images_2, images_4, images_8
-MAX_PIXELS = 64 * 2**20  # of one image
-MAX_FILE_BYTES = 2**30
-MAX_SCENE_BYTES = 16 * 2**30
-DECODERS = 4  # images decoded at a time; fewer if together they have more than `MAX_PIXELS`
-DECODING_BYTES, REDUCING_BYTES = 16, 48  # memory for a pixel of a file while it is decoded, and reduced
-
-FileId = tuple[int | str, ...]
+DECODERS = 4  # images decoded at a time
+REDUCE = "use a larger scene.downscale or a smaller scene.width"
+DECODING_BYTES = 48  # memory for a pixel of a file while it is decoded and reduced
 
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image inside the scene's folder; `name` is its path relative to the folder."""
+    """An image in the scene's folder; `name` is its path relative to the folder."""
 
     name: str
     path: Path
     width: int  # pixels, as the file's header says
     height: int
-    size: int  # bytes
     alpha: bool  # whether pixels may be transparent, as the file's header says
 
 
-def find_image(folder: Path, name: str) -> Path | None:
-    """The image file `name`, written with or without its suffix; None if it does not exist.
+@dataclass(frozen=True)
+class Mask:
+    """An image that says which pixels of another one count: not where it is black."""
 
-    Raises:
-        ValueError: the name, or a symbolic link on its way, points outside the folder.
-    """
-    refusal = f"{folder}: image {name!r} lies outside the scene's folder; image paths must be relative and inside it"
-    if "\0" in name:
-        raise ValueError(f"{folder}: image name {name!r} holds a null character")
-    if posixpath.isabs(name) or os.path.isabs(name) or posixpath.normpath(name).split("/")[0] == "..":
-        raise ValueError(refusal)
-    root = folder.resolve()
-    for suffix in SUFFIXES:
-        path = folder / (name + suffix)
-        try:
-            if not path.is_file():
-                continue
-            if not path.resolve().is_relative_to(root):
-                raise ValueError(refusal)
-        except OSError:  # a name too long for the file system, a loop of links
-            continue
-        return path
-    return None
+    file: Path
+    inverted: bool = False  # not where it is other than black
 
 
-def find_smaller(folder: Path, name: str) -> Path | None:
-    """The image in `images_2`, `images_4` or `images_8` that stands for `images/...`, the largest; None: there is none.
-
-    Its suffix may be another one.
-    """
-    first, _, rest = posixpath.normpath(name).partition("/")
-    found = (
-        find_image(folder, f"{first}_{factor}/{other}")
-        for factor in SMALLER
-        for other in (rest, posixpath.splitext(rest)[0])
-        if rest
-    )
-    return next((path for path in found if path is not None), None)
-
-
-def file_id(path: Path) -> FileId:
-    """Equal for all names of one file: through links, hard links, and other case where the file system ignores it."""
-    status = path.stat()
-    if not status.st_ino:  # the file system does not number its files
-        return (str(path.resolve()),)
-    # Some network file systems give one number to several files: size and time tell them apart.
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
-
-
-def open_header(folder: Path, name: str, path: Path) -> ImageFile:
-    """Reads the image's size without decoding it. ValueError if it is no image, or too large to decode."""
+def open_header(folder: Path, path: Path) -> ImageFile:
+    """Reads the size of an image in the folder without decoding it; ValueError if it is no image."""
+    name = path.relative_to(folder).as_posix()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below, at a lower limit
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path, formats=FORMATS) as image:
-                width, height = image.size
-                alpha = _may_be_transparent(image)
-    except Image.DecompressionBombError:
-        width, height, alpha = 2**31, 2**31, False
+                return ImageFile(name, path, *image.size, _may_be_transparent(image))
     except Exception as error:
         raise ValueError(f"{folder}: image {name!r} cannot be read: {_reason(error)}") from error
-    if width * height > MAX_PIXELS:
-        raise ValueError(
-            f"{folder}: image {name!r} is larger than {MAX_PIXELS // 2**20} megapixels and was not decoded; "
-            "scale it down first"
-        )
-    size = path.stat().st_size
-    if size > MAX_FILE_BYTES:
-        raise ValueError(f"{folder}: image {name!r} is a file of more than 1 GiB and was not read")
-    relative = path.relative_to(folder).as_posix()
-    return ImageFile(relative, path, width, height, size, alpha)
 
 
 def check_downscale(label: str, downscale: int, width: int, height: int) -> None:
@@ -150,31 +88,6 @@ def reduced_sizes(label: str, files: Sequence[ImageFile], downscale: int, width:
     ]
 
 
-def check_memory(what: str, pixels: int, bytes_per_pixel: int, extra: int = 0) -> None:
-    """ValueError if the pixels would need more than `MAX_SCENE_BYTES`, or more memory than there is.
-
-    extra: bytes that are needed while the scene is made.
-    """
-    size, hint = pixels * bytes_per_pixel, "use a larger downscale"
-    if size > MAX_SCENE_BYTES:
-        limit = f"the limit is {MAX_SCENE_BYTES / 2**30:g} GiB"
-        raise ValueError(f"{what} would need {size / 2**30:.0f} GiB; {limit}; {hint}")
-    memory.require(what, size + extra, hint=hint)
-
-
-@contextlib.contextmanager
-def out_of_memory(label: str) -> Iterator[None]:
-    """Turns a MemoryError, or a thread that cannot start, into a one-line ValueError."""
-    try:
-        yield
-    except MemoryError:
-        raise ValueError(f"{label} does not fit into memory; use a larger downscale") from None
-    except RuntimeError as error:
-        if "can't start new thread" not in str(error):
-            raise
-        raise ValueError(f"{label}: {error}: too little memory, or too many threads") from None
-
-
 def read_images(
     folder: Path, files: Sequence[ImageFile], sizes: Sequence[tuple[int, int]], downscale: int
 ) -> tuple[NDArray[np.uint8], list[str]]:
@@ -190,16 +103,11 @@ def read_images(
     Raises:
         ValueError: an image does not decode (the message names it), or together they need too much memory.
     """
-    full = max(file.width * file.height for file in files)
     ends = np.cumsum([width * height for width, height in sizes])
     channels = 4 if any(file.alpha for file in files) else 3
-    workers = min(os.cpu_count() or 1, DECODERS, MAX_PIXELS // full, len(files))
-    reduced = any((file.width, file.height) != size for file, size in zip(files, sizes, strict=True))
-    each = max(file.size for file in files) + full * (REDUCING_BYTES if reduced else DECODING_BYTES)
-    width, height = max(sizes)
-    upto = "" if len(set(sizes)) == 1 else "up to "
-    what = f"{folder}: {len(files)} images of {upto}{width} x {height} pixels"
-    check_memory(what, int(ends[-1]), channels, workers * each)
+    workers = min(os.cpu_count() or 1, DECODERS, len(files))
+    decoding = workers * DECODING_BYTES * max(file.width * file.height for file in files)
+    memory.require(f"{folder}: {len(files)} images", int(ends[-1]) * channels + decoding, hint=REDUCE)
 
     def read(view: int) -> tuple[str, bool]:
         """Fills the view's pixels; returns the file's hash, and whether all pixels are opaque."""
@@ -211,28 +119,27 @@ def read_images(
         target[:, flat.shape[1] :] = 255
         return digest(data), flat.shape[1] == 3 or bool((flat[:, 3] == 255).all())
 
-    with out_of_memory(f"{folder}"):
-        images = np.empty((ends[-1], channels), np.uint8)
-        with ThreadPoolExecutor(workers) as pool:
-            hashes, opaque = zip(*pool.map(read, range(len(files))), strict=True)
-        if channels == 4 and all(opaque):
-            _drop_alpha(images, int(max(np.diff(ends, prepend=0))))
+    images = np.empty((ends[-1], channels), np.uint8)
+    with ThreadPoolExecutor(workers) as pool:
+        hashes, opaque = zip(*pool.map(read, range(len(files))), strict=True)
+    if channels == 4 and all(opaque):
+        _drop_alpha(images, int(max(np.diff(ends, prepend=0))))
     return _stacked(images, sizes), list(hashes)
 
 
 def read_masks(
     folder: Path,
     files: Sequence[ImageFile],
-    masks: Sequence[ImageFile | None],
+    masks: Sequence[Mask | None],
     sizes: Sequence[tuple[int, int]],
     downscale: int,
 ) -> tuple[NDArray[np.bool_] | None, list[str | None]]:
-    """The masks in the arrangement of `read_images` without channels, and a hash of each file; None without any mask.
+    """The masks in the arrangement of `read_images` without channels, and a hash of each; None without any mask.
 
-    A pixel counts if no pixel that it was made from is black in the mask.
+    A pixel counts if no pixel of the mask that it covers a part of says otherwise. A mask may be larger than its image.
 
     Raises:
-        ValueError: a mask does not decode, or its size is not its image's.
+        ValueError: a mask does not decode, or is no larger image of its image's shape.
     """
     if not any(masks):
         return None, [None] * len(files)
@@ -243,17 +150,19 @@ def read_masks(
             parts.append(np.ones(width * height, dtype=bool))
             hashes.append(None)
             continue
-        if (mask.width, mask.height) != (file.width, file.height):
+        header = open_header(folder, mask.file)
+        ratio = header.width / file.width
+        if ratio < 1 or abs(header.height - ratio * file.height) >= ratio:
             raise ValueError(
-                f"{folder}: mask {mask.name!r} has {mask.width} x {mask.height} pixels, its image {file.name!r} "
-                f"{file.width} x {file.height}"
+                f"{folder}: mask {header.name!r} has {header.width} x {header.height} pixels; expected the "
+                f"{file.width} x {file.height} of its image {file.name!r}, or a larger mask of the same shape"
             )
-        data, black = _decode(folder, mask, lambda image: np.asarray(image.convert("L")) == 0)
+        data, black = _decode(folder, header, lambda image: np.asarray(image.convert("L")) == 0)
+        excluded = (~black if mask.inverted else black).astype(np.float32)[..., None]
         if downscale > 1:
-            black = black[: height * downscale, : width * downscale]
-        shares = area_means(black[..., None].astype(np.float32), width, height)
-        parts.append(shares.reshape(-1) == 0)
-        hashes.append(digest(data))
+            excluded = area_means(excluded, file.width, file.height)[: height * downscale, : width * downscale]
+        parts.append(area_means(excluded, width, height).reshape(-1) == 0)
+        hashes.append(digest("inverted", data) if mask.inverted else digest(data))
     return _stacked(np.concatenate(parts), sizes), hashes
 
 
@@ -266,7 +175,7 @@ def _decode(folder: Path, file: ImageFile, pixels: Callable[[Image.Image], NDArr
                 raise ValueError("it changed while it was read")
             return data, pixels(image)
     except MemoryError:
-        raise
+        raise ValueError(f"{folder}: image {file.name!r} does not fit into memory; {REDUCE}") from None
     except Exception as error:
         raise ValueError(f"{folder}: image {file.name!r} does not decode: {_reason(error)}") from error
 

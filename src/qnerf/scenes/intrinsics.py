@@ -20,7 +20,10 @@ FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
 CENTRE = ("cx", "cy")
 DISTORTION = ("k1", "k2", "p1", "p2")
 FISHEYE_DISTORTION = ("k1", "k2", "k3", "k4")
-FOCAL_RANGE = (1e-3, 1e6)  # focal lengths, in longer sides of the image
+LENS = ("camera_model", "is_fisheye", *SIZE, *FOCAL, *CENTRE, *DISTORTION, "k3", "k4", "k5", "k6")
+"""Keys of a frame, or of a whole transforms file, that decide its intrinsics."""
+FIELD_OF_VIEW = (2.0, 170.0)  # degrees, along the longer side of the image
+USUAL = (10.0, 150.0)  # degrees: a unit that gives such a field of view is the likely one
 MAX_OFFSET = 1e3  # of the principal point from the image's corner, in longer sides of the image
 
 _short = reprlib.repr  # of what a file holds: never long, never deep
@@ -40,66 +43,99 @@ def stated_numbers(keys: Mapping[str, Any], names: Sequence[str], label: str) ->
     return {name: float(value) for name, value in stated.items()}
 
 
-def stated_intrinsics(own: Mapping[str, Any], shared: Mapping[str, Any], label: str) -> dict[str, float]:
-    """The numbers that decide a frame's intrinsics, as written. Its own keys win over those of the whole file.
+def stated_intrinsics(lens: Mapping[str, Any], label: str) -> dict[str, float]:
+    """The numbers that decide a frame's intrinsics, as written under the keys `LENS`.
 
     A fisheye's have `fisheye`: 1 among them.
 
     Raises:
         ValueError: a number is not usable, the camera model is not supported, or there is no focal length.
     """
-    merged = {**shared, **own}
-    model = merged.get("camera_model")
+    model = lens.get("camera_model")
     if model is not None and model not in (*PERSPECTIVE, *FISHEYE):
         known = ", ".join((*PERSPECTIVE, *FISHEYE))
         raise ValueError(f"{label}: camera model {_short(model)} is not supported; known: {known}; {CURE}")
-    said = merged.get("is_fisheye")
+    said = lens.get("is_fisheye")
     if said not in (None, False, True):
         raise ValueError(f"{label}: is_fisheye must be true or false, got {_short(said)}")
     fisheye = model in FISHEYE or bool(said)
     names, others = (FISHEYE_DISTORTION, DISTORTION[2:]) if fisheye else (DISTORTION, ("k3", "k4", "k5", "k6"))
-    for key, value in stated_numbers(merged, others, label).items():
+    for key, value in stated_numbers(lens, others, label).items():
         if value:
             what = "of a fisheye " if fisheye else ""
             raise ValueError(
                 f"{label}: distortion {key}={value:g} {what}is not supported; known: {', '.join(names)}; {CURE}"
             )
-    focal = stated_numbers(own, FOCAL, label) or stated_numbers(shared, FOCAL, label)
+    focal = stated_numbers(lens, FOCAL, label)
     if not focal:
-        raise ValueError(f"{label} has no intrinsics: expected fl_x (pixels) or camera_angle_x (radians)")
+        raise ValueError(f"{label} has no intrinsics: expected fl_x (pixels), camera_angle_x (radians) or K")
     for axis in "xy":
         if f"fl_{axis}" in focal:
             focal.pop(f"camera_angle_{axis}", None)
     if fisheye and not focal.keys() & {"fl_x", "fl_y"}:
         raise ValueError(f"{label}: a fisheye's focal length must be fl_x, in pixels")
-    distortion = {key: value for key, value in stated_numbers(merged, names, label).items() if value}
-    return ({"fisheye": 1.0} if fisheye else {}) | focal | stated_numbers(merged, (*SIZE, *CENTRE), label) | distortion
+    distortion = {key: value for key, value in stated_numbers(lens, names, label).items() if value}
+    return ({"fisheye": 1.0} if fisheye else {}) | focal | stated_numbers(lens, (*SIZE, *CENTRE), label) | distortion
 
 
-def focal_lengths(stated: Mapping[str, float], width: int, height: int, label: str) -> tuple[float, float]:
-    """fx, fy in pixels, from fl_x, fl_y (pixels) or camera_angle_x, camera_angle_y (radians)."""
-    low, high = (factor * max(width, height) for factor in FOCAL_RANGE)
-    lengths: dict[str, float] = {}
+def focal_lengths(stated: Mapping[str, float], width: int, height: int) -> dict[str, float]:
+    """Those that are stated, fx under `x` and fy under `y`, in pixels: fl_x, fl_y (pixels), else camera_angle_x,
+    camera_angle_y (radians)."""
+    lengths = {axis: stated[f"fl_{axis}"] for axis in "xy" if f"fl_{axis}" in stated}
     for axis, size in (("x", width), ("y", height)):
+        if axis not in lengths and f"camera_angle_{axis}" in stated:
+            lengths[axis] = 0.5 * size / max(math.tan(0.5 * stated[f"camera_angle_{axis}"]), 1e-300)
+    return lengths
+
+
+def check_focal_lengths(stated: Mapping[str, float], width: int, height: int, label: str) -> None:
+    """ValueError if a focal length gives a field of view that no camera has; it says which unit it may be in.
+
+    width, height: of the image that the focal lengths are stated for.
+    """
+    for axis in "xy":
         length, angle = stated.get(f"fl_{axis}"), stated.get(f"camera_angle_{axis}")
-        if length is None and angle is not None:
-            if not 0 < angle < math.pi:
-                raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}")
-            half = math.tan(0.5 * angle)
-            length = 0.5 * size / half if half else math.inf
-        if length is None:
-            continue
-        if length <= 0:
+        if length is not None and length <= 0:
             raise ValueError(f"{label}: fl_{axis} must be above 0, got {length:g}")
-        if not low <= length <= high:
+        if length is None and angle is not None and not 0 < angle < math.pi:
+            degrees = "; it is in radians, and the number looks like degrees" if math.pi < angle < 180 else ""
+            raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}{degrees}")
+    side = max(width, height)
+    low, high = FIELD_OF_VIEW
+    for axis, length in focal_lengths(stated, width, height).items():
+        view = math.degrees(side / length) if "fisheye" in stated else field_of_view(length, side)
+        if not low <= view <= (360.0 if "fisheye" in stated else high):
             key = f"fl_{axis}" if f"fl_{axis}" in stated else f"camera_angle_{axis}"
             raise ValueError(
-                f"{label}: {key}={stated[key]:g} is a focal length of {length:g} pixels; "
-                f"expected {low:g} to {high:g} for an image of {width} x {height} pixels"
+                f"{label}: {key}={stated[key]:g} is a field of view of {view:.3g} degrees for an image of {width} x "
+                f"{height} pixels; expected {low:g} to {high:g}; {likely_unit(stated, key, width, height)}"
             )
-        lengths[axis] = length
-    one = next(iter(lengths.values()))
-    return lengths.get("x", one), lengths.get("y", one)
+
+
+def field_of_view(length: float, side: float) -> float:
+    """Degrees across `side` pixels at a focal length in pixels."""
+    return math.degrees(2 * math.atan2(side, 2 * length))
+
+
+def likely_unit(stated: Mapping[str, float], key: str, width: int, height: int) -> str:
+    """What the number under `key` may have been meant as, and how to write it instead."""
+    value, side = stated[key], max(width, height)
+    if key.startswith("camera_angle"):
+        return f"{key} is the angle across the whole image, in radians"
+
+    def usual(length: float) -> bool:
+        return USUAL[0] <= field_of_view(length, side) <= USUAL[1]
+
+    if field_of_view(value, side) < FIELD_OF_VIEW[0]:
+        return f"{key} is in pixels; if they are those of larger images, write the size of these as w and h"
+    if usual(value * width) and value < 4:
+        return f"{key} is in pixels; the number looks like image widths, which would be {value * width:g} pixels"
+    if usual(value / 36 * width):
+        return (
+            f"{key} is in pixels; the number looks like millimetres: multiply it by the width in pixels over the width "
+            f"of the sensor in millimetres; with 36 mm that is {value / 36 * width:g}"
+        )
+    return f"{key} is in pixels of the images"
 
 
 def intrinsics(stated: Mapping[str, float], width: int, height: int, label: str) -> list[float]:
@@ -111,12 +147,12 @@ def intrinsics(stated: Mapping[str, float], width: int, height: int, label: str)
     across, down = (
         size / stated.get(key, size) if stated.get(key) else 1 for key, size in (("w", width), ("h", height))
     )
-    if max(across, down) < 1:
-        off = max(abs(stated["w"] * down - width), abs(stated["h"] * across - height))
-        if off < 1:
-            factors = {"fl_x": across, "cx": across, "fl_y": down, "cy": down, "w": across, "h": down}
-            stated = {key: value * factors.get(key, 1) for key, value in stated.items()}
-            stated |= {"w": width, "h": height}
+    larger = max(across, down) < 1 and max(abs(stated["w"] * down - width), abs(stated["h"] * across - height)) < 1
+    full = (round(stated["w"]), round(stated["h"])) if larger else (width, height)
+    check_focal_lengths(stated, *full, label)
+    if larger:
+        factors = {"fl_x": across, "cx": across, "fl_y": down, "cy": down}
+        stated = {key: value * factors.get(key, 1) for key, value in stated.items()} | {"w": width, "h": height}
     for key, size in (("w", width), ("h", height)):
         if stated.get(key, size) != size:
             raise ValueError(
@@ -130,10 +166,12 @@ def intrinsics(stated: Mapping[str, float], width: int, height: int, label: str)
                 f"{label}: {key} must be between {-limit:g} and {limit:g} for an image of {width} x {height} pixels, "
                 f"got {stated[key]:g}"
             )
-    centre = [stated.get("cx", width / 2), stated.get("cy", height / 2)]
+    lengths = focal_lengths(stated, width, height)
+    one = next(iter(lengths.values()))
     return [
-        *focal_lengths(stated, width, height, label),
-        *centre,
+        *(lengths.get(axis, one) for axis in "xy"),
+        stated.get("cx", width / 2),
+        stated.get("cy", height / 2),
         *(stated.get(key, 0.0) for key in (FISHEYE_DISTORTION if "fisheye" in stated else DISTORTION)),
     ]
 

@@ -1,68 +1,91 @@
-"""Puts a scene together from frames: images, masks, cameras, the normalised world, and the fingerprint."""
+"""Puts a scene together from what a reader of a format found: images, masks, cameras, the normalised world.
+
+A format is one module in `qnerf.scenes.formats`. It returns a `Capture`; everything else is done here.
+"""
 
 import json
-from collections.abc import Mapping, Sequence
+import posixpath
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from qnerf.scenes.base import Cameras, Scene, digest
-from qnerf.scenes.images import open_header, read_images, read_masks, reduced_sizes
+from qnerf.scenes.base import MIN_VIEWS, Cameras, Scene, digest, split_views
+from qnerf.scenes.folders import SMALLER, SceneFolder, photographs
+from qnerf.scenes.images import Mask, open_header, read_images, read_masks, reduced_sizes
 from qnerf.scenes.intrinsics import check_lenses, intrinsics, stated_intrinsics
-from qnerf.scenes.normalise import normalise
-from qnerf.scenes.transforms import Frame
+from qnerf.scenes.normalise import normalise, rigid
 
 FINGERPRINT = "2"  # raise it whenever `fingerprint` hashes something else
+MASKS = "masks"  # folder with a mask for each image, where no other mask is named
+NAMED = 6  # most names in a remark
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """An image as the files of a format describe it."""
+
+    name: str  # as the format's file writes it
+    file: Path | None  # None: missing
+    matrix: NDArray  # (3 or 4, 4) float64, camera-to-world in the source's world, OpenGL's axes, as written
+    lens: Mapping[str, Any]  # under the names of a transforms file: w h fl_x fl_y cx cy k1 ..., or camera_angle_x
+    mask: Mask | None = None
+    use: Literal["train", "eval", "unused"] | None = None  # None for all images: `split_views` decides
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Posed images of one scene, as a reader found them."""
+
+    format: str
+    folder: SceneFolder
+    source: Path  # with the poses, for messages
+    images: Sequence[PosedImage]  # in the order of the scene's views
+    recentre: bool = True  # orient and centre the world; else it is only scaled
+    bounds: tuple[float, float] | None = None  # near and far in the source's units
+    remarks: list[str] = field(default_factory=list)  # see `Scene.remarks`
+    read: Sequence[str] = ()  # what was read, directly in the folder, besides images and masks
 
 
 def load_scene(
-    name: str,
-    folder: Path,
-    frames: Sequence[Frame],
-    train: list[int],
-    held_out: list[int],
-    downscale: int,
-    width: int | None,
-    *,
-    recentre: bool,
-    bounds: tuple[float, float] | None = None,
+    capture: Capture, downscale: int, width: int | None, *, skip_missing: bool = False, eval_every: int | None = None
 ) -> Scene:
-    """Reads the images of the split and puts the scene together.
+    """The scene with its images, reduced.
 
     Args:
-        name: of the scene reader.
-        frames: the world is normalised over all of them, used or not.
-        train, held_out: indices into `frames`.
         downscale: integer factor by which images are reduced.
         width: that of images which are wider, in pixels; None: `downscale` decides.
-        recentre: orient and centre the world; else it is only scaled.
-        bounds: near and far in the source's units.
+        skip_missing: leave out images whose file is missing.
+        eval_every: every so many views one is held out, the first view among them; None: 10 % of the views.
 
     Raises:
-        ValueError: an image is in both splits, a split is empty, or poses, images or intrinsics are not usable.
+        ValueError: an image is missing, or named twice; a split is empty; poses, images, masks or intrinsics are not
+            usable.
     """
-    trained = {frames[index].file_id for index in train}
-    both = [frames[index].key for index in held_out if frames[index].file_id in trained]
-    if both:
-        raise ValueError(f"{folder}: image {min(both)!r} is in the training and in the evaluation split")
-    if not train or not held_out:
-        raise ValueError(f"{folder}: the split leaves no image to {'evaluate' if train else 'train'}")
+    folder, name = capture.folder.path, capture.format
+    posed = existing(capture, skip_missing)
+    check_unique(capture.source, folder, posed)
+    poses, scales = rigid_poses(capture.source, posed)
     try:
-        poses, transform = normalise(np.stack([frame.pose for frame in frames]), orient=recentre, centre=recentre)
+        poses, transform = normalise(poses, orient=capture.recentre, centre=capture.recentre)
     except ValueError as error:
         raise ValueError(f"{folder}: {error}") from error
-    matrices = [frame.matrix for frame in frames]
+    train, held_out = split_of(posed, eval_every)
+    if not train or not held_out:
+        raise ValueError(f"{folder}: the split leaves no image to {'evaluate' if train else 'train'}")
     used = sorted({*train, *held_out})
     train, held_out = [used.index(index) for index in train], [used.index(index) for index in held_out]
-    frames = [frames[index] for index in used]
-    files = [open_header(folder, frame.name, frame.file) for frame in frames if frame.file is not None]
-    masks = [open_header(folder, str(frame.own["mask_path"]), frame.mask) if frame.mask else None for frame in frames]
+    matrices = [image.matrix[:3] for image in posed]
+    views = with_masks(capture.folder, [posed[index] for index in used])
+    remarks = [*capture.remarks, *scaled(scales), *unread(capture, posed, views)]
+    files = [open_header(folder, image.file) for image in views if image.file is not None]
     sizes = reduced_sizes(f"scene={name}", files, downscale, width)
-    labels = [f"{folder}: frame {frame.name!r}" for frame in frames]
-    stated = [stated_intrinsics(frame.own, frame.shared, label) for frame, label in zip(frames, labels, strict=True)]
+    labels = [f"{capture.source}: frame {image.name!r}" for image in views]
+    stated = [stated_intrinsics(image.lens, label) for image, label in zip(views, labels, strict=True)]
     table = np.array(
         [
             intrinsics(numbers, file.width, file.height, label)
@@ -73,8 +96,8 @@ def load_scene(
     full = np.array([(file.width, file.height) for file in files])
     check_lenses(labels, table, full, fisheye)
     images, hashes = read_images(folder, files, sizes, downscale)
-    mask, mask_hashes = read_masks(folder, files, masks, sizes, downscale)
-    views = [
+    mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], sizes, downscale)
+    contents = [
         {"frame": index, "image": file.name, "content": content, "lens": numbers} | ({"mask": black} if black else {})
         for index, file, content, numbers, black in zip(used, files, hashes, stated, mask_hashes, strict=True)
     ]
@@ -83,7 +106,7 @@ def load_scene(
     else:
         table[:, :4] *= np.tile(np.array(sizes) / full, 2)
     scale = float(np.linalg.norm(transform[:3, 0]))
-    near, far = (None, None) if bounds is None else (bounds[0] * scale, bounds[1] * scale)
+    near, far = (None, None) if capture.bounds is None else (bound * scale for bound in capture.bounds)
     return Scene(
         name=name,
         images=torch.from_numpy(images),
@@ -91,13 +114,128 @@ def load_scene(
         train=train,
         eval=held_out,
         names=[file.name for file in files],
-        fingerprint=fingerprint(name, matrices, views, train, held_out, downscale, width),
+        fingerprint=fingerprint(name, matrices, contents, train, held_out, downscale, width),
         transform=torch.from_numpy(transform),
         near=near,
         far=far,
         mask=None if mask is None else torch.from_numpy(mask),
-        masks=sum(black is not None for black in mask_hashes),
+        masks=sum(image.mask is not None for image in views),
+        remarks=tuple(remarks),
     )
+
+
+def existing(capture: Capture, skip_missing: bool) -> list[PosedImage]:
+    """The images whose file exists.
+
+    Raises:
+        ValueError: a file is missing and `skip_missing` is false, or fewer than three exist. The message says what may
+            be done about it.
+    """
+    images, folder = capture.images, capture.folder
+    missing = [image.name for image in images if image.file is None]
+    found = [image for image in images if image.file is not None]
+    enough = len(found) >= MIN_VIEWS
+    if enough and (skip_missing or not missing):
+        return found
+    if not missing:
+        raise ValueError(f"{folder.path}: expected at least {MIN_VIEWS} images, got {len(found)}")
+    told = f"{folder.path}: {len(missing)} of {len(images)} images are missing, the first is {missing[0]!r}"
+    if enough:
+        raise ValueError(f"{told}; scene.skip_missing=true goes on with the other {len(found)}")
+    place = folder.path / posixpath.dirname(missing[0].replace("\\", "/"))
+    others = [path for path in photographs(place) if path not in {image.file for image in found}]
+    there = f"; {place} has {len(others)} other images, such as {others[0].name!r}" if others else ""
+    raise ValueError(f"{told}; at least {MIN_VIEWS} are needed{there}")
+
+
+def check_unique(source: Path, folder: Path, images: Sequence[PosedImage]) -> None:
+    """ValueError if two of the images are one file."""
+    first: dict[Path, PosedImage] = {}
+    for image in images:
+        assert image.file is not None
+        other = first.setdefault(image.file.resolve(), image)
+        if other is image:
+            continue
+        if {other.use, image.use} == {"train", "eval"}:
+            raise ValueError(f"{folder}: image {image.name!r} is in the training and in the evaluation split")
+        if image.name == other.name:
+            raise ValueError(f"{source} names image {image.name!r} twice")
+        raise ValueError(f"{source} names one image file twice: as {other.name!r} and as {image.name!r}")
+
+
+def rigid_poses(source: Path, images: Sequence[PosedImage]) -> tuple[NDArray, NDArray]:
+    """Poses (V, 3, 4) with exact rotations, and the factors (V,) by which the rotations were scaled."""
+    found = [rigid(image.matrix, f"{source}: frame {image.name!r}") for image in images]
+    return np.stack([pose for pose, _ in found]), np.array([scale for _, scale in found])
+
+
+def split_of(images: Sequence[PosedImage], eval_every: int | None) -> tuple[list[int], list[int]]:
+    """Indices of the training and of the held-out images."""
+    if all(image.use is None for image in images):
+        return split_views(len(images), eval_every)
+    train, held_out = ([index for index, image in enumerate(images) if image.use == use] for use in ("train", "eval"))
+    return train, held_out
+
+
+def with_masks(folder: SceneFolder, images: Sequence[PosedImage]) -> list[PosedImage]:
+    """The images with the masks that lie in the folder `masks`, if no image has a mask yet.
+
+    The mask of images/a.jpg is masks/a.jpg.png, masks/a.png or masks/a.jpg; that of images_4/a.jpg is looked for in
+    masks_4, too.
+    """
+    if any(image.mask for image in images):
+        return list(images)
+
+    def find(file: Path) -> Mask | None:
+        first, _, rest = folder.relative(file).partition("/")
+        smaller = [f"{MASKS}_{factor}" for factor in SMALLER if first.endswith(f"_{factor}")]
+        for place in (*smaller, MASKS):
+            for inner in (rest, f"{first}/{rest}") if rest else (first,):
+                for name in (f"{inner}.png", inner, posixpath.splitext(inner)[0]):
+                    if (folder.path / place).is_dir() and (path := folder.image(f"{place}/{name}")):
+                        return Mask(path)
+        return None
+
+    return [replace(image, mask=find(image.file)) for image in images if image.file is not None]
+
+
+def scaled(scales: NDArray) -> Iterator[str]:
+    """A remark on rotations that were multiplied by a number."""
+    low, high = f"{scales.min():.4g}", f"{scales.max():.4g}"
+    if max(abs(scales - 1)) > 1e-3:
+        yield f"rotations times {low if low == high else f'{low} to {high}'} were divided by it"
+
+
+def unread(capture: Capture, posed: Sequence[PosedImage], views: Sequence[PosedImage]) -> Iterator[str]:
+    """Remarks on images that are not used, and on what else lies in the folder."""
+    root = capture.folder.path
+    files = {image.file for image in posed if image.file is not None}
+    if len(views) < len(posed):
+        yield f"{len(posed) - len(views)} posed images not used"
+    if len(posed) < len(capture.images):
+        yield f"{len(capture.images) - len(posed)} missing images left out"
+    without = sum(path not in files for place in {file.parent for file in files} for path in photographs(place))
+    without -= sum(
+        image.mask is not None and image.mask.file.parent in {file.parent for file in files} for image in views
+    )
+    if without > 0:
+        yield f"{without} images without a pose"
+    masks = {image.mask.file for image in views if image.mask is not None}
+    tops = {capture.folder.relative(path).split("/")[0] for path in (*files, *masks)} | set(capture.read)
+    stems = {top.split("_")[0] for top in tops}
+    others = sorted(
+        f"{path.name}/" if path.is_dir() else path.name
+        for path in root.iterdir()
+        if path.name not in tops and path.name[0] != "." and path.name.rpartition("_")[0] not in stems
+    )
+    if others:
+        yield f"files not read: {shortened(others)}"
+
+
+def shortened(names: Sequence[str]) -> str:
+    """The first of the names, and how many there are more."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
 
 
 def fingerprint(

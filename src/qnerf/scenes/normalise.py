@@ -7,12 +7,14 @@ MAX_RIGID_ERROR = 1e-3  # largest entry of |R^T R - I| that is taken as rounding
 MAX_ENTRY = 1e12  # largest absolute entry of a pose
 
 
-def rigid(pose: NDArray, label: str) -> NDArray:
-    """A pose (3 or 4, 4) with its rotation made exactly orthonormal: (3, 4) float64.
+def rigid(pose: NDArray, label: str) -> tuple[NDArray, float]:
+    """A pose (3 or 4, 4) with its rotation made exactly orthonormal, (3, 4) float64, and the factor that was taken out.
+
+    Some tools write rotations times a number, such as the scale of a similarity. The columns then have equal lengths.
 
     Raises:
-        ValueError: the shape is wrong, an entry is not finite, or the rotation is off by more than 1e-3. The message
-            starts with `label`.
+        ValueError: the shape is wrong, an entry is not finite, or the rotation, divided by the length of its columns,
+            is off by more than 1e-3. The message starts with `label`.
     """
     if pose.shape not in ((3, 4), (4, 4)):
         raise ValueError(f"{label}: transform_matrix must be 4 x 4, got shape {pose.shape}")
@@ -21,15 +23,17 @@ def rigid(pose: NDArray, label: str) -> NDArray:
     if pose.shape[0] == 4 and not np.allclose(pose[3], [0, 0, 0, 1], atol=MAX_RIGID_ERROR):
         raise ValueError(f"{label}: the last row of transform_matrix must be 0 0 0 1, got {pose[3].tolist()}")
     rotation = pose[:3, :3]
-    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    square = float((rotation**2).sum()) / 3
+    error = float(np.abs(rotation.T @ rotation / (square or 1) - np.eye(3)).max())
     if error > MAX_RIGID_ERROR:
         raise ValueError(
-            f"{label}: transform_matrix is not rigid: its columns must be orthonormal, R^T R is off by {error:.2g}"
+            f"{label}: transform_matrix is not rigid: its columns must be at right angles and equally long, "
+            f"R^T R is off by {error:.2g}"
         )
     if np.linalg.det(rotation) < 0:
         raise ValueError(f"{label}: transform_matrix mirrors space: the determinant of its rotation is -1, not 1")
     left, _, right = np.linalg.svd(rotation)
-    return np.concatenate([left @ right, pose[:3, 3:]], axis=1)
+    return np.concatenate([left @ right, pose[:3, 3:]], axis=1), square**0.5
 
 
 def rotation_between(a: NDArray, b: NDArray) -> NDArray:

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from qnerf.config.bounds import Count
 from qnerf.scenes import SCENES
-from qnerf.scenes.images import SUFFIXES, find_image, open_header, read_images
+from qnerf.scenes.folders import PHOTOGRAPHS, SceneFolder
+from qnerf.scenes.images import open_header, read_images
 from qnerf.signals.base import Fitted, Signal
 from qnerf.training.evaluation import shade_error
 from qnerf.training.image_metrics import psnr, ssim
@@ -50,7 +51,7 @@ class Photograph(Signal):
         held_out: Annotated[float, Interval(ge=0, le=0.9)] = 0.0,
     ) -> None:
         file = picture_file(path)
-        header = open_header(file.parent, file.name, file)
+        header = open_header(file.parent, file)
         images, hashes = read_images(file.parent, [header], [(header.width, header.height)], 1)
         image = Image.fromarray(images[0, ..., :3])
         self.name = Path(path).name
@@ -90,9 +91,9 @@ def picture_file(path: str) -> Path:
     file = Path(path)
     if file.is_file():
         return file
-    if file.name == path and (found := find_image(BUNDLED, path)) is not None:
+    if file.name == path and path and (found := SceneFolder(BUNDLED).image(path)) is not None:
         return found
-    known = sorted(file.stem for file in BUNDLED.iterdir() if file.suffix in SUFFIXES[1:])
+    known = sorted(file.stem for file in BUNDLED.iterdir() if file.suffix in PHOTOGRAPHS)
     raise ValueError(f"no image file {path}, and no picture of scikit-image; known: {', '.join(known)}")
 
 

@@ -19,7 +19,7 @@ from qnerf.config.cache import cache_folder
 from qnerf.scenes.base import MIN_VIEWS, SCENES, Cameras, Scene, digest, split_views
 from qnerf.scenes.builtin.textures import encoded
 from qnerf.scenes.builtin.tracer import MAX_RADIANCE
-from qnerf.scenes.images import check_downscale, check_memory, out_of_memory
+from qnerf.scenes.images import REDUCE, check_downscale
 from qnerf.scenes.normalise import normalise
 
 VERSION = "1"  # raise it whenever the images change
@@ -64,13 +64,11 @@ def poster(
     check_downscale("scene=poster", downscale, width, height)
     width, height = width // downscale, height // downscale
     what = f"scene=poster: {views} images of {width} x {height} pixels"
-    check_memory(what, views * width * height, BYTES_PER_PIXEL, views * BYTES_PER_VIEW)
+    memory.require(what, views * (width * height * BYTES_PER_PIXEL + BYTES_PER_VIEW), hint=REDUCE)
     rays = views * width * height * supersample**2
     if rays > MAX_RAYS:
         raise ValueError(f"{what} with supersample={supersample} need {rays:,} rays; the limit is {MAX_RAYS:,}")
-
-    with out_of_memory("scene=poster"):
-        arrays = _cached(options | {"width": width, "height": height})
+    arrays = _cached(options | {"width": width, "height": height})
     poses, transform = normalise(arrays["poses"].astype(np.float64))
     focal = FOCAL * max(width, height)
     lens = np.tile([focal, focal, width / 2, height / 2, 0, 0, 0, 0], (views, 1))

@@ -6,13 +6,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from qnerf.config.bounds import Count
-from qnerf.scenes.base import SCENES, Scene, split_views
-from qnerf.scenes.folders import contents, find_model, scene_folder
-from qnerf.scenes.images import find_image
+from qnerf.scenes.base import SCENES, Scene
+from qnerf.scenes.folders import FORMATS, SceneFolder, contents
 from qnerf.scenes.intrinsics import CURE
-from qnerf.scenes.loading import load_scene
-from qnerf.scenes.transforms import frames_of, with_images
+from qnerf.scenes.loading import Capture, PosedImage, load_scene
+
+PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
+"""Where a model lies in a scene's folder."""
+ENDINGS = (".bin", ".txt")
+FORMATS["colmap"] = tuple(f"{place}/images{ending}".removeprefix("./") for place in PLACES for ending in ENDINGS)
 
 # COLMAP's number of each camera model, its name, and its parameters under the names of a transforms file.
 MODELS: dict[int, tuple[str, str]] = {
@@ -60,36 +65,63 @@ def colmap(
     Raises:
         ValueError: one line that names the mistake and the file or photograph.
     """
-    folder = scene_folder(path)
-    place = find_model(folder) if model is None else folder / model
-    if place is None or not any((place / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
-        where = f"no COLMAP model{contents(folder)}" if place is None else f"no COLMAP model in {model}"
+    folder = SceneFolder(path)
+    place = find_model(folder.path) if model is None else folder.path / model
+    if place is None or model_ending(place) is None:
+        where = f"no COLMAP model{contents(folder.path, FORMATS['colmap'])}" if model is None else f"none in {model}"
         raise ValueError(f"scene.path={str(path)!r} has {where}; expected cameras.bin and images.bin, or .txt")
     content = read_model(place)
-    for frame in content["frames"]:
-        name = frame["file_path"]
-        there = find_image(folder, f"{images}/{name}") is None and find_image(folder, name) is not None
-        frame["file_path"] = name if there else f"{images}/{name}"
-    frames = sorted(with_images(folder, frames_of(folder, place, content), skip_missing), key=lambda frame: frame.name)
-    train, held_out = split_views(len(frames), eval_every)
-    return load_scene("colmap", folder, frames, train, held_out, downscale, width, recentre=True)
+    posed = sorted((posed_image(folder, images, frame) for frame in content["frames"]), key=lambda image: image.name)
+    top = place.relative_to(folder.path).parts[:1] or tuple(file.name for file in place.glob("*.*"))
+    capture = Capture("colmap", folder, place, posed, remarks=content["remarks"], read=top)
+    return load_scene(capture, downscale, width, skip_missing=skip_missing, eval_every=eval_every)
+
+
+def posed_image(folder: SceneFolder, images: str, frame: dict[str, Any]) -> PosedImage:
+    """A frame of `read_model` with its photograph, in the folder `images`, in the scene's folder, or in images_2 ..."""
+    own, named = frame["file_path"], f"{images}/{frame['file_path']}"
+    file = folder.image(named)
+    name = named if file or folder.image(own) is None else own
+    file = file or folder.image(own) or folder.smaller(named)
+    return PosedImage(name, file, np.array(frame["transform_matrix"]), frame)
+
+
+def model_ending(place: Path) -> str | None:
+    """The ending of the files of the model in a folder; None if there is no model.
+
+    A complete model goes before files that were left over from another one, as in COLMAP, which wants the points, too.
+    """
+    for files in (("cameras", "images", "points3D"), ("cameras", "images")):
+        for ending in ENDINGS:
+            if all((place / f"{file}{ending}").is_file() for file in files):
+                return ending
+    return None
+
+
+def find_model(folder: Path) -> Path | None:
+    """The folder of a COLMAP model, binary or text, inside a scene's folder."""
+    return next((folder / place for place in PLACES if model_ending(folder / place)), None)
 
 
 def read_model(place: Path) -> dict[str, Any]:
     """The posed images of a COLMAP model as the content of a transforms file; `file_path` is COLMAP's image name.
 
+    `remarks` lists what was left out.
+
     Raises:
         ValueError: a file is damaged or missing, a camera model is not supported, or no image is posed.
     """
-    ending = ".bin" if (place / "cameras.bin").is_file() else ".txt"
+    ending = model_ending(place)
     cameras_file, images_file = place / f"cameras{ending}", place / f"images{ending}"
+    remarks: list[str] = []
     try:
-        cameras = dict(_cameras(cameras_file) if ending == ".bin" else _cameras_text(cameras_file))
-        images = list(_images(images_file) if ending == ".bin" else _images_text(images_file))
+        cameras = _unique(cameras_file, _cameras(cameras_file) if ending == ".bin" else _cameras_text(cameras_file))
+        found = _images(images_file) if ending == ".bin" else _images_text(images_file, remarks)
+        images = list(_unique(images_file, found).values())
     except OSError as error:
         raise ValueError(f"{error.filename} cannot be read: {error.strerror}") from error
     except (struct.error, ValueError, IndexError, TypeError, OverflowError) as error:
-        if str(error).startswith(str(cameras_file)):
+        if str(error).startswith(str(place)):
             raise
         raise ValueError(f"{place}: the COLMAP model is damaged or cut short") from error
     if not images:
@@ -99,7 +131,17 @@ def read_model(place: Path) -> dict[str, Any]:
         if camera not in cameras:
             raise ValueError(f"{images_file}: image {name!r} has camera {camera}, which {cameras_file.name} lacks")
         frames.append({"file_path": name, "transform_matrix": camera_to_world(*pose), **cameras[camera]})
-    return {"frames": frames}
+    return {"frames": frames, "remarks": remarks}
+
+
+def _unique(file: Path, entries: Iterator[tuple[int, Any]]) -> dict[int, Any]:
+    """The entries by their numbers; ValueError if a number comes twice."""
+    found: dict[int, Any] = {}
+    for number, entry in entries:
+        if number in found:
+            raise ValueError(f"{file}: number {number} comes twice")
+        found[number] = entry
+    return found
 
 
 def camera_to_world(qw: float, qx: float, qy: float, qz: float, tx: float, ty: float, tz: float) -> list[list[float]]:
@@ -113,7 +155,7 @@ def camera_to_world(qw: float, qx: float, qy: float, qz: float, tx: float, ty: f
     """
     norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     if not 0 < norm < math.inf:
-        raise ValueError(f"a pose with the quaternion {qw:g} {qx:g} {qy:g} {qz:g}, which is no rotation")
+        raise ValueError(f"the COLMAP model has a pose with the quaternion {qw:g} {qx:g} {qy:g} {qz:g}: no rotation")
     w, x, y, z = (value / norm for value in (qw, qx, qy, qz))
     turn = (  # world to camera
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -151,11 +193,11 @@ def _cameras(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
             yield number, keys_of(model, names, width, height, values)
 
 
-def _images(file: Path) -> Iterator[Posed]:
+def _images(file: Path) -> Iterator[tuple[int, Posed]]:
     with file.open("rb") as stream:
         (count,) = _unpack(stream, "Q")
         for _ in range(count):
-            _, *pose, camera = _unpack(stream, "i7di")
+            number, *pose, camera = _unpack(stream, "i7di")
             name = bytearray()
             while (byte := _unpack(stream, "c")[0]) != b"\0":
                 name += byte
@@ -163,16 +205,17 @@ def _images(file: Path) -> Iterator[Posed]:
                     raise IndexError
             (points,) = _unpack(stream, "Q")
             stream.seek(POINT_BYTES * points, 1)
-            yield name.decode(), tuple(pose), camera
+            yield number, (name.decode(), tuple(pose), camera)
 
 
-def _lines(file: Path) -> list[str]:
-    return [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+def _lines(file: Path) -> Iterator[str]:
+    """The lines without white space around them."""
+    return (line.strip() for line in file.read_text(encoding="utf-8").removesuffix("\n").split("\n"))
 
 
 def _cameras_text(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     for line in _lines(file):
-        if line.strip():
+        if line and line[0] != "#":
             number, kind, width, height, *values = line.split()
             model, names = _model(file, kind)
             if len(values) != len(names.split()):
@@ -180,11 +223,37 @@ def _cameras_text(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
             yield int(number), keys_of(model, names, int(width), int(height), [float(value) for value in values])
 
 
-def _images_text(file: Path) -> Iterator[Posed]:
-    for line in _lines(file)[::2]:  # each is followed by one with the image's features, which may be empty
-        if line.strip():
-            _, *pose, camera, name = line.split(maxsplit=9)
-            yield name, tuple(float(value) for value in pose), int(camera)
+def _images_text(file: Path, remarks: list[str]) -> Iterator[tuple[int, Posed]]:
+    """Blank lines and comments may stand before an image, but the next line is always that of its points."""
+    lines = _lines(file)
+    for line in lines:
+        if not line or line[0] == "#":
+            continue
+        number, *pose, camera, name = line.split(maxsplit=9)
+        points = next(lines, None)
+        if points is None:  # COLMAP leaves such an image out
+            remarks.append(f"{file.name} ends before the line of points of {name!r}, which is left out as in COLMAP")
+            return
+        _check_points(file, name, points)
+        yield int(number), (name, tuple(float(value) for value in pose), int(camera))
+
+
+def _check_points(file: Path, name: str, line: str) -> None:
+    """ValueError unless a line may be that of an image's points: x y number x y number ..."""
+    values = line.split()
+    if not line.startswith("#") and (len(values) % 3 or not all(map(_is_number, values[:12]))):
+        raise ValueError(
+            f"{file}: image {name!r} must be followed by the line of its points, got {line[:40]!r}; where an image has "
+            "none, write an empty line after it"
+        )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _model(file: Path, kind: int | str) -> tuple[str, str]:
