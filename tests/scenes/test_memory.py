@@ -78,17 +78,6 @@ def test_alpha_is_dropped_in_place_and_filled_in(tmp_path: Path) -> None:
     np.testing.assert_array_equal(SCENES.build("nerfstudio", path=str(folder)).images, np.stack(pixels))
 
 
-def test_the_poster_is_refused_before_it_is_traced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "available_bytes", lambda: 2**30)
-    for options, message in (
-        ({"views": 10**5}, "would take .* are available; use a larger scene.downscale"),
-        ({"supersample": 256}, "need .* rays; the limit is 10,000,000,000"),
-        ({"views": 3, "width": 400, "height": 1, "supersample": 256}, "tracing would take .* smaller supersample"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            SCENES.build("poster", **options)
-
-
 def test_the_table_of_rays_says_what_it_would_take(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = worlds.ball(views=4, size=32)
     monkeypatch.setattr(memory, "available_bytes", lambda: 1000)

@@ -154,7 +154,6 @@ def _write(undistorted: Path, scene: Path) -> Path:
     if masked:
         os.replace(masks, scene / "masks")
     (scene / "transforms.json").write_text(json.dumps(content, indent=1))
-    scene.chmod(0o777 & ~_umask())
     return scene
 
 
@@ -289,9 +288,3 @@ def _count(database: Path, table: str, where: str = "1") -> int:
             return int(opened.execute(f"SELECT COUNT(*) FROM {table} WHERE {where}").fetchone()[0])
     except sqlite3.Error:
         return 0
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

@@ -94,7 +94,7 @@ def read_images(
     """Decodes and reduces the images: (V, H, W, 3 or 4) uint8, and a hash of each file. Images of differing size are
     (P, 3 or 4), view after view.
 
-    There are 4 channels if any pixel of any image is not opaque. The images are in memory once.
+    There are 4 channels if any pixel of any image is not opaque.
 
     Args:
         sizes: width and height to which each image is reduced.
@@ -123,7 +123,7 @@ def read_images(
     with ThreadPoolExecutor(workers) as pool:
         hashes, opaque = zip(*pool.map(read, range(len(files))), strict=True)
     if channels == 4 and all(opaque):
-        _drop_alpha(images, int(max(np.diff(ends, prepend=0))))
+        images = np.ascontiguousarray(images[:, :3])
     return _stacked(images, sizes), list(hashes)
 
 
@@ -200,16 +200,6 @@ def _pixels(image: Image.Image) -> NDArray[np.uint8]:
 
 def _may_be_transparent(image: Image.Image) -> bool:
     return not image.mode.startswith("I") and ("A" in image.getbands() or "transparency" in image.info)
-
-
-def _drop_alpha(images: NDArray[np.uint8], part: int) -> None:
-    """(P, 4) -> (P, 3) in place, `part` pixels at a time, so that the images are never in memory twice."""
-    pixels, flat = len(images), images.reshape(-1)
-    for first in range(0, pixels, part):
-        colors = images[first : first + part, :3].reshape(-1)
-        flat[3 * first : 3 * first + colors.size] = colors
-    del flat
-    images.resize((pixels, 3), refcheck=False)
 
 
 def _reason(error: Exception) -> str:

@@ -6,29 +6,24 @@ import tempfile
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import torch
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from qnerf.config import memory
 from qnerf.config.bounds import Count
 from qnerf.config.cache import cache_folder
 from qnerf.scenes.base import MIN_VIEWS, SCENES, Cameras, Scene, digest, split_views
 from qnerf.scenes.builtin.textures import encoded
 from qnerf.scenes.builtin.tracer import MAX_RADIANCE
-from qnerf.scenes.images import REDUCE, check_downscale
+from qnerf.scenes.images import check_downscale
 from qnerf.scenes.normalise import normalise
 
 VERSION = "1"  # raise it whenever the images change
 FOCAL = 0.72  # focal length / longer side of the image
-BYTES_PER_PIXEL = 7  # 3 of colour, 4 of depth
-BYTES_PER_VIEW = 1024  # pose, lens and name
-BYTES_PER_RAY = 512  # while it is traced
 CHUNK = 2**16  # rays traced at a time
-MAX_RAYS = 10**10  # of all images; they take hours
 
 
 @SCENES.register("poster")
@@ -63,11 +58,6 @@ def poster(
     options = {"views": views, "width": width, "height": height, "supersample": supersample, "seed": seed}
     check_downscale("scene=poster", downscale, width, height)
     width, height = width // downscale, height // downscale
-    what = f"scene=poster: {views} images of {width} x {height} pixels"
-    memory.require(what, views * (width * height * BYTES_PER_PIXEL + BYTES_PER_VIEW), hint=REDUCE)
-    rays = views * width * height * supersample**2
-    if rays > MAX_RAYS:
-        raise ValueError(f"{what} with supersample={supersample} need {rays:,} rays; the limit is {MAX_RAYS:,}")
     arrays = _cached(options | {"width": width, "height": height})
     poses, transform = normalise(arrays["poses"].astype(np.float64))
     focal = FOCAL * max(width, height)
@@ -92,16 +82,10 @@ def render_views(*, views: int, width: int, height: int, supersample: int, seed:
 
     Returns:
         images (V, H, W, 3) uint8, depth (V, H, W) float32 in metres, camera-to-world poses (V, 3, 4) float64 in metres.
-
-    Raises:
-        ValueError: there is too little memory for the rays that are traced together.
     """
     from qnerf.scenes.builtin.room import room, walk
 
     rows = max(CHUNK // (width * supersample**2), 1)  # rows of pixels traced at a time
-    workers = min(os.cpu_count() or 1, 16)
-    traced = workers * min(rows, height) * width * supersample**2
-    memory.require("scene=poster: tracing", traced * BYTES_PER_RAY, hint="use a smaller supersample or width")
     images, depths = np.empty((views, height, width, 3), np.uint8), np.empty((views, height, width), np.float32)
     world, poses = room(), walk(views, seed)
     focal = FOCAL * max(width, height)
@@ -129,7 +113,7 @@ def render_views(*, views: int, width: int, height: int, supersample: int, seed:
             centres = directions(pose, np.arange(width) + 0.5, np.arange(first, last) + 0.5)
             depth[first:last] = world.trace(pose[:, 3:], centres).distance.reshape(last - first, width)
 
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
         for _ in pool.map(trace_view, range(views)):
             pass
     return {"images": images, "depth": depths, "poses": poses}
@@ -142,30 +126,13 @@ def _cached(options: Mapping[str, int]) -> dict[str, NDArray]:
     if folder is None:
         return render_views(**options)
     file = folder / f"poster-{key}.npz"
-    arrays = _load(file, options, key)
-    if arrays is None:
-        arrays = render_views(**options)
-        _save(file, arrays | {"key": np.array(key)})
-    return arrays
-
-
-def _load(file: Path, options: Mapping[str, int], key: str) -> dict[str, NDArray] | None:
-    """The cached arrays; None if the file is absent, damaged or of other options."""
-    shape = (options["views"], options["height"], options["width"])
-    expected: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "images": (np.uint8, (*shape, 3)),
-        "depth": (np.float32, shape),
-        "poses": (np.float64, (shape[0], 3, 4)),
-    }
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            if str(stored["key"]) != key:
-                return None
-            arrays = {name: stored[name] for name in expected}
-    except Exception:  # a damaged file makes numpy and zipfile raise a dozen different errors
-        return None
-    intact = all(arrays[name].dtype == kind and arrays[name].shape == size for name, (kind, size) in expected.items())
-    return arrays if intact else None
+            return dict(stored)
+    except Exception:  # no file, or a damaged one, which makes numpy and zipfile raise a dozen different errors
+        arrays = render_views(**options)
+        _save(file, arrays)
+        return arrays
 
 
 def _save(file: Path, arrays: Mapping[str, NDArray]) -> None:
