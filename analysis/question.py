@@ -1,4 +1,4 @@
-"""A question of docs/results.md: what was asked, the commands that train its runs, the tables that answer it."""
+"""A question of docs/results: what was asked, the commands that train its runs, the tables that answer it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,20 +6,20 @@ from dataclasses import dataclass
 import pandas as pd
 
 from .paper import PAPER_TABLES
-from .tables import Table, ablation, shots_and_noise, stability, units
+from .tables import Table, ablation, shots_and_noise, units
 
 QUALITY = ("psnr", "ssim", "depth_error")
 
 
 @dataclass(frozen=True)
 class Question:
-    """A section of the page: a question, the commands that train its runs, and the tables that answer it.
+    """A page of results: a question, the commands that train its runs, and the tables that answer it.
 
     rows: the keys that distinguish the rows of each table.
     baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
     metric: what the tables compare and rank; within: its smallest difference that matters, where not the usual one.
     values: the columns; those that no run has are left out.
-    failures, units, hardware: whether to add the table of that name.
+    failures: whether to say which runs slipped or collapsed; units, hardware: whether to add the table of that name.
     paper: the names of the paper's tables to add.
     """
 
@@ -48,19 +48,17 @@ class Question:
                     frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other, within=self.within
                 )
             )
-        wanted = ((self.failures, stability), (self.units, units), (self.hardware, shots_and_noise))
+        wanted = ((self.units, units), (self.hardware, shots_and_noise))
         tables += [make(frame, self.rows) for wants, make in wanted if wants]
         return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
 
-    def table_commands(self, name: str) -> list[str]:
-        """The commands that make its tables over seeds from the packed runs in docs/results/`name`."""
+    def table_command(self, name: str) -> str:
+        """The command that makes its first table from the packed runs in docs/results/`name`."""
         command = f"qnerf tables docs/results/{name} --rows {','.join(self.rows)}"
         if self.metric != "psnr":
             command += f" --metric {self.metric} --values {','.join(self.values)}"
         if self.within is not None:
             command += f" --within {self.within:g}"
         if self.baseline is None:
-            return [command]
-        baselines = [self.baseline, *self.other_baselines]
-        texts = [",".join(f"{key}={value}" for key, value in baseline.items()) for baseline in baselines]
-        return [f"{command} --baseline {text}" for text in texts]
+            return command
+        return f"{command} --baseline {','.join(f'{key}={value}' for key, value in self.baseline.items())}"

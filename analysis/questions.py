@@ -479,4 +479,4 @@ QUESTIONS = {
         values=(*QUALITY, "step_ms", "train_s"),
     ),
 }
-"""Folder of packed runs -> question, in the order of the page."""
+"""Folder of packed runs -> question, in the order of the index."""

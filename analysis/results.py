@@ -1,47 +1,48 @@
-"""The page docs/results.md: a section per question, made from packed runs.
+"""The pages of results: docs/results/NAME/README.md for each question, and docs/results.md, which lists them.
 
-`qnerf results docs/results --write docs/results.md` writes it. `qnerf pack` packs the runs of
-each question into a folder of its own.
+`qnerf results docs/results` writes them from packed runs. `qnerf pack` packs the runs of each question into a folder of
+its own.
 """
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from qnerf.records.files import read_bytes
-from qnerf.records.parquet import reading
+from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records.printable import printable
 
 from . import command, load, output
 from .figures.files import title
 from .question import Question
 from .questions import QUESTIONS
+from .selection import SCENES, label
+from .tables import Table, stability
+from .tables.table import markdown_escape
 
-HEAD = """\
+INDEX = """\
 # Results
 
-`qnerf results docs/results --write docs/results.md` makes every table from the runs in `docs/results/`,
-which has a folder per question. Each section begins with the commands that trained its runs, followed by those that
-make its tables from the stored runs. Give the latter other `--rows` to group the runs differently.
+One line a question: what its runs say, and the page with the table and the commands that train them. `qnerf results
+docs/results` writes all of these pages from the packed runs in `docs/results/`.
 
-PSNR and SSIM are means over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training. The training
-commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_64`, which is the fox capture of
-instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs
-He initialisation. Runs of `train=quick` are from before it halved the samples of the proposal networks, which changes
-no PSNR (see the question about them); `proposal.samples=[128,64]` repeats them.
-`qnerf pack runs docs/results/NAME --figures FIGURE` draws a figure from the store of runs.
+PSNR is the mean over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training; ± is the standard
+deviation over seeds. Verdicts compare with the baseline of the page, see [analysis.md](analysis.md#verdicts). The
+training commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_64`, the fox capture of
+instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs He's
+initial weights; `proposal.samples=[128,64]` repeats runs from before it halved the samples of the proposal networks,
+which changes no PSNR. The runs of a table were not all trained at the same time, so compare step times with
+`python -m benchmarks.training` instead. {hardware}
 
-The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
-instead. {hardware}
+| question | what the runs say |
+|---|---|
 """
+MOST_NAMED = 3
+"""Rows beside the baseline that the index names one by one; of more it counts the verdicts."""
 
-MAX_TEXT_BYTES = 2**20
 
-
-def page(folder: Path) -> str:
-    """The page in Markdown, a section for each question whose folder exists; hardware.txt describes the machine.
+def pages(folder: Path) -> dict[Path, str]:
+    """File -> page in Markdown, for each question whose folder exists; hardware.txt describes the machine.
 
     Raises:
         ValueError: there is no folder of packed runs, or one that belongs to no question.
@@ -53,58 +54,155 @@ def page(folder: Path) -> str:
             f"{folder}: expected folders of packed runs, among {', '.join(QUESTIONS)}; "
             f"got {', '.join(unknown) or 'none'}"
         )
-    file = folder / "hardware.txt"
-    parts = [HEAD.format(hardware=read_text(file) if file.is_file() else "").rstrip()]
+    made, lines = {}, []
     for name, question in QUESTIONS.items():
         if name in present:
-            parts += section(name, question, load.runs(folder / name)) + stored(folder / name)
-    return "\n\n".join(parts) + "\n"
+            made[folder / name / "README.md"], said = page(folder / name, question)
+            lines.append(f"| [{question.title}]({folder.name}/{name}/README.md) | {said} |")
+    file = folder / "hardware.txt"
+    hardware = " ".join(printable(file.read_text(), lines=True).split()) if file.is_file() else ""
+    return {folder.with_suffix(".md"): INDEX.format(hardware=hardware) + "\n".join(lines) + "\n"} | made
 
 
-def stored(folder: Path) -> list[str]:
-    """What `qnerf pack` made from parts of the runs that it does not pack: tables of the paper and figures."""
-    tables = [read_text(file) for file in sorted(folder.glob("*.md"))]
-    pictures = [
-        f"![{title(file.stem)}]({folder.parent.name}/{folder.name}/{file.name})"
-        for file in sorted(folder.glob("*.png"))
-    ]
-    return tables + pictures
-
-
-def read_text(file: Path) -> str:
-    """A small text file without control characters; StoreError if it is a link, large, or not UTF-8."""
-    with reading(file):
-        text = read_bytes(file, MAX_TEXT_BYTES).decode()
-    return printable("\n".join(text.splitlines()), lines=True).strip()
-
-
-def section(name: str, question: Question, frame: pd.DataFrame) -> list[str]:
-    """The paragraphs of a question: commands, number of runs, tables."""
+def page(folder: Path, question: Question) -> tuple[str, str]:
+    """The page of a question's packed runs, and its line in the index."""
+    frame = load.runs(folder)
+    tables = question.tables(frame)
+    own = tables[: 1 + len(question.other_baselines)]
     steps = frame.groupby("train")["train.steps"].unique()
     budgets = "; ".join(
-        f"`train={recipe}`, {', '.join(f'{n:,}' for n in sorted(numbers))} steps" for recipe, numbers in steps.items()
+        f"`train={recipe}`, {', '.join(f'{n:,.0f}' for n in sorted(numbers))} steps"
+        for recipe, numbers in steps.items()
     )
-    seeds = ", ".join(map(str, sorted(frame["seed"].unique())))
-    commands = "\n".join(f"    {line}" for line in (*question.commands, *question.table_commands(name)))
-    tables = [f"**{table.title}**\n\n{table.markdown()}" for table in question.tables(frame)]
-    return [f"## {question.title}", commands, f"{len(frame)} runs; {budgets}; seeds {seeds}.", *tables]
+    seeds = sorted(frame["seed"].unique())
+    seeds = f"{seeds[0]:.0f} to {seeds[-1]:.0f}" if len(seeds) > 1 else f"{seeds[0]:.0f}"
+    parts = [f"# {question.title}", f"{len(frame)} runs; {budgets}; seeds {seeds}."]
+    parts.append("\n".join(f"    {line}" for line in (*question.commands, question.table_command(folder.name))))
+    if not (question.paper or question.hardware):
+        parts.append(beside(own, question).markdown())
+    parts += [f"**{table.title}**\n\n{table.markdown()}" for table in tables[len(own) :]]
+    if question.failures and (failed := failures(stability(frame, question.rows))):
+        parts.append(failed)
+    parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
+    parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
+    return "\n\n".join(parts) + "\n", verdicts(own[0], question)
+
+
+def beside(tables: Sequence[Table], question: Question) -> Table:
+    """The question's tables as one: the metric of each scene, the verdicts against each baseline beside it, and the
+    other values of the question that do not say how good a run is."""
+    first = tables[0].text
+    keys = [key for key in question.rows if key in first]
+    own = metric_of(question.metric).heading
+    quality = {item.heading for item in quality_metrics()} - {own}
+    shown, bold = first[[*keys, own]].copy(), tables[0].bold[[*keys, own]].copy()
+    for table, baseline in zip(tables, (question.baseline, *question.other_baselines), strict=True):
+        if baseline is not None:
+            heading = f"against {label(tuple(baseline.values()))}"
+            shown[heading], bold[heading] = against(table.text, own), False
+    for name in first.columns.difference(shown.columns, sort=False):
+        if name not in quality and name not in (f"difference, {own}", "verdict", "effect", "pairs"):
+            shown[name], bold[name] = first[name], tables[0].bold[name]
+    return by_scene(Table("", shown, tables[0].data, bold), keys)
+
+
+def against(text: pd.DataFrame, metric: str) -> list[str]:
+    """`-1.22 ± 0.67 worse *`, without what an undecided comparison rules out; empty in the baseline's row."""
+    differences = text[f"difference, {metric}"]
+    kinds = text["verdict"].str.replace(r"undecided: .*? is ruled out", "undecided", regex=True)
+    return [f"{difference} {kind}".strip() for difference, kind in zip(differences, kinds, strict=True)]
+
+
+def by_scene(table: Table, keys: Sequence[str]) -> Table:
+    """The table with a row for what several rows of up to three scenes have in common.
+
+    The columns that differ between the scenes come once for each, as `SCENE: COLUMN`.
+    """
+    text = table.text
+    key = next((key for key in keys if key in (*SCENES, "scene.shape")), "")
+    rows = [name for name in keys if name != key]
+    scenes = list(dict.fromkeys(text[key])) if key else []
+    if not rows or len(scenes) not in (1, 2, 3):
+        return table
+    parts = {scene: text[text[key] == scene].set_index(rows).drop(columns=key) for scene in scenes}
+    marks = {scene: table.bold.loc[(text[key] == scene).to_numpy()] for scene in scenes}
+    index = text.set_index(rows).index.unique()
+    shown, bold = index.to_frame(index=False), pd.DataFrame(False, range(len(index)), rows)
+    for name in next(iter(parts.values())).columns:
+        columns = {scene: part[name].reindex(index) for scene, part in parts.items()}
+        alike = pd.DataFrame({scene: list(column) for scene, column in columns.items()}).ffill(axis=1).bfill(axis=1)
+        if len(scenes) > 1 and (alike.nunique(axis=1) == 1).all() and not marks[scenes[0]][name].any():
+            shown[name], bold[name] = list(alike.iloc[:, 0]), False
+            continue
+        for scene, column in columns.items():
+            heading = f"{scene}: {name}"
+            shown[heading] = list(column.fillna(""))
+            bold[heading] = list(marks[scene][name].set_axis(parts[scene].index).reindex(index, fill_value=False))
+    return Table(table.title, shown, table.data, bold)
+
+
+def failures(table: Table) -> str:
+    """The rows of the table of stability that slipped or collapsed, in a sentence; empty where none did."""
+    found = []
+    for row in table.text.to_dict("records"):
+        counts = [f"{name} {row[name]}" for name in ("slipped", "collapsed") if not row[name].startswith("0 ")]
+        if counts:
+            name = " ".join(str(row[key]) for key in table.data.index.names)
+            found.append(f"{markdown_escape(name)}: {' and '.join(counts)}")
+    return f"Runs that failed ({table.notes[0]}): {'; '.join(found)}." if found else ""
+
+
+def verdicts(table: Table, question: Question) -> str:
+    """What the index says of a question: verdicts of a few rows, counts of many, the best rows without a baseline."""
+    text = table.text
+    where = next((key for key in question.rows if key in (*SCENES, "scene.shape")), "")
+    scene = text[where] if where else pd.Series("", index=text.index)
+    keys = [key for key in question.rows if key != where]
+    name = text[keys].apply(", ".join, axis=1) if keys else scene
+    metric = metric_of(question.metric)
+    if question.baseline is None:
+        means = metric.sign * table.data[(question.metric, "mean")].to_numpy()
+        best = pd.Series(means, index=text.index).groupby(scene, sort=False).idxmax()
+        shown = text[metric.heading].str.partition(" ")[0]
+        return "best: " + "; ".join(
+            f"{markdown_escape(name[at])}, {shown[at]} on {where}" for where, at in best.items()
+        )
+    kind = text["verdict"].str.extract(r"^(\w+)")[0]
+    compared = kind.notna()
+    baseline = markdown_escape(label(tuple(question.baseline.values())))
+    said = []
+    if name[compared].nunique() <= MOST_NAMED:
+        for row, own in kind[compared].groupby(name[compared], sort=False):
+            said.append(f"{markdown_escape(str(row))}: {listed(own.groupby(scene[compared], sort=False).first())}")
+    else:
+        for where, own in kind[compared].groupby(scene[compared], sort=False):
+            counts = own.value_counts()
+            said.append(f"{where}: " + ", ".join(f"{counts[one]} {one}" for one in KINDS if one in counts))
+    return f"against {baseline}: " + "; ".join(said)
+
+
+KINDS = ("better", "equivalent", "undecided", "worse")
+
+
+def listed(kinds: Mapping[str, str] | pd.Series) -> str:
+    """`worse on fox_64 and poster, better on chair`."""
+    groups: dict[str, list[str]] = {}
+    for scene, kind in kinds.items():
+        groups.setdefault(str(kind), []).append(str(scene))
+    return ", ".join(f"{kind} on {' and '.join(scenes)}".removesuffix(" on ") for kind, scenes in groups.items())
 
 
 DESCRIPTION = """\
-Writes the page of results, docs/results.md: one section a question, made from folders of packed runs named after it.
+Writes a page for each question that has a folder of packed runs, FOLDER/NAME/README.md, and their index, FOLDER.md.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = command.parser("results", DESCRIPTION)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of folders that `qnerf pack` wrote")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page here (default: standard output)")
     options = parser.parse_args(arguments)
-    text = page(options.folder)
-    if options.write:
-        output.write(options.write, text.encode())
-    else:
-        sys.stdout.write(text)
+    for file, text in pages(options.folder).items():
+        output.write(file, text.encode())
 
 
 if __name__ == "__main__":

@@ -72,10 +72,9 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _texts(column: pd.Series) -> list[str]:
-    """str of each value, "" where it is absent; equal values of one type are written once, which is much faster."""
+    """str of each value; equal values of one type are written once, which is much faster for many runs."""
     known: dict[tuple[type, object], str] = {}
-    values = [None if value != value else value for value in column.tolist()]
-    return ["" if v is None else known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in values]
+    return [known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in column.tolist()]
 
 
 def first_of_each(frame: pd.DataFrame) -> pd.Series:

@@ -62,7 +62,7 @@ SLOW = (
     "search/",
     "slurm/",
     "test_devices.py",
-    "test_documents.py::test_a_command",
+    "test_documents.py::test_commands_are_understood",
     "test_experiment.py",
     "training/test_finite_checks.py",
     "training/test_trainer.py",

@@ -84,13 +84,7 @@ def compressed(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
 
 
-EMPTY = {
-    "live": False,
-    "filter": None,
-    "absent": dict.fromkeys(("pictures", "plots", "curves"), ""),
-    "note": "",
-    "decisions": None,
-}
+EMPTY = {"live": False, "filter": None, "absent": dict.fromkeys(("pictures", "plots", "curves"), ""), "note": ""}
 """What a page may leave out."""
 
 

@@ -2,9 +2,9 @@
 
 The writer names the rows in an HTML comment after the numbers:
 
-    ... by 0.28 [+0.11, +0.46] dB. <!-- results rates: fox_64 0.33 - 1 -->
+    ... by 0.28 ± 0.17 dB. <!-- results rates: fox_64 0.33 - 1 -->
 
-`rates` is the section of docs/results.md that is made from docs/results/rates. The words pick one row of its tables.
+`rates` is the page docs/results/rates/README.md. The words pick one row of its tables: a scene and the keys of a row.
 ` - ` and the words of another row ask for the difference of the two. Several rows are separated by `;`, in the order of
 their numbers. A comment covers the numbers since the comment before it, or since the start of its paragraph, list item
 or table row.
@@ -13,7 +13,7 @@ or table row.
 own; {2} stands for the second cell of the row.
 
 Other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the row of a parquet file whose text has these
-parts. `<!-- printed by COMMAND -->` is for numbers that no file holds. `<!-- checked by TEST -->` names a test in
+parts. `<!-- measured at COMMIT -->` is for numbers that no file holds. `<!-- checked by TEST -->` names a test in
 tests/test_documents.py.
 """
 
@@ -29,7 +29,8 @@ import pandas as pd
 from tests.helpers.configs import ROOT
 
 NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?"
-MEAN = r"\d+\.\d+ ± \d+\.\d+"
+MEAN = r"[+-]?\d+\.\d+ ± \d+\.\d+"
+"""A mean and its standard deviation, or a difference and the reach of its interval."""
 INTERVAL = rf"{NUMBER} \[{NUMBER}, {NUMBER}\]"
 DECIMAL = r"(?<![\w.:])[+-]?\d+\.\d+(?:e[+-]\d+)?"
 QUOTE = rf"{INTERVAL}|{MEAN}|{DECIMAL}"
@@ -38,8 +39,8 @@ MEASURED = r"|(?<![\w.])\d+(?= (?:ms|s|%)(?:[ ,.|]|$))|(?<=\| )\d+(?= *$)"
 PERCENT = r"|(?<![\w.])\d+(?= %)"
 MUST = re.compile(rf"{INTERVAL}|{MEAN}|\d\.\d+ dB\b")
 """What may not stand in a document without a source."""
-COMMENT = re.compile(r"<!-- (results|from|printed by|checked by) (.*?) ?-->", re.DOTALL)
-EACH_ROW = re.compile(r"<!-- each row, (results|from|printed by|checked by) (.*?) ?-->\n", re.DOTALL)
+COMMENT = re.compile(r"<!-- (results|from|measured at|checked by) (.*?) ?-->", re.DOTALL)
+EACH_ROW = re.compile(r"<!-- each row, (results|from|measured at|checked by) (.*?) ?-->\n", re.DOTALL)
 FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -49,14 +50,13 @@ Holds = Callable[[str], bool]
 
 @dataclass
 class Row:
-    """A row of a table: the words that name it, its numbers with the decimals they have, its mean ± deviation, its
-    difference with interval and what that is the difference from."""
+    """A row of a table: the words that name it, its numbers with the decimals they have, its mean ± deviation, and its
+    differences, each with the words of what it is the difference from."""
 
     words: Counter[str]
     numbers: list[str] = field(default_factory=list)
     means: list[str] = field(default_factory=list)
-    difference: str = ""
-    baseline: Counter[str] = field(default_factory=Counter)
+    differences: list[tuple[Counter[str], str]] = field(default_factory=list)
 
 
 def problems(text: str, tables: dict[str, list[list[Row]]], root: Path = ROOT) -> list[str]:
@@ -140,7 +140,7 @@ def result_row(name: str, tables: dict[str, list[list[Row]]]) -> Holds:
     """Whether a quoted number is in the row, or is the difference, that `SECTION: WORDS [- WORDS]` names."""
     section, _, words = name.partition(": ")
     if section not in tables:
-        raise LookupError(f"no section {section!r} in docs/results.md")
+        raise LookupError(f"no page docs/results/{section}/README.md")
     first, minus, second = words.partition(" - ")
     if not minus:
         rows = matching(tables[section], Counter(first.casefold().split()), name)
@@ -148,14 +148,25 @@ def result_row(name: str, tables: dict[str, list[list[Row]]]) -> Holds:
     scene, *a = first.casefold().split()
     b = second.casefold().split()
     rows = [row for table in tables[section] for row in table]
-    own = [row for row in rows if Counter([scene, *a]) <= row.words and row.baseline == Counter(b)]
-    other = [row for row in rows if Counter([scene, *b]) <= row.words and row.baseline == Counter(a)]
-    shown = {values(row.difference) for row in own if row.difference}
-    shown |= {values(negated(row.difference)) for row in other if row.difference}
-    if len(shown) != 1 and a != b:
-        raise LookupError(f"{name!r} names {len(shown)} differences of docs/results.md")
+    shown = {
+        text
+        for row in rows
+        if Counter([scene, *a]) <= row.words
+        for base, text in row.differences
+        if base == Counter(b)
+    }
+    back = {
+        text
+        for row in rows
+        if Counter([scene, *b]) <= row.words
+        for base, text in row.differences
+        if base == Counter(a)
+    }
+    found = {values(text) for text in shown} | {(-mean, reach) for mean, reach in map(values, back)}
+    if len(found) != 1 and a != b:
+        raise LookupError(f"{name!r} names {len(found)} differences of the page {section}")
     alone = result_row(f"{section}: {first}", tables)
-    return lambda number: alone(number) or ("[" in number and values(number) in shown)
+    return lambda number: ("±" in number and values(number) in found) or alone(number)
 
 
 def matching(section: list[list[Row]], words: Counter[str], name: str) -> list[Row]:
@@ -164,16 +175,14 @@ def matching(section: list[list[Row]], words: Counter[str], name: str) -> list[R
     for table in section:
         rows = [row for row in table if words <= row.words]
         if any(row != rows[0] for row in rows):
-            raise LookupError(f"{name!r} names several rows of docs/results.md")
+            raise LookupError(f"{name!r} names several rows of its page")
         result += rows[:1]
     if not result:
-        raise LookupError(f"{name!r} names no row of docs/results.md")
+        raise LookupError(f"{name!r} names no row of its page")
     return result
 
 
 def is_in(number: str, row: Row) -> bool:
-    if "[" in number:
-        return False  # a difference needs its other side
     if "±" in number:
         return number in row.means
     return any(agrees(number, value) for value in row.numbers)
@@ -187,13 +196,8 @@ def agrees(number: str, value: str) -> bool:
     )
 
 
-def values(interval: str) -> tuple[float, ...]:
-    return tuple(float(number) for number in re.findall(r"[+-]?\d+\.\d+", interval))
-
-
-def negated(interval: str) -> str:
-    mean, low, high = values(interval)
-    return f"{-mean:+.2f} [{-high:+.2f}, {-low:+.2f}]"
+def values(text: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in re.findall(r"[+-]?\d+\.\d+", text))
 
 
 def parquet_row(file: Path, phrases: str) -> Holds:
@@ -221,38 +225,51 @@ def parquet_rows(file: Path) -> list[tuple[str, list[float]]]:
 
 @cache
 def results() -> dict[str, list[list[Row]]]:
-    return result_tables((ROOT / "docs" / "results.md").read_text())
+    """The tables of each page of results."""
+    pages = (ROOT / "docs" / "results").glob("*/README.md")
+    return {page.parent.name: result_tables(page.read_text()) for page in pages}
 
 
-def result_tables(page: str) -> dict[str, list[list[Row]]]:
-    """The tables of each section of docs/results.md, by the folder that its command names."""
-    sections = {}
-    for text in page.split("\n## ")[1:]:
-        folder = re.search(r"docs/results/(\w+) --rows", text)
-        assert folder, text[:80]
-        tables = re.findall(r"((?:^\|.*\n)+)(?:\ndifference from (.+?): )?", text, re.MULTILINE)
-        sections[folder[1]] = [result_rows(table, baseline) for table, baseline in tables]
-    return sections
+def result_tables(page: str) -> list[list[Row]]:
+    return [result_rows(table) for table in re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)]
 
 
-def result_rows(table: str, baseline: str) -> list[Row]:
+MEASURES = re.compile(r"(?:(.+): )?((?:PSNR|exact|KS|distance error|against).*)")
+"""The heading of a measured column: `fox_64: PSNR, dB`, `against classical`."""
+
+
+def result_rows(table: str) -> list[Row]:
+    """The rows of a table; where it has columns of several scenes, one for each of them."""
     header, _, *lines = [
         [cell.strip() for cell in line.strip().strip("|").split("|")] for line in table.strip().splitlines()
     ]
-    measured = ("PSNR", "exact", "KS", "distance error")
-    start = next((i for i, name in enumerate(header) if name.startswith(measured)), len(header))
+    start = next((i for i, name in enumerate(header) if MEASURES.fullmatch(name)), len(header))
+    scenes = list(dict.fromkeys(match[1] for name in header[start:] if (match := MEASURES.fullmatch(name))))
     rows = []
     for cells in lines:
         cells = [cell.replace("**", "") for cell in cells]
-        words = Counter(cell.casefold().replace(", ", ",") for cell in cells[:start])  # a list is one word
-        row = Row(words, baseline=Counter(baseline.casefold().replace("\\", "").split(", ")))
-        for cell in cells[start:]:
-            if "[" in cell:
-                row.difference = cell.removesuffix(" *")
-            elif "±" in cell:
-                row.means.append(cell)
-                row.numbers.append(cell.split()[0])
-            elif re.fullmatch(rf"{DECIMAL}|\d+%", cell):
-                row.numbers.append(cell.removesuffix("%"))
-        rows.append(row)
+        for scene in scenes:
+            row = Row(words(", ".join(cells[:start])) + Counter([scene.casefold()] if scene else []))
+            for name, cell in zip(header[start:], cells[start:], strict=True):
+                match = MEASURES.fullmatch(name)
+                if match is None or match[1] == scene:
+                    add(row, match[2] if match else name, cell)
+            rows.append(row)
     return rows
+
+
+def words(text: str) -> Counter[str]:
+    """Of cells with commas between them; a list is one word."""
+    return Counter(cell.replace(", ", ",") for cell in re.split(r", (?![^\[]*\])", text.casefold()))
+
+
+def add(row: Row, heading: str, cell: str) -> None:
+    """Adds what a cell holds to its row."""
+    if heading.startswith("against "):
+        if found := re.match(MEAN, cell):
+            row.differences.append((words(heading.removeprefix("against ")), found[0]))
+    elif "±" in cell:
+        row.means.append(cell)
+        row.numbers.append(cell.split()[0])
+    elif re.fullmatch(rf"{DECIMAL}|\d+%", cell):
+        row.numbers.append(cell.removesuffix("%"))
