@@ -18,7 +18,7 @@ async function drawExploreNow() {
     text: runs.map((run) => `${escaped(value("run_id", run))}<br>${key ? `${escaped(heading(key))}: ${escaped(text(value(key, run)) ?? "none")}` : ""}`),
     hovertemplate: `%{text}<br>${escaped(heading(y))} %{y:.4~g}<br>${escaped(heading(x))} %{x}<extra></extra>`,
     marker: { color: runs.map(paint.of), size: 7, opacity: 0.75 },
-  }], plotLayout(escaped(heading(x)), escaped(heading(y)), {
+  }], plotLayout(heading(x), heading(y), {
     xaxis: { type: isNumeric(x) ? (pressed("scatter-logx") ? "log" : "linear") : "category" },
     yaxis: { type: pressed("scatter-logy") ? "log" : "linear" },
   }), plotSettings);

@@ -19,8 +19,8 @@ function plotLayout(x, y, more = {}) {
     hoverlabel: { bgcolor: colour("--panel"), bordercolor: muted, font: { color: ink }, align: "left" },
     legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
     hovermode: "closest",
-    xaxis: { ...axis, title: { text: x, standoff: 8 }, ...more.xaxis },
-    yaxis: { ...axis, title: { text: y, standoff: 8 }, ...more.yaxis },
+    xaxis: { ...axis, title: { text: escaped(x), standoff: 8 }, ...more.xaxis },
+    yaxis: { ...axis, title: { text: escaped(y), standoff: 8 }, ...more.yaxis },
   };
 }
 
@@ -115,7 +115,7 @@ function bestOf(runs, y) {
 function hoverOf(point, y) {
   const n = point.runs.length;
   const std = point.y.std === null ? "" : ` ± ${shown(y, point.y.std)}`;
-  return `<b>${escaped(point.name)}</b><br>${heading(y)} ${shown(y, point.y.mean)}${std} (${n} seed${n > 1 ? "s" : ""})`;
+  return `<b>${escaped(point.name)}</b><br>${escaped(heading(y))} ${shown(y, point.y.mean)}${std} (${n} seed${n > 1 ? "s" : ""})`;
 }
 
 /** Plotly reads a few tags in texts; names from outside must not be read as such. */

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Shows a store of runs on a page that follows it: runs appear and curves grow while they train. The page is the report
 with more in it: any metric with mean and band over seeds, differences from a baseline of your choice, tags and notes to
-edit. Only this machine can open it. Needs the extra serve.
+edit. Only who has the printed address can open it. Needs the extra serve.
 """
 EXAMPLES = """\
   {}
@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address to listen on (default: this machine alone); for others the page asks for a token",
+        help="address to listen on (default: this machine alone)",
     )
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
     return made
@@ -51,9 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     server, token = make(options)
     family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
     with socket.create_server((options.host, options.port), family=family) as listening:
-        address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/" + (
-            f"?token={token}" if token else ""
-        )
+        address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/?token={token}"
         print(f"{options.store}: {address}; Ctrl-C ends", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
@@ -68,21 +66,23 @@ def _name_of(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def make(options: argparse.Namespace) -> tuple["Server", str | None]:
-    """The server, which does not listen yet, and the token that visitors need where others can reach it."""
+def make(options: argparse.Namespace) -> tuple["Server", str]:
+    """The server, which does not listen yet, and the token that visitors need."""
     try:
         import uvicorn
 
-        from .app import application
-        from .server import Server
+        from .app import LOCAL, application
+        from .server import MOST_CONNECTIONS, Prompt, Server
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
             raise
         raise ValueError("qnerf serve needs another package: pip install 'qnerf[serve]'") from error
     answers = Answers(WatchedStore(options.store), options.title)
-    token = None if options.host in LOOPBACK else secrets.token_urlsafe(24)
+    token = secrets.token_urlsafe(24)
+    hosts = LOCAL if options.host in LOOPBACK else None
     config = uvicorn.Config(
-        application(answers, token), log_level="error", access_log=False, ws="none",
+        application(answers, token, hosts), log_level="error", access_log=False, ws="none",
+        http=Prompt, limit_concurrency=MOST_CONNECTIONS,
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
     return Server(config, answers), token

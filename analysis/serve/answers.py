@@ -4,6 +4,7 @@ import io
 import secrets
 import threading
 from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,12 @@ class Answers:
         self._boot = secrets.token_hex(4)  # versions of an earlier server mean nothing
         self._lock = threading.Lock()
         self._snapshot = self._packed()
+        self._tables = ThreadPoolExecutor(1, "qnerf-serve-tables")
+        self._asked: dict[tuple[str, ...], Future[ShownTable]] = {}
+
+    def close(self) -> None:
+        """Ends the thread that computes tables, after the one that it is at."""
+        self._tables.shutdown(wait=False, cancel_futures=True)
 
     def page(self) -> dict[str, Any]:
         """The values of the page's template. Its table may be a little old; `news` is what has changed since."""
@@ -139,6 +146,15 @@ class Answers:
         except ValueError:
             raise ValueError(f"within: expected a positive number, got {within!r:.40}") from None
         return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
+
+    def in_turn(self, *asked: str) -> "Future[ShownTable]":
+        """`differences`, one at a time; those who ask for the same while it is computed share it."""
+        with self._lock:
+            future = self._asked.get(asked)
+            if future is None:
+                future = self._asked[asked] = self._tables.submit(self.differences, *asked)
+                future.add_done_callback(lambda _: self._asked.pop(asked, None))
+            return future
 
     def _packed(self) -> tuple[int, dict[str, Any]]:
         version, frame = self.store.frame()

@@ -1,14 +1,13 @@
 """What the live page asks for: the page, what changed, curves, pictures, tables of differences; and who may ask.
 
-Everything but tags and notes is only read. A request must name this machine as its host, or bring the token that was
-printed at the start where the server listens elsewhere: so no page of another site can read the store, not even by
-pointing a name of its own at this machine (DNS rebinding). To write, it must also bring the token that stands in the
-page, which no other site can read.
+Everything but tags and notes is only read. Every request has to bring the token of the address that was printed at the
+start, once in the address and then as a cookie: so neither another user of the machine nor a page of another site can
+ask anything. On this machine it must also name the machine as its host, and the page of a request must be this one's.
 """
 
+import asyncio
 import hmac
-import secrets
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from .answers import Answers
 HERE = Path(__file__).parent
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "qnerf_token"
-HEADER = "x-qnerf-token"
+BODY_WITHIN = 10.0  # seconds
 MAX_BODY = 2**17  # bytes; a note has at most 10,000 characters
 OWN = ("live", "differences")
 SCRIPTS = ("data", "live", *page.SHARED, "differences", "start")
@@ -47,12 +46,12 @@ HEADERS = {
 }
 
 
-def application(answers: Answers, token: str | None = None) -> ASGIApp:
+def application(answers: Answers, token: str, hosts: Collection[str] | None = LOCAL) -> ASGIApp:
     """The server's application.
 
-    token: what a visitor has to bring, as `?token=` once and then as a cookie. None: visitors of this machine alone.
+    token: what a visitor has to bring, as `?token=` once and then as a cookie. hosts: names by which it may be asked;
+    None for any.
     """
-    write_token = secrets.token_urlsafe(32)
     files = {
         "page.js": (
             "text/javascript",
@@ -63,9 +62,9 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
     }
 
     def home(request: Request) -> Response:
-        if token and "token" in request.query_params:
-            return _with_cookie(token)
-        return HTMLResponse(page.render(answers.page() | {"write_token": write_token}))
+        if "token" in request.query_params:
+            return _with_cookie(request, token)
+        return HTMLResponse(page.render(answers.page()))
 
     def file(request: Request) -> Response:
         kind, text = files[request.url.path[1:]]
@@ -89,16 +88,11 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
         seconds = 3600 if query["panel"] == "preview" else 10  # the address of a preview tells its version
         return Response(data, media_type=kind, headers={"Cache-Control": f"private, max-age={seconds}"})
 
-    def differences(request: Request) -> Response:
-        query = request.query_params
-        table = answers.differences(
-            *(query.get(name, "") for name in ("filter", "rows", "baseline", "metric", "within"))
-        )
-        return HTMLResponse(page.table(table))
+    async def differences(request: Request) -> Response:
+        asked = (request.query_params.get(name, "") for name in ("filter", "rows", "baseline", "metric", "within"))
+        return HTMLResponse(page.table(await asyncio.wrap_future(answers.in_turn(*asked))))
 
     async def annotate(request: Request) -> Response:
-        if not hmac.compare_digest(request.headers.get(HEADER, "").encode(), write_token.encode()):
-            return PlainTextResponse("expected the page's own token: reload the page", 403)
         wanted = parse_json(await _body(request))
         run = answers.store.path(request.query_params["run"])
         written = await run_in_threadpool(_annotate, run, wanted)
@@ -107,20 +101,18 @@ def application(answers: Answers, token: str | None = None) -> ASGIApp:
     routes = [
         Route("/", _answering(home)),
         *(Route(f"/{name}", file) for name in files),
-        *(
-            Route(f"/{make.__name__}", _answering(make))
-            for make in (changes, curves, keys, views, picture, differences)
-        ),
-        Route("/annotate", _answering_writes(annotate), methods=["POST"]),
+        *(Route(f"/{make.__name__}", _answering(make)) for make in (changes, curves, keys, views, picture)),
+        Route("/differences", _answering_later(differences)),
+        Route("/annotate", _answering_later(annotate), methods=["POST"]),
     ]
-    return Guard(GZipMiddleware(Starlette(routes=routes), minimum_size=2000, compresslevel=1), token)
+    return Guard(GZipMiddleware(Starlette(routes=routes), minimum_size=2000, compresslevel=1), token, hosts)
 
 
 class Guard:
     """Refuses visitors from elsewhere, and adds `HEADERS` to every answer."""
 
-    def __init__(self, inner: ASGIApp, token: str | None) -> None:
-        self._inner, self._token = inner, token
+    def __init__(self, inner: ASGIApp, token: str, hosts: Collection[str] | None) -> None:
+        self._inner, self._token, self._hosts = inner, token, hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -143,10 +135,10 @@ class Guard:
         origin = request.headers.get("origin")
         if origin is not None and origin.partition("://")[2] != host:
             return "a page of another site asked"
-        if self._token is None:
-            name = host if host.endswith("]") else host.rpartition(":")[0] or host
-            return None if name in LOCAL else f"expected one of {', '.join(LOCAL)} as host"
-        given = request.query_params.get("token") or request.cookies.get(COOKIE, "")
+        name = host if host.endswith("]") else host.rpartition(":")[0] or host
+        if self._hosts is not None and name not in self._hosts:
+            return f"expected one of {', '.join(self._hosts)} as host"
+        given = request.query_params.get("token") or request.cookies.get(_cookie(request), "")
         if hmac.compare_digest(given.encode(), self._token.encode()):
             return None
         return "expected the token: open the address that qnerf serve printed"
@@ -164,7 +156,7 @@ def _answering(make: Callable[[Request], Response]) -> Callable[[Request], Respo
     return answer
 
 
-def _answering_writes(make: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+def _answering_later(make: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         try:
             return await make(request)
@@ -193,15 +185,24 @@ def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:
 
 async def _body(request: Request) -> bytes:
     data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > MAX_BODY:
-            raise ValueError(f"expected at most {MAX_BODY:,} bytes")
+    try:
+        async with asyncio.timeout(BODY_WITHIN):
+            async for part in request.stream():
+                data += part
+                if len(data) > MAX_BODY:
+                    raise ValueError(f"expected at most {MAX_BODY:,} bytes")
+    except TimeoutError:
+        raise ValueError(f"expected the whole request within {BODY_WITHIN:g} s") from None
     return data
 
 
-def _with_cookie(token: str) -> Response:
+def _cookie(request: Request) -> str:
+    """Its name tells servers on other ports of the same machine apart."""
+    return f"{COOKIE}_{request.url.port or 80}"
+
+
+def _with_cookie(request: Request, token: str) -> Response:
     """Keeps the token out of the address bar."""
     response = RedirectResponse("/", 303)
-    response.set_cookie(COOKIE, token, httponly=True, samesite="strict")
+    response.set_cookie(_cookie(request), token, httponly=True, samesite="strict")
     return response

@@ -37,7 +37,8 @@ def live(browser, tmp_path, monkeypatch):
     for seed in range(3):
         write_run(tmp_path, seed=seed, psnr=(20.0 + seed, 22.0))
         write_run(tmp_path, "qcolor", seed=seed, psnr=(21.0 + seed, 22.5))
-    with served(tmp_path) as (address, _):
+    with served(tmp_path) as (address, token):
+        browser.get(f"{address}/?token={token}")
         yield tmp_path, address
         browser.get("about:blank")
 
@@ -90,6 +91,6 @@ def test_the_page_is_used_by_keyboard_alone(browser, live, width):
     by_id(browser, "filter").clear()
     by_id(browser, "row-keys").send_keys("field", Keys.TAB, "field=classical", Keys.ENTER)
     table = wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#differences-table tbody tr"))
-    assert "+0.75 [" in table[1].text
+    assert "+0.75 ±" in table[1].text
     assert overflow(browser) == 0
     assert errors(browser) == []

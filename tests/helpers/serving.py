@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import urllib.parse
 
 import pytest
 
@@ -14,14 +15,25 @@ from qnerf.analysis.serve.__main__ import make, parser
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
 
+TOKENS: dict[int, str] = {}  # port -> token
+
+
+def cookie(address: str) -> dict[str, str]:
+    """The header with which a browser that has opened the printed address asks."""
+    port = urllib.parse.urlsplit(address).port
+    return {"Cookie": f"qnerf_token_{port}={TOKENS[port]}"}
+
+
 @contextlib.contextmanager
 def served(*arguments):
-    """A running server: its address and the token of visitors."""
+    """A running server: its address and the token of visitors, which `cookie` brings."""
     options = parser().parse_args([*map(str, arguments)])
     server, token = make(options)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         thread = threading.Thread(target=server.run, args=([listening],), daemon=True)
         thread.start()
-        yield f"http://127.0.0.1:{listening.getsockname()[1]}", token
+        port = listening.getsockname()[1]
+        TOKENS[port] = token
+        yield f"http://127.0.0.1:{port}", token
         server.should_exit = True
         thread.join(10)
