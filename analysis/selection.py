@@ -17,6 +17,9 @@ from .settings import LABELS, configuration, distinct, effective
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
 
+FIRST_KEYS = ("scene_name", "field", "density", "color")
+"""Row keys that every table of the report has."""
+
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
 
 
@@ -114,6 +117,25 @@ def measured(runs: pd.DataFrame) -> list[str]:
         for name in runs.select_dtypes("number").columns
         if name not in settings and name not in _PROGRESS and runs[name].notna().any()
     ]
+
+
+def row_keys(runs: pd.DataFrame) -> list[str]:
+    """Scene, field, heads, and further settings that are needed so that no row mixes configurations."""
+    keys = list(FIRST_KEYS)
+    settings = ("encoder", "hash", *LABELS, *configuration(runs))
+    for name in (name for name in settings if runs[name].nunique(dropna=False) > 1):
+        if name not in keys and runs.groupby(keys, dropna=False)[name].nunique(dropna=False).max() > 1:
+            keys.append(name)
+    return keys
+
+
+def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, object]:
+    """The classical configuration as a baseline; ValueError where no scene has one, or a scene has several."""
+    keys = runs[list(rows)].drop_duplicates()
+    classical = keys[keys["field"] == "classical"] if "field" in keys else keys[:0]
+    if classical.empty or classical["scene_name"].duplicated().any():
+        raise ValueError("expected one classical configuration in a scene: give a baseline, such as color=3x64")
+    return {"field": "classical"}
 
 
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:

@@ -72,9 +72,10 @@ def effective(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _texts(column: pd.Series) -> list[str]:
-    """str of each value; equal values of one type are written once, which is much faster for many runs."""
+    """str of each value, "" where it is absent; equal values of one type are written once, which is much faster."""
     known: dict[tuple[type, object], str] = {}
-    return [known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in column.tolist()]
+    values = [None if value != value else value for value in column.tolist()]
+    return ["" if v is None else known.get((type(v), v)) or known.setdefault((type(v), v), str(v)) for v in values]
 
 
 def first_of_each(frame: pd.DataFrame) -> pd.Series:

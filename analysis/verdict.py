@@ -150,6 +150,23 @@ def verdict(
     )
 
 
+def over_these_scenes(verdicts: Sequence[Verdict], *, sign: int = 1) -> Verdict:
+    """The verdict on the mean difference over exactly these scenes, which count alike (Welch-Satterthwaite)."""
+    squares = np.array([found.error**2 for found in verdicts])
+    freedoms = np.array([found.freedom for found in verdicts])
+    mean = float(np.mean([found.difference for found in verdicts]))
+    total = float(squares.sum())
+    freedom = total**2 / float((squares**2 / freedoms).sum()) if total else float(freedoms.sum())
+    return judge(mean, total**0.5 / len(verdicts), freedom, verdicts[0].within, sign=sign)
+
+
+def over_scenes_like_these(verdicts: Sequence[Verdict], *, sign: int = 1) -> Verdict:
+    """The verdict on the mean difference over scenes of which these, at least three, are a sample (t over scenes)."""
+    differences = np.array([found.difference for found in verdicts])
+    error = float(differences.std(ddof=1) / len(differences) ** 0.5)
+    return judge(float(differences.mean()), error, len(differences) - 1, verdicts[0].within, sign=sign)
+
+
 def within_of(metric: str, asked: float | None = None) -> float:
     """`asked`, or the metric's own smallest difference that matters.
 
@@ -200,9 +217,9 @@ def other_views(baseline: pd.Series, other: pd.Series) -> float:
 
 def method(metric: str, within: float) -> str:
     """What a table's verdicts are, for under it."""
-    close = f"{within:g} {metric_of(metric).unit}".rstrip()
+    band = f"{within:g} {metric_of(metric).unit}".rstrip()
     return (
-        f"verdicts by Welch's t on run means over the same views, 95 % each; equivalent: closer than {close}; "
+        f"Welch's t on run means over the same views, ± of 95 %; equivalent: the 90 % interval is within ± {band}; "
         "* holds for all rows together"
     )
 

@@ -13,6 +13,7 @@ from .colors import hsv_boxes, hsv_histograms, hsv_samples, hsv_study
 from .cpu_ladder import cpu_ladder_points, psnr_vs_cpu_seconds
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
+from .forest import forest, forest_points
 from .image_sizes import image_sizes
 from .ladder import ladder_points, speed_error_ladder
 from .pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
@@ -38,6 +39,8 @@ __all__ = [
     "encoding_slices",
     "engine_points",
     "engine_speed_vs_error",
+    "forest",
+    "forest_points",
     "fourier_spectrum",
     "front",
     "hardware_points",

@@ -13,6 +13,7 @@ from .capacity import capacity_vs_psnr, hash_configurations
 from .colors import hsv_study
 from .curves import loss_curves, psnr_vs_time
 from .encodings import encoding_channels
+from .forest import forest
 from .ladder import speed_error_ladder
 from .pareto import engine_speed_vs_error, speed_vs_error
 from .plateaus import barren_plateaus
@@ -86,6 +87,7 @@ FIGURES = {
     "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
     "time": Entry("PSNR against wall time", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
+    "forest": Entry("Differences from the classical configuration, scene by scene", forest),
     "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, benchmark=True),
     "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, benchmark=True),
     "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, benchmark=True),

@@ -83,7 +83,8 @@ def names(
     used = used or [key for key in ("color", "field") if key not in never][-1:]
     if not short and {"density", "color"} <= set(used):
         labels = labels.assign(density="density " + labels["density"], color="colour " + labels["color"])
-    texts = pd.Series([" ".join(filter(None, row)) for row in labels[used].to_numpy()], index=table.index, dtype=object)
+    told = labels[used].fillna("").to_numpy()  # a label that a kind of run lacks
+    texts = pd.Series([" ".join(filter(None, row)) for row in told], index=table.index, dtype=object)
     settings = _settings(table, runs, ignored)
     alike = [table["scene_name"], texts]
     several = settings.groupby(alike).transform("nunique") > 1

@@ -38,8 +38,8 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
     path). Raises ValueError if the runs of a scene have no picture in common.
     """
     rows = []
-    views = {path: row.dropna() for path, row in evaluations(chosen).iterrows()}
-    psnr = {path: dict(zip(picture_names(list(row.index)), row, strict=True)) for path, row in views.items()}
+    measured = {path: row.dropna() for path, row in evaluations(chosen).iterrows()}
+    psnr = {path: dict(zip(picture_names(list(row.index)), row, strict=True)) for path, row in measured.items()}
     for scene, runs in chosen.groupby("scene_name"):
         names, pictures = common_pictures(runs["path"])
         readable = (name for name in names if _are_readable(own[name] for own in pictures.values()))

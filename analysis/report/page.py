@@ -84,7 +84,13 @@ def compressed(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
 
 
-EMPTY = {"live": False, "filter": None, "absent": dict.fromkeys(("pictures", "plots", "curves"), ""), "note": ""}
+EMPTY = {
+    "live": False,
+    "filter": None,
+    "absent": dict.fromkeys(("pictures", "plots", "curves"), ""),
+    "note": "",
+    "decisions": None,
+}
 """What a page may leave out."""
 
 

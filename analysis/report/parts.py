@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pandas as pd
 
@@ -14,7 +15,7 @@ from ..settings import without_constants
 from ..tables import Table
 from ..verdict import within_of
 from .figures import Drawn, draw
-from .tables import ShownTable, attempt, over_seeds, smallest_configurations
+from .tables import ShownTable, attempt, decisions, over_seeds, smallest_configurations
 
 COLOURS = ("hsv",)
 INTERACTIVE = ("capacity", "capacity_color", "capacity_density", "loss", "time", "speed")
@@ -66,6 +67,8 @@ def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     if repeats:
         configurations.text = f"{repeats:,} runs {REPEATS}"
     configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame)]
+    if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
+        configurations.tables.append(decided)
     smallest = Part("smallest", "Smallest", "The smallest configuration that is nearly the best")
     title = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
     smallest.tables = [attempt(title, smallest_configurations, frame)]

@@ -1,20 +1,21 @@
 """Tables of the page and their copies as text; a table that cannot be made is a line that says why."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from ..decide.study import records
 from ..figures import points
 from ..figures.files import collecting
-from ..selection import select
-from ..settings import LABELS, configuration
+from ..selection import classical_baseline, row_keys, select
 from ..tables import Table, ablation, smallest
 
 MAX_ERROR = 600  # characters of an error that may list every column
 MAX_ROWS = 30  # configurations of a scene in the ablation table
-FIRST_KEYS = ("scene_name", "field", "density", "color")
 
 
 @dataclass(frozen=True)
@@ -55,30 +56,36 @@ def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTab
     return ShownTable(title, absent=f"{errors[title][:MAX_ERROR]}.")
 
 
-def row_keys(runs: pd.DataFrame) -> list[str]:
-    """Scene, field, heads, and further settings that are needed so that no row mixes configurations."""
-    keys = list(FIRST_KEYS)
-    settings = ("encoder", "hash", *LABELS, *configuration(runs))
-    for name in (name for name in settings if runs[name].nunique(dropna=False) > 1):
-        if name not in keys and runs.groupby(keys, dropna=False)[name].nunique(dropna=False).max() > 1:
-            keys.append(name)
-    return keys
-
-
 def over_seeds(frame: pd.DataFrame) -> Table:
     """`ablation` of the best `MAX_ROWS` configurations of each scene, against the classical one if there is one."""
     runs = select(frame).runs
     best, not_shown = points.best(runs, ["psnr"], MAX_ROWS)
     runs = runs.loc[[row for rows in best["runs"] for row in rows]]
-    classical = best[best["field"] == "classical"].groupby("scene_name").size()
-    single = len(classical) == best["scene_name"].nunique() and (classical == 1).all()
+    rows, baseline = row_keys(runs), None
+    with contextlib.suppress(ValueError):
+        baseline = classical_baseline(runs, rows)
     table = ablation(
         pd.concat([runs, frame[frame["state"] != "finished"]]),
-        row_keys(runs),
-        baseline={"field": "classical"} if single else None,
+        rows,
+        baseline=baseline,
         title="Configurations over seeds",
     )
     return Table(table.title, table.text, table.data, table.bold, (*table.notes, *filter(None, [not_shown])))
+
+
+def decisions(store: str | Path) -> ShownTable | None:
+    """What `qnerf decide` has decided in this store; None where nothing was asked."""
+    found = records(store)
+    if found.empty:
+        return None
+    text = found.map(
+        lambda value: (
+            "" if value is None or value != value else f"{value:.4g}" if isinstance(value, float) else str(value)
+        )
+    )
+    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
+    title = "Decided by qnerf decide: at most 5 % wrong over all looks"
+    return shown(title, Table(title, text, found, bold, ("spent: the error rate of the last look",)))
 
 
 def smallest_configurations(frame: pd.DataFrame) -> Table:

@@ -22,8 +22,8 @@ from ..images import named_panels, pictures
 from ..load import NEEDED, metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
-from ..report.tables import ShownTable, row_keys, shown
-from ..selection import select
+from ..report.tables import ShownTable, decisions, shown
+from ..selection import row_keys, select
 from ..settings import without_constants
 from ..tables import ablation
 from .store import Changes, WatchedStore
@@ -63,6 +63,7 @@ class Answers:
             "store": str(self.store.folder),
             "version": qnerf.__version__,
             "sections": SECTIONS,
+            "decisions": decisions(self.store.folder),
             "data": data | {"version": f"{self._boot}-{changes.version}", "news": _plain(changes)},
         }
 

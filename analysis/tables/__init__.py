@@ -1,6 +1,7 @@
 """Tables over seeds, as DataFrame, Markdown, LaTeX or CSV: `qnerf tables runs --rows field,color`."""
 
 from .ablation import ablation, markdown
+from .scenes import across_scenes
 from .seeds import over_seeds
 from .shots_and_noise import shots_and_noise
 from .smallest import smallest
@@ -8,4 +9,14 @@ from .stability import stability
 from .table import Table
 from .units import units
 
-__all__ = ["Table", "ablation", "markdown", "over_seeds", "shots_and_noise", "smallest", "stability", "units"]
+__all__ = [
+    "Table",
+    "ablation",
+    "across_scenes",
+    "markdown",
+    "over_seeds",
+    "shots_and_noise",
+    "smallest",
+    "stability",
+    "units",
+]

@@ -9,6 +9,7 @@ from qnerf.metrics import METRICS
 from .. import command
 from ..paper import PAPER_TABLES
 from .ablation import ablation
+from .scenes import across_scenes
 from .shots_and_noise import shots_and_noise
 from .smallest import smallest
 from .stability import stability
@@ -23,6 +24,7 @@ EXAMPLES = """\
   {} runs
   {} runs --rows field,qiren --filter scene_name=poster
   {} runs --rows scene_name,field --baseline field=classical --format latex
+  {} runs --rows scene_name,field --baseline field=classical --across-scenes
   {} runs --rows field,hash --smallest --within 0.5 --size step_ms
   {} runs --rows scene_name,field --stability
   {} runs --paper rgb --filter scene_name=poster
@@ -54,6 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument(
         "--smallest", "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
+    )
+    parser.add_argument(
+        "--across-scenes",
+        action="store_true",
+        help="instead: differences from --baseline on each scene, and over these scenes and scenes like them",
     )
     parser.add_argument(
         "--stability", action="store_true", help="instead: the worst seed of each row, and how many fail"
@@ -91,6 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table = PAPER_TABLES[options.paper][1](frame)
     elif options.smallest:
         table = smallest(frame, rows, metric=options.metric, within=options.within, size=options.size)
+    elif options.across_scenes:
+        if options.baseline is None:
+            raise ValueError("--across-scenes needs --baseline KEY=VALUE,...")
+        table = across_scenes(frame, rows, options.baseline, metric=options.metric, within=options.within)
     elif options.stability:
         if options.metric != "psnr":
             raise ValueError(f"--stability counts dB of psnr, got --metric {options.metric}")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from qnerf.analysis import command
 from qnerf.analysis.load import runs
-from qnerf.analysis.tables import Table, ablation, markdown, over_seeds
+from qnerf.analysis.tables import Table, ablation, across_scenes, markdown, over_seeds
 from qnerf.analysis.tables.__main__ import main
 from qnerf.analysis.tables.ablation import best
 from qnerf.analysis.tables.table import latex_escape, markdown_escape
@@ -53,7 +53,7 @@ def test_a_row_has_its_verdict_against_the_baseline(store):
     assert difference.loc["classical"].isna().all()
     assert table.text["difference, PSNR, dB"].tolist() == ["", f"+1.00 ± {reach:.2f}"]
     assert table.text["verdict"].tolist() == ["", "undecided"]
-    assert table.notes[0].endswith("equivalent: closer than 0.5 dB; * holds for all rows together")
+    assert table.notes[0].endswith("equivalent: the 90 % interval is within ± 0.5 dB; * holds for all rows together")
     assert ablation(runs(store), ["field"], baseline="field=classical", within=5).text["verdict"][1] == "equivalent *"
 
 
@@ -67,7 +67,7 @@ def test_an_infinite_value_has_no_verdict(store):
 def test_one_seed_has_no_spread_and_says_so(store):
     frame = runs(store)
     table = ablation(frame[frame["seed"] == 0], ["field"], baseline={"field": "classical"})
-    assert "±" not in table.markdown()
+    assert "±" not in table.text.to_string()
     assert table.text["seeds"].tolist() == ["1", "1"]
     assert "n = 1 in 2 of 2 rows: no spread" in table.notes
     assert table.text["difference, PSNR, dB"][1] == "+1.00 (one seed)"
@@ -131,6 +131,21 @@ def test_a_scene_without_the_baseline_is_noted(store):
     difference = table.text.set_index(["scene_name", "field"])["difference, PSNR, dB"]
     assert difference["chair", "qcolor"] == difference["poster", "classical"] == ""
     assert "±" in difference["poster", "qcolor"]
+
+
+def test_scenes_are_judged_one_by_one_and_together(tmp_path):
+    for scene, gain in (("fox", 1.0), ("poster", 0.9), ("room", 1.1)):
+        for seed in range(3):
+            write_run(tmp_path, "classical", seed, [20.0 + 0.1 * seed], scene=scene)
+            write_run(tmp_path, "qcolor", seed, [20.0 + gain + 0.1 * seed], scene=scene)
+    frame = runs(tmp_path)
+    table = across_scenes(frame, ["scene_name", "field"], "field=classical")
+    assert table.text["scene"].tolist() == ["fox", "poster", "room", "mean of these 3", "scenes like them"]
+    assert table.text["verdict"].str.startswith("better").all()
+    assert table.data["difference"].tolist() == pytest.approx([1, 0.9, 1.1, 1, 1])
+    assert "qcolor: better on 3" in table.notes
+    with pytest.raises(ValueError, match="expected scene_name and a key"):
+        across_scenes(frame, ["field"], "field=classical")
 
 
 def test_mistakes_are_named(store, tmp_path):

@@ -4,7 +4,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from qnerf.analysis.load import runs
-from qnerf.analysis.verdict import collapses, compare, evaluations, judge, other_views, verdict, welch, within_of
+from qnerf.analysis.verdict import (
+    collapses,
+    compare,
+    evaluations,
+    judge,
+    other_views,
+    over_scenes_like_these,
+    over_these_scenes,
+    verdict,
+    welch,
+    within_of,
+)
 from scipy import stats
 
 from tests.helpers.packed_stores import write_run
@@ -129,3 +140,16 @@ def test_errors_stay_below_five_percent(true):
     ]
     wrong = sum(kind in (("better", "worse") if true == 0 else ("equivalent", "worse")) for kind in made)
     assert wrong <= 125  # 0.05 x 2000, and 2.6 standard deviations
+
+
+@given(GROUP, st.integers(3, 6))
+def test_means_over_scenes(group, scenes):
+    """Of equal scenes the mean has the error of one / sqrt(n); scenes like them vary as the differences do."""
+    one = judge(*welch(group, np.add(group, 1.0)), 0.5)
+    found = over_these_scenes([one] * scenes)
+    assert (found.difference, found.error) == pytest.approx((one.difference, one.error / scenes**0.5), rel=1e-6)
+    assert found.freedom == pytest.approx(scenes * one.freedom, rel=1e-6)
+    differences = np.arange(scenes) / 10
+    like = over_scenes_like_these([judge(d, one.error, 5, 0.5) for d in differences])
+    expected = stats.t.interval(0.95, scenes - 1, differences.mean(), stats.sem(differences))
+    assert (like.difference - like.reach, like.difference + like.reach) == pytest.approx(expected)

@@ -1,7 +1,9 @@
 """A small store of real runs, trained once a test session: two fields, two seeds, and runs that did not finish."""
 
+import shutil
 from pathlib import Path
 
+from qnerf.config.settings import only_acting
 from qnerf.experiment import run
 from tests.helpers.configs import TINY, composed
 from tests.helpers.packed_stores import write_run
@@ -22,6 +24,25 @@ def sweep(folder: Path) -> Path:
             run(composed(*TINY, *_settings(store, scene), f"field={field}", f"seed={seed}"))
     write_run(store, "qcolor", 7, scene="ring", state="failed")
     write_run(store, "qcolor", 8, scene="ring", state="interrupted")
+    return store
+
+
+def mixed(folder: Path) -> Path:
+    """`sweep`, and photographs and a distance beside it in one store."""
+    store = folder / "mixed"
+    if store.exists():
+        return store
+    shutil.copytree(sweep(folder), store, symlinks=True)
+    small = ["train.steps=4", "train.log_every=1", "train.eval_every=2", "train.points=64", "qiren.qubits=2"]
+    for scene, size, head, seed in (
+        ("photograph", "size=12", "mlp", 0),
+        ("photograph", "size=12", "mlp", 1),
+        ("photograph", "size=12", "qiren", 0),
+        ("distance", "samples=100", "mlp", 0),
+        ("distance", "samples=100", "qiren", 0),
+    ):
+        chosen = [f"scene={scene}", f"scene.{size}", f"head={head}", f"seed={seed}"]
+        run(only_acting(composed(*chosen, *small, "hash=C7", "device=cpu", f"store={store}")))
     return store
 
 

@@ -10,6 +10,7 @@ import argparse
 GROUPS = {
     "train": {
         "run": "train and evaluate one configuration, or a sweep of many",
+        "decide": "train only as many seeds as it takes to tell which candidate is better",
         "resume": "continue an interrupted run, or repeat a failed one",
         "reproduce": "train a finished run again and compare every number",
     },
@@ -53,6 +54,7 @@ GROUPS = {
 COMMANDS = {name: purpose for commands in GROUPS.values() for name, purpose in commands.items()}
 
 ANALYSIS = {
+    "decide": "decide.__main__",
     "serve": "serve.__main__",
     "report": "report.__main__",
     "tables": "tables.__main__",

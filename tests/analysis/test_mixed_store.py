@@ -1,0 +1,55 @@
+"""Fields, photographs and distances in one store go through every table, figure, page and command."""
+
+import pytest
+from qnerf.analysis import figures, hsv, load
+from qnerf.analysis.figures.__main__ import main as draw
+from qnerf.analysis.pack import main as pack
+from qnerf.analysis.paper import PAPER_TABLES
+from qnerf.analysis.report.__main__ import main as report
+from qnerf.analysis.report.tables import over_seeds, smallest_configurations
+from qnerf.analysis.selection import row_keys
+from qnerf.analysis.serve.answers import Answers
+from qnerf.analysis.serve.store import WatchedStore
+from qnerf.analysis.tables.__main__ import main as tables
+
+
+def test_every_table(mixed_store, capsys):
+    frame = load.runs(mixed_store)
+    assert set(frame["scene_name"]) >= {"ring"}
+    over = over_seeds(frame)
+    assert len(over.text) >= 4  # two fields and two heads of a photograph; distances have no PSNR
+    assert not any("nan" in cell for column in over.text for cell in over.text[column].astype(str))
+    smallest_configurations(frame)
+    for _, make in PAPER_TABLES.values():
+        make(frame)
+    rows = ",".join(row_keys(frame[frame["state"] == "finished"]))
+    for more in (["--stability"], ["--metric", "distance_error"], ["--smallest"], []):
+        tables([str(mixed_store), "--rows", rows, *more])
+        assert "|" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="probe RUN units"):
+        tables([str(mixed_store), "--rows", rows, "--units"])
+
+
+def test_every_figure(mixed_store, tmp_path, capsys):
+    draw([str(mixed_store), "--out", str(tmp_path), "--formats", "png"])
+    said = capsys.readouterr()
+    drawn = {path.stem for path in tmp_path.glob("*.png")}
+    assert {"capacity", "loss", "speed", "qualitative", "time"} <= {name.split("_")[0] for name in drawn}, said
+    assert {"forest", "hsv_ring", "hsv_astronaut"} <= drawn
+    assert len(figures.capacity_points(load.runs(mixed_store))) == 4
+
+
+def test_every_page(mixed_store, tmp_path):
+    report([str(mixed_store), "--out", str(tmp_path / "page.html")])
+    assert (tmp_path / "page.html").stat().st_size > 10_000
+    live = Answers(WatchedStore(mixed_store))
+    live.store.name_configurations()
+    assert live.page()["data"]["total"] == len(load.runs(mixed_store))
+    assert live.differences("", "", "", "psnr").rows
+    pack([str(mixed_store), str(tmp_path / "packed")])
+    assert len(load.runs(tmp_path / "packed")) == len(load.runs(mixed_store))
+
+
+def test_colours_of_a_scene_without_a_circuit_field(mixed_store):
+    frame = load.runs(mixed_store, {"scene_name": "ring"})
+    assert len(hsv.samples(frame))
