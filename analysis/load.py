@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qnerf.config.compatibility import ADDED, Of, Same
-from qnerf.config.identity import flatten
 from qnerf.metrics import HEAD_PARAMETERS
 from qnerf.records import filters, index
 from qnerf.records.deletion import holds_runs
@@ -44,7 +42,7 @@ def runs(
     if packed.is_packed(store):
         if holds_runs(Path(store)):
             raise ValueError(f"{store}: holds runs and also packed tables; expected one of both in a folder")
-        frame = with_needed(_with_added(packed.load(store)))
+        frame = with_needed(packed.load(store))
     else:
         frame = index.load(store, progress=progress)
         if frame.empty:
@@ -55,7 +53,7 @@ def runs(
 
 def completed(frame: pd.DataFrame) -> pd.DataFrame:
     """The frame of `qnerf.records.index` with what `runs` adds: scenes, newer options, the columns of `NEEDED`."""
-    return with_needed(_with_added(_with_scenes(frame)))
+    return with_needed(_with_scenes(frame))
 
 
 def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:
@@ -83,29 +81,9 @@ def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
 
 
 def _with_scenes(frame: pd.DataFrame) -> pd.DataFrame:
-    """The frame of `index.load` with `scene_name`, and with fingerprints of scenes as far as they can be inferred."""
+    """The frame of `index.load` with `scene_name`."""
     frame["scene_name"] = _scene_names(frame)
-    if "scene.fingerprint" in frame:  # older runs have none: assume the scene of the same name
-        known = frame.groupby("scene_name")["scene.fingerprint"].transform("first")
-        frame["scene.fingerprint"] = frame["scene.fingerprint"].fillna(known)
     return frame
-
-
-def _with_added(frame: pd.DataFrame) -> pd.DataFrame:
-    """Options that are newer than some of the runs get the values that those runs had without them."""
-    filled: dict[str, pd.Series] = {}
-    for option, usual in ADDED.items():
-        if option in frame and set(frame[option].dropna()) <= {"{}"}:  # an empty group is the same as none
-            frame = frame.drop(columns=option)
-        values = {} if isinstance(usual, (Same, Of)) else flatten({option: usual})
-        for name in frame.columns[frame.columns.str.startswith(option)]:
-            other = usual.option + name[len(option) :] if isinstance(usual, Same) else name
-            value = filled.get(other, frame.get(other)) if isinstance(usual, Same) else values.get(name)
-            if value is not None:
-                filled[name] = frame[name].where(frame[name].notna(), value)
-    if not filled:
-        return frame
-    return pd.concat([frame.drop(columns=list(filled)), pd.DataFrame(filled)], axis=1)[frame.columns]
 
 
 def with_needed(frame: pd.DataFrame) -> pd.DataFrame:

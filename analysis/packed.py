@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.config.compatibility import today
 from qnerf.records import StoreError
 from qnerf.records.location import RUN_ID
 from qnerf.records.parquet import require_columns
@@ -79,7 +78,6 @@ def load(folder: str | Path) -> pd.DataFrame:
     """
     file = Path(folder) / RUNS
     table = read_table(file)
-    table = table.rename_columns([today(name) for name in table.schema.names])
     known = {name: kind for name in table.schema.names if (kind := known_kind(name)) is not None}
     known = {name: "float" if kind == "int" else kind for name, kind in known.items()}  # pandas has no absent integers
     frame = require_columns(table, {"run_id": "text", "state": "text"} | known, file).to_pandas()

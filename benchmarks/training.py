@@ -80,7 +80,7 @@ def build(overrides: str) -> tuple[Trainer, Evaluator]:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
     assert isinstance(config, dict)
-    _, settings, scene = prepare({str(key): value for key, value in config.items() if key != "hydra"})
+    settings, scene = prepare({str(key): value for key, value in config.items() if key != "hydra"}).of_field()
     model = build_model(settings, scene)
     table = ray_table(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)

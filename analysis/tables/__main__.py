@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from qnerf.cli.numbers import number
-from qnerf.config.compatibility import today_noted
 from qnerf.metrics import METRICS
 
 from .. import command
@@ -93,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     options = parser.parse_args(arguments)
     frame = command.chosen(options)
-    rows = [today_noted(name) for name in options.rows.split(",")]
+    rows = options.rows.split(",")
     if options.paper:
         table = PAPER_TABLES[options.paper][1](frame)
     elif options.smallest:

@@ -9,25 +9,23 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from qnerf import auto
 from qnerf.auto import exposure, poses
+from qnerf.building.acting import RECORDED, changed, column_types
 from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
-from qnerf.building.scene import id_of, prepare, prepare_signal
+from qnerf.building.scene import Prepared, prepare
 from qnerf.config.checks import is_number
 from qnerf.config.identity import picture_names
-from qnerf.config.settings import (
-    SignalSettings,
-    only_acting,
-    schema,
-)
+from qnerf.config.settings import SignalSettings
 from qnerf.kernels import dispatch
 from qnerf.metrics import quality_metrics
 from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
-from qnerf.records import Run, RunStore, StoreError, read_metrics, read_summary
+from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
 from qnerf.records.environment import capture, dirty_diff
 from qnerf.scenes import Scene
 from qnerf.scenes.base import even_subset
-from qnerf.signals import SignalEvaluator, SignalTrainer, build_signal_model
+from qnerf.signals import Signal, SignalEvaluator, SignalTrainer, build_signal_model
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator, colormap
@@ -89,10 +87,8 @@ class Display:
 class FieldTask:
     """Trains a radiance field on posed images. ValueError as `run`."""
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
-        self.config, self.settings, self.scene = prepare(config, begun=True)
-        if self.settings.threads is not None:
-            torch.set_num_threads(self.settings.threads)
+    def __init__(self, prepared: Prepared) -> None:
+        self.settings, self.scene = prepared.of_field()
         self.model = build_model(self.settings, self.scene)
         check_samples_of_a_step(self.settings, self.model)
         self.table = ray_table(self.settings, self.scene)
@@ -114,11 +110,10 @@ class SignalTask:
 
     curve_views = 0
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
-        self.config = config
-        self.settings, self.scene = prepare_signal(config)
-        if self.settings.threads is not None:
-            torch.set_num_threads(self.settings.threads)
+    def __init__(self, prepared: Prepared) -> None:
+        assert isinstance(prepared.settings, SignalSettings)
+        assert isinstance(prepared.scene, Signal)
+        self.settings, self.scene = prepared.settings, prepared.scene
         self.model = build_signal_model(self.settings, self.scene)
         colormap()
 
@@ -132,8 +127,6 @@ class SignalTask:
 Unpromising = Callable[[Path, int, Measures], bool]
 """Whether to give a run up, from its folder, the step and the means of its evaluation."""
 
-TYPES = {"seed": "int", "train.steps": "int"}
-"""Options with whole numbers, whose columns in the summary have this type."""
 
 Task = FieldTask | SignalTask
 """What a run trains on, what it trains, how a step's loss is computed, and how the result is judged."""
@@ -151,7 +144,7 @@ def run(
 
     stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
         checkpoint.
-    name: id of an existing run; older runs keep their original id.
+    name: id of an existing run; None: the configuration's.
     unpromising: called after every evaluation but the last. If it is true, the run is pruned: it stops with a
         checkpoint, its summary says so (`stopped`), and a search does not continue it. Everybody else may.
 
@@ -160,18 +153,20 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
-    config = only_acting(config, overrides)
-    task: Task = SignalTask(config) if schema(config) is SignalSettings else FieldTask(config)
-    settings, scene = task.settings, task.scene
+    prepared = prepare(config)
+    settings, scene = prepared.settings, prepared.scene
+    if settings.threads is not None:
+        torch.set_num_threads(settings.threads)
+    task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
 
-    name = name or id_of(config, scene)
-    decisions = task.config["needs"]
-    config = config | {"needs": decisions}
-    fingerprint = {"scene.fingerprint": scene.fingerprint}
-    columns = labels(task.config) | parameter_counts(task.model) | fingerprint | {"steps": 0}
-    claim = RunStore(settings.store).claim(
-        name, config, overrides, columns=columns, types=TYPES, force=settings.run.force
-    )
+    name = name or prepared.find_id(settings.store)
+    columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions)
+    columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
+    types = column_types(prepared.config)
+    store = RunStore(settings.store)
+    claim = store.claim(name, prepared.config, overrides, columns=columns, types=types, force=settings.run.force)
+    if claim.outcome in ("finished", "resumed"):
+        _compare(claim.dir, prepared.config, display)
     if claim.run is None:
         summary = read_summary(claim.dir)
         if claim.outcome == "finished" and (state := summary.get("state")) != "finished":
@@ -183,17 +178,28 @@ def run(
         if claim.outcome == "resumed":
             display.note(claim.message)
         display.note(f"scene {scene.name}: {scene.description()}")
-        decided = [f"{key}={node['value']}" for key, node in decisions.items() if isinstance(node, Mapping)]
-        if decided:
+        if prepared.decisions:
+            decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]
             display.note(f"the scene needs {', '.join(decided)}")
         record.write_environment(capture(settings.seed), dirty_diff())
         if isinstance(scene, Scene):
             record.write_transform(scene.transform.numpy())
-            if not record.resumed and config["scene"].get("path"):
+            if not record.resumed and settings.scene.get("path"):
                 for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
                     display.note(f"warning: {doubt}")
         with dispatch.report() as aside:
             return _execute(task, record, display, lambda: bool(stops) or stopping(), unpromising, aside)
+
+
+def _compare(run: Path, config: Mapping[str, Any], display: Display) -> None:
+    """Says in what a run of the store was recorded otherwise; StoreError if it computes something else."""
+    differences = changed(read_config(run), config)
+    if decisive := [name for name in differences if name not in RECORDED]:
+        listed = ", ".join(f"{name}={differences[name][0]} (today {differences[name][1]})" for name in decisive)
+        raise StoreError(f"{run}: was trained by a version with other defaults: {listed}; run.force=true does it over")
+    if differences:
+        listed = ", ".join(f"{name}={before} (asked for {now})" for name, (before, now) in differences.items())
+        display.note(f"{run} was recorded with {listed}; run.force=true does it over")
 
 
 def _execute(

@@ -21,7 +21,10 @@ def decided(option: str, world, config=AUTO):
 
 def hashed(**table) -> dict:
     """Of a contraction that is decided already, and these hash tables."""
-    return AUTO | {"contraction": {"name": "linf"}, "hash": {"min_resolution": 16, "features": 1, **table}}
+    return AUTO | {
+        "contraction": {"name": "linf"},
+        "encoder": {"name": "hash", "min_resolution": 16, "features": 1, **table},
+    }
 
 
 @pytest.mark.parametrize(
@@ -80,8 +83,8 @@ def test_near_is_where_enough_cameras_begin_to_see_or_the_usual():
 def test_sharp_images_ask_for_a_finer_grid_of_more_levels():
     resolutions, levels = [], []
     for world in (constant(50), floor(detail=2.0), floor(detail=8.0)):
-        resolutions.append(decided("hash.max_resolution", world, hashed()).value)
-        levels.append(decided("hash.levels", world, hashed(max_resolution=resolutions[-1])).value)
+        resolutions.append(decided("encoder.max_resolution", world, hashed()).value)
+        levels.append(decided("encoder.levels", world, hashed(max_resolution=resolutions[-1])).value)
     assert resolutions[0] == 16
     assert resolutions == sorted(set(resolutions))
     assert levels[0] == 1
@@ -91,7 +94,7 @@ def test_sharp_images_ask_for_a_finer_grid_of_more_levels():
 
 @pytest.mark.parametrize(("least", "most"), [(16, 16), (16, 17), (16, 24), (16, 25), (16, 2048), (5, 1000), (64, 32)])
 def test_levels_grow_by_half_at_most(least, most):
-    count = decided("hash.levels", FLOOR, hashed(min_resolution=least, max_resolution=most)).value
+    count = decided("encoder.levels", FLOOR, hashed(min_resolution=least, max_resolution=most)).value
     assert count >= 1
     assert least * 1.5 ** (count - 1) >= most * (1 - 1e-9)
     assert count == 1 or least * 1.5 ** (count - 2) < most
@@ -100,15 +103,15 @@ def test_levels_grow_by_half_at_most(least, most):
 def test_the_finest_grid_is_bounded():
     noise = torch.randint(0, 256, (4, 16, 16, 3), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
     far = cameras(ring(4), 16, 16, 1e5)
-    assert decided("hash.max_resolution", scene(noise, far), hashed()).value == FINEST
-    assert decided("hash.max_resolution", constant(0), hashed(min_resolution=40)).value == 40
+    assert decided("encoder.max_resolution", scene(noise, far), hashed()).value == FINEST
+    assert decided("encoder.max_resolution", constant(0), hashed(min_resolution=40)).value == 40
 
 
 @pytest.mark.parametrize(("pixels", "steps"), [(1, 3000), (30, 3000), (1000, 10**6), (1000, 300)])
 def test_tables_hold_as_many_numbers_as_there_are_colour_values_in_training(pixels, steps):
     world = constant(0, views=11, width=pixels, height=pixels)
     config = hashed(levels=6, features=2) | {"train": AUTO["train"] | {"steps": steps, "rays": 256}}
-    size = decided("hash.log2_table_size", world, config).value
+    size = decided("encoder.log2_table_size", world, config).value
     numbers, observed, drawn = 6 * 2 * 2**size, 3 * 10 * pixels**2, 3 * 256 * steps
     values = min(observed, drawn)
     assert 10 <= size <= 19
@@ -125,9 +128,9 @@ def test_sixteen_times_the_pixels_take_twice_the_steps(pixels, steps):
 @pytest.mark.parametrize(
     ("option", "table", "message"),
     [
-        ("hash.max_resolution", {"min_resolution": "auto"}, "hash.min_resolution must be .* got 'auto'"),
-        ("hash.levels", {"min_resolution": 0, "max_resolution": 64}, "hash.min_resolution must be .* got 0"),
-        ("hash.log2_table_size", {"levels": 3, "features": 1.5}, "hash.features must be .* got 1.5"),
+        ("encoder.max_resolution", {"min_resolution": "auto"}, "encoder.min_resolution must be .* got 'auto'"),
+        ("encoder.levels", {"min_resolution": 0, "max_resolution": 64}, "encoder.min_resolution must be .* got 0"),
+        ("encoder.log2_table_size", {"levels": 3, "features": 1.5}, "encoder.features must be .* got 1.5"),
     ],
 )
 def test_numbers_by_hand_that_a_rule_cannot_use_are_one_line(option, table, message):

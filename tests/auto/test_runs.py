@@ -1,7 +1,6 @@
 """Runs that decide what their scene needs: what they store, how they go on, what they make of bad input."""
 
 import dataclasses
-import math
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 import torch
 from PIL import Image
 
-from qnerf.auto.rules import RULES
 from qnerf.experiment import run
 from qnerf.probes import trained
 from qnerf.records import read_config
@@ -32,50 +30,20 @@ def auto(tiny, tmp_path):
     return make
 
 
-def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing may be measured from here on."""
-    for option in RULES:
-        monkeypatch.setitem(RULES, option, None)
-
-
-def test_decisions_are_stored_and_loaded_without_measuring_again(auto, monkeypatch):
+def test_decisions_are_the_configuration_and_columns(auto):
     outcome = run(auto(BALL))
     config = read_config(outcome.path)
-    assert config["contraction"]["name"] == "auto"
-    needs = config["needs"]
-    assert (needs["contraction.name"]["value"], needs["appearance"]["value"]) == ("box", 0)
+    assert config["contraction"]["name"] == "box"
     row = pd.read_parquet(outcome.path / "summary.parquet").iloc[0]
-    assert row["needs.name"] == "auto"
-    assert row["needs.contraction.name.value"] == "box"
-    assert row["needs.render.background.value"] == "white"
-    assert row["needs.visibility.alpha.value"]
-    assert row["needs.hash.levels.value"] == needs["hash.levels"]["value"]
-    assert row["needs.contraction.name.half_extent"] == needs["contraction.name"]["half_extent"] > 0
-    for column in row.index[row.index.str.startswith("needs.")]:
-        assert not isinstance(row[column], float) or math.isfinite(row[column])
+    assert row["needs.contraction.name"] == "box"
+    assert row["needs.render.background"] == config["render"]["background"] == "white"
+    assert row["needs.contraction.name.half_extent"] == config["contraction"]["half_extent"] > 0
     assert "needs.appearance.exposure_spread" not in row.index  # nothing on the ball tells
 
-    refuse(monkeypatch)
     loaded = trained.load(outcome.path)
-    assert loaded.settings.contraction == {"name": "box", "half_extent": needs["contraction.name"]["half_extent"]}
-    assert loaded.settings.render.background == "white"
+    assert loaded.settings.contraction == config["contraction"]
     assert loaded.model.field.mask is not None
-
-
-def test_a_resumed_run_keeps_its_decisions_and_a_finished_one_is_skipped(auto, run_until, monkeypatch):
-    config = auto(BALL, "train.steps=4")
-    run_until(2, config)
-    with monkeypatch.context() as patch:
-        refuse(patch)
-        resumed = run(config)
-        assert (resumed.state, resumed.summary["steps"]) == ("finished", 4)
-        assert "finished already" in run(config).message
-    assert run(config).run_id == resumed.run_id
-
-    with monkeypatch.context() as patch:
-        refuse(patch)
-        with pytest.raises(TypeError):  # doing it over measures again
-            run(config | {"run": config["run"] | {"force": True}})
+    assert "finished already" in run(auto(BALL)).message
 
 
 def test_a_scene_that_needs_all_of_it_trains(tiny):
@@ -83,7 +51,6 @@ def test_a_scene_that_needs_all_of_it_trains(tiny):
     assert outcome.state == "finished"
     assert outcome.summary["cameras"] == "so3xr3"
     assert outcome.summary["params.appearance"] == 6 * 32
-    assert read_config(outcome.path)["needs"] == {"name": "full"}
 
 
 def one_place() -> tuple:
@@ -106,7 +73,7 @@ def contradicting():
     ("world", "decisions"),
     [
         (OUTWARD, {"visibility.cameras": 0, "contraction.name": "linf"}),
-        (constant(0), {"appearance": 0, "cameras.name": "fixed", "hash.max_resolution": 16, "hash.levels": 1}),
+        (constant(0), {"appearance": 0, "cameras.name": "fixed", "encoder.max_resolution": 16, "encoder.levels": 1}),
         (ball(views=3, size=32, focal=29.0), {"visibility.cameras": 2}),
         (contradicting(), {"visibility.alpha": False, "contraction.name": "linf", "render.background": "white"}),
     ],
@@ -115,8 +82,9 @@ def contradicting():
 def test_unusual_scenes_train(auto, world, decisions):
     outcome = run(auto(world))
     assert outcome.state == "finished"
-    needs = read_config(outcome.path)["needs"]
-    assert {option: needs[option]["value"] for option in decisions} == decisions
+    assert {option: outcome.summary[f"needs.{option}"] for option in decisions} == {
+        option: str(value) for option, value in decisions.items()
+    }
 
 
 @pytest.mark.parametrize(
@@ -131,7 +99,7 @@ def test_unusual_scenes_train(auto, world, decisions):
         ),
         (BALL, ("train.lr=auto",), "train.lr expects float, got 'auto'"),
         (BALL, ("needs=none", "train.lr=auto"), "train.lr expects float, got 'auto'"),
-        (BALL, ("hash.min_resolution=auto",), r"hash\.min_resolution must be a whole number of at least 1, got 'auto'"),
+        (BALL, ("hash.min_resolution=auto",), r"encoder\.min_resolution expects int, got 'auto'"),
         (BALL, ("sampler.final=auto",), r"sampler\.final expects int, got 'auto'"),
         (BALL, ("contraction.name=box", "+contraction.half_extent=x"), "half_extent expects float, got 'x'"),
         (

@@ -1,9 +1,31 @@
-"""Which settings have an effect."""
+"""A run is what acts: which options its configuration holds, and which of them its id hashes."""
+
+import copy
+from typing import Any
 
 import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from qnerf.building.acting import idle, what_acts
-from qnerf.config.settings import only_acting
+from qnerf.building.acting import (
+    RECORDED,
+    acting,
+    changed,
+    column_types,
+    complete,
+    decisive,
+    options,
+    run_id,
+    without_effect,
+)
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
+from qnerf.config.identity import flatten
+from qnerf.heads import HEADS
+from qnerf.quantum import QuantumLayer
+from qnerf.timing import Stopwatch
+from qnerf.training.trainer import Trainer
 from tests.helpers.configs import composed
 
 
@@ -12,6 +34,7 @@ from tests.helpers.configs import composed
     [
         ("field=classical qiren.layers=1", "field=classical qiren.layers=2", True),
         ("field=qcolor qiren.layers=1", "field=qcolor qiren.layers=2", False),
+        ("density=amplitude color=mlp density.qiren.layers=1", "density=amplitude color=mlp", True),
         ("field=classical", "field=classical density=qfgn", False),
         ("density=qfgn qiren.gain=1", "density=qfgn qiren.gain=2", False),
         ("field=qcolor color.mlp.width=8", "field=qcolor color.mlp.width=16", True),
@@ -19,29 +42,177 @@ from tests.helpers.configs import composed
         ("color.directions=raw color.degree=2", "color.directions=raw color.degree=3", True),
         ("encoder=pe hash=C1", "encoder=pe hash=C5", True),
         ("encoder=hash hash=C1", "encoder=hash hash=C5", False),
-        ("threads=1 store=a", "threads=2 store=b", True),
+        ("occupancy.after=1", "occupancy.after=2", True),
+        ("occupancy.every=100 occupancy.after=1", "occupancy.every=100 occupancy.after=2", False),
+        ("color=qiren qiren.patterns=2", "color=qiren qiren.patterns=3", True),
+        ("qiren.noise.bit_flip=0.1 qiren.patterns=2", "qiren.noise.bit_flip=0.1 qiren.patterns=3", False),
+        ("train.log_every=1 store=a threads=1", "train.log_every=2 store=b threads=2", True),
         ("seed=0", "seed=1", False),
-        ("train.lr=1e-2", "train.lr=2e-2", False),
+        ("train.lr=1", "train.lr=1.0", True),
+        ("scene=photograph head=mlp qiren.layers=1", "scene=photograph head=mlp qiren.layers=2", True),
+        ("scene=photograph encoder=pe", "scene=photograph encoder=signed", False),
     ],
 )
-def test_only_what_acts_tells_configurations_apart(one, other, same):
-    first, second = (what_acts(composed(*typed.split())) for typed in (one, other))
+def test_id_tells_apart_what_acts(one, other, same):
+    first, second = (run_id(composed(*typed.split()), "scene") for typed in (one, other))
     assert (first == second) is same
 
 
+EVERY_HEAD = [[f"color={name}", "density=mlp"] for name in HEADS.names()]
+
+
+@pytest.mark.parametrize("typed", [[], ["field=qboth"], ["scene=photograph"], ["needs=auto"], *EVERY_HEAD])
+def test_acting_of_its_own_result_is_the_same(typed):
+    config = acting(composed(*typed))
+    assert acting(config) == config
+    assert decisive(config) == decisive(composed(*typed))
+    assert set(flatten(config)) <= set(column_types(config)) | {name for name in flatten(config) if "noise" in name}
+
+
+def test_acting_has_no_options_of_others():
+    names = flatten(acting(composed("field=classical")))
+    assert not [name for name in names if name.startswith(("qiren", "hash", "proposal", "qfgn", "color.qiren", "run"))]
+    assert "color.rates.mlp" not in names
+
+
+def test_a_default_is_not_hashed():
+    """So an option that is added later, with a default that does what was done before, changes no id."""
+    plain, typed = (decisive(composed(*typed)) for typed in ([], ["color.qiren.statistics=first"]))
+    assert typed == plain | {"color.qiren.statistics": "first"}
+    assert not set(RECORDED) & set(decisive(composed("train.log_every=3")))
+
+
+def test_changed_defaults_and_records_are_named():
+    today = complete(composed())
+    stored = copy.deepcopy(today)
+    stored["scene"]["path"] = "elsewhere"
+    stored["train"]["log_every"] = 7
+    del stored["encoder"]["dense"]  # as a run of before the option has it
+    assert changed(stored, today) == {"train.log_every": (7, 10)}
+    stored["encoder"]["dense"] = False
+    assert changed(stored, today)["encoder.dense"] == (False, True)
+
+
+def test_types_of_columns_are_those_of_annotations():
+    types = column_types(composed("train.lr=1", "qiren.noise.bit_flip=0.1"))
+    expected = {"seed": "int", "train.lr": "float", "color.qiren.center": "bool", "scene.path": "text"}
+    expected |= {"sampler.samples": "text", "color.qiren.shots": "int", "color.qiren.noise.readout": "text"}
+    assert {name: types[name] for name in expected} == expected
+
+
 @pytest.mark.parametrize(
-    ("typed", "without"),
+    ("typed", "idle"),
     [
         ("field=qcolor color.directions=raw color.degree=2 color.direction_scale=0.5", ["color.degree=2"]),
-        ("field=qcolor color.directions=sh color.degree=2 color.direction_scale=0.5", ["color.direction_scale=0.5"]),
         ("field=classical qiren.layers=1 ansatz=rx seed=1", ["qiren.layers=1", "ansatz=rx"]),
         ("field=qcolor qiren.layers=1 ansatz=rx color.qiren.gain=2 color.mlp.width=8", ["color.mlp.width=8"]),
         ("color=qfgn density=mlp qiren.layers=1 color.qiren.gain=2 qfgn.features=8", []),
         ("encoder=pe hash.levels=4 sampler=uniform proposal.final=8", ["hash.levels=4", "proposal.final=8"]),
-        ("encoder=hash hash.levels=4 sampler=proposal proposal.final=8 color.activation=linear seed=1", []),
+        ("encoder=hash hash.levels=4 sampler=proposal proposal.final=8 density.rates.mlp=2", []),
         ("scene=photograph head=mlp qiren.layers=1 head.mlp.width=8 head.activation=linear", ["qiren.layers=1"]),
+        ("scene=photograph color.degree=2", ["color.degree=2"]),
     ],
 )  # fmt: skip
-def test_what_was_typed_and_has_no_effect(typed, without):
+def test_without_effect_names_what_was_typed_in_vain(typed, idle):
     overrides = typed.split()
-    assert idle(only_acting(composed(*overrides)), overrides) == without
+    assert without_effect(composed(*overrides), overrides) == idle
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"extra": 1}, "config: unknown option extra; known: appearance"),
+        ({"train": {"steps": 3}}, "train: missing lr"),
+        ({"encoder": {"name": "hash", "levles": 3}}, "encoder=hash: unknown option levles=3; known: levels"),
+        ({"encoder": {"name": "hsh"}}, "encoder: unknown name 'hsh'; known: hash"),
+        ({"color": {"name": "mlp", "mlp": {"widht": 3}}}, r"color.mlp: unknown option widht=3; known: layers"),
+        ({"numerics": None}, "numerics must be a group of options, got None"),
+        ({"scene": {"name": "photograph"}}, "scene=photograph needs the group head; choose it with scene=photograph"),
+    ],
+)
+def test_mistakes_are_one_line(change, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        acting(composed() | change)
+    assert "\n" not in str(caught.value)
+
+
+def after_two_steps(config: dict[str, Any]) -> list[torch.Tensor]:
+    """All parameters, and the loss of a third step."""
+    prepared = prepare(config)
+    model = build_model(prepared.settings, prepared.scene)
+    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+    trainer = Trainer(model, ray_table(prepared.settings, prepared.scene), prepared.settings, watch)
+    for _ in range(2):
+        trainer.take_step(measure=False)
+    loss = trainer.take_step(measure=True)["train/loss"]
+    return [*(parameter.detach().clone() for parameter in model.parameters()), torch.tensor(loss)]
+
+
+IDLE = {
+    "pose_noise.seed": 3,
+    "visibility.resolution": 8,
+    "visibility.cameras": None,
+    "occupancy.after": 1,
+    "stop.rays": 7,
+    "color.degree": 2,
+    "color.mlp.width": 9,
+    "density.qiren.layers": 3,
+    "density.amplitude.layers": 2,
+    "density.amplitude.rotations": "Rot",
+    "density.amplitude.frequencies": "ternary",
+    "color.qiren.patterns": 1,
+    "train.rates.cameras": 7.0,
+    "train.rates.appearance": 7.0,
+    "train.chunk": 3,
+}
+"""Options that do not act in the configuration of the test -> another value."""
+
+
+def test_options_that_do_not_act_change_no_number(tiny):
+    config = tiny(
+        "density=amplitude", "density.amplitude.unitary=identity", "density.amplitude.registers=[2]", "color=qiren",
+        "qiren.qubits=2", "visibility.cameras=0", "train.steps=3",
+    )  # fmt: skip
+    expected = after_two_steps(config)
+    names = {option.name for option in options(config)}
+    for name, value in IDLE.items():
+        if value is None:
+            continue
+        assert name not in names or name == "train.chunk", name
+        *groups, last = name.split(".")
+        node = config
+        for group in groups:
+            node = node.setdefault(group, {})
+        node[last] = value
+    for one, other in zip(after_two_steps(config), expected, strict=True):
+        assert torch.equal(one, other)
+
+
+HOSTILE: list[Any] = [
+    None, True, -1, 0.5, 1e-310, 1e308, float("nan"), float("inf"), 2**63, 10**40, "", "auto", "abc", "a\nb", "a\0b",
+    "\ud800", [], {}, [None], [0, -1], [float("nan")], [[[]]], {"name": ["a"]}, {"a": {"b": 1}},
+]  # fmt: skip
+
+
+@settings(max_examples=150)
+@given(
+    data=st.data(), typed=st.sampled_from([[], ["field=qboth"], ["scene=photograph"], ["needs=auto"], ["color=qvf"]])
+)
+def test_a_random_value_is_taken_or_refused_in_one_line(data, typed):
+    config = complete(composed(*typed))
+    option = data.draw(st.sampled_from(options(config)))
+    fitting = st.from_type(option.hint) if option.hint is not Any and "Any" not in str(option.hint) else st.none()
+    *groups, last = option.name.split(".")
+    node = config
+    for group in groups:
+        node = node.setdefault(group, {})
+    node[last] = data.draw(st.sampled_from(HOSTILE) | fitting)
+    found, refused = None, ""
+    try:
+        found = acting(config)
+        run_id(config, "scene")
+    except ValueError as error:
+        refused = f"{type(error).__name__}: {error}"
+    assert "\n" not in refused
+    assert "Unicode" not in refused.partition(":")[0]
+    assert found is None or acting(found) == found

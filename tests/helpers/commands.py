@@ -16,9 +16,8 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
-from qnerf.auto import asked
+from qnerf.building.acting import decisive
 from qnerf.cli import main as cli
-from qnerf.config.settings import check_settings, only_acting
 from tests.helpers.configs import ROOT, composed
 
 START = r"(?:python3? -m (?:src\.run|qnerf|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
@@ -83,8 +82,7 @@ def check_training(words: list[str]) -> None:
         job = [values[min(number, len(values) - 1)] for values in several]
         if CHECKED.issuperset({*job, sweep}):
             continue
-        config = only_acting(composed(*job, sweep=sweep))
-        check_settings(config, asked(config))  # what is `auto` is decided from the scene
+        decisive(composed(*job, sweep=sweep))  # what is `auto` is decided from the scene
         CHECKED.update(job, [sweep])
 
 

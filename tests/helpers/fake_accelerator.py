@@ -97,7 +97,7 @@ def step(field: str) -> None:
         "scene=poster", *TINY, f"field={field}", "qiren.qubits=3", "hash=C7", "train.rays=8", "shading=none",
         "visibility.cameras=0", "device=cpu",
     )  # fmt: skip
-    _, settings, scene = prepare(config)
+    settings, scene = prepare(config).of_field()
     model = build_model(settings, scene).train()
     rays, pixels = ray_table(settings, scene).batch(8, torch.Generator().manual_seed(0), model.cameras)
     with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():

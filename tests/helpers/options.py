@@ -15,7 +15,6 @@ PURPOSE = {
     "cameras": "pose refinement",
     "contraction": "how unbounded space is mapped to a finite one",
     "encoder": "how points are encoded",
-    "experiment": "named changes of the whole configuration",
     "field": "which heads are circuits",
     "hash": "table sizes of the hash grid",
     "head": "the kind of head, mounted as `head@density` and `head@color`; of a signal, `head`",
@@ -42,9 +41,7 @@ def made() -> str:
     ]
     parts += ["## Options of every run", "From `conf/config.yaml`.", options(CONF / "config.yaml", "")]
     for path, files in groups.items():
-        if path.name != "experiment":
-            parts += [f"## `{path.name}=`", *group_tables(path.name, files)]
-    parts += ["## `experiment=`", experiments(CONF / "experiment")]
+        parts += [f"## `{path.name}=`", *group_tables(path.name, files)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -129,10 +126,6 @@ def option_rows(file: Path, prefix: str) -> list[tuple[str, str, str]]:
             shown = f"as `{same[1]}`" if same else f"`{value}`" if value else ""
             rows.append((f"`{prefix}{'.'.join(parents)}`", shown, comment.replace("|", "\\|")))
     return rows
-
-
-def experiments(folder: Path) -> str:
-    return table(("name", "what it is"), [(f"`{file.stem}`", head(file)) for file in sorted(folder.glob("*.yaml"))])
 
 
 def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

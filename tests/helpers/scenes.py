@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from qnerf.building.components import component
+from qnerf.config.settings import Settings
+from qnerf.geometry.pose_noise import add_pose_noise
 from qnerf.scenes import SCENES, Scene
 
 
@@ -66,3 +69,7 @@ def refused(kind: str, folder: Path, *needles: str, **options: Any) -> str:
     for needle in needles:
         assert needle in message, message
     return message
+
+def build_scene(settings: Settings) -> Scene:
+    """The scene of checked settings, as a run reads it."""
+    return add_pose_noise(component(SCENES, settings.scene), **vars(settings.pose_noise))

@@ -4,16 +4,16 @@ from typing import Any
 
 import torch
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import settings_from
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer
+from tests.helpers.scenes import build_scene
 
 
 def trainer(config) -> Trainer:
-    settings = settings_from(config)
+    settings = settings_of(config)
     scene = build_scene(settings)
     model = build_model(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)

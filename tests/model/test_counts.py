@@ -6,9 +6,9 @@ import re
 import pytest
 import torch
 
+from qnerf.building.acting import settings_of
 from qnerf.building.components import component
 from qnerf.building.model import build_field
-from qnerf.config.settings import settings_from
 from qnerf.encoders import ENCODERS
 from qnerf.model.labels import HASH_TABLES
 from tests.helpers.configs import ROOT, composed
@@ -24,7 +24,7 @@ def count(module: torch.nn.Module) -> int:
 
 
 def field(*overrides: str):
-    return build_field(settings_from(composed(*overrides)), views=1, trained=[0])
+    return build_field(settings_of(composed(*overrides)), views=1, trained=[0])
 
 
 def circuit(head: str, label: str) -> list[str]:
@@ -57,7 +57,7 @@ def test_heads_of_the_both_table(row):
 
 @pytest.mark.parametrize("row", rows("hash"), ids=lambda row: row["config"])
 def test_encoders_of_the_hash_table(row):
-    settings = settings_from(composed("field=classical", f"hash={row['config']}"))
+    settings = settings_of(composed("field=classical", f"hash={row['config']}"))
     encoder = component(ENCODERS, settings.encoder, 3)
     assert count(encoder) == int(row["encoding_params"])
     assert count(field("field=classical", f"hash={row['config']}").density_head) == int(row["mlp_params"])

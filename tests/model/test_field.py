@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_field
-from qnerf.config.settings import settings_from
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.model.field import Field
 from qnerf.rendering.render import color_shares, render, volume_weights
@@ -14,7 +14,7 @@ from tests.helpers.configs import composed
 @pytest.fixture
 def field():
     torch.manual_seed(0)
-    settings = settings_from(composed("field=qboth", "encoder=none", "appearance=2", "hash=C7"))
+    settings = settings_of(composed("field=qboth", "encoder=none", "appearance=2", "hash=C7"))
     return build_field(settings, views=4, trained=[0, 1, 3]).eval()
 
 
@@ -115,7 +115,7 @@ def test_a_masked_field_is_the_whole_one_times_the_mask(encoder, share):
     """An MLP field: circuit heads normalise by the samples that they get."""
     options = ["field=classical", f"encoder={encoder}", "appearance=2", "hash=C7", "density.initial=3"]
     torch.manual_seed(0)
-    field = build_field(settings_from(composed(*options)), views=4, trained=[0, 1, 2]).double()
+    field = build_field(settings_of(composed(*options)), views=4, trained=[0, 1, 2]).double()
     with torch.no_grad():
         for parameter in field.encoder.parameters():
             parameter.uniform_(-1, 1)
@@ -168,7 +168,7 @@ def test_initial_scales_the_density(points):
         torch.manual_seed(0)
         fields.append(
             build_field(
-                settings_from(composed("encoder=none", f"density.initial={initial}")), views=1, trained=[0]
+                settings_of(composed("encoder=none", f"density.initial={initial}")), views=1, trained=[0]
             ).eval()
         )
     torch.testing.assert_close(0.1 * fields[0].density(points), fields[1].density(points))

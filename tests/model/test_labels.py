@@ -1,16 +1,20 @@
+from qnerf.building.acting import acting
 from qnerf.model.labels import labels, slug
 from tests.helpers.configs import composed
 
 
 def test_labels_come_from_resolved_values():
-    names = labels(composed("qiren=1L2S", "qiren.layers=3", "hash.levels=7", "field=qboth", "density.qiren.spectral=4"))
-    assert names["qiren"] == "3L2S"
+    typed = ("qiren=1L2S", "qiren.layers=3", "hash.levels=7", "field=qboth", "density.qiren.spectral=4")
+    names = labels(acting(composed(*typed)))
+    assert names["qiren"] == "3L4S+3L2S"
     assert names["density"] == "3L4S"
     assert names["color"] == "3L2S"
     assert names["hash"] == "7-16-1024-15-1"
     assert names["field"] == "qboth"
+    classical = labels(acting(composed("field=classical", "encoder=pe")))
+    assert not {"qiren", "hash"} & set(classical)
 
 
 def test_the_slug_names_what_distinguishes_runs():
-    name = slug(composed("field=classical", "scene=nerfstudio", "scene.path=/data/fox_64", "seed=2"))
+    name = slug(acting(composed("field=classical", "scene=nerfstudio", "scene.path=/data/fox_64", "seed=2")))
     assert name == "fox_64-classical-hashC5-2x64-3x64-s2"

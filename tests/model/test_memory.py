@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import nn
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_field_and_sampler
 from qnerf.config import memory
-from qnerf.config.settings import settings_from
 from qnerf.experiment import run
 from qnerf.model.memory import needed, planned, require_memory
 from qnerf.scenes import SCENES
@@ -26,7 +26,7 @@ def scene():
 
 
 def needs(scene, *overrides):
-    settings = settings_from(composed(*overrides))
+    settings = settings_of(composed(*overrides))
     parts = planned(lambda: build_field_and_sampler(settings, scene))
     return settings, parts, {need.what: need.size for need in needed(settings, *parts, 144)}
 

@@ -9,9 +9,8 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call, hessian, jacfwd, jvp, vmap
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import settings_from
 from qnerf.encoders.hash import HashEncoder
 from qnerf.geometry.contraction import CONTRACTIONS, Box
 from qnerf.geometry.unit_points import unit_points
@@ -19,6 +18,7 @@ from qnerf.heads.activations import trunc_exp
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Samples
+from tests.helpers.scenes import build_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
 
@@ -32,7 +32,7 @@ MODELS = {
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_rendered_colours_along_a_direction_of_all_parameters(tiny: Callable[..., Any], name: str) -> None:
-    settings = settings_from(tiny("numerics.dtype=float64", *MODELS[name]))
+    settings = settings_of(tiny("numerics.dtype=float64", *MODELS[name]))
     scene = build_scene(settings)
     model, table = build_model(settings, scene).eval(), ray_table(settings, scene)
     rays, watch = (

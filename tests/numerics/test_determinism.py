@@ -13,14 +13,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import settings_from
 from qnerf.kernels.hashgrid import hash_encode
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer
 from tests.helpers.configs import ROOT
+from tests.helpers.scenes import build_scene
 
 Config = dict[str, Any]
 Tiny = Callable[..., Config]
@@ -35,7 +35,7 @@ print(digest(trained(json.load(sys.stdin), 3).state()))
 
 
 def trainer(config: Config) -> Trainer:
-    settings = settings_from(config)
+    settings = settings_of(config)
     scene = build_scene(settings)
     model = build_model(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)

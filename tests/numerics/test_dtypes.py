@@ -15,14 +15,14 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import qnerf
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import settings_from
 from qnerf.quantum import QuantumLayer, lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.normal_form import normal_form
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer
+from tests.helpers.scenes import build_scene
 
 SOURCE = Path(qnerf.__file__).parent
 ON_PURPOSE = {
@@ -67,7 +67,7 @@ def _place() -> str:
 
 def stepped(config: dict[str, Any]) -> Watcher:
     """A step in which the proposal networks learn, after one that fills the optimiser and the caches."""
-    settings = settings_from(config)
+    settings = settings_of(config)
     scene = build_scene(settings)
     model = build_model(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)

@@ -9,21 +9,22 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import Train, settings_from
+from qnerf.config.settings import Train
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer, learning_rate
+from tests.helpers.scenes import build_scene
 
 NETWORKS = {"samples": [4], "final": 2, "levels": 1, "max_resolutions": [16], "log2_table_size": 4}
 
 
 @pytest.fixture
 def train(tiny: Callable[..., dict[str, Any]]) -> Train:
-    return settings_from(tiny("train=paper", "train.steps=30000")).train
+    return settings_of(tiny("train=paper", "train.steps=30000")).train
 
 
 def test_the_learning_rate_at_step_0_and_at_the_last(train: Train) -> None:
@@ -93,7 +94,7 @@ CORNERS = {
 
 
 def trainer(config: dict[str, Any]) -> Trainer:
-    settings = settings_from(config)
+    settings = settings_of(config)
     scene = build_scene(settings)
     model = build_model(settings, scene)
     return Trainer(model, ray_table(settings, scene), settings, Stopwatch(settings.torch_device, model, QuantumLayer))

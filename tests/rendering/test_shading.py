@@ -3,9 +3,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import settings_from
 from qnerf.kernels.merging import Merge
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.render import color_shares, render, volume_weights
@@ -13,6 +12,7 @@ from qnerf.rendering.shading import SHADINGS, SMALL, merge_reference
 from qnerf.timing import Stopwatch
 from qnerf.types import Samples
 from tests.helpers.configs import TINY
+from tests.helpers.scenes import build_scene
 
 
 def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, Samples]:
@@ -101,7 +101,7 @@ def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, e
 def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, shading, field):
     """Then a shading may leave the colour head nothing at all to evaluate."""
     options = ["visibility.cameras=0", "occupancy.every=1", "visibility.resolution=4", "render.background=white"]
-    settings_ = settings_from(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
+    settings_ = settings_of(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
     scene = build_scene(settings_)
     model, table = build_model(settings_, scene).eval(), ray_table(settings_, scene)
     model.field.mask.grid = torch.zeros_like(model.field.mask.grid)
@@ -131,7 +131,7 @@ def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_
         options = (
             ["shading.min_share=0.0"] if shading == "threshold" else ["shading.samples=1"] if shading == "top" else []
         )
-        settings_ = settings_from(
+        settings_ = settings_of(
             config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"shading={shading}", *options, *TINY)
         )
         scene = build_scene(settings_)

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from qnerf.config.settings import only_acting
 from tests.helpers.configs import composed
 
 
@@ -17,8 +16,6 @@ def fit(tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
     def make(scene: str, *overrides: str) -> dict[str, Any]:
         small = ["scene.size=12"] if scene == "scene=photograph" else ["scene.samples=100"]
-        return only_acting(
-            composed(scene, *small, *settings, "hash=C7", f"store={tmp_path / 'runs'}", "device=cpu", *overrides)
-        )
+        return composed(scene, *small, *settings, "hash=C7", f"store={tmp_path / 'runs'}", "device=cpu", *overrides)
 
     return make

@@ -2,17 +2,17 @@ import numpy as np
 import pytest
 import torch
 
+from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import build_scene
-from qnerf.config.settings import settings_from
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.training.evaluation import Evaluator, RenderedView, shade
+from tests.helpers.scenes import build_scene
 
 
 @pytest.fixture
 def make(tiny):
-    settings = settings_from(tiny("field=qcolor", "qiren.qubits=3"))
+    settings = settings_of(tiny("field=qcolor", "qiren.qubits=3"))
     scene = build_scene(settings)
     model = build_model(settings, scene)
     watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
@@ -82,7 +82,7 @@ def test_near_depth_is_brighter_than_far():
 
 @pytest.mark.parametrize("activation", ["linear", "scaled", "sigmoid"])
 def test_colours_are_clamped_in_evaluation_alone(tiny, activation):
-    settings = settings_from(tiny("field=qcolor", "qiren.qubits=3", f"color.activation={activation}"))
+    settings = settings_of(tiny("field=qcolor", "qiren.qubits=3", f"color.activation={activation}"))
     scene = build_scene(settings)
     model = build_model(settings, scene)
     with torch.no_grad():

@@ -5,7 +5,7 @@ import re
 import pytest
 import torch
 
-from qnerf.config.settings import settings_from
+from qnerf.building.acting import settings_of
 from qnerf.experiment import run
 from qnerf.records import read_metrics
 from qnerf.timing import STAGES
@@ -15,14 +15,14 @@ from tests.helpers.trainer import same, trainer
 
 
 def test_the_learning_rate_decays_exponentially_from_first_to_last(tiny):
-    train = settings_from(tiny("train=paper", "train.steps=30000")).train
+    train = settings_of(tiny("train=paper", "train.steps=30000")).train
     assert learning_rate(0, train) == pytest.approx(1e-2)
     assert learning_rate(15000, train) == pytest.approx(1e-3)
     assert learning_rate(30000, train) == pytest.approx(1e-4)
 
 
 def test_the_paper_recipe_is_the_papers(config):
-    settings = settings_from(config("train=paper", "field=qcolor", "qiren=1L2S"))
+    settings = settings_of(config("train=paper", "field=qcolor", "qiren=1L2S"))
     train = settings.train
     assert (train.steps, train.rays, train.lr, train.lr_final, train.eps) == (30000, 128, 1e-2, 1e-4, 1e-15)
     assert (train.interlevel, train.distortion) == (1.0, 0.002)
@@ -169,7 +169,7 @@ def test_a_loaded_state_is_the_saved_one_also_after_the_last_step(tiny):
 def test_a_bad_rate_is_one_line(tiny):
     for override in ("+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"):
         with pytest.raises(ValueError, match=r"train\.rates") as caught:
-            settings_from(tiny(override))
+            settings_of(tiny(override))
         assert "\n" not in str(caught.value)
 
 

@@ -12,6 +12,8 @@ from qnerf.geometry.rays import TrainingPixels
 from qnerf.scenes import Scene
 
 Config = dict[str, Any]
+AUTO = "auto"
+"""The value of an option that a rule decides."""
 
 
 @dataclass(frozen=True)
@@ -147,20 +149,20 @@ def unit_resolution(data: Measured, config: Config) -> float:
 
 def hash_option(config: Config, key: str) -> int:
     """An option of the hash tables that the user set or an earlier rule decided."""
-    value = config["hash"][key]
+    value = config["encoder"][key]
     if type(value) is not int or value < 1:
-        raise ValueError(f"hash.{key} must be a whole number of at least 1, got {value!r}")
+        raise ValueError(f"encoder.{key} must be a whole number of at least 1, got {value!r}")
     return value
 
 
-@rule("hash.max_resolution")
+@rule("encoder.max_resolution")
 def max_resolution(data: Measured, config: Config) -> Decision:
     coarsest, needed = hash_option(config, "min_resolution"), unit_resolution(data, config)
     because = {"cells_per_world_unit": data.cells_per_world_unit}
     return Decision(max(coarsest, min(FINEST, 16 * math.ceil(needed / 16))), because)
 
 
-@rule("hash.levels")
+@rule("encoder.levels")
 def levels(data: Measured, config: Config) -> Decision:
     growth = hash_option(config, "max_resolution") / hash_option(config, "min_resolution")
     return Decision(1 + math.ceil(math.log(max(growth, 1)) / math.log(GROWTH)), {"growth": GROWTH})
@@ -179,7 +181,7 @@ def steps(data: Measured, config: Config) -> Decision:
 NUMBERS_PER_VALUE = 1.0  # in all tables, for each colour value that training sees
 
 
-@rule("hash.log2_table_size")
+@rule("encoder.log2_table_size")
 def log2_table_size(data: Measured, config: Config) -> Decision:
     train = config["train"]
     values = float(min(data.observed, 3 * train["rays"] * train["steps"]))

@@ -1,87 +1,62 @@
-"""A configuration with its scene: `auto` resolved, settings checked, the id of the run."""
+"""A configuration with its scene: `auto` decided, settings checked, the id of the run."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from qnerf import auto
-from qnerf.building.components import check_components, component
-from qnerf.config.identity import run_id
+from qnerf.building.acting import acting, complete, run_id, settings_of
+from qnerf.building.components import component
 from qnerf.config.plugins import import_plugins
-from qnerf.config.settings import (
-    Settings,
-    SignalSettings,
-    check_settings,
-    schema,
-    settings_from,
-    signal_settings_from,
-)
+from qnerf.config.settings import PoseNoise, Settings, SignalSettings, built
 from qnerf.geometry.pose_noise import add_pose_noise
-from qnerf.model.labels import slug
-from qnerf.records import StoreError, read_config
 from qnerf.scenes import SCENES, Scene
 from qnerf.signals import Signal
 
 
-def prepare_signal(config: Mapping[str, Any]) -> tuple[SignalSettings, Signal]:
-    """The settings of a configuration that fits a signal with one head, and the signal; ValueError as `prepare`."""
-    check_settings(config)
-    import_plugins(config["plugins"])
-    check_components(config)
-    return signal_settings_from(config), component(SCENES, config["scene"])
+@dataclass(frozen=True)
+class Prepared:
+    """What a run starts from. `config` is what acts; `decisions` are the options that were `auto`."""
+
+    config: dict[str, Any]
+    settings: Settings | SignalSettings
+    scene: Scene | Signal
+    decisions: dict[str, auto.Decision]
+
+    def of_field(self) -> tuple[Settings, Scene]:
+        """Settings and scene of a radiance field; ValueError if it is a signal, which one head fits."""
+        if not isinstance(self.settings, Settings) or not isinstance(self.scene, Scene):
+            raise ValueError(f"expected a radiance field; scene={self.config['scene']['name']} is fitted by one head")
+        return self.settings, self.scene
+
+    def find_id(self, store: str | Path) -> str:
+        """The id of the run; the name of the folder that the store has for it, if the scene was renamed since."""
+        name = run_id(self.config, self.scene.fingerprint)
+        return next((path.name for path in Path(store).glob(f"*-{name.rpartition('-')[2]}")), name)
 
 
-def prepare(config: Mapping[str, Any], *, begun: bool = False) -> tuple[dict[str, Any], Settings, Scene]:
-    """The configuration with every `auto` resolved for its scene, its settings, and the scene.
+def prepare(config: Mapping[str, Any], scene: Scene | Signal | None = None) -> Prepared:
+    """Reads the scene and decides every `auto` for it.
 
-    begun: if the run exists in its store, reuse its stored `auto` decisions.
+    scene: what the group `scene` names, if it has been read already.
 
     Raises:
-        ValueError: an option with a value that it cannot have, a scene that cannot be read, or a signal.
+        ValueError: an option with a value that it cannot have, or a scene that cannot be read.
     """
-    if schema(config) is not Settings:
-        raise ValueError("expected a radiance field; the configuration has one head, which fits a signal")
-    undecided = auto.asked(config)
-    check_settings(config, undecided)
-    import_plugins(config["plugins"])
-    check_components(config, undecided)
-    if not undecided:
-        settings = settings_from(config)
-        return dict(config), settings, build_scene(settings)
-    scene = add_pose_noise(component(SCENES, config["scene"]), **config["pose_noise"])
-    if begun and not config["run"]["force"]:
-        config = {**config, "needs": {**needs_of(config, scene), **config["needs"]}}
-    scene.require_training_pixels()
-    resolved = auto.resolve(config, scene)
-    settings = settings_from(resolved)
-    check_components(resolved)
-    check_background(scene, settings)
-    return resolved, settings, scene
-
-
-def scene_of(config: Mapping[str, Any]) -> Scene | Signal:
-    """The scene of a configuration; ValueError as `prepare`."""
-    return prepare_signal(config)[1] if schema(config) is SignalSettings else prepare(config)[2]
-
-
-def needs_of(config: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
-    """The stored `auto` decisions of this configuration's run; empty if there is no run yet."""
-    try:
-        stored = read_config(Path(config["store"]) / id_of(config, scene))
-    except StoreError:
-        return {}
-    return dict(stored.get("needs") or {})
-
-
-def id_of(config: Mapping[str, Any], scene: Scene | Signal) -> str:
-    """The id of the configuration's run."""
-    return run_id(slug(config), config, scene.fingerprint)
-
-
-def build_scene(settings: Settings) -> Scene:
-    scene = add_pose_noise(component(SCENES, settings.scene), **vars(settings.pose_noise))
-    check_background(scene, settings)
-    return scene
+    import_plugins(config.get("plugins", []))
+    checked = complete(config)  # before the scene is read, which may take long
+    scene = component(SCENES, checked["scene"]) if scene is None else scene
+    decisions: dict[str, auto.Decision] = {}
+    if isinstance(scene, Scene):
+        scene = add_pose_noise(scene, **vars(built(PoseNoise, checked.get("pose_noise", {}))))
+        scene.require_training_pixels()
+        checked, decisions = auto.resolve(checked, scene)
+    settings = settings_of(checked)
+    if isinstance(scene, Scene):
+        assert isinstance(settings, Settings)
+        check_background(scene, settings)
+    return Prepared(acting(checked), settings, scene, decisions)
 
 
 def check_background(scene: Scene, settings: Settings) -> None:

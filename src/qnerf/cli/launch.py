@@ -77,7 +77,6 @@ class SweepStart(Callback):
         searches = config.hydra.runtime.choices["hydra/sweeper"] == SEARCH
         if searches:
             _require_search()
-        _rename_swept(config)
         try:
             bounds.check("store", config.store, Annotated[str, MinLen(1)])  # the sweep's folder is inside
             _limit_processes(config, 1 if searches else _count_jobs(config))
@@ -95,14 +94,6 @@ class SweepStart(Callback):
             _stop_together(sweep)
         elif launcher == "submitit_slurm":
             print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
-
-
-def _rename_swept(config: DictConfig) -> None:
-    """Renames options that a sweep's file calls by an old name."""
-    params = config.hydra.sweeper.get("params")
-    if params:
-        with open_dict(config):
-            config.hydra.sweeper.params = {typed.option(key, f"={value}"): value for key, value in params.items()}
 
 
 def _limit_processes(config: DictConfig, jobs: int) -> None:
@@ -259,17 +250,16 @@ def _is_abandoned() -> bool:
 
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
-    from qnerf.auto import asked
-    from qnerf.building.acting import idle
-    from qnerf.building.components import check_components
+    from qnerf.building.acting import complete, without_effect
     from qnerf.cli.display import LiveDisplay, print_outcome
     from qnerf.cli.text import tree
-    from qnerf.config.settings import check_settings, only_acting
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     overrides = list(HydraConfig.get().overrides.task)
-    config = only_acting(config, overrides)
+    plugins.load(config["plugins"])  # a launcher's process has not imported them
+    idle = without_effect(config, overrides)
+    config = complete(config)
     log = logging.getLogger("qnerf")  # Hydra has turned it off; its warnings go to standard error
     log.disabled = False
     log.setLevel(logging.WARNING)
@@ -280,11 +270,8 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     else:
         console.rule(" ".join(overrides), align="left")
-    check_settings(config, asked(config))  # also those that are read here
-    plugins.load(config["plugins"])  # a launcher's process has not imported them
-    check_components(config, asked(config))
-    if sweep is None and (without := idle(config, overrides)):  # some jobs of a sweep always have such options
-        print(f"note: no effect with the chosen components: {', '.join(without)}", file=sys.stderr)
+    if sweep is None and idle:  # some jobs of a sweep always have such options
+        print(f"note: no effect with the chosen components: {', '.join(idle)}", file=sys.stderr)
     cpus = os.environ.get("SLURM_CPUS_PER_TASK")
     if cpus is not None and config["threads"] is None:
         if not re.fullmatch("[0-9]{1,9}", cpus):

@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
-from qnerf.config.compatibility import today_noted
 from qnerf.config.folders import CONF
 
 _OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./-]*)(?P<package>@[^=]*)?(?P<value>=.*)?", re.DOTALL)
@@ -13,7 +12,7 @@ _HEADS = ("density", "color")
 
 
 def translated(arguments: Iterable[str]) -> list[str]:
-    """Each override under today's name of its option; a note says so. Other arguments stay as they are.
+    """Each override as Hydra expects it. Other arguments stay as they are.
 
     >>> translated(["-m", "density=qiren,mlp", "stop.min_gain_db=0.1"])
     ['-m', 'head@density=qiren,mlp', 'stop.min_gain_db=0.1']
@@ -39,7 +38,7 @@ def option(key: str, value: str = "") -> str:
         return _SWEPT + option(key.removeprefix(_SWEPT), value)
     if key in _HEADS and not value.startswith("={"):
         return f"head@{key}"
-    return today_noted(key)
+    return key
 
 
 def ordered(arguments: Sequence[str]) -> tuple[list[str], dict[str, Any]]:

@@ -23,11 +23,11 @@ SIGNAL = {
 
 def groups() -> Mapping[str, Registry[Any]]:
     """Config group -> the registry of its components."""
-    from qnerf.building.components import REGISTRIES
+    from qnerf.building.acting import COMPONENTS
     from qnerf.heads import HEADS
     from qnerf.quantum.circuit import ANSATZE
 
-    return {**REGISTRIES, "head": HEADS, "ansatz": ANSATZE}
+    return {**COMPONENTS, "head": HEADS, "ansatz": ANSATZE}
 
 
 def load(names: Sequence[str]) -> None:

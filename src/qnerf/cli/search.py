@@ -23,8 +23,9 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from qnerf.building.acting import what_acts
-from qnerf.building.scene import id_of, scene_of
+from qnerf.building.acting import decisive
+from qnerf.building.components import component
+from qnerf.building.scene import prepare
 from qnerf.cli.errors import report
 from qnerf.cli.sweep import Sweep
 from qnerf.cli.table import Column, metric_column, print_table
@@ -32,9 +33,9 @@ from qnerf.cli.text import console
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeInt, PositiveInt, Seed
 from qnerf.config.checks import is_number
-from qnerf.config.settings import only_acting
 from qnerf.metrics import HEAD_PARAMETERS, metric_of
 from qnerf.records.files import one_line, replace
+from qnerf.scenes import SCENES
 from qnerf.search import objectives as goals
 from qnerf.search.history import History
 from qnerf.search.loop import Options, search
@@ -175,13 +176,13 @@ class _Configurations:
         plain = self._resolved(own)
         scene = json.dumps(plain["scene"], sort_keys=True)
         if scene not in self.scenes:
-            self.scenes[scene] = scene_of(plain)
-        return id_of(plain, self.scenes[scene])
+            self.scenes[scene] = component(SCENES, plain["scene"])
+        return prepare(plain, self.scenes[scene]).find_id(plain["store"])
 
     def what_acts(self, own: Sequence[str]) -> str:
         """Equal for overrides whose runs would give the same result."""
         try:
-            return json.dumps(what_acts(self._resolved(own)), sort_keys=True)
+            return json.dumps(decisive(self._resolved(own)), sort_keys=True)
         except ValueError:
             return json.dumps(own)
 
@@ -201,7 +202,7 @@ class _Configurations:
             plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         except OmegaConfBaseException as error:
             raise ValueError(one_line(error)) from error
-        return only_acting(plain)
+        return plain
 
 
 def values_of(override: Override, group: bool) -> Choices | Interval:

@@ -1,21 +1,16 @@
-"""Ids of runs: a readable slug and a hash of everything that decides the numbers."""
+"""Ids of runs: a readable slug, and a hash of what decides the numbers."""
 
 import hashlib
 import json
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePath, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from qnerf.config.compatibility import leaves_of, old_form, upgrade_config
-
-EXECUTION = ("device", "store", "run", "threads", "hydra", "needs", "numerics.finite_checks")
-"""Options and groups that say where and how a run is executed, not what it computes. `needs` is among them because the
-id hashes the word `auto`, not its resolved value."""
 SLUG_LENGTH = 80
 DIGITS = 10  # hexadecimal
 
@@ -38,27 +33,17 @@ def plain(value: Any, name: str = "config") -> Any:
     raise ValueError(f"{name}: expected text, number, true/false, null, list or dict, got {type(value).__name__}")
 
 
-def identity(config: Mapping[str, Any], fingerprint: str | None = None) -> str:
-    """Ten hexadecimal digits of the SHA-256 of the resolved configuration.
+def digest(decisive: Mapping[str, Any], fingerprint: str) -> str:
+    """Ten hexadecimal digits of the SHA-256 of the options that decide a run's numbers, and of its scene's contents.
 
-    Options in `EXECUTION` are left out. A `fingerprint` of the scene's contents replaces `scene.path`. 1 and 1.0 give
-    the same id, and so does any order of keys. The id survives renamed options, and added ones that change nothing
-    (`compatibility`).
+    1 and 1.0 give the same digits, and so does any order of keys. Floats are hashed by nine digits, because measured
+    ones differ in the last bits between processors.
 
-    >>> identity({"seed": 1, "device": "cpu"}) == identity({"device": "cuda", "seed": 1.0})
+    >>> digest({"seed": 1}, "a") == digest({"seed": 1.0}, "a")
     True
     """
-    hashed = old_form(_computed(upgrade_config(plain(config))))
-    if fingerprint is not None:
-        scene = hashed.get("scene")
-        hashed["scene"] = (dict(scene) if isinstance(scene, dict) else {"name": scene}) | {"path": fingerprint}
-    text = json.dumps(_canonical(hashed), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    text = json.dumps([_canonical(plain(decisive)), fingerprint], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
-
-
-def run_id(slug: str, config: Mapping[str, Any], fingerprint: str | None = None) -> str:
-    """The cleaned `slug`, a dash and `identity(config, fingerprint)`."""
-    return f"{clean(slug)}-{identity(config, fingerprint)}"
 
 
 def clean(slug: str) -> str:
@@ -94,23 +79,17 @@ def flatten(config: Mapping[str, Any]) -> dict[str, Any]:
     {'train.steps': 10, 'samples': '[1, 2]'}
     """
     return {
-        ".".join(path): json.dumps(value) if isinstance(value, (dict, list)) else value
-        for path, value in leaves_of(plain(config)).items()
+        name: json.dumps(value) if isinstance(value, (dict, list)) else value for name, value in leaves(plain(config))
     }
 
 
-def is_execution(name: str) -> bool:
-    """Whether the dotted option says how a run is executed."""
-    return any(f"{name}.".startswith(f"{key}.") for key in EXECUTION)
-
-
-def _computed(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """`config` without the options in `EXECUTION`."""
-    return {
-        key: _computed(value, f"{prefix}{key}.") if isinstance(value, dict) else value
-        for key, value in config.items()
-        if not is_execution(f"{prefix}{key}")
-    }
+def leaves(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted name and value of every option that is not a group."""
+    for key, value in config.items():
+        if isinstance(value, Mapping) and value:
+            yield from leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def _canonical(value: Any) -> Any:
@@ -118,6 +97,6 @@ def _canonical(value: Any) -> Any:
         return {key: _canonical(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_canonical(item) for item in value]
-    if isinstance(value, float) and math.isfinite(value) and value.is_integer():
-        return int(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return int(value) if value.is_integer() else float(f"{value:.9g}")
     return value

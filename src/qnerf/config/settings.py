@@ -1,19 +1,18 @@
-"""Options that belong to no component: budgets, bounds, device. Components declare their own (see registry.py)."""
+"""Options that belong to no component: budgets, bounds, device. Components declare their own (see registry.py).
+
+A default here is what a run did before the option existed, or does without it. It decides ids: an option at its default
+is not hashed (`building/acting.py`), so an option that is added later leaves all ids as they are.
+"""
 
 import math
-import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated, Any, ClassVar, Literal, TypedDict, TypeVar, get_args, get_type_hints
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import torch
 from annotated_types import Interval, MinLen
 
-from qnerf.config import bounds
 from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, PositiveFactor, PositiveInt, Seed
-from qnerf.config.registry import check_options
-
-MAX_DEPTH = 20  # levels of groups and lists in a configuration
 
 # Float32, in which most runs compute, has no larger or smaller numbers than about 1e38 and 1e-38.
 Rate = Annotated[float, Interval(ge=1e-30, le=1e6)]
@@ -25,45 +24,57 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
+class FieldRates:
+    """Factors on the learning rate of each part of a radiance field."""
+
+    encoder: NonNegativeFactor = 1.0
+    density: NonNegativeFactor = 1.0
+    color: NonNegativeFactor = 1.0
+    sampler: NonNegativeFactor = 1.0
+    cameras: NonNegativeFactor = 1.0
+    appearance: NonNegativeFactor = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalRates:
+    """Factors on the learning rate of each part of the model of a signal."""
+
+    encoder: NonNegativeFactor = 1.0
+    head: NonNegativeFactor = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Schedule:
     """Budget and schedule of any training."""
 
-    PARTS: ClassVar[tuple[str, ...]]  # of the model, which `rates` names
-
-    name: Name
+    rates: Any
+    name: Name = "custom"  # of the recipe
     steps: PositiveInt
     lr: Rate
     lr_final: Rate  # reached at the last step by exponential decay
-    rates: dict[str, NonNegativeFactor]  # part of the model -> factor on the learning rate
     eps: Rate  # of Adam
-    eval_every: NonNegativeInt  # steps; 0: only at the end
-    log_every: PositiveInt  # steps
-    checkpoint_every: Annotated[float, Interval(ge=0, le=1e9)]  # seconds
-
-    def __post_init__(self) -> None:
-        if sorted(self.rates) != sorted(self.PARTS):
-            raise ValueError(f"train.rates must give a number for each of {', '.join(self.PARTS)}, got {self.rates}")
+    eval_every: NonNegativeInt = 0  # steps; 0: only at the end
+    log_every: PositiveInt = 10  # steps
+    checkpoint_every: Annotated[float, Interval(ge=0, le=1e9)] = 20.0  # seconds
 
 
 @dataclass(frozen=True, kw_only=True)
 class Train(Schedule):
     """Training of a radiance field."""
 
-    PARTS = ("encoder", "density", "color", "sampler", "cameras", "appearance")
-
+    rates: FieldRates
     rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
-    interlevel: NonNegativeFactor  # weight of the interlevel loss
-    distortion: NonNegativeFactor  # weight of the distortion loss
-    eval_views: NonNegativeInt  # views evaluated during training; 0: all
-    chunk: Annotated[int, Interval(ge=1, le=2**24)]  # rays rendered at once in evaluation
+    interlevel: NonNegativeFactor = 0.0  # weight of the interlevel loss
+    distortion: NonNegativeFactor = 0.0  # weight of the distortion loss
+    eval_views: NonNegativeInt = 0  # views evaluated during training; 0: all
+    chunk: Annotated[int, Interval(ge=1, le=2**24)] = 2048  # rays rendered at once in evaluation
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit(Schedule):
     """Training of one head on a signal."""
 
-    PARTS = ("encoder", "head")
-
+    rates: SignalRates
     points: Annotated[int, Interval(ge=1, le=2**24)]  # per step; all of them where the signal has no more
 
 
@@ -71,9 +82,9 @@ class Fit(Schedule):
 class Render:
     """Bounds of the rays, and the background behind them."""
 
-    near: Length
-    far: Annotated[float, Interval(gt=0, le=1e9)]  # world units
-    background: Background
+    near: Length = 0.05  # world units
+    far: Annotated[float, Interval(gt=0, le=1e9)] = 1000.0  # world units
+    background: Background = "last_sample"
 
     def __post_init__(self) -> None:
         if not self.near < self.far:
@@ -84,113 +95,103 @@ class Render:
 class PoseNoise:
     """Noise added to the training poses."""
 
-    rotation: Annotated[float, Interval(ge=0, le=math.tau)]  # std. dev. of each component of a rotation vector, radians
-    translation: Length  # standard deviation of each coordinate
-    seed: Seed
+    # Standard deviation of each component of a rotation vector, radians.
+    rotation: Annotated[float, Interval(ge=0, le=math.tau)] = 0.0
+    translation: Length = 0.0  # standard deviation of each coordinate
+    seed: Seed = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
     """Where density may be: cells of contracted space seen by at least `cameras` training cameras."""
 
-    cameras: NonNegativeInt  # 0: everywhere
-    alpha: bool  # also close cells where a training view is transparent
-    resolution: Annotated[int, Interval(ge=2, le=512)]  # cells per axis
+    cameras: NonNegativeInt = 0  # 0: everywhere
+    alpha: bool = False  # also close cells where a training view is transparent
+    resolution: Annotated[int, Interval(ge=2, le=512)] = 96  # cells per axis
 
 
 @dataclass(frozen=True, kw_only=True)
 class Occupancy:
     """Closes cells that turn out to be empty during training."""
 
-    every: NonNegativeInt  # steps between updates; 0: never
-    after: NonNegativeInt  # steps before the first update
-    min_opacity: Annotated[float, Interval(gt=0, lt=1)]  # below which a cell counts as empty
+    every: NonNegativeInt = 0  # steps between updates; 0: never
+    after: NonNegativeInt = 500  # steps before the first update
+    min_opacity: Annotated[float, Interval(gt=0, lt=1)] = 0.01  # below which a cell counts as empty
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stop:
     """Early stopping, judged by training rays that are held out for validation."""
 
-    every: NonNegativeInt  # steps between checks; 0: never
-    patience: PositiveInt  # checks without a gain
-    min_gain_db: Annotated[float, Interval(ge=0, le=1e3)]  # dB that count as a gain
-    share: Annotated[float, Interval(ge=1e-9, le=0.5)]  # of the training rays, held out for validation
-    rays: PositiveInt  # held-out rays rendered per check
+    every: NonNegativeInt = 0  # steps between checks; 0: never
+    patience: PositiveInt = 5  # checks without a gain
+    min_gain_db: Annotated[float, Interval(ge=0, le=1e3)] = 0.05  # dB that count as a gain
+    share: Annotated[float, Interval(ge=1e-9, le=0.5)] = 0.02  # of the training rays, held out for validation
+    rays: PositiveInt = 2048  # held-out rays rendered per check
 
 
 @dataclass(frozen=True, kw_only=True)
 class Numerics:
     """How numbers are computed."""
 
-    dtype: Literal["float32", "float64"]  # of model and training
-    finite_checks: bool  # stop at the first value that is not finite
+    dtype: Literal["float32", "float64"] = "float32"  # of model and training
+    finite_checks: bool = False  # stop at the first value that is not finite
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
     """How this command behaves; not part of a run's id."""
 
-    force: bool
-    progress: bool
-    preview_seconds: Annotated[float, Interval(ge=0, le=1e9)]  # between two preview pictures; 0: none
-    debug: bool
+    force: bool = False
+    progress: bool = True
+    preview_seconds: Annotated[float, Interval(ge=0, le=1e9)] = 30.0  # between two preview pictures; 0: none
+    debug: bool = False
 
 
-class Component(TypedDict):
-    """What every group of a component holds, besides the component's own options."""
+@dataclass(frozen=True, kw_only=True)
+class Density:
+    """What the group density holds, besides the options of its head."""
 
     name: Name
+    activation: Name = "trunc_exp"
+    initial: PositiveFactor = 1.0  # density where the head returns 0, per world unit
 
 
-class Density(Component):
-    """What the group density holds, besides one group of options per kind of head."""
+@dataclass(frozen=True, kw_only=True)
+class Color:
+    """What the group color holds, besides the options of its head."""
 
-    activation: Name
-    initial: PositiveFactor  # density where the head returns 0, per world unit
-    initials: dict[str, PositiveFactor]  # head -> its default of `initial`
-    rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.density
-
-
-class Color(Component):
-    """What the group color holds, besides one group of options per kind of head."""
-
-    directions: Name
-    degree: Annotated[int, Interval(ge=1, le=4)]  # of the spherical harmonics
-    direction_scale: Factor  # factor on raw directions
-    direction_interval: Name
-    activation: Name
-    activations: dict[str, Name]  # head -> its default of color.activation
-    rates: dict[str, NonNegativeFactor]  # head -> its default of train.rates.color
+    name: Name
+    directions: Name = "raw"
+    degree: Annotated[int, Interval(ge=1, le=4)] = 4  # of the spherical harmonics
+    direction_scale: Factor = 1.0  # factor on raw directions
+    direction_interval: Name = "signed"
+    activation: Name = "sigmoid"
 
 
-class OneHead(Component):
-    """What the group head holds, besides one group of options per kind of head."""
+@dataclass(frozen=True, kw_only=True)
+class OneHead:
+    """What the group head holds, besides the options of its head."""
 
-    activation: Name
+    name: Name
+    activation: Name = "sigmoid"
 
 
-COMPONENT_GROUPS: dict[str, type] = dict.fromkeys(
-    ("contraction", "encoder", "scene", "sampler", "shading", "cameras"), Component
-) | {"density": Density, "color": Color, "head": OneHead}
-"""Group that chooses a component -> what it holds besides the component's options."""
+HEAD_GROUPS: dict[str, type] = {"density": Density, "color": Color, "head": OneHead}
+"""Group that chooses a head -> what it holds besides the options of the head, which stand under the head's name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """The part of the configuration that every run has: checked scalars, and one mapping per component."""
+    """What the configuration of every run has: checked options, and a mapping for each component."""
 
-    plugins: list[str]
-    experiment: Name | None
+    plugins: list[str] = field(default_factory=list)
     seed: Annotated[int, Interval(ge=0, le=2**63 - 2)]
-    device: Literal["auto", "cpu", "cuda"]
-    threads: Annotated[int, Interval(ge=1, le=1024)] | None
-    store: Name
-    run: Run
-    numerics: Numerics
-    needs: dict[str, Any]
-    qiren: dict[str, Any]
-    qfgn: dict[str, Any]
-    hash: dict[str, Any]
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    threads: Annotated[int, Interval(ge=1, le=1024)] | None = None
+    store: Name = "runs"
+    run: Run = field(default_factory=Run)
+    numerics: Numerics = field(default_factory=Numerics)
     encoder: dict[str, Any]
     scene: dict[str, Any]
 
@@ -213,18 +214,17 @@ class Common:
 class Settings(Common):
     """The configuration of a radiance field."""
 
-    geo_features: Annotated[int, Interval(ge=0, le=2**16)]
-    appearance: Annotated[int, Interval(ge=0, le=2**16)]
+    geo_features: Annotated[int, Interval(ge=0, le=2**16)] = 5
+    appearance: Annotated[int, Interval(ge=0, le=2**16)] = 0
     train: Train
-    render: Render
-    pose_noise: PoseNoise
-    visibility: Visibility
-    occupancy: Occupancy
-    stop: Stop
+    render: Render = field(default_factory=Render)
+    pose_noise: PoseNoise = field(default_factory=PoseNoise)
+    visibility: Visibility = field(default_factory=Visibility)
+    occupancy: Occupancy = field(default_factory=Occupancy)
+    stop: Stop = field(default_factory=Stop)
     contraction: dict[str, Any]
     density: dict[str, Any]
     color: dict[str, Any]
-    proposal: dict[str, Any]
     sampler: dict[str, Any]
     shading: dict[str, Any]
     cameras: dict[str, Any]
@@ -238,108 +238,19 @@ class SignalSettings(Common):
     head: dict[str, Any]
 
 
-def schema(config: Mapping[str, Any]) -> type[Settings] | type[SignalSettings]:
-    """The settings that the configuration has: with the group `head` it is a signal's."""
-    return SignalSettings if "head" in config else Settings
+def built(kind: type[T], node: Mapping[str, Any]) -> T:
+    """A dataclass of settings from a checked group; options that it lacks have their declared defaults.
 
-
-def only_acting(config: Mapping[str, Any], overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The configuration without the groups that do not act: where one head fits a signal, those of a radiance field.
-
-    overrides: what the user typed. ValueError if one of them is for a group that does not act.
+    >>> built(Visibility, {"cameras": 4}).resolution
+    96
     """
-    if schema(config) is Settings:
-        return dict(config)
-    idle = _names(Settings) - _names(SignalSettings)
-    for override in overrides:
-        group = re.match(r"[~+]*(?:head@)?(\w*)", override)
-        if group and group[1] in {*idle, "field", "needs"}:
-            acting = ", ".join(sorted(_names(SignalSettings) - {"needs"} | {"budget", "ansatz"}))
-            scene = config["scene"].get("name") if isinstance(config.get("scene"), Mapping) else None
-            raise ValueError(f"{override}: does not act with scene={scene}, which has one head; acting: {acting}")
-    return {name: node for name, node in config.items() if name not in idle}
-
-
-def _names(settings: type) -> set[str]:
-    return {field.name for field in fields(settings)}
-
-
-def settings_from(config: Mapping[str, Any]) -> Settings:
-    """Checks the resolved configuration; ValueError names the key, the value and what was expected."""
-    return _built(Settings, config)
-
-
-def signal_settings_from(config: Mapping[str, Any]) -> SignalSettings:
-    """As `settings_from`, for the configuration of one head that fits a signal."""
-    return _built(SignalSettings, config)
-
-
-def _built(kind: type[T], config: Mapping[str, Any]) -> T:
-    check_settings(config)
-    groups = _groups(kind)
-    return kind(**{name: groups[name](**node) if name in groups else node for name, node in config.items()})
-
-
-def check_settings(config: Mapping[str, Any], undecided: Collection[str] = ()) -> None:
-    """ValueError unless every option that belongs to no component fits its declaration.
-
-    undecided: dotted names of options whose value is not known yet, such as those that are `auto`.
-    """
-    _check_plain("config", config)
-    kind = schema(config)
-    _check_group("", kind, config, undecided)
-    for group, component in _groups(kind).items():
-        _check_group(f"{group}.", component, config[group], undecided)
-    for group in filter(config.__contains__, COMPONENT_GROUPS):
-        require(group, config[group], declared(group))
-        for key, hint in declared(group).items():
-            if f"{group}.{key}" not in undecided:
-                bounds.check(f"{group}.{key}", config[group][key], hint)
-
-
-def _groups(kind: type) -> dict[str, type]:
-    """Group -> the dataclass that declares its options."""
-    return {
-        field.name: field.type for field in fields(kind) if isinstance(field.type, type) and is_dataclass(field.type)
-    }
-
-
-def declared(group: str) -> dict[str, Any]:
-    """Option -> annotation of what a group in `COMPONENT_GROUPS` holds besides the component's options."""
-    return get_type_hints(COMPONENT_GROUPS[group], include_extras=True)
-
-
-def _check_group(prefix: str, component: type, node: Mapping[str, Any], undecided: Collection[str]) -> None:
-    require(prefix.rstrip(".") or "config", node, [field.name for field in fields(component)])
-    groups = _groups(component)
-    decided = {key: value for key, value in node.items() if f"{prefix}{key}" not in undecided and key not in groups}
-    check_options(prefix, component, decided)
-
-
-def require(group: str, node: Any, keys: Collection[str]) -> None:
-    """ValueError unless the node is a group that has the keys."""
-    if not isinstance(node, Mapping):
-        raise ValueError(f"{group} must be a group of options, got {node!r}")
-    missing = sorted(set(keys) - set(node))
-    if missing:
-        raise ValueError(f"{group}: missing {', '.join(missing)}")
-
-
-def _check_plain(name: str, value: Any, depth: int = 0) -> None:
-    """ValueError for what no option may hold, and no file of a run: numbers that are not finite or have more than 64
-    bits, text that is not Unicode, keys that are not text, groups inside groups without end."""
-    if depth > MAX_DEPTH:
-        raise ValueError(f"{name} is nested too deeply, in more than {MAX_DEPTH} levels")
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            if not isinstance(key, str):
-                raise ValueError(f"{name}: a key must be text, got {key!r}")
-            _check_plain(key if depth == 0 else f"{name}.{key}", item, depth + 1)
-    elif isinstance(value, (list, tuple)):
-        for number, item in enumerate(value):
-            _check_plain(f"{name}[{number}]", item, depth + 1)
-    elif isinstance(value, str):
-        if "\0" in value or value.encode(errors="replace").decode() != value:
-            raise ValueError(f"{name} must be Unicode text without null characters, got {value!r}")
-    elif isinstance(value, (int, float)) and not isinstance(value, bool):
-        bounds.check(name, value, type(value))
+    values = dict(node)
+    for one in fields(kind):  # type: ignore[arg-type]
+        if isinstance(one.type, type) and is_dataclass(one.type) and one.name in values:
+            values[one.name] = built(one.type, values[one.name])
+        elif issubclass(kind, Common) and one.name in HEAD_GROUPS and one.name in values:
+            declared = HEAD_GROUPS[one.name]
+            names = {item.name for item in fields(declared)}
+            own = declared(**{key: value for key, value in values[one.name].items() if key in names})
+            values[one.name] = {**vars(own), **values[one.name]}
+    return kind(**values)

@@ -1,6 +1,6 @@
 """Amplitude encoding: features become the amplitudes of a state, a unitary acts on it, Z is measured."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import combinations
 from typing import Annotated, Any, Literal
 
@@ -197,6 +197,18 @@ class AmplitudeHead(Head):
             if key != "registers" and value != parameters[key].default:
                 parts.append(value if isinstance(value, str) else f"{key}={str(value).lower()}")
         return "-".join(parts)
+
+    @classmethod
+    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+        controls = {"local": ["entangler"], "identity": ["layers", "rotations", "entangler"]}
+        unread = [] if options["unitary"] == "circuit" else controls.get(options["unitary"], ["layers", "entangler"])
+        if options["encoding"] == "none":
+            unread = [*unread, "amplitudes", "hidden", "bias"]
+        if options["branch"] == "joint":
+            unread = [*unread, "direction_features"]
+        if not options["uploads"]:
+            unread = [*unread, "frequencies"]
+        return unread
 
     def __init__(
         self,

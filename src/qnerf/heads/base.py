@@ -1,6 +1,6 @@
 """The base class of heads and their registry."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from torch import Tensor, nn
@@ -23,6 +23,11 @@ class Head(nn.Module):
     def label(cls, options: Mapping[str, Any]) -> str:
         """A short name of the head with these options; by default the name that it is registered under."""
         return HEADS.name_of(cls) or cls.__name__
+
+    @classmethod
+    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+        """The options that do not act, given the values of all of them."""
+        return ()
 
     def forward(self, features: Tensor) -> Tensor:
         raise NotImplementedError

@@ -1,6 +1,6 @@
 """The classical head."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -61,6 +61,10 @@ class MLPHead(Head):
         if hidden.bias is None or out.bias is None:
             return None
         return Layer(hidden.weight, hidden.bias), Layer(out.weight, out.bias)  # type: ignore[arg-type]
+
+    @classmethod
+    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+        return ("width",) if options["layers"] == 1 else ()
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

@@ -1,6 +1,6 @@
 """The quantum head: hybrid layers of a linear map, a normalisation and a re-uploading circuit (QIREN)."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any, Literal
 
 import torch
@@ -142,6 +142,11 @@ class QirenHead(Head):
     def label(cls, options: Mapping[str, Any]) -> str:
         """`1L2S`: hidden layers and re-uploadings."""
         return f"{options['layers']}L{options['spectral']}S"
+
+    @classmethod
+    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+        noisy = any(options["noise"].values()) if options["noise"] else False
+        return () if noisy else ("noise", "patterns")
 
     def __init__(
         self,

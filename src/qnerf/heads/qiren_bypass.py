@@ -1,6 +1,6 @@
 """QIREN beside a linear bypass, with more wires and more values."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -30,6 +30,10 @@ class QirenBypassHead(QirenHead):
         """`bypass-1L2S`, and the options that are set besides the default."""
         own = {"bypass": "bypass", "wire_per_feature": "wires", "pairs": "pairs"}
         return "-".join([*(name for key, name in own.items() if options[key]), super().label(options)])
+
+    @classmethod
+    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+        return (*super().unread(options), *(["qubits"] if options["wire_per_feature"] else []))
 
     def __init__(
         self,

@@ -1,6 +1,6 @@
 """SIREN: an MLP with sines (arXiv:2006.09661), a control for circuits, whose values are trigonometric, too."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import pairwise
 from math import sqrt
 from typing import Any
@@ -43,6 +43,10 @@ class SirenHead(Head):
     def label(cls, options: Mapping[str, Any]) -> str:
         """`siren2x64`: layers x width."""
         return f"siren{options['layers']}x{options['width']}"
+
+    @classmethod
+    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+        return ("width", "omega") if options["layers"] == 1 else ()
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

@@ -4,14 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from qnerf.heads import chosen, head_options
+from qnerf.heads import QirenHead, chosen, head_options
 
-LABELLED = {
-    "hash": ("levels", "min_resolution", "max_resolution", "log2_table_size", "features"),
-    "qiren": ("layers", "spectral"),
-}
-"""Group -> its options that every run's labels name, whether its component is used or not."""
-
+HASH_OPTIONS = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
 HASH_TABLES = {
     "C1": (16, 16, 2048, 19, 2),
     "C2": (16, 16, 2048, 17, 2),
@@ -31,9 +26,9 @@ def head_label(node: Mapping[str, Any]) -> str:
     return chosen(node).label(head_options(node))
 
 
-def hash_label(table: Mapping[str, Any]) -> str:
-    """The paper's name of the table, `auto`, or its numbers joined by dashes."""
-    values = tuple(table[key] for key in LABELLED["hash"])
+def hash_label(encoder: Mapping[str, Any]) -> str:
+    """The paper's name of the hash encoder's tables, `auto`, or their numbers joined by dashes."""
+    values = tuple(encoder[key] for key in HASH_OPTIONS)
     if "auto" in values:
         return "auto"
     for name, known in HASH_TABLES.items():
@@ -43,27 +38,29 @@ def hash_label(table: Mapping[str, Any]) -> str:
 
 
 def labels(config: Mapping[str, Any]) -> dict[str, str]:
-    """One label per config group and head. With one head, which fits a signal, `field` is classical or quantum."""
+    """One label per config group and head of what acts; `qiren` where a head is one, `hash` where the encoder is one.
+
+    With one head, which fits a signal, `field` is classical or quantum.
+    """
     groups = ("encoder", "scene", "sampler", "shading", "cameras", "train")
-    common = {
-        "qiren": f"{config['qiren']['layers']}L{config['qiren']['spectral']}S",
-        "hash": hash_label(config["hash"]),
-        **{group: config[group]["name"] for group in groups if group in config},
-    }
-    if "head" in config:
-        head = config["head"]
-        return common | {"field": "quantum" if chosen(head).quantum else "classical", "head": head_label(head)}
-    density, color = config["density"], config["color"]
-    field = FIELDS[chosen(density).quantum, chosen(color).quantum]
-    return common | {"field": field, "density": head_label(density), "color": head_label(color)}
+    found = {group: config[group]["name"] for group in groups if group in config}
+    if found["encoder"] == "hash":
+        found["hash"] = hash_label(config["encoder"])
+    heads = {group: config[group] for group in ("density", "color", "head") if group in config}
+    found |= {group: head_label(node) for group, node in heads.items()}
+    circuits = [head_options(node) for node in heads.values() if issubclass(chosen(node), QirenHead)]
+    if circuits:
+        found["qiren"] = "+".join(dict.fromkeys(f"{one['layers']}L{one['spectral']}S" for one in circuits))
+    if "head" in heads:
+        return found | {"field": "quantum" if chosen(heads["head"]).quantum else "classical"}
+    return found | {"field": FIELDS[chosen(heads["density"]).quantum, chosen(heads["color"]).quantum]}
 
 
 def slug(config: Mapping[str, Any]) -> str:
-    """The readable part of a run's id: scene, experiment, field, encoder, heads, seed."""
+    """The readable part of a run's id: scene, field, encoder, heads, seed."""
     names = labels(config)
     path = config["scene"].get("path")
     scene = Path(path).name if path else names["scene"]
-    encoder = f"hash{names['hash']}" if names["encoder"] == "hash" else names["encoder"]
+    encoder = f"hash{names['hash']}" if "hash" in names else names["encoder"]
     heads = [names[group] for group in ("density", "color", "head") if group in names]
-    parts = [scene, config["experiment"], names["field"], encoder, *heads]
-    return "-".join([*filter(None, parts), f"s{config['seed']}"])
+    return "-".join([scene, names["field"], encoder, *heads, f"s{config['seed']}"])

@@ -4,14 +4,13 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import prepare
-from qnerf.config.compatibility import fill_added
+from qnerf.building.scene import Prepared, prepare
 from qnerf.config.plugins import check_plugins
 from qnerf.config.settings import Settings
 from qnerf.geometry.rays import RayTable
@@ -126,12 +125,12 @@ def require_loadable(folder: Path, *, unfinished: bool = False) -> None:
         raise ValueError(f"{folder}: this run is {state(folder)} and has no checkpoint")
 
 
-def load(run: str | Path, config: Mapping[str, Any] | None = None, *, unfinished: bool = False) -> Trained:
+def load(run: str | Path, prepared: Prepared | None = None, *, unfinished: bool = False) -> Trained:
     """Builds the run's scene and model and loads its last checkpoint.
 
     Args:
         run: the run's folder.
-        config: the configuration to use if the stored one is from an older version; None for the stored one.
+        prepared: the run's configuration and scene, if they are read already.
         unfinished: take also the checkpoint of a run that is being trained, or was interrupted.
 
     Raises:
@@ -139,10 +138,10 @@ def load(run: str | Path, config: Mapping[str, Any] | None = None, *, unfinished
     """
     folder = Path(run)
     require_loadable(folder, unfinished=unfinished)
-    if config is None:
+    if prepared is None:
         config = read_config(folder)
-        fill_added(config)
         check_plugins(folder, config.get("plugins", []), ())
-    _, settings, scene = prepare(config)
+        prepared = prepare(config)
+    settings, scene = prepared.of_field()
     trained = Trained(folder, settings, scene, build_model(settings, scene).eval(), 0)
     return trained.reloaded()

@@ -70,7 +70,7 @@ class Details:
     @property
     def steps(self) -> int | None:
         """Training steps in the configuration."""
-        steps = self.flat.get("needs.train.steps.value", self.flat.get("train.steps"))
+        steps = self.flat.get("train.steps")
         return steps if isinstance(steps, int) else None
 
     @property

@@ -76,7 +76,7 @@ def state(run_dir: str | Path, status: Mapping[str, Any] | None = None) -> str:
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The resolved configuration. YAML aliases and everything but plain values are refused."""
+    """The configuration. YAML aliases and everything but plain values are refused."""
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
         data = read_bytes(path, MAX_CONFIG_BYTES)

@@ -82,21 +82,15 @@ def summary(results: Mapping[str, Any], config: Mapping[str, Any], kinds: Mappin
     """One row: `results`, then the flat configuration. A result wins over an option of the same name.
 
     kinds: dotted option -> int, float, bool or text. What is not declared is float64, bool or text, and has no column
-    if it is None. A number that was left to `auto` is what was decided.
+    if it is None.
     """
     columns: dict[str, pa.Array | None] = {}
     for name, value in {**dict.fromkeys(_SUMMARY_COLUMNS), **plain(results, "summary")}.items():
         columns[name] = _array(name, [value], result_kind(name))
     for name, value in flatten({key: value for key, value in config.items() if key != "hydra"}).items():
         if columns.get(name) is None:
-            columns[name] = _array(name, [_decided(config, name, value)], kinds.get(name))
+            columns[name] = _array(name, [value], kinds.get(name))
     return pa.table({name: column for name, column in columns.items() if column is not None})
-
-
-def _decided(config: Mapping[str, Any], name: str, value: Any) -> Any:
-    """The value of an option; in place of `auto`, the number for it if there is one."""
-    decision = (config.get("needs") or {}).get(name)
-    return decision["value"] if isinstance(decision, Mapping) and value == "auto" else value
 
 
 def results(summary: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:

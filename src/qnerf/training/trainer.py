@@ -93,7 +93,7 @@ class Loop:
         self.model.encoder.progress = step / self.train.steps
         self.rate = learning_rate(step, self.train)
         for group in self.optimiser.param_groups:
-            group["lr"] = self.rate * self.train.rates[group["name"]]
+            group["lr"] = self.rate * getattr(self.train.rates, group["name"])
 
     def prepare_step(self) -> None:
         """What happens before a batch is drawn."""

@@ -11,8 +11,7 @@ from qnerf.cli.commands import RUN, add_store
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import as_json, console
 from qnerf.config.checks import is_number
-from qnerf.config.compatibility import without_neutral
-from qnerf.config.identity import flatten, is_execution
+from qnerf.config.identity import flatten
 from qnerf.records import details, find
 from qnerf.records.details import Details
 from qnerf.records.printable import printable
@@ -40,17 +39,15 @@ def main(options: argparse.Namespace) -> None:
 def compare(a: Details, b: Details) -> dict[str, Any]:
     """What differs, in sections.
 
-    `configuration`, `execution`, `environment`: name -> [value in A, value in B], only if they differ. `results`: name
+    `configuration`, `environment`: name -> [value in A, value in B], only if they differ. `results`: name
     -> [A, B, B - A] for every number; the difference is None if one run has no number.
     """
-    config = differences(*(flatten(without_neutral(run.config)) for run in (a, b)))
-    execution = {key: pair for key, pair in config.items() if is_execution(key)}
+    config = differences(*(flatten(run.config) for run in (a, b)))
     return {
         "a": str(a.path),
         "b": str(b.path),
         "state": [a.state, b.state],
-        "configuration": {key: pair for key, pair in config.items() if key not in execution},
-        "execution": execution,
+        "configuration": config,
         "environment": differences(_environment(a), _environment(b)),
         "results": results(a.results, b.results),
     }
@@ -81,12 +78,12 @@ def show(out: Console, a: Details, b: Details, compared: Mapping[str, Any]) -> N
         out.print(Text.assemble((f"{letter}  ", "bold"), printable(run.run_id), f"  {run.state}"), soft_wrap=True)
         for problem in run.problems:
             out.print(Text(f"   {printable(problem)}", "red"), soft_wrap=True)
-    for name in ("configuration", "execution", "environment"):
+    for name in ("configuration", "environment"):
         if compared[name]:
             _section(out, name)
             rows = [{"key": key, "a": pair[0], "b": pair[1]} for key, pair in compared[name].items()]
             print_table(out, [_text("key"), _text("a"), _text("b")], rows)
-        elif name != "execution":
+        else:
             out.print(f"\nno differences in {name}")
     if not compared["configuration"] and a.run_id != b.run_id and not (a.problems or b.problems):
         out.print("the ids differ, so the scene's files differ")

@@ -85,7 +85,7 @@ def _copies(folders: list[Path], options: argparse.Namespace) -> int:
 
 def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
     """Writes `<out>/<run id>.ply` of each run, or the file `out` of a single one."""
-    from qnerf.cli.upgrade_config import load_stored
+    from qnerf.cli.stored import load_stored
     from qnerf.viewing import ply, surfaces
     from qnerf.viewing.frames import Renderer
 

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from qnerf.cli.commands import add_run
-from qnerf.cli.upgrade_config import load_stored
+from qnerf.cli.stored import load_stored
 from qnerf.config.bounds import PositiveInt, Share, check
 from qnerf.records import find
 

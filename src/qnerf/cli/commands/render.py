@@ -71,7 +71,7 @@ def main(options: argparse.Namespace) -> None:
     if options.coordinates and not is_file:
         raise ValueError("--coordinates is for a path from a file")
 
-    from qnerf.cli.upgrade_config import load_stored
+    from qnerf.cli.stored import load_stored
     from qnerf.viewing import video
     from qnerf.viewing.frames import Renderer
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 from qnerf.cli.commands import add_plugins, add_run
 from qnerf.cli.ends import stoppable, stopped_code
 from qnerf.cli.numbers import tolerance
+from qnerf.cli.stored import run_stored, stored
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
-from qnerf.cli.upgrade_config import run_stored, stored
 from qnerf.records import find, state
 from qnerf.records.location import resolved, store_folder
 from qnerf.records.printable import printable
@@ -58,15 +58,15 @@ def main(options: argparse.Namespace) -> int:
     keep = None if options.keep is None else store_folder(options.keep)
     if keep is not None and resolved(keep) == run.parent:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
-    config, filled = stored(run, options.plugins)
+    config = stored(run, options.plugins)
 
     from qnerf.records.reproduction import compare, environment_differences, recorded_threads
 
-    config["threads"] = recorded_threads(run) or config["threads"]
-    config["run"]["force"] = True  # the folder of --keep may contain an earlier one
+    config["threads"] = recorded_threads(run)
+    config["run"] = {"force": True}  # the folder of --keep may contain an earlier one
     with contextlib.nullcontext(keep) if keep else tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = str(store)
-        outcome = run_stored(run, config, filled)
+        outcome = run_stored(run, config)
         if outcome.state != "finished":
             print(printable(outcome.message), file=sys.stderr)
             return stopped_code() if outcome.state == "interrupted" else 1

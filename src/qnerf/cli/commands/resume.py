@@ -4,8 +4,8 @@ import argparse
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.ends import stoppable, stopped_code
+from qnerf.cli.stored import CHANGEABLE, run_stored, stored
 from qnerf.cli.text import console
-from qnerf.cli.upgrade_config import CHANGEABLE, run_stored, stored
 from qnerf.records import find, owner, state
 from qnerf.records.location import resolved
 from qnerf.records.printable import printable
@@ -30,10 +30,10 @@ def main(options: argparse.Namespace) -> int:
         reason = "finished already" if now == "finished" else f"being written by {owner.describe(run)}"
         print(printable(f"{run}: {reason}"))
         return 0
-    config, filled = stored(run, options.overrides)
+    config = stored(run, options.overrides)
 
     from qnerf.cli.display import print_outcome
 
-    outcome = run_stored(run, config, filled, run.name)
+    outcome = run_stored(run, config, run.name)
     print_outcome(console(), outcome)
     return stopped_code() if outcome.state == "interrupted" else 0

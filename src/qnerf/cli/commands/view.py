@@ -29,7 +29,7 @@ def main(options: argparse.Namespace) -> None:
     if not 1 <= len(folders) <= 2:
         raise ValueError(f"expected one run or two, got {len(folders)}")
 
-    from qnerf.cli.upgrade_config import load_stored
+    from qnerf.cli.stored import load_stored
     from qnerf.viewing.frames import Renderer
     from qnerf.viewing.viewer import Viewer
 
