@@ -70,6 +70,7 @@ def refused(kind: str, folder: Path, *needles: str, **options: Any) -> str:
         assert needle in message, message
     return message
 
+
 def build_scene(settings: Settings) -> Scene:
     """The scene of checked settings, as a run reads it."""
     return add_pose_noise(component(SCENES, settings.scene), **vars(settings.pose_noise))
