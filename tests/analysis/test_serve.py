@@ -17,7 +17,7 @@ from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
 from qnerf.analysis.tables import ablation
 
-from qnerf.records import RunStore, annotations
+from qnerf.records import RunStore, annotations, index
 from tests.helpers.packed_stores import picture, write_run
 from tests.helpers.serving import EVIL, cookie, served
 
@@ -209,8 +209,8 @@ def test_mistakes_are_one_line(tmp_path):
 
 
 def test_what_changes_among_many_is_found_without_reading_the_others(many, monkeypatch):
+    monkeypatch.setattr(index, "SETTLED", -3600.0)  # all files are young here
     watched = WatchedStore(many)
-    monkeypatch.setattr(serve_store, "UNSETTLED", "no stamp")  # all files are young here
     monkeypatch.setattr(serve_store, "FRESH", 0.0)
     read = []
     monkeypatch.setattr(watched, "_read", lambda runs: (read.extend(runs), ({}, None))[1])

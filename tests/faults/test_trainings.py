@@ -19,6 +19,7 @@ import torch
 
 from qnerf import experiment, records
 from qnerf.records import StoreError
+from qnerf.records.read import read_evaluation
 from tests.helpers import processes
 from tests.helpers.configs import TINY, composed
 from tests.helpers.disks import mount, small_disk
@@ -84,12 +85,12 @@ def assert_equal_runs(run: Path, whole: Path) -> None:
 
 def poll(run: Path) -> None:
     """A reader finds whole tables, no row twice, and a sensible state at any moment."""
-    metrics = pd.read_parquet(run / "metrics")
+    metrics = records.read_metrics(run)
     assert not metrics.duplicated(["step", "key"]).any()
     steps = metrics.loc[metrics["key"] == "train/loss", "step"].tolist()
     assert steps == list(range(1, len(steps) + 1))
-    assert list(pd.read_parquet(run / "eval.parquet").columns)[:3] == ["image", "step", "psnr"]
-    assert pd.read_parquet(run / "summary.parquet")["run_id"].tolist() == [run.name]
+    assert list(read_evaluation(run).columns)[:3] == ["image", "step", "psnr"]
+    assert records.read_summary(run)["run_id"] == run.name
     assert records.read_config(run)["train"]["steps"] == 30
     assert records.read_status(run)["state"] in ("running", "finished")
 

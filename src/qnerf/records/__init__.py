@@ -1,4 +1,4 @@
-"""The run store: one folder per run, readable with pandas at any moment.
+"""The run store: one folder per run, readable with pandas.
 
     runs/<run_id>/
       config.yaml          the resolved configuration
@@ -21,8 +21,9 @@ Who may write. `RunStore.claim` gives a run to one process, and only this owner 
 read it at any moment. Two files are different: tags and note are changed by anyone, one after the other
 (`annotations.py`), and the index is written by whoever reads the store.
 
-What a reader sees. A file is never changed in place: the new version is written under a temporary name and renamed. A
-column's type is declared, so the tables of all runs can be read as one.
+What a reader sees. A file is never changed in place: the new version is written under a temporary name and renamed.
+pandas and DuckDB open a Parquet file twice and fail if it was replaced in between. While a run trains, use the readers
+of this package, or read again. A column's type is declared, so the tables of all runs can be read as one.
 
 What survives kill -9. Everything that was written: at most the metrics of the last few seconds are lost, and the run
 resumes from its last checkpoint. The rows logged after that checkpoint are dropped, so that no step appears twice. The

@@ -25,18 +25,13 @@ _SUMMARY_COLUMNS = (
 """Columns that every such table has."""
 
 _RESULTS = {
-    **{name: "int" if metric.kind == "size" else "float" for name, metric in METRICS.items()},
     **dict.fromkeys(("run_id", "state", "error", "stopped", "machine", "scene.fingerprint", "image"), "text"),
     **dict.fromkeys(("step", "steps", "eval_views"), "int"),
 }
-_LABELS = (
-    "field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train", "scene",
-    "scene.name", "scene.path", "scene_name",
-)  # fmt: skip
+_PREFIXES = {"params.": "int", "time.": "float"}
 _HEAD_NUMBERS = ("mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NUMBERS = ("seed", "train.steps", *(f"{head}.{name}" for head in ("density", "color") for name in _HEAD_NUMBERS))
 """Options that tables and figures compute with."""
-
 
 TABLES = {
     "eval": {"image": "text", "step": "int"},
@@ -48,17 +43,16 @@ TABLES = {
 
 def result_kind(name: str) -> str | None:
     """The declared kind of a result; None: text and booleans keep theirs, any other number is a float."""
-    if name in METRICS and name not in _RESULTS:  # declared by a plugin
+    if name in METRICS:
         return "int" if METRICS[name].kind == "size" else "float"
-    if name in _RESULTS:
-        return _RESULTS[name]
-    endings = {"params.": "int", "time.": "float"}
-    return "text" if name.endswith("_reason") else next((k for s, k in endings.items() if name.startswith(s)), None)
+    if name.endswith("_reason"):
+        return "text"
+    return _RESULTS.get(name) or next((kind for start, kind in _PREFIXES.items() if name.startswith(start)), None)
 
 
 def known_kind(name: str) -> str | None:
     """The kind of a summary's column that tables and figures compute with; None for any other column."""
-    return "float" if name in NUMBERS else "text" if name in _LABELS else result_kind(name)
+    return "float" if name in NUMBERS else result_kind(name)
 
 
 def checked_summary(table: pa.Table) -> pa.Table:

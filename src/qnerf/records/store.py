@@ -114,14 +114,10 @@ class RunStore:
                 published = self._replace_run(content, holder)
                 return None if published is None else self._opened("new", "done over", published, content)
             remove_temporary_files(directory)
-            without_rows = _has_begun(directory) and not _has_metrics(directory)
             content.complete(directory)
             onward = "from its checkpoint" if _has_checkpoint(directory) else "from the start"
             stored = before if before == "failed" else "interrupted"
-            claim = self._opened("resumed", f"was {stored}, going on {onward}", holder, content)
-        if without_rows and claim.run is not None:
-            claim.run.warn(f"{directory / 'metrics'}: missing or empty; the rows logged before are lost")
-        return claim
+            return self._opened("resumed", f"was {stored}, going on {onward}", holder, content)
 
     def _opened(
         self, outcome: Literal["new", "resumed"], message: str, ownership: Ownership, content: "_InitialContent"
@@ -195,10 +191,6 @@ def _is_vacant(directory: Path) -> bool:
 
 def _has_checkpoint(directory: Path) -> bool:
     return any((directory / name).exists() for name in ("checkpoint.pt", "checkpoint.prev.pt"))
-
-
-def _has_begun(directory: Path) -> bool:
-    return _has_checkpoint(directory) or bool(read_status(directory).get("step"))
 
 
 def _has_metrics(directory: Path) -> bool:

@@ -130,10 +130,7 @@ class Run:
         """
         with self._io:
             self._ownership.check()
-            parts = metric_parts(self.dir)
-            if missing := [part_name(number) for number in range(max(parts, default=0)) if number not in parts]:
-                self.warn(f"{self.dir / 'metrics'}: {', '.join(missing[:3])} is missing; its rows are lost")
-            for number, path in parts.items():
+            for number, path in metric_parts(self.dir).items():
                 table = self._read_or_set_aside(number, path)
                 remaining = table.filter(pc.less_equal(table["step"], step))
                 # The part is emptied, not removed: a reader may just have listed the folder and must find every file.
