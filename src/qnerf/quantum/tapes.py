@@ -6,6 +6,7 @@ What a measurement needs of the state is a few Pauli words or probabilities; `Me
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain
 from math import prod
 from typing import Any, NamedTuple
@@ -29,9 +30,16 @@ MAX_CACHED = 256  # circuits, and lists of measurements
 NUMBERS = (float, int, complex, np.number, np.ndarray, Tensor)
 SINGLE = frozenset({torch.float32, torch.complex64})
 
-_operations: dict[Any, tuple[Operation, ...] | None] = {}  # None: a decomposition depends on the numbers
+_described: dict[Any, "Described"] = {}
 _measured: dict[Any, "Measured"] = {}
 _engines: dict[Any, Simulator] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """Operations on expressions; None if a decomposition depends on numbers. Compared by identity, as a key."""
+
+    operations: tuple[Operation, ...] | None
 
 
 class Execution(NamedTuple):
@@ -64,36 +72,38 @@ def execution_of(tape: Any, labels: Any) -> Execution:
         raise ValueError(f"wires {tape.wires.tolist()} on a device with wires {labels.tolist()}")
     places = places_of(tape, labels)
     measured = _measurements_of(tape, places)
-    numbers, operations = _operations_of(tape, places)
-    key = numbers.key, *places, measured.key
-    engine = _remembered(_engines, key, lambda: _engine(operations, measured, len(places), numbers))
+    numbers, described = _described_by(tape, places)
+    key = described, measured.key
+    engine = _remembered(_engines, key, lambda: _engine(described, measured, len(places), numbers))
     return Execution(engine, numbers, measured)
 
 
 def _remembered(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any:
-    if key not in known:
+    found = known.get(key)
+    if found is None:
         if len(known) >= MAX_CACHED:
             known.clear()
-        known[key] = make()
-    return known[key]
+        found = known[key] = make()
+    return found
 
 
-def _engine(operations: tuple[Operation, ...], measured: "Measured", wires: int, numbers: "Numbers") -> Simulator:
+def _engine(described: Described, measured: "Measured", wires: int, numbers: "Numbers") -> Simulator:
     own = (Weights("parameters", (numbers.count[False],)),) if numbers.count[False] else ()
-    return Simulator(circuit_of(operations, measured, max(wires, 1), numbers.count[True], own))
+    assert described.operations is not None
+    return Simulator(circuit_of(described.operations, measured, max(wires, 1), numbers.count[True], own))
 
 
-def _operations_of(tape: Any, places: dict[Any, int]) -> "tuple[Numbers, tuple[Operation, ...]]":
+def _described_by(tape: Any, places: dict[Any, int]) -> "tuple[Numbers, Described]":
     """The tape's numbers, and operations whose angles are expressions of them."""
     try:
         numbers = Numbers(tape.operations)
-        found = _remembered(_operations, (numbers.key, *places), lambda: _on_expressions(numbers, places))
-        if found is not None:
+        found = _remembered(_described, (numbers.key, *places), lambda: Described(_on_expressions(numbers, places)))
+        if found.operations is not None:
             return numbers, found
-    except (TypeError, ValueError):  # a parameter that is no number, or a structure without a hash
+    except (AttributeError, TypeError, ValueError):  # a parameter that is no number, or a structure without a hash
         pass
     numbers = Numbers(decomposed(tape.operations))
-    return numbers, _remembered(_operations, (numbers.key, *places), lambda: numbers.described(places))
+    return numbers, _remembered(_described, (numbers.key, *places), lambda: Described(numbers.described(places)))
 
 
 def _on_expressions(numbers: "Numbers", places: dict[Any, int]) -> tuple[Operation, ...] | None:
@@ -125,7 +135,7 @@ class Numbers:
     def _taken(self, operation: Any) -> Any:
         """What tells the operation apart from others that differ in more than numbers."""
         name = operation.name
-        leaves, structure = operation.data, (name, operation.wires)
+        leaves, structure = operation.data, (name, operation.wires.labels)
         if not is_gate(operation) or name == "PauliRot":
             leaves, structure = qml.pytrees.flatten(operation)
         if len(leaves) != len(operation.data):
@@ -140,7 +150,7 @@ class Numbers:
         if not isinstance(value, NUMBERS):
             raise ValueError(f"{operation.name} has a parameter of type {type(value).__name__}")
         shape = tuple(getattr(value, "shape", ()))
-        batched = bool(shape) and _is_batched(operation, place, len(shape))
+        batched = _is_batched(operation, place, len(shape))
         known = self._slots.get((id(value), batched))
         if known is not None:
             return known
@@ -172,11 +182,13 @@ class Numbers:
 
         def joined(batched: bool, rows: int) -> Tensor:
             values = [_tensor(value).to(device) for value in self._values[batched]]
-            if all(value.ndim == batched for value in values) and values:
+            if not values:
+                return torch.zeros(rows, 0, dtype=dtype, device=device)
+            if all(value.ndim == batched for value in values):
                 return torch.stack([value.to(dtype) for value in values], -1).reshape(rows, -1)
             parts = [torch.view_as_real(value.resolve_conj()) if value.is_complex() else value for value in values]
-            empty = torch.zeros(rows, 0, dtype=dtype, device=device)
-            return torch.cat([empty, *(part.to(dtype).reshape(rows, -1) for part in parts)], 1)
+            flat = [part.to(dtype).reshape(rows, -1) for part in parts]
+            return torch.cat(flat, 1) if len(flat) > 1 else flat[0]
 
         return joined(True, 1 if self.batch is None else self.batch), joined(False, 1)[0]
 
@@ -187,10 +199,13 @@ class Numbers:
 
 
 def _is_batched(operation: Any, place: int, dimensions: int) -> bool:
-    """Whether a parameter has an entry for each sample, as PennyLane says."""
-    if dimensions == 1 and is_gate(operation) and operation.name not in STATES:
-        return True  # an angle: PennyLane's check takes longer
-    return operation.batch_size is not None and dimensions > operation.ndim_params[place]
+    """Whether a parameter has an entry for each sample."""
+    if not dimensions:
+        return False
+    expected = operation.ndim_params[place]
+    if dimensions not in (expected, expected + 1):
+        raise ValueError(f"{operation.name} has a parameter with {dimensions} dimensions")
+    return bool(dimensions > expected)
 
 
 def _tensor(value: Any) -> Tensor:
