@@ -21,6 +21,7 @@ from qnerf.geometry.camera_paths import Camera
 from qnerf.probes import load
 from qnerf.training.evaluation import shade_error
 from qnerf.viewing.frames import Renderer, as_bytes
+from qnerf.viewing.guard import COOKIE, Guard
 from qnerf.viewing.painter import Painter, Shown
 from qnerf.viewing.viewer import Viewer, camera_of, quaternion, require_free, sharpen
 from tests.helpers.configs import TINY, composed
@@ -60,6 +61,15 @@ def test_a_camera_goes_to_the_browser_and_back(trained):
     back = camera_of(quaternion(pose), pose[:, 3], 2 * math.atan(4 / 8), 1.5, 24)
     np.testing.assert_allclose(back.pose, pose, atol=1e-12)
     assert (back.width, back.height, back.focal) == (24, 16, pytest.approx(16))
+
+
+def test_what_a_browser_may_ask_for_is_bounded():
+    place = np.array([1.0, 0, 0, 0]), np.zeros(3)
+    for aspect, height in ((1e-3, 96), (1e9, 6), (math.nan, 96)):
+        asked = camera_of(*place, 1.0, aspect, 24)
+        assert (asked.width, asked.height) == (24, height)
+    for fov in (0.0, math.pi, -1.0, math.nan):
+        assert 0 < camera_of(*place, fov, 1.0, 24).focal < 1e5
 
 
 def test_pictures_of_colour_halves_and_error(trained):
@@ -188,7 +198,8 @@ def test_the_server_sends_coarse_then_sharp_pictures_of_where_the_camera_is(view
         assert answer.status == 200
         assert b"<html" in answer.read()
     protocol = [f"viser-v{viser.__version__}"]
-    with connect(viewer.address.replace("http", "ws"), subprotocols=protocol, max_size=None) as connection:
+    address = viewer.address.replace("http", "ws")
+    with connect(address, subprotocols=protocol, max_size=None) as connection:
         connection.send(msgspec.msgpack.encode(looking(0.0)))
         coarse, here = pictures(connection, [64, 96])
         assert (coarse.shape, here.shape) == ((43, 64, 3), (64, 96, 3))
@@ -198,6 +209,44 @@ def test_the_server_sends_coarse_then_sharp_pictures_of_where_the_camera_is(view
         viewer.what.value = "depth"
         depth = pictures(connection, [64, 96])[1]
         assert np.abs(depth.astype(int) - there).mean() > 1
+
+
+def test_requests_without_the_token_or_from_another_site_are_refused():
+    guard, everywhere = Guard("127.0.0.1"), Guard("0.0.0.0")
+    query, own = f"/?token={guard.token}", {"Host": "127.0.0.1:8080"}
+    cookie = {"Cookie": f"a=b; {COOKIE}={guard.token}"}
+    assert guard.refusal(query, own) is None
+    assert guard.refusal("/", own | cookie) is None
+    assert guard.refusal("/", own | cookie | {"Origin": "http://127.0.0.1:8080"}) is None
+    assert guard.refusal("/", {"Host": "[::1]:8080"} | cookie) is None
+    assert everywhere.refusal(f"/?token={everywhere.token}", {"Host": "gpu.example.org"}) is None
+    for path, headers, reason in (
+        ("/", own, "expected the token"),
+        ("/?token=x", own | {"Cookie": f"{COOKIE}=\xe9"}, "expected the token"),
+        (query, own | {"Origin": "http://example.org"}, "another site"),
+        (query, own | {"Origin": "http://127.0.0.1:9000"}, "another site"),
+        (query, own | {"Origin": "null"}, "another site"),
+        (query, {"Host": "example.org"}, "as host"),
+        (query, {}, "as host"),
+    ):
+        assert reason in guard.refusal(path, headers), (path, headers)
+
+
+@pytest.mark.filterwarnings("default")
+def test_the_server_asks_its_guard(viewer):
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    address, query = viewer.address.replace("http", "ws").split("?")
+    options = {"subprotocols": [f"viser-v{viser.__version__}"]}
+    for url, more in ((address, {}), (f"{address}?{query}", {"origin": "http://example.org"})):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(url, **options, **more)
+    with urllib.request.urlopen(viewer.address, timeout=DEADLINE) as answer:
+        cookie = answer.headers["Set-Cookie"].split(";")[0]
+    with connect(address, **options, additional_headers={"Cookie": cookie}):
+        pass
 
 
 class Page:

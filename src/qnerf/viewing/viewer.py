@@ -20,9 +20,12 @@ from scipy.spatial.transform import Rotation
 from qnerf.geometry.camera_paths import Camera, path_json
 from qnerf.records import StoreError
 from qnerf.viewing.frames import Renderer
+from qnerf.viewing.guard import Guard
 from qnerf.viewing.painter import WHAT, Painter, Shown
 
 COARSE, MIDDLE = 64, 192  # pixels: widths of the first two pictures
+ASPECT = 4.0
+FOV = (0.01, 3.1)  # radians
 POLL = 2.0  # seconds between looks at the checkpoints
 FRUSTA = 300  # cameras that are drawn, at most
 FLIP = np.diag([1.0, -1.0, -1.0])  # between OpenGL's camera axes and OpenCV's, which viser has
@@ -85,11 +88,16 @@ class Client(threading.Thread):
         while self.open:
             self.news.wait()
             self.news.clear()
-            if self.open:
+            with contextlib.suppress(ValueError):  # a camera that is none, such as a rotation of zeros
+                if not self.open:
+                    return
                 sharpen(lambda: self.version, self._draw, self._show, self.viewer.widths)
 
     def _draw(self, width: int, stopping: Callable[[], bool]) -> NDArray | None:
-        return self.viewer.painter.picture(self.camera(width), self.viewer.shown(), stopping)
+        def ended() -> bool:
+            return stopping() or not self.open
+
+        return self.viewer.painter.picture(self.camera(width), self.viewer.shown(), ended)
 
     def _show(self, picture: NDArray) -> None:
         if self.open:
@@ -104,8 +112,12 @@ class Client(threading.Thread):
 
 
 def camera_of(wxyz: NDArray, position: NDArray, fov: float, aspect: float, width: int) -> Camera:
-    """viser's camera (OpenCV's axes, vertical field of view in radians) as ours."""
-    height = max(1, round(width / max(aspect, 1e-3)))
+    """viser's camera (OpenCV's axes, vertical field of view in radians) as ours.
+
+    The numbers come from a browser: pictures are at most `ASPECT` times as high as wide, or as wide as high.
+    """
+    height = max(1, round(width / min(max(1 / ASPECT, aspect), ASPECT)))
+    fov = min(max(FOV[0], fov), FOV[1])
     rotation = Rotation.from_quat(np.asarray(wxyz), scalar_first=True).as_matrix() @ FLIP
     pose = np.concatenate([rotation, np.asarray(position)[:, None]], axis=1)
     return Camera(pose, height / 2 / math.tan(fov / 2), width, height)
@@ -137,7 +149,8 @@ class Viewer:
         self.painter.reload()
         self.widths = sorted({min(size, width) for size in (COARSE, MIDDLE, width)})
         require_free(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
+        self.guard = Guard(host)
+        with self.guard.installed(), contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
             self.server = viser.ViserServer(host=host, port=port, label="qnerf", verbose=False)
         self.clients: dict[int, Client] = {}
         self.stopped = threading.Event()
@@ -150,7 +163,9 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        """Where the page is, with the token that it wants."""
+        host = self.server.get_host()
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.server.get_port()}/?token={self.guard.token}"
 
     def shown(self) -> Shown:
         return Shown(self.what.value, None if self.run.value == "both halves" else self.runs.index(self.run.value))
