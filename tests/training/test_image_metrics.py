@@ -7,7 +7,7 @@ from torch import Tensor
 
 from qnerf.training import lpips as lpips_module
 from qnerf.training.image_metrics import Comparison, depth_error, lpips, measure, psnr, ssim
-from qnerf.training.lpips import BACKBONE, HEADS, LPIPS
+from qnerf.training.lpips import BACKBONE, HEADS, VARIABLE
 
 
 def images(height: int = 36, width: int = 64, noise: float = 0.05) -> tuple[Tensor, Tensor]:
@@ -77,94 +77,58 @@ def test_depth_error_counts_known_pixels_only() -> None:
         depth_error(depth, truth[:1])
 
 
-@pytest.fixture
-def nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """No weights in any cache, no package `lpips`."""
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    monkeypatch.setattr(lpips_module.importlib.util, "find_spec", lambda name: None)
-    monkeypatch.delenv(lpips_module.VARIABLE, raising=False)
-    lpips_module.load.cache_clear()
-    yield tmp_path
-    lpips_module.load.cache_clear()
-
-
-def save_random_weights(folder: Path) -> LPIPS:
+def save_random_weights(folder: Path) -> tuple[torch.nn.Sequential, list[torch.Tensor]]:
+    """AlexNet's layers as torchvision names them, and heads; both random."""
     torch.manual_seed(0)
-    network = LPIPS()
-    for head in network.heads:
-        torch.nn.init.uniform_(head, 0, 1)
-    features = {f"features.{key}": value for key, value in network.features.state_dict().items()}
+    conv, relu, pool = torch.nn.Conv2d, torch.nn.ReLU(), torch.nn.MaxPool2d(3, 2)
+    network = torch.nn.Sequential(
+        conv(3, 64, 11, 4, 2), relu, pool, conv(64, 192, 5, padding=2), relu, pool, conv(192, 384, 3, padding=1), relu,
+        conv(384, 256, 3, padding=1), relu, conv(256, 256, 3, padding=1), relu,
+    )  # fmt: skip
+    heads = [torch.rand(channels) for channels in (64, 192, 384, 256, 256)]
+    features = {f"features.{key}": value for key, value in network.state_dict().items()}
     torch.save(features | {"classifier.1.weight": torch.zeros(1)}, folder / BACKBONE)
-    heads = {f"lin{i}.model.1.weight": head.detach().view(1, -1, 1, 1) for i, head in enumerate(network.heads)}
-    torch.save(heads, folder / HEADS)
-    return network
+    torch.save({f"lin{i}.model.1.weight": head.view(1, -1, 1, 1) for i, head in enumerate(heads)}, folder / HEADS)
+    lpips_module.load.cache_clear()
+    return network, heads
 
 
-def test_lpips_without_weights_says_which(nowhere: Path) -> None:
-    value, reason = lpips(*images())
-    assert value is None
-    assert reason is not None
-    assert BACKBONE in reason
-    assert HEADS in reason
-
-
-def test_lpips_from_a_folder(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = save_random_weights(nowhere)
+def test_lpips_is_the_weighted_distance_of_normalised_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
     image, truth = images()
-    expected = float(network(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None]).detach())
-    assert lpips(image, truth, str(nowhere)) == (pytest.approx(expected), None)
-    monkeypatch.setenv(lpips_module.VARIABLE, str(nowhere))
-    assert lpips(image.double(), truth.double()) == (pytest.approx(expected), None)
+    value, reason = lpips(image, truth)
+    assert value is None
+    assert VARIABLE in str(reason)
+    network, heads = save_random_weights(tmp_path)
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    shift, scale = torch.tensor([-0.030, -0.088, -0.188]), torch.tensor([0.458, 0.448, 0.450])
+    x = ((torch.stack([image, truth]) * 2 - 1 - shift) / scale).permute(0, 3, 1, 2)
+    expected = 0.0
+    for layer in network:
+        x = layer(x)
+        if isinstance(layer, torch.nn.ReLU):
+            one, other = (x / x.norm(dim=1, keepdim=True).clamp(min=1e-10)).detach().double()
+            expected += float(torch.einsum("c,chw->hw", heads.pop(0).double(), (one - other).square()).mean())
+    assert lpips(image.double(), truth.double()) == (pytest.approx(expected, rel=1e-5), None)
     assert lpips(truth, truth) == (0.0, None)
     nearer, _ = lpips(images(noise=0.01)[0], truth)
+    assert nearer is not None
     assert 0 < nearer < expected
-    value, reason = lpips(image[:30], truth[:30])
-    assert value is None
-    assert reason == "images of 30 x 64 pixels are too small, 31 are needed"
+    assert lpips(image[:30], truth[:30]) == (None, "images of 30 x 64 pixels are too small, 31 are needed")
     assert lpips(image[:31, :31], truth[:31, :31])[0] is not None
 
 
-def test_lpips_backbone_from_the_hub_cache(nowhere: Path) -> None:
-    save_random_weights(nowhere)
-    cache = nowhere / "hub" / "checkpoints"
-    cache.mkdir(parents=True)
-    (nowhere / BACKBONE).rename(cache / BACKBONE)
-    assert lpips(*images(), str(nowhere))[0] is not None
-
-
-def test_lpips_arithmetic_against_a_loop(nowhere: Path) -> None:
-    """Layer by layer, with nothing shared but the weights."""
-    network = save_random_weights(nowhere).double()
-    image, truth = (i.double() for i in images())
-    shift = torch.tensor([-0.030, -0.088, -0.188], dtype=torch.float64)
-    scale = torch.tensor([0.458, 0.448, 0.450], dtype=torch.float64)
-    functional, layers = torch.nn.functional, network.features
-    a, b = (((i * 2 - 1 - shift) / scale).permute(2, 0, 1)[None] for i in (image, truth))
-    settings = [(0, 4, 2, False), (3, 1, 2, True), (6, 1, 1, True), (8, 1, 1, False), (10, 1, 1, False)]
-    total = 0.0
-    for head, (index, stride, padding, pool) in zip(network.heads, settings, strict=True):
-        if pool:
-            a, b = functional.max_pool2d(a, 3, 2), functional.max_pool2d(b, 3, 2)
-        weight, bias = layers[index].weight, layers[index].bias
-        a, b = (functional.conv2d(i, weight, bias, stride, padding).clamp(min=0) for i in (a, b))
-        unit_a, unit_b = (functional.normalize(i, dim=1, eps=1e-10) for i in (a, b))
-        difference = (unit_a - unit_b).square()[0]
-        total += float(torch.einsum("c,chw->hw", head, difference).mean().detach())
-    found = network(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None])
-    assert float(found.detach()) == pytest.approx(total, rel=1e-5)  # the buffers were float32
-
-
-def test_lpips_refuses_what_is_not_its_weights(nowhere: Path) -> None:
-    with pytest.raises(ValueError, match="is none"):
-        lpips(*images(), str(nowhere / "absent"))
-    save_random_weights(nowhere)
-    torch.save({"features.0.weight": torch.zeros(1)}, nowhere / BACKBONE)
-    with pytest.raises(ValueError, match="not AlexNet's weights"):
-        lpips(*images(), str(nowhere))
-    save_random_weights(nowhere)
-    (nowhere / HEADS).write_bytes(b"nothing")
-    with pytest.raises(ValueError, match="not the linear heads"):
-        lpips(*images(), str(nowhere))
+def test_lpips_refuses_what_is_not_its_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    for name, content, message in (
+        (BACKBONE, {"features.0.weight": torch.zeros(1)}, "expected AlexNet's weights"),
+        (HEADS, {"lin0.model.1.weight": torch.zeros(1)}, "expected the linear heads"),
+        (HEADS, None, "cannot be read as weights"),
+    ):
+        save_random_weights(tmp_path)
+        (tmp_path / name).write_bytes(b"nothing") if content is None else torch.save(content, tmp_path / name)
+        with pytest.raises(ValueError, match=message):
+            lpips(*images())
 
 
 def test_masked_pixels_are_not_counted() -> None:
