@@ -298,6 +298,13 @@ def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
         )
 
 
+def test_more_parameters_than_memory_are_refused_before_anything_is_written(monkeypatch, tiny, tmp_path):
+    monkeypatch.setattr("qnerf.config.memory.available_bytes", lambda: 2**16)
+    with pytest.raises(ValueError, match=r"training [\d,]+ parameters would take .* are available; reduce"):
+        run(tiny("field=classical", "hash.log2_table_size=15"))
+    assert not (tmp_path / "runs").exists()
+
+
 def test_weights_of_lpips_that_cannot_be_read_are_refused_before_anything_is_written(monkeypatch, tiny, tmp_path):
     for name in (lpips.BACKBONE, lpips.HEADS):
         (tmp_path / name).write_text("no weights")

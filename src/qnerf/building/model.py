@@ -7,9 +7,7 @@ from typing import Any
 import torch
 
 from qnerf.building.components import component
-from qnerf.config.settings import (
-    Settings,
-)
+from qnerf.config.settings import Settings
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
 from qnerf.geometry.hull import visual_hull
@@ -20,7 +18,7 @@ from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.heads.qiren import Normalisation, check_samples
 from qnerf.model.field import Field
-from qnerf.model.memory import planned, require_memory
+from qnerf.model.memory import require_parameters
 from qnerf.model.model import Model
 from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.samplers import SAMPLERS, Sampler
@@ -67,8 +65,7 @@ def build_model(settings: Settings, scene: Scene) -> Model:
     previous = torch.get_default_dtype()
     torch.set_default_dtype(settings.dtype)
     try:
-        if parts := planned(lambda: build_field_and_sampler(settings, scene)):
-            require_memory(settings, *parts, int(scene.cameras.all_sizes.prod(1).max()))
+        require_parameters(lambda: torch.nn.ModuleList(build_field_and_sampler(settings, scene)))
         torch.manual_seed(settings.seed)
         field, sampler = build_field_and_sampler(settings, scene)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)

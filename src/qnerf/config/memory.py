@@ -1,7 +1,6 @@
 """How much memory this process may still ask for, and a one-line refusal before it asks for more."""
 
 import contextlib
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,7 +8,7 @@ LARGE = 2**28  # bytes of work space that are asked for only if the machine has 
 
 
 def available_bytes() -> int | None:
-    """The least that the machine, the container's limit (cgroup) and `ulimit -v` leave; None if nothing tells."""
+    """The least that the machine and the container's limit (cgroup) leave; None if nothing tells."""
     return min(_limits(), default=None)
 
 
@@ -32,17 +31,6 @@ def _limits() -> Iterator[int]:
     with contextlib.suppress(OSError, StopIteration, ValueError, IndexError):
         lines = Path("/proc/meminfo").read_text().splitlines()
         yield int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1]) * 1024
-    for limit, used in (
-        ("memory.max", "memory.current"),
-        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
-    ):
-        with contextlib.suppress(OSError, ValueError):  # "max": no limit
-            root = Path("/sys/fs/cgroup")
-            yield max(int((root / limit).read_text()) - int((root / used).read_text()), 0)
-    with contextlib.suppress(ImportError, OSError, ValueError, IndexError):
-        import resource  # not on Windows
-
-        soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-        if soft != resource.RLIM_INFINITY:
-            used_pages = int(Path("/proc/self/statm").read_text().split()[0])
-            yield max(soft - used_pages * os.sysconf("SC_PAGE_SIZE"), 0)
+    with contextlib.suppress(OSError, ValueError):  # "max": no limit
+        root = Path("/sys/fs/cgroup")
+        yield max(int((root / "memory.max").read_text()) - int((root / "memory.current").read_text()), 0)

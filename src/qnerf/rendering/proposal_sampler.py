@@ -93,7 +93,7 @@ class ProposalSampler(Sampler):
             )
         SPACINGS.get(spacing)
         self.samples, self.final, self.spacing, self.padding = tuple(samples), final, spacing, padding
-        self.rendered_samples, self.proposed_samples = final, sum(samples)
+        self.rendered_samples = final
         self.update_every, self.anneal_steps, self.anneal_slope = update_every, anneal_steps, anneal_slope
         warmup_updates = _warmup_updates(update_every, update_warmup)
         self._warmup_updates, self._last_warmup_update = frozenset(warmup_updates), warmup_updates[-1]

@@ -37,9 +37,7 @@ class Sampler(nn.Module):
     """
 
     rendered_samples: int = 1
-    """Samples of a ray that are rendered; 1 where a sampler does not say. Estimates of memory and work use it."""
-    proposed_samples: int = 0
-    """Samples of a ray at which proposal networks are evaluated."""
+    """Samples of a ray that are rendered; 1 where a sampler does not say."""
 
     def __init__(self, contraction: Contraction) -> None:
         super().__init__()

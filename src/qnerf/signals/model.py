@@ -5,12 +5,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from qnerf.config import memory
 from qnerf.config.settings import SignalSettings
 from qnerf.encoders import ENCODERS, Encoder
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS
-from qnerf.model.memory import COPIES, activations, planned
+from qnerf.model.memory import require_parameters
 from qnerf.signals.base import Signal
 
 
@@ -50,12 +49,7 @@ def build_signal_model(settings: SignalSettings, signal: Signal) -> SignalModel:
     previous = torch.get_default_dtype()
     torch.set_default_dtype(settings.dtype)
     try:
-        if (plan := planned(build)) is not None:
-            size = torch.finfo(settings.dtype).bits // 8
-            width = plan.encoder.out_dim + activations(plan.head, size)
-            points = min(settings.train.points, len(signal.points))
-            parameters = sum(parameter.numel() for parameter in plan.parameters())
-            memory.require("training", (COPIES * parameters + points * width) * size, hint="reduce the encoder or head")
+        require_parameters(build)
         torch.manual_seed(settings.seed)
         return build().to(settings.torch_device)
     finally:
