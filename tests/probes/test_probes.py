@@ -1,22 +1,26 @@
 """What the probes write about trained models, against independent computations."""
 
+import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pennylane as qml
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import nn
 
-from qnerf.building.model import ray_table
+from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
 from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import run
 from qnerf.heads import HEADS
-from qnerf.probes import PROBES, cost, diagnostics, load, probe, rays, spectrum
+from qnerf.probes import PROBES, Trained, cost, diagnostics, encoding, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import ANSATZE, Amplitudes, Circuit, Gate, Weights, feature, weight
 from qnerf.quantum.cones import find_cones
@@ -24,8 +28,6 @@ from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.pennylane import apply
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
-
-SMALL = ("qiren.qubits=3", "train.steps=3")
 
 
 def layer(wires: int, spectral: int, seed: int = 0, ansatz: str = "qiren") -> QuantumLayer:
@@ -38,48 +40,64 @@ def of(table: pd.DataFrame, output: int, wire: int) -> np.ndarray:
     return rows.sort_values("frequency")["power"].to_numpy()
 
 
-def test_the_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
+def untrained(config) -> Trained:
+    """A model as it is built, in the place of a trained one."""
+    _, chosen, scene = prepare(config)
+    return Trained(Path(), chosen, scene, build_model(chosen, scene).eval(), 0)
+
+
+def command(monkeypatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    return int(stop.value.code or 0)
+
+
+def test_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
     circuit = layer(8, 1)
     table = spectrum.powers(circuit)
     assert set(table["method"]) == {"exact"}
-    weights = weights_of(circuit)
-    coefficients = lightcone.coefficients(circuit.circuit, weights).numpy()
+    coefficients = lightcone.coefficients(circuit.circuit, weights_of(circuit)).numpy()
     half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
     for output, cone in enumerate(find_cones(circuit.circuit).cones):
         square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
         for axis, wire in enumerate(cone.wires):
             marginal = square.sum(tuple({0, 1, 2} - {axis}))
             np.testing.assert_allclose(of(table, output, wire), [marginal[0], marginal[1:].sum()], atol=1e-15)
-        outside = set(range(8)) - set(cone.wires)
-        for wire in outside:
+        for wire in set(range(8)) - set(cone.wires):
             np.testing.assert_allclose(of(table, output, wire), [square.sum()], atol=1e-15)
 
 
-@given(
-    wires=st.integers(1, 3),
-    spectral=st.integers(1, 3),
-    seed=st.integers(0, 1000),
-    ansatz=st.sampled_from(["qiren", "cnot", "ry"]),
-)
-def test_the_powers_of_an_angle_add_up_to_the_mean_square(wires, spectral, seed, ansatz):
+@settings(max_examples=20)
+@given(st.integers(1, 3), st.integers(1, 3), st.integers(0, 1000), st.sampled_from(["qiren", "cnot", "ry"]))
+def test_spectrum_adds_up_to_the_mean_square(wires, spectral, seed, ansatz):
     circuit = layer(wires, spectral, seed, ansatz)
     table = spectrum.powers(circuit)
     steps = torch.arange(2 * spectral + 1, dtype=torch.float64) * (2 * torch.pi / (2 * spectral + 1))
     grid = torch.cartesian_prod(*[steps] * wires).reshape(-1, wires)
-    with torch.no_grad():
-        values = circuit(grid).numpy()
+    values = circuit(grid).detach().numpy()
     for (output, _), rows in table.groupby(["output", "wire"]):
         assert rows["power"].sum() == pytest.approx((values[:, output] ** 2).mean(), abs=1e-13)
         assert rows["mean"].iloc[0] == pytest.approx(values[:, output].mean(), abs=1e-13)
         assert rows["variance"].iloc[0] == pytest.approx(values[:, output].var(), abs=1e-13)
 
 
-def test_scaled_encodings_have_their_own_frequencies():
+def test_spectrum_of_a_circuit_without_small_cones_is_exact_too():
+    circuit = layer(6, 2)
+    table = spectrum.powers(circuit)
+    assert set(table["method"]) == {"exact"}
+    x = 2 * torch.pi * torch.rand(20_000, 6, dtype=torch.float64)
+    squares = circuit(x).detach().square().mean(0).numpy()
+    sums = table.groupby(["output", "wire"])["power"].sum().unstack()
+    np.testing.assert_allclose(sums, np.repeat(squares[:, None], 6, 1), rtol=0.05)
+
+
+def test_spectrum_of_scaled_encodings_has_their_frequencies():
     table = spectrum.powers(layer(2, 2, ansatz="ternary"))
     assert sorted(table["frequency"].unique()) == [0, 1, 2, 3, 4]  # sums and differences of 1 and 3
 
 
-def test_sobol_points_agree_with_the_exact_spectrum_within_their_standard_error():
+def test_spectrum_by_sobol_points_is_the_exact_one_within_its_standard_error():
     circuit = layer(4, 2)
     exact, estimate = spectrum.powers(circuit), spectrum.powers(circuit, max_values=0)
     assert set(estimate["method"]) == {"sobol"}
@@ -91,36 +109,25 @@ def test_sobol_points_agree_with_the_exact_spectrum_within_their_standard_error(
     assert estimate["standard_error"].max() < 1e-2 * exact["power"].max()
 
 
-def test_a_run_has_a_spectrum_for_each_circuit_of_each_head(tiny):
-    trained = load(run(tiny("field=qboth", "qiren=1L2S", *SMALL)).path)
+def test_spectrum_of_a_run_has_each_circuit_of_each_head(quantum_run):
+    trained = load(quantum_run)
     table = pd.read_parquet(probe(trained, "spectrum"))
     assert table.groupby(["head", "circuit"]).ngroups == 4
     second = trained.model.field.color_head.hybrid[1]
     own = table[(table["head"] == "color") & (table["circuit"] == 1)]
-    pd.testing.assert_frame_equal(
-        own[["output", "wire", "frequency", "power"]].reset_index(drop=True),
-        spectrum.powers(second.circuit)[["output", "wire", "frequency", "power"]],
-    )
+    columns = ["output", "wire", "frequency", "power"]
+    pd.testing.assert_frame_equal(own[columns].reset_index(drop=True), spectrum.powers(second.circuit)[columns])
     scale = second.input_scale * second.norm.weight.detach().abs().double()
     np.testing.assert_allclose(own.groupby("wire")["angle_std"].first(), scale, rtol=1e-6)
+    fourier, hybrid = HEADS.build("qfgn", 3, 2, qubits=2).hybrid
+    assert spectrum.angles(fourier, 2)["angle_std"].isna().all()
+    assert spectrum.angles(hybrid, 2)["angle_std"].notna().all()
 
 
-def test_the_angles_of_a_fourier_gaussian_layer_have_no_normalisation(tiny):
-    trained = load(run(tiny("field=qcolor", "color=qfgn", *SMALL)).path)
-    table = spectrum.table(trained)
-    assert table[table["circuit"] == 0]["angle_std"].isna().all()
-    assert table[table["circuit"] == 1]["angle_std"].notna().all()
-
-
-def test_the_encoding_slice_holds_the_run_s_own_encoder_and_the_others(tiny):
-    trained = load(run(tiny("field=classical", "encoder=pe")).path)
-    table = pd.read_parquet(probe(trained, "encoding"))
-    assert {(name, own) for name, own in zip(table["encoder"], table["trained"], strict=True)} == {
-        ("pe", True),
-        ("rff", False),
-        ("hash", False),
-        ("sh", False),
-    }
+def test_encoding_holds_the_run_s_own_encoder_and_the_others(tiny):
+    table = encoding.table(untrained(tiny("field=classical", "encoder=pe")))
+    names = zip(table["encoder"], table["trained"], strict=True)
+    assert set(names) == {("pe", True), ("rff", False), ("hash", False), ("sh", False)}
     own = table[table["encoder"] == "pe"]
     assert len(own) == len(own.drop_duplicates(["row", "column"]))
     np.testing.assert_allclose(own["channel_0"], np.sin(2 * np.pi * own["x"].astype(float)), atol=1e-6)
@@ -130,24 +137,20 @@ def test_the_encoding_slice_holds_the_run_s_own_encoder_and_the_others(tiny):
     directions = torch.tensor(np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], 1))
     expected = spherical_harmonics(directions, 4)[:, :8].numpy()
     np.testing.assert_allclose(sphere[[f"channel_{index}" for index in range(8)]], expected, atol=1e-5)
+    unit = encoding._grid()
+    few = encoding._rows("none", False, unit, nn.Identity(), torch.cat([unit, unit[:, :1]], 1))
+    np.testing.assert_allclose(few["channel_0"], few["x"])
+    assert few["channel_3"].isna().all()
 
 
-def test_an_encoder_of_few_channels_leaves_the_others_empty(tiny):
-    trained = load(run(tiny("field=classical", "encoder=none")).path)
-    own = PROBES["encoding"](trained).query("trained")
-    np.testing.assert_array_equal(own["channel_0"], own["x"])
-    assert own["channel_2"].eq(0.5).all()
-    assert own["channel_3"].isna().all()
-
-
-def test_the_samples_along_rays_are_those_that_the_model_renders(tiny):
-    trained = load(run(tiny("field=qcolor", *SMALL)).path)
+def test_rays_have_the_samples_that_the_model_renders(quantum_run):
+    trained = load(quantum_run)
     table = pd.read_parquet(probe(trained, "rays"))
-    settings, view = trained.settings, trained.scene.eval[0]
-    watch = Stopwatch(settings.torch_device, trained.model, QuantumLayer)
+    chosen, view = trained.settings, trained.scene.eval[0]
+    watch = Stopwatch(chosen.torch_device, trained.model, QuantumLayer)
     watch.begin(measure=False)
     with torch.no_grad():
-        every = ray_table(settings, trained.scene).view(view)
+        every = ray_table(chosen, trained.scene).view(view)
         rendering, sampled, _ = trained.model(every, background="last_sample", step=trained.step, watch=watch)
     assert set(table["image"]) == {trained.scene.names[view]}
     pixels = table[["pixel_x", "pixel_y"]].drop_duplicates()
@@ -164,8 +167,8 @@ def test_the_samples_along_rays_are_those_that_the_model_renders(tiny):
             np.testing.assert_allclose(level["end"], samples.edges[index, 1:], rtol=1e-5)
 
 
-def test_every_strategy_covers_its_ray_without_gaps(tiny):
-    table = rays.table(load(run(tiny("field=classical")).path))
+def test_rays_are_covered_without_gaps_by_every_strategy(tiny):
+    table = rays.table(untrained(tiny("field=classical")))
     assert {"proposal", "uniform", "disparity", "piecewise"} == set(table["strategy"])
     for _, level in table.groupby(["strategy", "level", "pixel_x", "pixel_y"]):
         np.testing.assert_array_equal(level["start"].to_numpy()[1:], level["end"].to_numpy()[:-1])
@@ -177,68 +180,50 @@ def test_every_strategy_covers_its_ray_without_gaps(tiny):
     assert len(table[table["own"] & (table["level"] == "final")]) == len(uniform)
 
 
-def command(monkeypatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    return int(stop.value.code or 0)
-
-
-def test_the_command_writes_what_is_asked_for(tiny, monkeypatch, capsys):
-    path = run(tiny("field=qcolor", *SMALL)).path
-    assert command(monkeypatch, str(path), "rays", "spectrum") == 0
-    assert capsys.readouterr().out.split() == [str(path / "rays.parquet"), str(path / "spectrum.parquet")]
-    assert not (path / "encoding.parquet").exists()
-    assert not (path / "eval_hardware.parquet").exists()
-    assert command(monkeypatch, str(path), "rays", "shots=10", "views=1") == 0
-    assert (path / "eval_hardware.parquet").exists()
-
-
-def test_diagnostics_of_a_run_are_saved_and_shown(tiny, monkeypatch, capsys):
-    trained = load(run(tiny("field=qcolor", "qiren.qubits=2", "train.steps=2")).path)
-    for name, value in {"STATES": 50, "FISHER_INPUTS": 4, "KERNEL_INPUTS": 20, "SAMPLES": 300}.items():
+def test_diagnostics_of_a_run_are_saved_and_shown(quantum_run, monkeypatch, capsys):
+    for name, value in {"STATES": 50, "FISHER_INPUTS": 4, "KERNEL_INPUTS": 20, "SAMPLES": 400}.items():
         monkeypatch.setattr(diagnostics, name, value)
     names = ["expressibility", "entangling", "fisher", "kernel", "surrogate"]
-    assert command(monkeypatch, str(trained.folder), *names) == 0
-    tables = {name: read_probe(trained.folder, name) for name in names}
-    assert all(set(table["head"]) == {"color"} for table in tables.values())
-    fisher = tables["fisher"].query("circuit == 0")
+    assert command(monkeypatch, str(quantum_run), *names) == 0
+    tables = {name: read_probe(quantum_run, name) for name in names}
+    assert all(set(table["head"]) == {"density", "color"} for table in tables.values())
+    fisher = tables["fisher"].query("head == 'color' and circuit == 0")
     assert len(fisher) == fisher["parameters"].iloc[0] == 36
     assert 0 < fisher["rank"].iloc[0] < 36  # the first phi and the last omega have no effect
-    assert tables["kernel"].query("circuit == -1").shape[0] == 20
+    assert tables["kernel"].query("head == 'color' and circuit == -1").shape[0] == 20
     assert tables["surrogate"].query("covered")["error"].max() < 1e-3  # 13 waves are the whole spectrum
     assert capsys.readouterr().out.count("effective_rank") == 1
 
 
-def test_the_cost_on_hardware_counts_what_is_evaluated(tiny, monkeypatch, capsys):
-    trained = load(run(tiny("field=qboth", *SMALL, "qiren.layers=2", "visibility.cameras=0")).path)
+def test_cost_counts_what_is_evaluated(quantum_run, monkeypatch, capsys):
+    trained = load(quantum_run)
+    before = {name: value.clone() for name, value in trained.model.state_dict().items()}
     table = PROBES["cost"](trained)
-    assert table[["head", "circuit"]].values.tolist() == [[head, n] for head in ("density", "color") for n in range(3)]
+    assert all(torch.equal(value, before[name]) for name, value in trained.model.state_dict().items())
+    assert table[["head", "circuit"]].values.tolist() == [[head, n] for head in ("density", "color") for n in range(2)]
     pixels = len(trained.ray_table().view(0))
     samples = trained.settings.sampler["final"]
-    angles = 9 * 2 * (2 + 1) + 3 * 2  # of 3 wires, 2 sublayers and 2 re-uploadings
+    angles = 6 * 2 * (2 + 1) + 2 * 2  # of 2 wires, 2 sublayers and 2 re-uploadings
     density = table.query("head == 'density'")
     assert set(density["view"]) == {pixels * samples}
     assert set(density["step"]) == {trained.settings.train.rays * samples * (1 + 2 * angles)}
     np.testing.assert_allclose(density["view_hours"], pixels * samples * 1000 / 1e4 / 3600)
-    before = {name: value.clone() for name, value in trained.model.state_dict().items()}
-    PROBES["cost"](trained)
-    assert all(torch.equal(value, before[name]) for name, value in trained.model.state_dict().items())
-    assert command(monkeypatch, str(trained.folder), "cost") == 0
-    assert capsys.readouterr().out.count("density") == 3
+    assert command(monkeypatch, str(quantum_run), "cost") == 0
+    assert capsys.readouterr().out.count("density") == 2
 
 
-@pytest.mark.parametrize("name", ["qiren", "cnot", "ry", "neighbours"])
-@pytest.mark.parametrize("wires", [1, 2, 5])
-def test_gates_and_depth_are_those_of_pennylane(name, wires):
-    circuit = ANSATZE.build(name, wires, 2)
-    with qml.tape.QuantumTape() as tape:
-        apply(circuit, torch.zeros(wires), torch.zeros(circuit.size))
-    counted = tape.specs["resources"]
-    assert cost.gate_counts(circuit) == (counted.gate_sizes[1], counted.gate_sizes.get(2, 0), counted.depth)
+def test_cost_has_the_gates_and_the_depth_of_pennylane():
+    for name in ("qiren", "cnot", "ry"):
+        for wires in (1, 5):
+            circuit = ANSATZE.build(name, wires, 2)
+            with qml.tape.QuantumTape() as tape:
+                apply(circuit, torch.zeros(wires), torch.zeros(circuit.size))
+            counted = tape.specs["resources"]
+            expected = counted.gate_sizes[1], counted.gate_sizes.get(2, 0), counted.depth
+            assert cost.gate_counts(circuit) == expected
 
 
-def test_gates_are_counted_after_their_decomposition():
+def test_cost_counts_gates_after_their_decomposition():
     def counts(*gates):
         circuit = Circuit("own", 3, 0, 0, gates, (((0, "Z"),),), weights=(Weights("w", (16,)),))
         return cost.gate_counts(circuit)[1], cost.shifts(circuit)
@@ -251,7 +236,7 @@ def test_gates_are_counted_after_their_decomposition():
     assert counts(Amplitudes((0, 1, 2), tuple(w[:8]), tuple(w[8:]))) == (2 * (2**3 - 2), 1 + 2 * 14)
 
 
-def test_the_cost_of_an_amplitude_head_includes_the_preparation():
+def test_cost_of_an_amplitude_head_includes_the_preparation():
     head = HEADS.build("amplitude", 8, 3, registers=[3, 2], layers=1, uploads=1, joint=True)
     (system,) = head.systems
     circuit = cost.circuit_of(system)
@@ -262,69 +247,19 @@ def test_the_cost_of_an_amplitude_head_includes_the_preparation():
         cost.circuit_of(HEADS.build("amplitude", 8, 3, unitary="dense").systems[0])
 
 
-@pytest.mark.parametrize("head", ["amplitude", "reupload", "parallel", "product", "frequencies", "qvf", "qiren_bypass"])
-def test_every_sample_of_a_view_costs_one_evaluation_of_each_circuit(tiny, head):
-    trained = load(run(tiny(f"head@density={head}", "qiren.qubits=2", "qiren.layers=1", "visibility.cameras=0")).path)
-    table = PROBES["cost"](trained)
-    samples = len(trained.ray_table().view(0)) * trained.settings.sampler["final"]
-    assert set(table.query("head == 'density'")["view"]) == {samples}
-
-
-def test_the_command_knows_every_probe():
-    assert set(probe_command.PROBES) == set(PROBES)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["ray"], "unknown probe 'ray'; known: spectrum, encoding, rays"),
-        (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
-        (["spectrum"], "neither of its heads has a re-uploading circuit"),
-        (["views=-1"], "views expects one number of at least 0, got '-1'"),
-        (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
-        (["noise=thermal"], "noise=thermal also expects probabilities, such as p=0.001,0.01"),
-    ],
-)
-def test_a_mistake_is_one_line(tiny, monkeypatch, capsys, arguments, message):
-    path = run(tiny("field=classical")).path
-    assert command(monkeypatch, str(path), *arguments) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize("content", [b"", b"PK no archive", None], ids=["empty", "garbage", "cut"])
-def test_a_damaged_checkpoint_is_one_line(tiny, monkeypatch, capsys, content):
-    path = run(tiny("field=classical")).path / "checkpoint.pt"
-    path.write_bytes(path.read_bytes()[:1000] if content is None else content)
-    assert command(monkeypatch, str(path.parent), "rays") == 2
-    error = capsys.readouterr().err
-    assert "checkpoint.pt: expected the checkpoint of this run, got " in error
-    assert error.count("\n") == 1
-
-
-def test_a_scene_that_has_changed_is_not_measured(tiny, tiny_scene, monkeypatch, capsys):
-    path = run(tiny("field=classical")).path
-    (tiny_scene / "images" / "000.png").write_bytes((tiny_scene / "images" / "001.png").read_bytes())
-    assert command(monkeypatch, str(path), "rays") == 2
-    assert "the scene's contents are not those that the run was started with" in capsys.readouterr().err
-    assert not (path / "rays.parquet").exists()
-
-
-def test_only_finished_runs_are_probed(tmp_path):
-    with pytest.raises(ValueError, match="is not a run"):
-        load(tmp_path)
-    (tmp_path / "config.yaml").write_text("seed: 0")
-    with pytest.raises(ValueError, match="expected a finished run, this one is interrupted"):
-        load(tmp_path)
+def test_cost_of_a_view_is_one_evaluation_of_each_circuit_for_each_sample(tiny):
+    for head in ("amplitude", "parallel", "product", "frequencies", "qvf", "qiren_bypass"):
+        options = () if head != "qiren_bypass" else ("qiren.qubits=2", "qiren.layers=1")
+        built = untrained(tiny(f"head@density={head}", "head@color=mlp", "visibility.cameras=0", *options))
+        samples = len(built.ray_table().view(0)) * built.settings.sampler["final"]
+        assert set(PROBES["cost"](built).query("head == 'density'")["view"]) == {samples}, head
 
 
 def test_units_that_never_act_are_dead(tiny):
-    outcome = run(tiny("field=classical", "train.steps=2", "color.mlp.layers=4", "color.mlp.width=5"))
-    trained = load(outcome.path)
+    built = untrained(tiny("field=classical", "color.mlp.layers=4", "color.mlp.width=5"))
     with torch.no_grad():
-        trained.model.field.color_head.net[2].bias.copy_(torch.tensor([-1e6, -1e6, -1e6, 1e6, 1e6]))
-    table = PROBES["units"](trained)
+        built.model.field.color_head.net[2].bias.copy_(torch.tensor([-1e6, -1e6, -1e6, 1e6, 1e6]))
+    table = PROBES["units"](built)
     rows = table[(table["head"] == "color") & (table["kind"] == "relu")].set_index(["when", "layer"])
     assert rows.loc[("end", 1), "dead"] == pytest.approx(0.6)
     assert rows.loc[("start", 1), "dead"] < 0.6
@@ -335,9 +270,56 @@ def test_units_that_never_act_are_dead(tiny):
     assert (outputs["std"] > 0).all()
 
 
-def test_units_of_circuits_are_their_measured_values(tiny):
-    table = PROBES["units"](load(run(tiny("field=qboth", *SMALL)).path))
+def test_units_of_circuits_are_their_measured_values(quantum_run):
+    table = PROBES["units"](load(quantum_run))
     circuits = table[table["kind"] == "circuit"]
     assert len(circuits) == 8  # two heads of two circuits, before and after
     assert circuits["std"].between(0, 1).all()
-    assert (circuits["units"] == 3).all()
+    assert (circuits["units"] == 2).all()
+
+
+def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
+    assert set(probe_command.PROBES) == set(PROBES)
+    path = shutil.copytree(quantum_run, tmp_path / "copy", ignore=lambda *_: ["rays.parquet", "spectrum.parquet"])
+    assert command(monkeypatch, str(path), "rays", "spectrum") == 0
+    assert capsys.readouterr().out.split() == [str(path / "rays.parquet"), str(path / "spectrum.parquet")]
+    assert not (path / "eval_hardware.parquet").exists()
+    assert command(monkeypatch, str(path), "shots=10", "views=1") == 0
+    assert (path / "eval_hardware.parquet").exists()
+
+
+def test_mistakes_are_one_line(tiny, tiny_scene, monkeypatch, capsys):
+    path = run(tiny("field=classical")).path
+
+    def refused(*arguments: str) -> str:
+        assert command(monkeypatch, str(path), *arguments) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        return error
+
+    for arguments, message in (
+        (["ray"], "unknown probe 'ray'; known: spectrum, encoding, rays"),
+        (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
+        (["spectrum"], "neither of its heads has a re-uploading circuit"),
+        (["shots=10"], "neither of its heads has a re-uploading circuit"),
+        (["views=-1"], "views expects one number of at least 0, got '-1'"),
+        (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
+        (["noise=thermal"], "noise=thermal also expects probabilities, such as p=0.001,0.01"),
+    ):
+        assert message in refused(*arguments)
+    sound = (path / "checkpoint.pt").read_bytes()
+    for content in (b"", b"PK no archive", sound[:1000]):
+        (path / "checkpoint.pt").write_bytes(content)
+        assert "checkpoint.pt: expected the checkpoint of this run, got " in refused("rays")
+    (path / "checkpoint.pt").write_bytes(sound)
+    (tiny_scene / "images" / "000.png").write_bytes((tiny_scene / "images" / "001.png").read_bytes())
+    assert "the scene's contents are not those that the run was started with" in refused("rays")
+    assert not (path / "rays.parquet").exists()
+
+
+def test_runs_that_are_not_finished_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="is not a run"):
+        load(tmp_path)
+    (tmp_path / "config.yaml").write_text("seed: 0")
+    with pytest.raises(ValueError, match="expected a finished run, this one is interrupted"):
+        load(tmp_path)

@@ -1,16 +1,22 @@
+"""Runs rendered under hardware conditions."""
+
+import shutil
+
 import pandas as pd
 import pytest
 
-from qnerf.experiment import run
 from qnerf.probes import load, shots_and_noise
 from qnerf.probes.shots_and_noise import Condition, evaluate_hardware, grid
+from qnerf.quantum import density
 from qnerf.records import StoreError
 
-SMALL = ("qiren.qubits=3", "train.steps=3")
+
+@pytest.fixture
+def path(quantum_run, tmp_path):
+    return shutil.copytree(quantum_run, tmp_path / "copy")
 
 
-def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(tiny):
-    path = run(tiny("field=qcolor", *SMALL)).path
+def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(path):
     lines: list[str] = []
     table = evaluate_hardware(load(path), grid([4, 100_000], "none", [], 0), tell=lines.append)
     assert len(lines) == 3
@@ -30,8 +36,7 @@ def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(tin
         evaluate_hardware(load(path), [Condition()])
 
 
-def test_rows_of_another_command_meanwhile_stay(tiny):
-    path = run(tiny("field=qcolor", *SMALL)).path
+def test_rows_of_another_command_meanwhile_stay(path):
     meanwhile = []
 
     def tell(_: str) -> None:
@@ -42,40 +47,24 @@ def test_rows_of_another_command_meanwhile_stay(tiny):
     assert sorted(table["shots"].unique()) == [0, 4, 7]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_conditions_that_do_not_exist_are_one_line():
+    for options, message in (
         ({"shots": -1}, "shots must be at least 0, got -1"),
         ({"noise": "thermal", "p": 0.1}, "unknown channel 'thermal'; known: depolarizing"),
         ({"noise": "depolarizing", "p": 1.5}, "probability"),
         ({"noise": "depolarizing"}, "belong together"),
-    ],
-)
-def test_a_bad_condition_is_one_line(options, message):
-    with pytest.raises(ValueError, match=message):
-        Condition(**options)
+    ):
+        with pytest.raises(ValueError, match=message):
+            Condition(**options)
 
 
-def test_only_finished_runs_with_circuits_are_evaluated(tiny, tmp_path):
-    with pytest.raises(ValueError, match="is not a run"):
-        load(tmp_path)
-    with pytest.raises(ValueError, match="neither of its heads has a re-uploading circuit"):
-        evaluate_hardware(load(run(tiny("field=classical")).path), [Condition()])
-
-
-def test_noise_of_large_circuits_is_sampled_with_a_standard_error(tiny):
-    path = run(tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=6", "train.steps=3")).path
+def test_noise_that_is_slow_is_sampled_with_a_standard_error_and_its_time_told_before(path, monkeypatch):
+    monkeypatch.setattr(density, "is_quick", lambda circuit: False)
+    monkeypatch.setattr(shots_and_noise, "TELL", 0.0)
     lines: list[str] = []
     conditions = grid([], "depolarizing", [0.01], 0, {"two_qubit": 0.02, "readout": 0.01})
     rows = evaluate_hardware(load(path), conditions, views=1, patterns=3, tell=lines.append)
     assert rows["noise"].tolist() == ["none", "depolarizing two_qubit=0.02 readout=0.01"]
     assert rows["psnr"].nunique() == 2
-    assert "standard error of a value 0." in lines[-1]
-
-
-def test_the_time_of_slow_noise_is_told_before(tiny, monkeypatch):
-    path = run(tiny("field=qcolor", "qiren=1L2S", "qiren.qubits=6", "train.steps=3")).path
-    monkeypatch.setattr(shots_and_noise, "TELL", 0.0)
-    lines: list[str] = []
-    evaluate_hardware(load(path), [Condition(noise="bit_flip", p=0.1)], views=1, patterns=2, tell=lines.append)
-    assert "about 0 minutes for 1 views" in lines[0]
+    assert "about 0 minutes for 1 views" in lines[1]
+    assert "standard error of a value 0." in lines[2]

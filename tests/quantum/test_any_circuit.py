@@ -1,6 +1,7 @@
 """Circuits beyond re-uploading: engine against engine, all derivatives, and what a wrong description says."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -197,6 +198,19 @@ def test_torch_func_and_torch_compile() -> None:
         torch.compiler.reset()
         compiled: Any = torch.compile(layer, backend="aot_eager", fullgraph=True)
         assert all(map(torch.equal, results(compiled, 20), results(layer, 20)))
+
+
+def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> None:
+    for circuit in (
+        MIXED,
+        replace(MIXED, operations=MIXED.operations[1:]),
+    ):  # with a start for each sample, and without
+        _, plain = layers(circuit)
+        whole = results(plain, 23)
+        with monkeypatch.context() as patch:
+            patch.setattr(statevector, "CHUNK_BYTES", 20_000)
+            for one, two in zip(results(plain, 23), whole, strict=True):
+                torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
 
 
 def test_float32_threads_and_blocks() -> None:

@@ -226,6 +226,10 @@ def test_impossible_noise_is_one_line() -> None:
         ({"t1": 1.0}, "also expect one_qubit_time"),
         ({"readout": (0.1, 1.2)}, r"readout expects a probability in \[0, 1\], got 1.2"),
         ({"cross_talk": 0.1}, "unknown field 'cross_talk'; known: depolarizing"),
+        ({"readout": [0.1, 0.2, 0.3]}, "readout expects one probability or two"),
+        ({"two_qubit": 2.0}, r"two_qubit expects a probability in \[0, 1\], got 2.0"),
+        ({"t2": -1.0}, "t2 expects a time in seconds, got -1.0"),
+        ({"t1": 0.0}, "t1 and t2 expect a time above 0"),
     ):
         with pytest.raises(ValueError, match=message):
             Noise.of(fields)

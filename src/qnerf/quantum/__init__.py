@@ -3,16 +3,18 @@
 The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
 `description`, and `circuit`, which has circuits by name.
 
-`simulator` runs a circuit: it takes the cheapest engine, and splits wide circuits into `registers` of few wires.
+`simulator` runs a circuit: it takes the cheapest engine, and splits wide circuits into `registers` of few wires. What
+differs between the two families of circuits is in `families`; either takes its weights flat.
 
-Data re-uploading circuits: `initial_angles`, `normal_form` (what is left after merging gates), `cones` (which inputs an
-output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on the CPU),
-`statevector` (the plain PyTorch reference) and `pauli_errors` (noise as other angles).
+Data re-uploading circuits (`reuploading`): `initial_angles`, `normal_form` (what is left after merging gates), `cones`
+(which inputs an output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on
+the CPU), `statevector` (the plain PyTorch reference).
 
-Any other circuit: `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and `pauli_statevector` (the
-engine and its reference), `carried_errors` (noise as signs of angles), `pauli_cost`.
+Any other circuit (`any_circuit`): `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and
+`pauli_statevector` (the engine and its reference), `pauli_cost`.
 
-Hardware: `noise` (what goes wrong), `density` (exact; the reference of sampled noise), `readout`, `measurement`.
+Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled: errors become angles, `folded_errors`,
+or signs of angles, `carried_errors`), `readout`, `measurement`.
 
 PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
 `pennylane_device` bring its circuits here. `diagnostics` says what a circuit can express and how it learns.

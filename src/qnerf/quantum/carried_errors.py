@@ -32,8 +32,8 @@ from qnerf.quantum.circuit import (
 )
 from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.expressions import feature, weight
-from qnerf.quantum.pauli_form import as_gates, quarters
-from qnerf.quantum.simulator import Simulator
+from qnerf.quantum.pauli_form import as_gates, only_gates, quarters
+from qnerf.quantum.simulator import simulator_of
 
 SMALL = 256  # samples: smaller batches run several patterns at once
 AT_ONCE = 1024  # samples of all patterns that run at once
@@ -71,10 +71,10 @@ def of_patterns(
         part = slice(first, first + at_once)
         signs = torch.from_numpy(all_signs[part]).to(weights)
         if len(signs) == 1:
-            outputs = _simulator(signed(circuit, False))(x, torch.cat([weights, signs[0]]))[None]
+            outputs = simulator_of(signed(circuit, False))(x, torch.cat([weights, signs[0]]))[None]
         else:
             inputs = torch.cat([x.repeat(len(signs), 1), signs.to(x).repeat_interleave(len(x), 0)], 1)
-            outputs = _simulator(signed(circuit, True))(inputs, weights).unflatten(0, (len(signs), len(x)))
+            outputs = simulator_of(signed(circuit, True))(inputs, weights).unflatten(0, (len(signs), len(x)))
         yield from _measured(circuit, outputs, x_end[part], z_end[part])
 
 
@@ -104,7 +104,7 @@ def noisy_gates(circuit: Circuit) -> tuple[NoisyGate, ...]:
     """All gates in order. Rotations by multiples of pi are left out: they only change signs of errors."""
     steps: list[NoisyGate] = []
     sign = 0
-    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
+    gates = only_gates(circuit)
     starts = accumulate((len(gate.wires) for gate in gates), initial=0)
     for gate, start in zip(gates, starts, strict=False):
         turns = []
@@ -159,11 +159,6 @@ def signed(circuit: Circuit, as_features: bool) -> Circuit:
         circuit.name, circuit.wires, operations=tuple(operations), observables=circuit.observables,
         features=features + (sign if as_features else 0), weights=tensors,
     )  # fmt: skip
-
-
-@lru_cache(maxsize=64)
-def _simulator(circuit: Circuit) -> Simulator:
-    return Simulator(circuit)
 
 
 def _measured(circuit: Circuit, outputs: Tensor, x: np.ndarray, z: np.ndarray) -> Tensor:

@@ -34,9 +34,11 @@ from qnerf.quantum.description import (
     Rotations,
     Spectral,
     Wires,
+    as_sum,
     check_state,
     check_wires,
     readable_bytes,
+    values_of,
 )
 from qnerf.quantum.expressions import Expression, Weights, feature, weight
 from qnerf.quantum.gates import GATES, Amplitudes, Gate
@@ -44,8 +46,8 @@ from qnerf.quantum.gates import GATES, Amplitudes, Gate
 __all__ = [
     "ANSATZE", "ENTANGLING_GATES", "GATES", "MAX_SPECTRAL", "MAX_STATE_WIRES", "MAX_WIRES", "PAULIS", "Amplitudes",
     "Circuit", "Encoding", "Entangler", "EntanglingGate", "Expression", "Gate", "Hamiltonian", "Observable",
-    "Operation", "Pauli", "PauliWord", "Probabilities", "Rotations", "Spectral", "Weights", "Wires", "check_state",
-    "check_wires", "feature", "readable_bytes", "reuploading", "ring", "weight",
+    "Operation", "Pauli", "PauliWord", "Probabilities", "Rotations", "Spectral", "Weights", "Wires", "as_sum",
+    "check_state", "check_wires", "feature", "readable_bytes", "reuploading", "ring", "values_of", "weight",
 ]  # fmt: skip
 
 

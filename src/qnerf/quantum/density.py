@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.quantum.circuit import Circuit, Expression, Gate, Hamiltonian, Observable, Probabilities
+from qnerf.quantum.circuit import Circuit, Expression, Gate, Observable, Probabilities, as_sum
 from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.expression_table import ExpressionTable
 from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.normal_form import cnot_permutation, cz_signs
-from qnerf.quantum.pauli_form import Word, as_gates
+from qnerf.quantum.pauli_form import Word, only_gates
 from qnerf.quantum.pauli_statevector import PauliCircuit, action
 
 CHUNK_BYTES = 2**27
@@ -69,7 +69,7 @@ def is_quick(circuit: Circuit) -> bool:
 
 def seconds_of_sample(circuit: Circuit) -> float:
     """About how long one sample takes, from how often all entries of its matrix are gone through."""
-    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
+    gates = only_gates(circuit)
     whole = [len(gate.wires) == 1 or gate.name in ("CZ", "CNOT") for gate in gates]
     factors = sum(len(g.wires) + (1 if one else 2 * len(g.rotations)) for g, one in zip(gates, whole, strict=True))
     return SECONDS * factors * 4.0**circuit.wires
@@ -79,7 +79,7 @@ def seconds_of_sample(circuit: Circuit) -> float:
 def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
     n = circuit.wires
     memory.require(f"a density matrix of {n} wires", (2 + circuit.outputs) * 16 * 4.0**n, hint="choose method=sampled")
-    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
+    gates = only_gates(circuit)
     moving = [k for k, gate in enumerate(gates) if any(Expression.of(angle).features for angle in gate.angles)]
     first, last = (moving[0], moving[-1] + 1) if moving else (0, 0)
     sizes = {len(gate.wires) for gate in gates}
@@ -197,7 +197,7 @@ def _matrices(observable: Observable, n: int) -> list[Tensor]:
         for wire in observable.wires:
             outcome = 2 * outcome + (basis >> (n - 1 - wire) & 1)
         return [torch.diag((outcome == k).to(torch.complex128)) for k in range(2 ** len(observable.wires))]
-    sums = observable if isinstance(observable, Hamiltonian) else Hamiltonian((1.0,), (observable,))
+    sums = as_sum(observable)
     letters = [[dict(word).get(wire, "I") for wire in range(n)] for word in sums.words]
     words = [reduce(torch.kron, [_PAULIS[letter] for letter in word]) for word in letters]
     return [sum((c * word for c, word in zip(sums.coefficients, words, strict=True)), torch.zeros_like(words[0]))]

@@ -124,6 +124,16 @@ def _as_word(word: Any) -> PauliWord:
         ) from None
 
 
+def values_of(observable: Observable) -> int:
+    """Number of outputs: 2^k for `Probabilities` of k wires, else 1."""
+    return 2 ** len(observable.wires) if isinstance(observable, Probabilities) else 1
+
+
+def as_sum(observable: PauliWord | Hamiltonian) -> Hamiltonian:
+    """A Pauli word as a Hamiltonian of one word; a Hamiltonian as it is."""
+    return observable if isinstance(observable, Hamiltonian) else Hamiltonian((1.0,), (observable,))
+
+
 def _as_observable(observable: Any) -> "Observable":
     return observable if isinstance(observable, Hamiltonian | Probabilities) else _as_word(observable)
 
@@ -240,7 +250,7 @@ class Circuit:
             if not wires or len(set(wires)) < len(wires) or not all(0 <= wire < self.wires for wire in wires):
                 raise self._error(f"probabilities of wires {wires} need different {known.split(',')[0]}")
             return
-        for word in observable.words if isinstance(observable, Hamiltonian) else (observable,):
+        for word in as_sum(observable).words:
             if len({wire for wire, _ in word}) < len(word):
                 raise self._error(f"observable {word} has more than one letter on a wire")
             if any(not 0 <= wire < self.wires or letter not in PAULIS for wire, letter in word):
@@ -249,7 +259,7 @@ class Circuit:
     @property
     def outputs(self) -> int:
         """Number of outputs."""
-        return sum(2 ** len(o.wires) if isinstance(o, Probabilities) else 1 for o in self.observables)
+        return sum(map(values_of, self.observables))
 
     @property
     def rows(self) -> int:

@@ -305,7 +305,8 @@ class _Polynomials(torch.autograd.Function):
         cos_sin(angles, form.base_frequencies, trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(form.wire_counts), trig.shape[3]), dtype)
         parts = parts_of(trig)
-        arguments = trig, trig.shape[3], form.highest_degree, table, form.wires, form.basis_sizes, form.wire_counts
+        found = polynomial.Polynomials(form.highest_degree, table, form.wires, form.basis_sizes, form.wire_counts)
+        arguments = trig, trig.shape[3], found
         run(polynomial.evaluate, parts, parts, *arguments, out)
         ctx.save_for_backward(x, weights)
         ctx.saved = cone, bound, parts, arguments
@@ -318,7 +319,7 @@ class _Polynomials(torch.autograd.Function):
         if is_differentiated(gradient):
             return None, *through_reference(partial(evaluate_reference, cone.circuit), ctx.saved_tensors, gradient)
         batch, shape, dtype = ctx.shapes
-        trig, table = arguments[0], arguments[3]
+        trig, table = arguments[0], arguments[2].coefficients
         width = trig.shape[3]
         inputs = np.empty((trig.shape[0], trig.shape[2], width), table.dtype)
         sums = np.empty((parts, *table.shape))

@@ -1,7 +1,6 @@
 """Circuits measured as on hardware: with finitely many shots or noisy gates."""
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -10,14 +9,14 @@ from torch import Tensor
 
 from qnerf.kernels import is_transformed
 from qnerf.quantum import density, pauli_errors
-from qnerf.quantum.circuit import Circuit, Probabilities
+from qnerf.quantum.circuit import Circuit, Probabilities, values_of
 from qnerf.quantum.families import family_of
 from qnerf.quantum.folded_errors import Exact
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pennylane import check_shots
 from qnerf.quantum.readout import Readout
 from qnerf.quantum.registers import Measured, measured
-from qnerf.quantum.simulator import Simulator
+from qnerf.quantum.simulator import simulator_of
 
 CHUNK = 4096  # samples whose probabilities are computed at once
 
@@ -143,7 +142,7 @@ def _expected(
     read = Readout(found.observables, noise)
     own = replace(circuit, observables=read.observables)
     if own.observables != circuit.observables:
-        exact = _simulator(own)
+        exact = simulator_of(own)
     if conditions.is_sampled(own):
         final = lambda values: found.outputs(read(values))  # noqa: E731
         values, errors = pauli_errors.evaluate(
@@ -174,7 +173,7 @@ def _drawn(
     drawn[:, words] = binomial(expected[:, words], shots, conditions.random)
     for first, observable in zip(found.places, found.observables, strict=True):
         if isinstance(observable, Probabilities):
-            table = slice(first, first + 2 ** len(observable.wires))
+            table = slice(first, first + values_of(observable))
             exact = expected[:, table].detach()
             counts = multinomial(shots, np.nan_to_num(exact.double().cpu().numpy()), conditions.random)
             drawn[:, table] = torch.from_numpy(counts / shots).to(x).where(exact == exact, torch.nan)
@@ -187,11 +186,6 @@ def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
     up = random.binomial(shots, np.clip(np.nan_to_num((1 + values) / 2), 0, 1))
     means = np.where(np.isnan(values), np.nan, 2 * up / shots - 1)
     return torch.from_numpy(means).to(exact)
-
-
-@lru_cache(maxsize=64)
-def _simulator(circuit: Circuit) -> Simulator:
-    return Simulator(circuit)
 
 
 def _measure_all_wires(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:

@@ -15,10 +15,9 @@ from torch import Tensor
 
 from qnerf.quantum import carried_errors, folded_errors
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.cones import gates_of
 from qnerf.quantum.folded_errors import Exact
-from qnerf.quantum.gates import Gate
 from qnerf.quantum.noise import Noise
+from qnerf.quantum.pauli_form import only_gates
 
 Final = Callable[[Tensor], Tensor]
 """An affine function of outputs (B, outputs)."""
@@ -50,8 +49,7 @@ def evaluate(
 
 def spots(circuit: Circuit) -> list[int]:
     """Where errors can happen: the wires of each gate, in order. Each is given by the number of wires of its gate."""
-    gates = [gate for _, gate in gates_of(circuit) if isinstance(gate, Gate)]
-    return [len(gate.wires) for gate in gates for _ in gate.wires]
+    return [len(gate.wires) for gate in only_gates(circuit) for _ in gate.wires]
 
 
 def mean_of(clean: float, without: Tensor, of_patterns: Iterable[Tensor], final: Final) -> tuple[Tensor, Tensor]:

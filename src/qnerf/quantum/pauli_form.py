@@ -24,12 +24,13 @@ from qnerf.quantum.circuit import (
     Encoding,
     Entangler,
     Gate,
-    Hamiltonian,
     Operation,
     PauliWord,
     Probabilities,
     Rotations,
+    as_sum,
     feature,
+    values_of,
     weight,
 )
 from qnerf.quantum.expressions import Expression
@@ -178,10 +179,9 @@ def pauli_form(circuit: Circuit) -> PauliForm:
     """The Pauli form of `circuit`."""
     n = circuit.wires
     frame, rotations = _Frame(n), _Rotations(circuit)
-    for operation in circuit.operations:
-        for gate in as_gates(operation, circuit):
-            for part in gate.rotations:
-                rotations.add(frame, Word.of(part.letters, gate.wires, n), gate.angle_of(part))
+    for gate in only_gates(circuit):
+        for part in gate.rotations:
+            rotations.add(frame, Word.of(part.letters, gate.wires, n), gate.angle_of(part))
     tables = _diagonal_tables(circuit, frame, rotations)
     index: dict[Word, int] = {}
     combined: list[dict[int, float]] = []
@@ -189,11 +189,12 @@ def pauli_form(circuit: Circuit) -> PauliForm:
     first = 0  # outcomes so far
     for observable in circuit.observables:
         if isinstance(observable, Probabilities):
-            combined += [{-1 - k: 1.0} for k in range(first, first + 2 ** len(observable.wires))]
-            constants += [0.0] * 2 ** len(observable.wires)
-            first += 2 ** len(observable.wires)
+            outcomes = values_of(observable)
+            combined += [{-1 - k: 1.0} for k in range(first, first + outcomes)]
+            constants += [0.0] * outcomes
+            first += outcomes
             continue
-        sums = observable if isinstance(observable, Hamiltonian) else Hamiltonian((1.0,), (observable,))
+        sums = as_sum(observable)
         combined.append({})
         constants.append(0.0)
         for coefficient, word in zip(sums.coefficients, sums.words, strict=True):
@@ -226,6 +227,11 @@ def as_gates(operation: Operation, circuit: Circuit) -> list[Gate]:
     if isinstance(operation, Encoding):
         return [Gate(f"R{operation.axis}", (w,), (operation.scales[w] * feature(w),)) for w in wires]
     return []
+
+
+def only_gates(circuit: Circuit) -> list[Gate]:
+    """All gates of a circuit in order, without its `Amplitudes`."""
+    return [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
 
 
 def _stacked(row: int, wire: int, circuit: Circuit) -> tuple[Expression, ...]:

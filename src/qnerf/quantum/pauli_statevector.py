@@ -6,19 +6,16 @@ the amplitudes of the start, and the outputs as combinations of the measured val
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
-from qnerf.kernels import is_transformed
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expression_table import ExpressionTable
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.pauli_form import Word, as_gates, pauli_form
+from qnerf.quantum.pauli_form import Word, only_gates, pauli_form
 
 Simulate = Callable[[Tensor, Tensor, Tensor | None, int, torch.dtype], Tensor]
 """Measured values (B, values) from angles (1, fixed) and (B, moving), the start (1 or B, 2^n) or None, B, a dtype."""
@@ -85,16 +82,12 @@ class PauliCircuit:
         form = self.form
         moving, size = moving.expand(batch, -1), 2**form.wires
         step = max(1, statevector.CHUNK_BYTES // (3 * (len(form.rotations) - form.fixed_rotations + 2) * 16 * size))
-        if batch <= step:
-            return self._values(fixed, moving, start, dtype)
-        starts = [None] * batch if start is None else start.expand(batch, -1).split(step)
-        parts = zip(moving.split(step), starts, strict=False)
-        inputs = [tensor for tensor in (fixed, moving, start) if tensor is not None]
-        stores = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
-        if not stores or is_transformed(*inputs):  # `torch.func` does not know checkpoints
-            return torch.cat([self._values(fixed, part, first, dtype) for part, first in parts])
-        options: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
-        return torch.cat([checkpoint(self._values, fixed, part, first, dtype, **options) for part, first in parts])
+
+        def values(moving: Tensor, *others: Tensor) -> Tensor:
+            return self._values(others[-1], moving, others[0] if len(others) > 1 else None, dtype)
+
+        starts = () if start is None else (start.expand(batch, -1) if batch > step else start,)
+        return statevector.in_chunks(values, step, (moving, *starts), (fixed,))
 
     def _values(self, fixed: Tensor, moving: Tensor, start: Tensor | None, dtype: torch.dtype) -> Tensor:
         state = self._final_state(fixed, moving, start, dtype).expand(-1, moving.shape[0])
@@ -121,9 +114,7 @@ class PauliCircuit:
         cosines = [(angles / 2).cos().to(dtype) for angles in (fixed, moving)]
         sines = [(angles / 2).sin().to(dtype) for angles in (fixed, moving)]
         for (word, _), (kind, column) in zip(self.form.rotations, self.columns, strict=True):
-            index, phases = action(word, self.form.wires, state.device, state.dtype)
-            c, s = cosines[kind][:, column], sines[kind][:, column]
-            state = c * state + s * (-1j * phases[:, None] * state[index])
+            state = _turned(state, word, self.form.wires, cosines[kind][:, column], sines[kind][:, column])
         return state
 
 
@@ -137,9 +128,10 @@ def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
     """
     n = circuit.wires
     check_state(n, f"the whole state of circuit {circuit.name}")
-    gates = [gate for operation in circuit.operations for gate in as_gates(operation, circuit)]
     rotations = [
-        (Word.of(part.letters, gate.wires, n), gate.angle_of(part)) for gate in gates for part in gate.rotations
+        (Word.of(part.letters, gate.wires, n), gate.angle_of(part))
+        for gate in only_gates(circuit)
+        for part in gate.rotations
     ]
     angles = ExpressionTable([angle for _, angle in rotations], circuit.parameters, fixed=False)(x, weights)
     start = PauliCircuit(circuit).start(x, weights)
@@ -147,10 +139,15 @@ def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
         start = torch.nn.functional.pad(torch.ones_like(x[:1, :0].sum(1, keepdim=True)), (0, 2**n - 1))
     state = start.to(torch.complex128).expand(x.shape[0], -1).T
     for column, (word, _) in enumerate(rotations):
-        index, phases = action(word, n, x.device, torch.complex128)
         half = angles[:, column] / 2
-        state = half.cos() * state + half.sin() * (-1j * phases[:, None] * state[index])
+        state = _turned(state, word, n, half.cos(), half.sin())
     return state.T
+
+
+def _turned(state: Tensor, word: Word, wires: int, cosine: Tensor, sine: Tensor) -> Tensor:
+    """The states (2^n, 1 or B) behind a rotation about `word`, with cosine and sine (1 or B,) of half its angle."""
+    index, phases = action(word, wires, state.device, state.dtype)
+    return cosine * state + sine * (-1j * phases[:, None] * state[index])
 
 
 def action(word: Word, wires: int, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:

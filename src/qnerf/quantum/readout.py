@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.quantum.circuit import Observable, PauliWord, Probabilities
+from qnerf.quantum.circuit import Observable, PauliWord, Probabilities, values_of
 from qnerf.quantum.noise import Noise
 
 MAX_LETTERS = 10  # of a word that is read with two different probabilities: it becomes 2^letters words
@@ -31,7 +31,7 @@ class Readout:
         a, b = noise.readout_factors
         up = (1 - a - b) / 2
         self.confusion = torch.tensor([[1 - up, 1 - a - up], [up, a + up]], dtype=torch.float64)  # [read, is]
-        self.sizes = [2 ** len(o.wires) if isinstance(o, Probabilities) else 1 for o in observables]
+        self.sizes = list(map(values_of, observables))
         self.tables = [isinstance(o, Probabilities) for o in observables]
         index: dict[PauliWord, int] = {}
         entries: list[tuple[int, int, float]] = []

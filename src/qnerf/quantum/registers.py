@@ -11,7 +11,7 @@ most registers are copies: the same circuit with other features and weights.
 (64, 1, 9)
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -28,14 +28,15 @@ from qnerf.quantum.circuit import (
     Entangler,
     Expression,
     Gate,
-    Hamiltonian,
     Operation,
     PauliWord,
     Probabilities,
     Rotations,
     Weights,
+    as_sum,
     check_state,
     feature,
+    values_of,
     weight,
 )
 from qnerf.quantum.cones import gates_of, trace
@@ -141,12 +142,12 @@ def measured(circuit: Circuit) -> Measured:
     constants = np.zeros(circuit.outputs)
     for observable in circuit.observables:
         if isinstance(observable, Probabilities):
-            size = 2 ** len(observable.wires)
+            size = values_of(observable)
             first = place(observable, size)
             entries += [(output + k, first + k, 1.0) for k in range(size)]
             output += size
             continue
-        sums = observable if isinstance(observable, Hamiltonian) else Hamiltonian((1.0,), (observable,))
+        sums = as_sum(observable)
         for coefficient, word in zip(sums.coefficients, sums.words, strict=True):
             if word:
                 entries.append((output, place(tuple(sorted(word)), 1), coefficient))
@@ -189,17 +190,40 @@ def _joined_cones(circuit: Circuit) -> tuple[_Cone, ...]:
     return tuple(joined)
 
 
+class _Part(NamedTuple):
+    """A register to be: its wires and their numbers in it, what it measures, and which of the `measured` values."""
+
+    gates: list[int]
+    order: tuple[int, ...]
+    number: dict[int, int]
+    observables: tuple[PauliWord | Probabilities, ...]
+    values: tuple[int, ...]
+
+
+def _parts(circuit: Circuit) -> Iterator[_Part]:
+    found = measured(circuit)
+    for cone in _joined_cones(circuit):
+        order = _in_ring_order(cone.wires, circuit.wires)
+        number = {wire: index for index, wire in enumerate(order)}
+        values: list[int] = []
+        observables: list[PauliWord | Probabilities] = []
+        for observable, first in ((found.observables[place], found.places[place]) for place in cone.observables):
+            values += range(first, first + values_of(observable))
+            if isinstance(observable, Probabilities):
+                observables.append(Probabilities(tuple(number[wire] for wire in observable.wires)))
+            else:
+                observables.append(tuple((number[wire], letter) for wire, letter in observable))
+        yield _Part(sorted(cone.gates), order, number, tuple(observables), tuple(values))
+
+
 @lru_cache(maxsize=64)
 def block_registers(circuit: Circuit) -> tuple[Register, ...]:
     """The registers of a re-uploading circuit: re-uploading circuits with its operations on some of the wires."""
     registers = []
-    for cone in _joined_cones(circuit):
-        order = _in_ring_order(cone.wires, circuit.wires)
-        number = {wire: index for index, wire in enumerate(order)}
-        observables, values = _values(circuit, cone, number)
+    for _, order, number, observables, values in _parts(circuit):
         operations = tuple(_restricted(operation, order, number) for operation in circuit.operations)
         own = replace(circuit, wires=len(order), features=None, operations=operations, observables=observables)
-        weights = np.arange(circuit.rows * circuit.wires * 3).reshape(circuit.rows, -1, 3)[:, order].ravel().tolist()
+        weights = np.arange(circuit.size).reshape(circuit.rows, -1, 3)[:, order].ravel().tolist()
         registers.append(Register(own, order, order, tuple(weights), values))
     return tuple(registers)
 
@@ -208,35 +232,14 @@ def block_registers(circuit: Circuit) -> tuple[Register, ...]:
 def gate_registers(circuit: Circuit) -> tuple[Register, ...]:
     """The registers of any circuit: the gates of a cone, with the features and weights that they use."""
     registers = []
-    for cone in _joined_cones(circuit):
-        order = _in_ring_order(cone.wires, circuit.wires)
-        number = {wire: index for index, wire in enumerate(order)}
-        observables, values = _values(circuit, cone, number)
+    for gates, order, number, observables, values in _parts(circuit):
         renumbered = _Renumbered(circuit)
-        operations = tuple(renumbered(gates_of(circuit)[place][1], number) for place in sorted(cone.gates))
+        operations = tuple(renumbered(gates_of(circuit)[place][1], number) for place in gates)
         weights = (Weights("weights", (len(renumbered.weights),)),) if renumbered.weights else ()
         features = len(renumbered.features)
         own = Circuit(circuit.name, len(order), 0, 0, operations, observables, features, weights)
         registers.append(Register(own, order, tuple(renumbered.features), tuple(renumbered.weights), values))
     return tuple(registers)
-
-
-def _values(
-    circuit: Circuit, cone: _Cone, number: dict[int, int]
-) -> tuple[tuple[PauliWord | Probabilities, ...], tuple[int, ...]]:
-    """The observables of a register, and which of the `measured` values they are. number: its wires -> 0, 1, ..."""
-    found = measured(circuit)
-    values: list[int] = []
-    observables: list[PauliWord | Probabilities] = []
-    for place in cone.observables:
-        observable, first = found.observables[place], found.places[place]
-        if isinstance(observable, Probabilities):
-            observables.append(Probabilities(tuple(number[wire] for wire in observable.wires)))
-            values += range(first, first + 2 ** len(observable.wires))
-        else:
-            observables.append(tuple((number[wire], letter) for wire, letter in observable))
-            values.append(first)
-    return tuple(observables), tuple(values)
 
 
 def _in_ring_order(wires: Iterable[int], n: int) -> tuple[int, ...]:

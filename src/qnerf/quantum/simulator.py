@@ -1,6 +1,6 @@
 """A circuit ready to run: the cheapest exact engine for each batch, and wide circuits as registers."""
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -84,3 +84,9 @@ class Simulator:
             order += part.values
         places = np.argsort(order).tolist()
         return measured(self.circuit).outputs(torch.cat([x[:, :0], *values], 1)[:, places])
+
+
+@lru_cache(maxsize=64)
+def simulator_of(circuit: Circuit) -> Simulator:
+    """The simulator of a circuit that comes again and again, as those of noise do."""
+    return Simulator(circuit)

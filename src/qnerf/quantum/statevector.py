@@ -6,7 +6,7 @@ go through in chunks that are computed again in the backward pass, so that peak 
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import frexp
 from typing import Any
 
@@ -25,17 +25,25 @@ CHUNK_BYTES = 2**28  # what autograd may store for one chunk
 
 def evaluate(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
     """Expectation values (B, outputs) for inputs x (B, n) in radians and flat weights (of any shape)."""
-    size = chunk_size(form, x.element_size())
-    if x.shape[0] <= size:
-        return _expectations(form, x, weights)
-    stores = torch.is_grad_enabled() and (x.requires_grad or weights.requires_grad)
-    if not stores or is_transformed(x, weights):  # `torch.func` does not know checkpoints
-        return torch.cat([_expectations(form, part, weights) for part in x.split(size)])
-    parts = [
-        checkpoint(_expectations, form, part, weights, use_reentrant=False, preserve_rng_state=False)
-        for part in x.split(size)
-    ]
-    return torch.cat(parts)
+    return in_chunks(partial(_expectations, form), chunk_size(form, x.element_size()), (x,), (weights,))
+
+
+def in_chunks(
+    function: Callable[..., Tensor], size: int, moving: tuple[Tensor, ...], shared: tuple[Tensor, ...]
+) -> Tensor:
+    """`function(*moving, *shared)` for `size` samples at a time; `moving` tensors have a row for each sample.
+
+    Where gradients are wanted, a chunk is computed again in the backward pass.
+    """
+    if len(moving[0]) <= size:
+        return function(*moving, *shared)
+    parts = zip(*(tensor.split(size) for tensor in moving), strict=True)
+    tensors = *moving, *shared
+    stores = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    if not stores or is_transformed(*tensors):  # `torch.func` does not know checkpoints
+        return torch.cat([function(*part, *shared) for part in parts])
+    options: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
+    return torch.cat([checkpoint(function, *part, *shared, **options) for part in parts])
 
 
 def chunk_size(form: NormalForm, itemsize: int) -> int:

@@ -57,8 +57,9 @@ class BoundEngine:
         steps, n = arrays.steps.constants.shape
         self.n, self.width = n, lanes(self.dtype.itemsize)
         tables = Tables(
-            np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n)), np.zeros(steps, np.int64), np.zeros((steps, n))
-        )
+            np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n)), np.zeros(steps, np.int64), np.zeros((steps, n)),
+            arrays.permutations,
+        )  # fmt: skip
         last_layer, flipped = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)
         measured = Measurement(arrays.form.measures_last_layer, arrays.wires, arrays.eigenvalues, last_layer)
         self.amplitude = bind_weights(arrays.steps, weights, measured, tables, flipped)
@@ -67,10 +68,10 @@ class BoundEngine:
         )
         self.tables = Tables(
             tables.tangents.astype(self.dtype), tables.diagonals.astype(self.dtype), tables.flip_masks,
-            tables.angle_signs.astype(self.dtype),
+            tables.angle_signs.astype(self.dtype), arrays.permutations,
         )  # fmt: skip
         self.psi = np.empty((2, 2**n), self.dtype)
-        prepare(arrays.once, n, self.width, self.amplitude, self.tables, arrays.permutations, self.psi)
+        prepare(arrays.once, n, self.width, self.amplitude, self.tables, self.psi)
         code, step, _, _ = arrays.per_sample[0]
         # The fixed phases of a first encoding that is diagonal belong to the state that all samples start from.
         self.first_diagonal = self.tables.diagonals[step] if code == START and step >= 0 else None
@@ -83,11 +84,8 @@ class BoundEngine:
 
     def _shared(self, trig: np.ndarray) -> tuple[Any, ...]:
         """Arguments that `forward` and `backward` begin with."""
-        arrays, parts = self.arrays, parts_of(trig)
-        return (
-            parts, parts, arrays.per_sample, self.n, self.width, trig, self.start, self.tables, arrays.permutations,
-            self.measurement,
-        )  # fmt: skip
+        parts = parts_of(trig)
+        return parts, parts, self.arrays.per_sample, self.n, self.width, trig, self.start, self.tables, self.measurement
 
     def forward(self, trig: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """trig (blocks, encodings, 2, n, width) -> outputs (blocks, outputs, width), and what `backward` needs.
@@ -117,8 +115,7 @@ class BoundEngine:
             u, v = self.first_diagonal.astype(np.float64)
             adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
         prepare_backward(
-            arrays.once, n, self.width, self.amplitude, self.tables, arrays.permutations, adjoint, arrays.input_scales,
-            total, self.dtype,
+            arrays.once, n, self.width, self.amplitude, self.tables, adjoint, arrays.input_scales, total, self.dtype,
         )  # fmt: skip
         weights = np.zeros((arrays.form.circuit.rows, n, 3))
         add_weight_gradients(arrays.steps, self.tables.angle_signs, total, weights)

@@ -15,6 +15,7 @@ from qnerf.kernels.jit import run
 from qnerf.kernels.simd import lanes
 from qnerf.quantum.compiled import pauli_sweeps
 from qnerf.quantum.compiled.engine import from_blocks, numpy_dtype, parts_of, to_blocks
+from qnerf.quantum.compiled.pauli_sweeps import PauliArrays, StepArrays
 from qnerf.quantum.pauli_form import Word
 from qnerf.quantum.pauli_statevector import PauliCircuit
 
@@ -26,11 +27,13 @@ class PauliEngine:
         form = plain.form
         self.plain, self.form = plain, form
         rows = [(*_row(r.word), *column) for r, column in zip(form.rotations, plain.columns, strict=True)]
-        self.rotations = np.array(rows, dtype=np.int64).reshape(-1, 6)
-        self.words = np.array([_row(word) for word in form.words], dtype=np.int64).reshape(-1, 4)
-        self.tables = np.array(form.tables, dtype=np.int64).reshape(len(form.tables), 2**form.wires)
         sizes = [int(table.max()) + 1 for table in form.tables]
-        self.outcomes = np.cumsum([0, *sizes]).astype(np.int64)
+        self.arrays = PauliArrays(
+            np.array(rows, dtype=np.int64).reshape(-1, 6),
+            np.array([_row(word) for word in form.words], dtype=np.int64).reshape(-1, 4),
+            np.array(form.tables, dtype=np.int64).reshape(len(form.tables), 2**form.wires),
+            np.cumsum([0, *sizes]).astype(np.int64),
+        )
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs x (B, features) and flat weights, compiled."""
@@ -58,55 +61,49 @@ class _Run:
         self.n, self.batch = n, batch
         # What runs once a step is float64: it costs nothing, and its gradients are sums over the whole batch.
         self.fixed_once = _cos_sin(fixed.detach().numpy()[0], np.float64)
-        self.fixed = self.fixed_once.astype(kind)
-        self.trig = _cos_sin(
-            to_blocks(np.broadcast_to(moving.detach().numpy(), (batch, moving.shape[1])), self.width), kind
-        )
-        self.trig = np.ascontiguousarray(self.trig.swapaxes(0, 1))
+        angles = np.broadcast_to(moving.detach().numpy(), (batch, moving.shape[1]))
+        trig = np.ascontiguousarray(_cos_sin(to_blocks(angles, self.width), kind).swapaxes(0, 1))
         self.once = np.zeros((2, 2**n))
         self.once[0, 0] = 1
-        self.starts = np.zeros((0, 2, 2**n, self.width), kind)
+        starts = np.zeros((0, 2, 2**n, self.width), kind)
         self.each_its_own = start is not None and start.shape[0] == batch and batch != 1
         if start is not None:
             amplitudes = start.detach().numpy()
             if self.each_its_own:
                 parts = [to_blocks(part, self.width) for part in (amplitudes.real, amplitudes.imag)]
-                self.starts = np.stack(parts, 1).astype(kind)
+                starts = np.stack(parts, 1).astype(kind)
             else:
                 self.once = np.stack([amplitudes[0].real, amplitudes[0].imag]).astype(np.float64)
-        self.count = 0 if self.each_its_own else form.fixed_rotations
-        if self.count:
-            pauli_sweeps.prepare(engine.rotations, self.count, n, lanes(8), self.fixed_once, self.once)
-        self.shared = self.once.astype(kind)
+        count = 0 if self.each_its_own else form.fixed_rotations
+        if count:
+            pauli_sweeps.prepare(engine.arrays.rotations, count, n, lanes(8), self.fixed_once, self.once)
+        self.step = StepArrays(count, self.fixed_once.astype(kind), trig, self.once.astype(kind), starts)
 
     def _arguments(self) -> tuple[Any, ...]:
-        engine, parts = self.engine, parts_of(self.trig)
-        return (
-            parts, parts, engine.rotations, self.count, self.n, self.width, self.fixed, self.trig, self.shared,
-            self.starts, engine.words, engine.tables, engine.outcomes,
-        )  # fmt: skip
+        parts = parts_of(self.step.trig)
+        return parts, parts, self.n, self.width, self.engine.arrays, self.step
 
     def forward(self) -> Tensor:
-        values = len(self.engine.words) + self.engine.outcomes[-1]
-        out = np.empty((self.trig.shape[0], values, self.width), self.kind)
+        values = len(self.engine.arrays.words) + self.engine.arrays.outcomes[-1]
+        out = np.empty((self.step.trig.shape[0], values, self.width), self.kind)
         run(pauli_sweeps.forward, *self._arguments(), out)
         return from_blocks(out, self.batch)
 
     def backward(self, gradient: np.ndarray) -> tuple[Tensor, Tensor, np.ndarray]:
         """Gradients of the fixed angles (1, fixed), the moving ones (B, moving), and of the start (1 or B, 2, 2^n)."""
-        blocks, parts = self.trig.shape[0], parts_of(self.trig)
-        moving = np.zeros((blocks, self.trig.shape[2], self.width), self.kind)
-        sums = np.zeros((parts, self.fixed.shape[1]))
-        adjoints = np.zeros((parts, *self.shared.shape))
-        starts = np.zeros_like(self.starts)
+        step, parts = self.step, parts_of(self.step.trig)
+        moving = np.zeros((step.trig.shape[0], step.trig.shape[2], self.width), self.kind)
+        sums, adjoints = np.zeros((parts, step.fixed.shape[1])), np.zeros((parts, *step.shared.shape))
+        starts = np.zeros_like(step.starts)
         run(
             pauli_sweeps.backward, *self._arguments(), to_blocks(gradient.astype(self.kind), self.width), moving, sums,
             adjoints, starts,
         )  # fmt: skip
         total, adjoint = sums.sum(0), adjoints.sum(0)
-        if self.count:
+        if step.count:
+            rotations = self.engine.arrays.rotations
             pauli_sweeps.prepare_backward(
-                self.engine.rotations, self.count, self.n, lanes(8), self.fixed_once, self.once.copy(), adjoint, total
+                rotations, step.count, self.n, lanes(8), self.fixed_once, self.once.copy(), adjoint, total
             )
         if self.each_its_own:
             to_start = starts.transpose(0, 3, 1, 2).reshape(-1, 2, 2**self.n)[: self.batch]

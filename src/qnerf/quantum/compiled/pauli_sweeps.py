@@ -3,17 +3,35 @@
 The backward sweep runs each block again. It then takes the rotations off the state and the adjoint state
 sum_k g_k O_k |psi> one after the other, so memory does not depend on the number of gates.
 
-Shapes: n wires; `width` samples in a block; a row of `rotations` is a word (see `pauli_passes`), then 1 if the angle
-moves with the input, and its column among those of its kind; `tables` (tables, 2^n) are outcomes of basis states.
+Shapes: n wires; `width` samples in a block.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner, keep_apart, load, splat, start_of_line, store
 from qnerf.quantum.compiled import pauli_passes
+
+
+class PauliArrays(NamedTuple):
+    """A Pauli form. Compiled loops take it as it is."""
+
+    rotations: Any  # (rotations, 6) a word (see `pauli_passes`), 1 if its angle moves with the input, its column there
+    words: Any  # (words, 4) that are measured
+    tables: Any  # (tables, 2^n) outcomes of basis states
+    outcomes: Any  # (tables + 1,) where the outcomes of each table begin
+
+
+class StepArrays(NamedTuple):
+    """What a step sets. Compiled loops take it as it is."""
+
+    count: Any  # leading rotations that no input moves, which are in `shared` already
+    fixed: Any  # (2, fixed rotations) cos and sin of half the angles that no input moves
+    trig: Any  # (blocks, 2, moving rotations, width) the same of the others
+    shared: Any  # (2, 2^n) the state after the first `count` rotations
+    starts: Any  # (blocks, 2, 2^n, width) another one for each sample; or no blocks
 
 
 @inner
@@ -116,18 +134,11 @@ def prepare_backward(
 
 @jit
 def forward(
-    first: int, last: int, parts: int, rotations: Any, count: int, n: int, width: int, fixed: Any, trig: Any,
-    shared: Any, starts: Any, words: Any, tables: Any, outcomes: Any, out: Any,
-) -> None:  # fmt: skip
-    """The blocks of samples in the parts first..last.
-
-    trig (blocks, 2, moving rotations, width): cos and sin of half the angles
-    fixed (2, fixed rotations): the same of those that no input moves
-    shared (2, 2^n): the state after the first `count` rotations; starts (blocks, 2, 2^n, width) if it is another one
-        for each sample
-    outcomes (tables + 1,): where the outcomes of each table begin
-    out (blocks, words and outcomes, width)
-    """
+    first: int, last: int, parts: int, n: int, width: int, form: PauliArrays, step: StepArrays, out: Any
+) -> None:
+    """The blocks of samples in the parts first..last; out (blocks, words and outcomes, width)."""
+    rotations, words, tables, outcomes = form
+    count, fixed, trig, shared, starts = step
     blocks = trig.shape[0]
     size = width << n
     # The work array: the state, two vectors for the sine of a rotation, two for 1 and -1, one for a value.
@@ -160,11 +171,11 @@ def forward(
 
 @inner
 def _apply_observables(
-    x: Any, state: int, adjoint: int, spare: int, n: int, width: int, words: Any, tables: Any, outcomes: Any,
-    gradient: Any,
-) -> None:  # fmt: skip
+    x: Any, state: int, adjoint: int, spare: int, n: int, width: int, form: PauliArrays, gradient: Any
+) -> None:
     """adjoint = sum_k gradient_k O_k state."""
     keep_apart()
+    _, words, tables, outcomes = form
     size = width << n
     for i in range(adjoint, adjoint + 2 * size, width):
         store(x, i, splat(x.dtype.type(0)))
@@ -185,17 +196,18 @@ def _apply_observables(
 
 @jit
 def backward(
-    first: int, last: int, parts: int, rotations: Any, count: int, n: int, width: int, fixed: Any, trig: Any,
-    shared: Any, starts: Any, words: Any, tables: Any, outcomes: Any, gradient: Any, moving_out: Any, sums_out: Any,
-    adjoint_out: Any, starts_out: Any,
+    first: int, last: int, parts: int, n: int, width: int, form: PauliArrays, step: StepArrays, gradient: Any,
+    moving_out: Any, sums_out: Any, adjoint_out: Any, starts_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients from those of the values, `gradient` (blocks, words and outcomes, width); the others as in `forward`.
+    """Gradients from those of the values, `gradient` (blocks, words and outcomes, width).
 
     moving_out (blocks, moving rotations, width): of the angles that move with the input
     sums_out (parts, fixed rotations): of the others, summed over each part
     adjoint_out (parts, 2, 2^n): adjoint of `shared`, summed over each part
     starts_out (blocks, 2, 2^n, width): gradients of `starts`
     """
+    rotations = form.rotations
+    count, fixed, trig, shared, starts = step
     blocks = trig.shape[0]
     size = width << n
     # The work array: state, adjoint, the adjoints summed over the part; then the vectors of `forward`.
@@ -214,7 +226,7 @@ def backward(
             else:
                 _set_shared(x, state, n, width, shared)
             _forward(x, state, spare, n, width, rotations, count, fixed, trig[block])
-            _apply_observables(x, state, adjoint, spare, n, width, words, tables, outcomes, gradient[block])
+            _apply_observables(x, state, adjoint, spare, n, width, form, gradient[block])
             # The rotations back to those that run once a step. Each leaves its gradient at `out`, one lane a sample.
             for r in range(len(rotations) - 1, count - 1, -1):
                 cosine = _ready(x, spare, width, rotations[r], fixed, trig[block])

@@ -1,16 +1,25 @@
 """Compiled evaluation of trigonometric polynomials and of their gradients, a vector of samples at a time.
 
-Names: `width` samples in a block; `highest` degree of any wire; (blocks, 2, n, width) `trig` with cos and sin of the
-inputs times their base frequency; (outputs, most coefficients) `coefficients`, with zeros after an output's last one;
-`wires`, `basis_sizes` and `wire_counts` as in `lightcone.Interpolation`.
+Names: `width` samples in a block; (blocks, 2, n, width) `trig` with cos and sin of the inputs times their base
+frequency.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner, keep_apart, load, splat, start_of_line, store
+
+
+class Polynomials(NamedTuple):
+    """The polynomial of each output. Compiled loops take it as it is."""
+
+    highest: Any  # degree of any wire
+    coefficients: Any  # (outputs, most coefficients), with zeros after an output's last one
+    wires: Any  # (outputs, most wires) of each cone
+    basis_sizes: Any  # (outputs, most wires) number of basis functions 1, cos, sin, ... of each of these wires
+    wire_counts: Any  # (outputs,) wires in each cone
 
 
 @inner
@@ -40,14 +49,20 @@ def _basis(x: Any, at: int, n: int, width: int, highest: int, trig: Any) -> None
 
 
 @inner
-def _contract(
-    x: Any, basis: int, row: int, width: int, coefficients: Any, wires: Any, basis_sizes: Any, count: int, stages: int
-) -> int:
-    """Contracts the coefficients with the basis of the last wire, then of the one before, and so on.
+def _of(polynomials: Polynomials, output: int) -> Polynomials:
+    """The polynomial of one output."""
+    highest, coefficients, wires, basis_sizes, wire_counts = polynomials
+    return Polynomials(highest, coefficients[output], wires[output], basis_sizes[output], wire_counts[output])
+
+
+@inner
+def _contract(x: Any, basis: int, row: int, width: int, polynomials: Polynomials, output: int, stages: int) -> int:
+    """Contracts the coefficients of an output with the basis of the last wire, then of the one before, and so on.
 
     Every stage stays in the array, from `stages` on. Returns where the value lies.
     """
     keep_apart()
+    _, coefficients, wires, basis_sizes, count = _of(polynomials, output)
     if count == 0:
         store(x, stages, splat(coefficients[0]))
         return stages
@@ -82,11 +97,12 @@ def _contract(
 
 @inner
 def _contract_backward(
-    x: Any, basis: int, row: int, n: int, width: int, coefficients: Any, wires: Any, basis_sizes: Any, count: int,
-    stages: int, end: int, g: int, adjoints: int, next_adjoints: int, sums: int, inputs: int,
+    x: Any, basis: int, row: int, n: int, width: int, polynomials: Polynomials, output: int, end: int, g: int,
+    adjoints: int, next_adjoints: int, sums: int, inputs: int,
 ) -> None:  # fmt: skip
     """The reverse of `_contract`: adds to `sums` of the coefficients and to `inputs`, one vector each."""
     keep_apart()
+    _, coefficients, wires, basis_sizes, count = _of(polynomials, output)
     # Stage by stage, the last one first. `adjoints` are the gradients of the numbers of a stage; those of the stage
     # before are its products with the basis, and the change of the basis gives the gradient of the wire's angle. Two
     # arrays of adjoints take turns.
@@ -124,11 +140,9 @@ def _contract_backward(
 
 
 @jit
-def evaluate(
-    first: int, last: int, parts: int, trig: Any, width: int, highest: int, coefficients: Any, wires: Any,
-    basis_sizes: Any, wire_counts: Any, out: Any,
-) -> None:  # fmt: skip
+def evaluate(first: int, last: int, parts: int, trig: Any, width: int, polynomials: Polynomials, out: Any) -> None:
     """Fills out (blocks, outputs, width) with the values."""
+    highest, coefficients = polynomials.highest, polynomials.coefficients
     blocks, n = trig.shape[0], trig.shape[2]
     row = (2 * highest + 1) * width
     x = np.empty(2 * n * row + 2 * coefficients.shape[1] * width + 64, coefficients.dtype)
@@ -137,25 +151,26 @@ def evaluate(
     # The basis of a block of samples is computed once and serves all outputs.
     for block in range(blocks * first // parts, blocks * last // parts):
         _basis(x, basis, n, width, highest, trig[block])
-        for k in range(len(wire_counts)):
-            end = _contract(x, basis, row, width, coefficients[k], wires[k], basis_sizes[k], wire_counts[k], stages)
+        for k in range(len(coefficients)):
+            end = _contract(x, basis, row, width, polynomials, k, stages)
             for i in range(width):
                 out[block, k, i] = x[end + i]
 
 
 @jit
 def gradients(
-    first: int, last: int, parts: int, trig: Any, width: int, highest: int, coefficients: Any, wires: Any,
-    basis_sizes: Any, wire_counts: Any, gradient: Any, inputs_out: Any, sums_out: Any,
+    first: int, last: int, parts: int, trig: Any, width: int, polynomials: Polynomials, gradient: Any, inputs_out: Any,
+    sums_out: Any,
 ) -> None:  # fmt: skip
     """Gradients from those of the outputs, `gradient` (blocks, outputs, width).
 
     inputs_out (blocks, n, width): of the inputs, in units of the base frequency
     sums_out (parts, outputs, most coefficients): of the coefficients, summed over each part
     """
+    highest, coefficients = polynomials.highest, polynomials.coefficients
     blocks, n, coefficient_count = trig.shape[0], trig.shape[2], coefficients.shape[1]
     row = (2 * highest + 1) * width
-    outputs = len(wire_counts)
+    outputs = len(coefficients)
     x = np.zeros(2 * n * row + ((4 + outputs) * coefficient_count + n + 2) * width + 64, coefficients.dtype)
     basis = start_of_line(x)
     stages = basis + 2 * n * row
@@ -175,13 +190,11 @@ def gradients(
             for i in range(inputs, inputs + n * width, width):
                 store(x, i, zero)
             for k in range(outputs):
-                end = _contract(x, basis, row, width, coefficients[k], wires[k], basis_sizes[k], wire_counts[k], stages)
+                end = _contract(x, basis, row, width, polynomials, k, stages)
                 for i in range(width):
                     x[g + i] = gradient[block, k, i]
-                _contract_backward(
-                    x, basis, row, n, width, coefficients[k], wires[k], basis_sizes[k], wire_counts[k], stages, end, g,
-                    adjoints, next_adjoints, sums + k * coefficient_count * width, inputs,
-                )  # fmt: skip
+                at = sums + k * coefficient_count * width
+                _contract_backward(x, basis, row, n, width, polynomials, k, end, g, adjoints, next_adjoints, at, inputs)
             for j in range(n):
                 for i in range(width):
                     inputs_out[block, j, i] = x[inputs + j * width + i]

@@ -87,15 +87,14 @@ def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: An
 
 @jit
 def _forward(
-    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, permutations: Any, psi: Any,
-    store_states: bool,
-) -> int:  # fmt: skip
+    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, psi: Any, store_states: bool
+) -> int:
     """Runs the operations and returns where the final state lies.
 
     With `store_states` the state before each operation that is no diagonal stays in the work array.
     """
     keep_apart()
-    tangents, diagonals, flip_masks, angle_signs = tables
+    tangents, diagonals, flip_masks, angle_signs, permutations = tables
     pair = 2 * (width << n)
     here = at.state
     # Diagonals work in place. With `store_states` every other operation writes the state behind the one that it reads,
@@ -126,15 +125,14 @@ def _forward(
 
 @jit
 def _backward(
-    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, permutations: Any, input_scales: Any,
-    here: int,
-) -> None:  # fmt: skip
+    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, input_scales: Any, here: int
+) -> None:
     """Carries the adjoint state back through the operations; `here` is the last of the stored states.
 
     Adds to the work array's `sums`, `first_adjoint` and `inputs`.
     """
     keep_apart()
-    tangents, diagonals, flip_masks, angle_signs = tables
+    tangents, diagonals, flip_masks, angle_signs, permutations = tables
     pair = 2 * (width << n)
     adjoint, scratch, d = at.adjoint, at.scratch, at.gradients
     # Each operation is taken off the adjoint, and its gradients (a vector for each wire, at `d`) are inner products of
@@ -189,21 +187,16 @@ def _sum(x: Any, first: int, width: int) -> float:
     return value
 
 
-def prepare(
-    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, permutations: np.ndarray,
-    psi: np.ndarray,
-) -> None:  # fmt: skip
+def prepare(operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, psi: np.ndarray) -> None:
     """Fills psi (2, 2^n), real and imaginary parts: the state before the first encoding."""
     x, at = _work_array(n, width, 2, 0, psi.dtype)
-    end = _forward(
-        x, at, n, width, operations, tables, permutations, _ground_state(n, amplitude, psi.dtype), NOT_STORED
-    )
+    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, psi.dtype), NOT_STORED)
     psi[:] = _state(x, end, n, width)[..., 0]
 
 
 def prepare_backward(
-    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, permutations: np.ndarray,
-    adjoint: np.ndarray, input_scales: np.ndarray, sums_out: np.ndarray, dtype: Any,
+    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, adjoint: np.ndarray,
+    input_scales: np.ndarray, sums_out: np.ndarray, dtype: Any,
 ) -> None:  # fmt: skip
     """Adds the gradients of the angles before the first encoding to `sums_out` (steps, n).
 
@@ -211,9 +204,9 @@ def prepare_backward(
     """
     steps = len(sums_out)
     x, at = _work_array(n, width, 1 + len(operations), steps, dtype)
-    end = _forward(x, at, n, width, operations, tables, permutations, _ground_state(n, amplitude, dtype), STORED)
+    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, dtype), STORED)
     _state(x, at.adjoint, n, width)[..., 0] = adjoint
-    _backward(x, at, n, width, operations, tables, permutations, input_scales, end)
+    _backward(x, at, n, width, operations, tables, input_scales, end)
     sums_out += x[at.sums : at.sums + steps * n * width].reshape(steps, n, width)[..., 0]
 
 
@@ -253,7 +246,7 @@ def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
 @jit
 def forward(
     first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Tables,
-    permutations: Any, measurement: Measurement, expectations: Any, out: Any,
+    measurement: Measurement, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
     """The blocks of samples in the parts first..last.
 
@@ -269,7 +262,7 @@ def forward(
     # A block of samples at a time, through the whole circuit, while its state is in cache.
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, trig[block], n, width)
-        end = _forward(x, at, n, width, operations, tables, permutations, psi, NOT_STORED)
+        end = _forward(x, at, n, width, operations, tables, psi, NOT_STORED)
         forward_passes.probabilities(x, end, n, width, q)
         # <Z> behind the last RY layer from <Z> and <X> before it: the layer itself need not be applied.
         if measures_last_layer:
@@ -298,8 +291,8 @@ def forward(
 @jit
 def backward(
     first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Tables,
-    permutations: Any, measurement: Measurement, expectations: Any, states: int, input_scales: Any, gradient: Any,
-    inputs_out: Any, sums_out: Any, adjoint_out: Any,
+    measurement: Measurement, expectations: Any, states: int, input_scales: Any, gradient: Any, inputs_out: Any,
+    sums_out: Any, adjoint_out: Any,
 ) -> None:  # fmt: skip
     """Gradients from those of the outputs, `gradient` (blocks, outputs, width); the others as in `forward`.
 
@@ -320,7 +313,7 @@ def backward(
         _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, trig[block], n, width)
-            end = _forward(x, at, n, width, operations, tables, permutations, psi, STORED)
+            end = _forward(x, at, n, width, operations, tables, psi, STORED)
             # The adjoint starts as sum_k g_k O_k |state>. Where the last RY layer is part of the measurement, O_k is
             # a Z + b X of the output's wire, and the angles of that layer have their gradients from <Z> and <X>.
             if measures_last_layer:
@@ -351,7 +344,7 @@ def backward(
                         i += size
                         store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
             _fill_zero(x, at.inputs, n, width)
-            _backward(x, at, n, width, operations, tables, permutations, input_scales, end)
+            _backward(x, at, n, width, operations, tables, input_scales, end)
             for j in range(n):
                 for i in range(width):
                     inputs_out[block, j, i] = x[at.inputs + j * width + i]

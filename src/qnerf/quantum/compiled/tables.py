@@ -51,6 +51,7 @@ class Tables(NamedTuple):
     diagonals: Any  # (steps, 2, 2^n) real and imaginary parts, times the cosines of the RY layer that follows
     flip_masks: Any  # (steps,) bits that the Pauli frame flips
     angle_signs: Any  # (steps, n) signs that the Pauli frame gives the angles
+    permutations: Any  # (permutations, 2^n) of the CNOTs, whatever the weights are
 
 
 class Measurement(NamedTuple):
