@@ -18,7 +18,7 @@ def test_siren_starts_as_published():
     torch.testing.assert_close(head(x), head.layers[2](hidden))
 
 
-def test_a_surrogate_has_the_frequencies_of_its_circuit_and_no_others():
+def test_surrogate_has_the_frequencies_of_its_circuit_and_no_others():
     head = HEADS.build("surrogate", 2, 1, qubits=2, spectral=3, features=200, input_scale=1.0).double().eval()
     with torch.no_grad():
         head.linear.weight.copy_(torch.eye(2))
@@ -32,7 +32,7 @@ def test_a_surrogate_has_the_frequencies_of_its_circuit_and_no_others():
     assert float(head(torch.zeros(1, 2, dtype=torch.float64)).detach().abs()) < 1e-5
 
 
-def test_a_bypass_is_all_there_is_at_the_start():
+def test_bypass_is_all_there_is_at_the_start():
     head = HEADS.build("qiren_bypass", 5, 2, qubits=3, spectral=1, center=True)
     x = torch.randn(9, 5)
     torch.testing.assert_close(head(x), head.bypass(x))
@@ -40,7 +40,7 @@ def test_a_bypass_is_all_there_is_at_the_start():
     assert float(head.readout.weight.grad.abs().max()) > 0
 
 
-def test_a_branch_that_starts_at_0_gives_0_for_the_mean_input_whatever_its_weights_become():
+def test_bypass_alone_answers_the_mean_input_whatever_the_weights_become():
     head = HEADS.build("qiren_bypass", 5, 2, qubits=3, spectral=1)
     torch.nn.init.normal_(head.readout.weight)
     for layer in head.hybrid:  # angles of 0 for every input
@@ -49,7 +49,7 @@ def test_a_branch_that_starts_at_0_gives_0_for_the_mean_input_whatever_its_weigh
     torch.testing.assert_close(head(x), head.bypass(x), atol=1e-5, rtol=1e-5)
 
 
-def test_a_wire_for_each_feature_and_pairs_of_observables():
+def test_wire_per_feature_and_pairs_of_observables():
     head = HEADS.build("qiren_bypass", 4, 2, spectral=1, wire_per_feature=True, pairs=True, from_zero=False).double()
     layer = head.hybrid[0].circuit
     assert (layer.wires, layer.outputs) == (4, 10)

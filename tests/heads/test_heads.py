@@ -7,7 +7,7 @@ from qnerf.heads import HEADS
 from qnerf.quantum.circuit import ANSATZE
 
 
-def test_every_head_maps_features_to_values_and_learns():
+def test_heads_map_features_to_values_and_learn():
     for name in HEADS.names():
         for dtype in (torch.float32, torch.float64):
             torch.manual_seed(0)

@@ -57,7 +57,7 @@ def head(**options: object) -> nn.Module:
     return HEADS.build("qiren", 5, 3, **({"layers": 1, "spectral": SPECTRAL, "qubits": WIRES} | options)).eval()
 
 
-def test_a_published_head_gives_its_values(published):
+def test_published_head_gives_its_values(published):
     ours, x = head(), torch.randn(7, 5)
     assert not torch.allclose(ours(x), published(x), atol=1e-2)
     state = {f"_model.field.mlp_head.{name}": tensor for name, tensor in published.state_dict().items()}

@@ -280,7 +280,9 @@ def test_units_of_circuits_are_their_measured_values(quantum_run):
 
 def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
     assert set(probe_command.PROBES) == set(PROBES)
-    path = shutil.copytree(quantum_run, tmp_path / "copy", ignore=lambda *_: ["rays.parquet", "spectrum.parquet"])
+    path = shutil.copytree(
+        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["rays.parquet", "spectrum.parquet"]
+    )
     assert command(monkeypatch, str(path), "rays", "spectrum") == 0
     assert capsys.readouterr().out.split() == [str(path / "rays.parquet"), str(path / "spectrum.parquet")]
     assert not (path / "eval_hardware.parquet").exists()

@@ -247,7 +247,7 @@ def test_batches_of_any_shape_and_number_of_weights() -> None:
         Circuit("fixed", 1, operations=(Gate("RX", (0,), (0.3,)),), observables=(((0, "Z"),),), features=0)
     )
     assert torch.allclose(fixed(torch.zeros(4, 0)), torch.tensor(0.3).cos().expand(4, 1))
-    with pytest.raises(ValueError, match="mixed is no data re-uploading circuit; choose method=auto"):
+    with pytest.raises(ValueError, match="mixed does not re-upload data; choose method=auto"):
         QuantumLayer(MIXED, method="lightcone")
 
 

@@ -35,7 +35,7 @@ def test_examples_of_the_pages_on_hardware_and_diagnostics_run() -> None:
     assert run_examples("diagnostics.md")[1]["matrix"].shape == (72, 72)
 
 
-def test_any_batch_shape() -> None:
+def test_batches_of_any_shape() -> None:
     torch.manual_seed(0)
     for spectral in (1, 2):
         layer = QuantumLayer(3, spectral)
@@ -149,7 +149,7 @@ def test_wrong_arguments_and_inputs_say_what_is_wrong() -> None:
             layer(x)
 
 
-def test_a_layer_of_a_description_is_the_layer_of_its_name() -> None:
+def test_layer_of_a_description_is_the_layer_of_its_name() -> None:
     circuit = ANSATZE.build("qiren", 3, 2, entangler="CNOT")
     layer, named = QuantumLayer(circuit), QuantumLayer(3, 2, ansatz_options={"entangler": "CNOT"})
     named.load_state_dict(layer.state_dict())
@@ -159,7 +159,7 @@ def test_a_layer_of_a_description_is_the_layer_of_its_name() -> None:
         QuantumLayer(circuit, 2)
 
 
-def test_memory_that_a_circuit_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_for_a_circuit_is_checked_before(monkeypatch: pytest.MonkeyPatch) -> None:
     layer = QuantumLayer(16, 2)
     monkeypatch.setattr(memory, "available_bytes", lambda: 2**28)
     with pytest.raises(ValueError, match=r"a circuit of 20 wires would take .* GiB of memory; 256 MiB are available"):

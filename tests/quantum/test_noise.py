@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from qnerf.quantum import QuantumLayer, carried_errors, density, folded_errors, from_qnode, pauli_errors
+from qnerf.quantum import QuantumLayer, carried_errors, density, folded_errors, pauli_errors
 from qnerf.quantum.circuit import (
     ANSATZE,
     Circuit,
@@ -100,7 +100,7 @@ def test_folded_errors_are_carried_errors() -> None:
     assert not folded_errors.folds(TWICE)
 
 
-def test_all_patterns_together_are_the_density_matrix() -> None:
+def test_patterns_taken_together_are_the_density_matrix() -> None:
     x, weights = data(FEW)
     letters = np.array(list(product(range(4), repeat=5)))  # of the five spots: none, X, Y, Z
     rates = {size: MIXTURE.pauli_probabilities(size) for size in (1, 2)}
@@ -304,17 +304,3 @@ def test_wide_circuits_are_sampled_in_registers() -> None:
     with conditions(layer, noise=noise, patterns=2000) as measuring:
         off = layer.evaluate(x, weights) - expected
     assert off.abs().max() < 4 * measuring.standard_error < 0.05
-
-
-def test_qnodes_take_noise() -> None:
-    @qml.qnode(qml.device("default.qubit", wires=2))
-    def qnode(inputs: Tensor, weights: Tensor) -> list[object]:
-        qml.AngleEmbedding(inputs, wires=range(2))
-        qml.BasicEntanglerLayers(weights, wires=range(2))
-        return [qml.expval(qml.Z(0)), qml.expval(qml.Z(0) @ qml.Z(1))]
-
-    layer = from_qnode(qnode, {"weights": (2, 2)})
-    noisy = QuantumLayer(layer.circuit(2), noise=0.01, patterns=200, seed=0)
-    noisy.load_state_dict(layer.state_dict())
-    x = torch.rand(5, 2)
-    assert 1e-4 < (noisy(x) - layer(x)).abs().max() < 0.3

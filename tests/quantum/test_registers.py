@@ -13,12 +13,9 @@ from qnerf.quantum.circuit import (
     ANSATZE,
     Amplitudes,
     Circuit,
-    Encoding,
-    Entangler,
     Gate,
     Hamiltonian,
     Probabilities,
-    Rotations,
     Weights,
     feature,
     ring,
@@ -129,22 +126,6 @@ def test_amplitudes_and_unused_wires_stay_whole() -> None:
     squares = torch.stack([x[:, 0], *(torch.full_like(x[:, 0], v) for v in (1.0, 0.3)), x[:, 1]]).square()
     expected = (squares[0] - squares[1] + squares[2] - squares[3]) / squares.sum(0)
     torch.testing.assert_close(found, torch.stack([expected, *(torch.ones(3, dtype=torch.float64),) * 2], 1))
-
-
-def test_circuit_of_several_encodings_and_cnots_runs_as_registers() -> None:
-    """Blocks of four wires that know nothing of each other."""
-    pairs = tuple((first + k, first + k + 1) for first in range(0, 24, 4) for k in range(3))
-    operations = [Rotations(0), Entangler("CNOT", pairs), Encoding("Y", tuple(1.0 + wire for wire in range(24)))]
-    operations += [Rotations(1), Encoding("Z", (1.0,) * 24), Entangler("CZ", pairs), Rotations(2)]
-    circuit = Circuit("blocks", 24, 2, 1, tuple(operations), tuple(((wire, "Y"),) for wire in range(24)))
-    assert {part.circuit.wires for part in block_registers(circuit)} == {4}
-    x, weights = inputs(circuit)
-    simulator = Simulator(circuit, "statevector")
-    part = block_registers(circuit)[0]
-    own = Simulator(part.circuit, backend="torch")
-    expected = results(lambda x, w: own(x[:, list(part.features)], w[..., list(part.weights)]), x, weights)
-    found = results(lambda x, w: simulator(x, w)[:, list(part.values)], x, weights)
-    assert_same(found, expected)
 
 
 def test_wires_that_do_not_fit_say_so() -> None:

@@ -95,7 +95,7 @@ class System(nn.Module):
     def forward(self, parts: list[Tensor], features: Tensor, weights: Tensor) -> Tensor:
         """The measured values times weights (out, values): (N, out).
 
-        parts: the features of each register, (N, ...). features: those of the encodings.
+        parts: the features of each register, (N, ...). features: the input of the encodings.
         """
         weights = weights @ self.measured  # (out, 2^n), on the probabilities of the basis states
         return self._folded(parts[0], weights) if self.folds else self._state(parts, features, weights)
@@ -167,7 +167,7 @@ class AmplitudeHead(Head):
             Registers of one qubit are a product state of angles, which no longer absorbs a unitary.
         encoding: of each register, see `AmplitudeRegister`; none: the wires start in |0...0>.
         amplitudes: real or complex.
-        hidden: ReLU units before the amplitudes; 0: none.
+        hidden: ReLU units before the amplitudes; 0 for no such layer.
         bias: standard deviation of b at the start. W starts by He's rule.
         branch: what each register sees. joint: all features. amplitude: the last one sees the direction alone, the
             others the rest (dual-branch). bloch: the same, and the last register's qubits point in the direction

@@ -44,7 +44,7 @@ def chosen(node: Mapping[str, Any]) -> type[Head]:
 
 
 def head_options(node: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of the head that `node` names, including those of the heads that it extends.
+    """The options of the head that `node` names, and the options of the heads that it extends.
 
     An option that the configuration lacks, as with `color.name=...` instead of `color=...`, has its default.
     """

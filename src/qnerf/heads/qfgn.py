@@ -39,7 +39,7 @@ class FourierGaussianLayer(nn.Module):
 class QFGNHead(QirenHead):
     """A QIREN head whose first hybrid layer is Fourier-Gaussian.
 
-    Args (besides those of `QirenHead`):
+    Args (besides the options of `QirenHead`):
         features: Fourier features, cosines and sines together; even.
         scale: standard deviation of the fixed frequencies, radians per input unit.
         gamma: shape of the Gaussian weighting.

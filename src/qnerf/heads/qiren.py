@@ -34,8 +34,8 @@ class Normalisation(nn.BatchNorm1d):
 
     Args:
         wires: columns.
-        statistics: the mean and variance to use. `batch`: those of each training step; evaluation uses their running
-            means. `first`: those of the first training batch, from then on and in evaluation too.
+        statistics: the mean and variance to use. `batch`: of each training step; evaluation uses their running means.
+            `first`: of the first training batch, from then on and in evaluation too.
     """
 
     momentum: float

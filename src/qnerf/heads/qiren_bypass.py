@@ -16,7 +16,7 @@ from qnerf.quantum.circuit import MAX_STATE_WIRES, Circuit, PauliWord
 class QirenBypassHead(QirenHead):
     """out = B x + QIREN(x): a linear map of the features beside the circuits.
 
-    Args (besides those of `QirenHead`):
+    Args (besides the options of `QirenHead`):
         bypass: add B x.
         from_zero: the circuits' last linear map starts at 0, so that training begins with B x alone.
         wire_per_feature: as many wires as features, up to 20, instead of `qubits`.

@@ -18,7 +18,7 @@ class Unitaries(nn.Module):
         kind: where the matrices come from.
             `circuit`: layers of a rotation on every wire and a ring of entanglers, with trained angles;
             `local`: the same without entanglers;
-            `identity`: none at all;
+            `identity`: the identity;
             `dense`: any rotation, trained as exp(A - A^T), or any unitary, as exp(A - A^T + i (A + A^T));
             `random`: one drawn by Haar's measure at the start and kept.
         rotations: RY, which is real, or Rot, which is complex.

@@ -44,7 +44,7 @@ def table(trained: Trained) -> pd.DataFrame:
     shots an evaluation and `RATE` shots a second. Sending circuits to the device is not counted.
 
     Raises:
-        ValueError: the run has no circuit, or one that is no list of gates.
+        ValueError: the run has no circuit, or one that is not a list of gates.
     """
     layers = {(name, place): module for name, head in trained.heads.items() for place, module in _modules(head).items()}
     if not layers:

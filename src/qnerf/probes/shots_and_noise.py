@@ -120,7 +120,7 @@ def evaluate_hardware(
         ValueError: the run has no circuit, or the table is damaged.
     """
     folder, scene, model = trained.folder, trained.scene, trained.model
-    trained.circuits()  # ValueError if there is none
+    trained.circuits()  # ValueError without circuits
     evaluator = Evaluator(
         scene,
         trained.ray_table(),

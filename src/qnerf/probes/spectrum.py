@@ -57,7 +57,7 @@ def angles(layer: torch.nn.Module, wires: int) -> pd.DataFrame:
     """Columns wire, angle_mean, angle_std (radians): a hybrid layer's angles over the training samples.
 
     The normalisation gives mean 0 and variance 1 before its own shift and scale, so these and the layer's input_scale
-    are enough. NaN if the statistics are those of the first batch.
+    are enough. NaN if the statistics stay as in the first batch.
     """
     if not isinstance(layer, HybridLayer) or layer.norm.statistics != "batch":
         return pd.DataFrame({"wire": range(wires), "angle_mean": np.nan, "angle_std": np.nan})

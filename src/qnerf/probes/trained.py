@@ -73,7 +73,7 @@ class Trained:
         return Stopwatch(self.settings.torch_device, model, QuantumLayer)
 
     def circuits(self) -> dict[str, dict[str, QuantumLayer]]:
-        """Head -> its circuits by their place in it, of the heads that have any. ValueError if none has."""
+        """Head -> its circuits by their place in it, for heads with circuits. ValueError if no head has one."""
         circuits = {name: found for name, head in self.heads.items() if (found := circuits_of(head))}
         if not circuits:
             raise ValueError(f"{self.folder}: neither of its heads has a re-uploading circuit")

@@ -1,4 +1,4 @@
-"""Circuits of qubits, evaluated exactly and in batches: `QuantumLayer`, and `from_qnode` for those of PennyLane.
+"""Circuits of qubits, evaluated exactly and in batches: `QuantumLayer`, and `from_qnode` for circuits of PennyLane.
 
 The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
 `description`, and `circuit`, which has circuits by name.

@@ -24,7 +24,7 @@ class AnyCircuit:
     def __init__(self, circuit: Circuit, method: str = "auto") -> None:
         self.circuit = circuit
         if method == "lightcone":
-            find_cones(circuit)  # says that it has none
+            find_cones(circuit)  # its error says that only re-uploading circuits have cones
 
     @cached_property
     def _engine(self) -> PauliEngine:

@@ -126,7 +126,7 @@ def _signs(steps: tuple[NoisyGate, ...]) -> int:
 
 @lru_cache(maxsize=64)
 def signed(circuit: Circuit, as_features: bool) -> Circuit:
-    """The circuit with a factor for the angle of each rotation that is no Clifford operation.
+    """The circuit with a factor for the angle of each rotation that is not a Clifford operation.
 
     The factors are its last features or its last weights; the weights of the circuit before them are flat.
     """

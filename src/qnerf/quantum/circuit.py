@@ -52,7 +52,7 @@ __all__ = [
 
 
 def ring(wires: int, distance: int) -> tuple[tuple[int, int], ...]:
-    """Pairs (i, (i + distance) mod n) for every wire i; none for a single wire.
+    """Pairs (i, (i + distance) mod n) for every wire i; no pair for a single wire.
 
     >>> ring(4, 1)
     ((0, 1), (1, 2), (2, 3), (3, 0))
@@ -182,7 +182,7 @@ def ry(wires: int, spectral: int) -> Circuit:
 
 @ANSATZE.register("pauli_x")
 def pauli_x(wires: int, spectral: int) -> Circuit:
-    """QIREN measured in X instead of Z. The last ring then has an effect; before a Z measurement it has none.
+    """QIREN measured in X instead of Z. The last ring then has an effect; a Z measurement would not see it.
 
     0: ──Rot─╭●────╭Z──Rot─╭●─╭Z──RZ──Rot──────╭●────╭Z──Rot─╭●─╭Z────┤  <X>
     1: ──Rot─╰Z─╭●─│───Rot─│──╰●─╭Z───RZ───Rot─╰Z─╭●─│───Rot─│──╰●─╭Z─┤  <X>

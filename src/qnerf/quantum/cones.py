@@ -56,10 +56,10 @@ def find_cones(circuit: Circuit) -> Cones:
 
     Raises:
         TooLarge: an output has more than `MAX_COEFFICIENTS` coefficients, the encoding scales of a wire are not
-            multiples of one frequency, or the circuit is no data re-uploading circuit.
+            multiples of one frequency, or the circuit does not re-upload data.
     """
     if not circuit.reuploading:
-        raise TooLarge(f"lightcone: ansatz {circuit.name} is no data re-uploading circuit; choose method=auto")
+        raise TooLarge(f"lightcone: ansatz {circuit.name} does not re-upload data; choose method=auto")
     met = [_encodings_met(circuit, word) for word in circuit.words]
     base = tuple(_base_frequency(circuit, wire) for wire in range(circuit.wires))
     cones = []

@@ -226,7 +226,7 @@ def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype,
         if method == "lightcone" or (
             method == "auto" and cone * batch * itemsize + once * 8 < state * batch * itemsize
         ):
-            others = {"statevector": f"{state:,} operations a sample, none once a step"}
+            others = {"statevector": f"{state:,} operations a sample, 0 once a step"}
             matrices = sum(interpolation(form.circuit).matrix.size for form in forms)
             degree = polynomial_form(circuit).highest_degree
             memory = 8 * matrices + itemsize * batch * 2 * (2 * degree + 1) * circuit.wires

@@ -273,7 +273,7 @@ class Circuit:
 
     @property
     def parameters(self) -> dict[str, tuple[int, ...]]:
-        """Name -> shape of all trainable weights, those of `Rotations` first."""
+        """Name -> shape of all trainable weights; the weights of `Rotations` come first."""
         stacked = dict(zip(("weights1", "weights2"), self.weight_shapes, strict=True)) if self.sublayers else {}
         return stacked | {weights.name: weights.shape for weights in self.weights}
 

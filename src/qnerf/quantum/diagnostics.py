@@ -64,7 +64,7 @@ def uniform_angles(count: int, *shape: int) -> Tensor:
 
 
 def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
-    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are those of all samples (P,), or (B, P).
+    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are (P,), shared by all samples, or (B, P).
 
     Those of re-uploading circuits are turned by the same rotation of every wire, which changes neither fidelities nor
     entanglement.
@@ -264,7 +264,7 @@ def _encodings(layer: QuantumLayer) -> Tensor:
     """(encodings, features): the factor of each feature in the angle of each rotation that takes in some.
 
     Raises:
-        ValueError: an angle or an amplitude is no linear function of the features, so the spectrum is not known.
+        ValueError: an angle or an amplitude is not linear in the features, so the spectrum is not known.
     """
     circuit, values = layer.circuit, weights_of(layer).tolist()
     first = offsets(circuit.parameters)

@@ -23,7 +23,7 @@ class Expression:
     """A sum of `terms`; as an angle it is in radians. Sums, differences, products and integer powers are expressions.
 
     Raises:
-        ValueError: a coefficient that is not finite, or a quotient or power that is no polynomial.
+        ValueError: a coefficient that is not finite, or a quotient or power that is not a polynomial.
     """
 
     terms: tuple[Term, ...] = ()

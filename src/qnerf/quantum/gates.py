@@ -114,7 +114,7 @@ GATES: dict[str, GateKind] = {
     "MultiRZ": GateKind(0, 1, ()),
     "PauliRot": GateKind(0, 1, ()),
 }  # fmt: skip
-"""The gates by PennyLane's short names. MultiRZ and PauliRot take any number of wires, so their rows hold none."""
+"""The gates by PennyLane's short names. MultiRZ and PauliRot take any number of wires, so `wires` is 0."""
 
 SHORT_NAMES = {"Hadamard": "H", "PauliX": "X", "PauliY": "Y", "PauliZ": "Z"}
 """PennyLane's longer names."""
@@ -127,7 +127,7 @@ def as_wires(what: str, wires: Any) -> tuple[int, ...]:
     ((2,), (0, 1))
 
     Raises:
-        ValueError: a wire that is no integer.
+        ValueError: a wire that is not an integer.
     """
     if type(wires) is tuple and all(type(wire) is int for wire in wires):
         return wires

@@ -63,8 +63,8 @@ class QuantumLayer(nn.Module):
         device, device_options, diff_method: of method=pennylane, see `qnerf.quantum.pennylane.make_node`. The device
             then draws the shots, and `noise` becomes its channels.
 
-    Parameters: those that the circuit names (`Circuit.parameters`). Of re-uploading circuits these are `weights1`
-    (S, L, n, 3) and `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in published QIREN checkpoints. L
+    Parameters: the circuit names them (`Circuit.parameters`). Re-uploading circuits have `weights1` (S, L, n, 3) and
+    `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in published QIREN checkpoints. L
     is the number of sublayers of the ansatz, 2 by default. `init` is about these two.
 
     Precision is float32 or float64; an input of another precision is converted. For angles up to 1e36 rad, float32
@@ -186,7 +186,7 @@ class QuantumLayer(nn.Module):
         return out if x.ndim == 2 else out.reshape(*x.shape[:-1], out.shape[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
-        """Outputs (B, outputs) for inputs (B, features) in radians and flat weights, those of all parameters."""
+        """Outputs (B, outputs) for inputs (B, features) in radians and the flat weights of all parameters."""
         conditions = self.conditions
         if conditions is None:
             return self._exact(x, weights)

@@ -29,7 +29,7 @@ class Conditions:
 
     Args:
         shots: measurements of each circuit; None for exact expectation values.
-        noise: errors of the gates and of the readout; None for none.
+        noise: errors of the gates and of the readout; None: no errors.
         joint: True reads all wires in every shot, as a device does. False draws each output from its own binomial,
             which is faster. Every single output has the same distribution either way; only the correlations between
             the outputs of one sample differ. Noisy shots are always drawn independently. Circuits that are no data

@@ -43,7 +43,7 @@ class Noise:
     [('DepolarizingChannel', 0.01)]
 
     Raises:
-        ValueError: a value that is no probability or no time, t2 > 2 t1, or times of relaxation without times of gates.
+        ValueError: a probability outside [0, 1], a negative time, t2 > 2 t1, or relaxation without times of gates.
     """
 
     depolarizing: float = 0.0
@@ -136,7 +136,7 @@ class Noise:
     def pauli_probabilities(self, wires: int) -> tuple[float, float, float]:
         """Probabilities of X, Y and Z on a wire of a gate, all its channels together.
 
-        Amplitude damping is no mixture of Pauli errors. Its Pauli twirl takes its place: the channel averaged over
+        Amplitude damping is not a mixture of Pauli errors. Its Pauli twirl takes its place: the channel averaged over
         conjugation with all Paulis, which keeps the diagonal of its transfer matrix (arXiv:1305.2021).
         """
         factors = [_pauli_factors(name, probability) for name, probability in self.after(wires)]

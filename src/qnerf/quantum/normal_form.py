@@ -93,7 +93,7 @@ class NormalForm:
         """Whether the last RY layer can be part of the measurement.
 
         <Z> after RY(a) is cos(a) <Z> - sin(a) <X> before it. This needs outputs of one wire each, and a last layer
-        that comes after the first encoding and holds none itself.
+        that comes after the first encoding and holds no encoding itself.
         """
         last = self.steps[-1] if self.steps else None
         return (
@@ -109,7 +109,7 @@ def normal_form(circuit: Circuit) -> NormalForm:
     """The normal form of `circuit`.
 
     Raises:
-        ValueError: it is no data re-uploading circuit; its form is `pauli_form`.
+        ValueError: the circuit does not re-upload data; `pauli_form` takes any circuit.
     """
     if not circuit.reuploading:
         raise ValueError(f"ansatz {circuit.name}: not a data re-uploading circuit (Rotations, Entangler, Encoding)")

@@ -3,7 +3,7 @@
 Every gate is a product of such rotations (`gates`). Rotations by multiples of pi/2 are Clifford operations. They turn
 Pauli words into Pauli words, so they are carried to the end of the circuit and into the measurement: CNOT, H, SWAP and
 the others cost nothing. Two rotations about the same word merge if all between them commute with it. A rotation about a
-word of Z's on |0...0> has no effect, nor has one that commutes with all that follows.
+word of Z's on |0...0> has no effect. A rotation that commutes with all that follows has no effect either.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> form = pauli_form(ANSATZE.build("cnot", 2, 1))
@@ -103,7 +103,7 @@ class _Frame:
 
 
 def clifford_frame(gate: Gate) -> _Frame | None:
-    """The frame of a gate on its own wires; None if it is no Clifford operation."""
+    """The frame of a gate on its own wires; None if it is not a Clifford operation."""
     angles = tuple(Expression.of(angle).constant for angle in gate.angles)
     if any(angle is None for angle in angles):
         return None
@@ -216,7 +216,7 @@ def pauli_form(circuit: Circuit) -> PauliForm:
 
 
 def as_gates(operation: Operation, circuit: Circuit) -> list[Gate]:
-    """The gates of an operation; none for `Amplitudes`, which is no gate."""
+    """The gates of an operation; an empty list for `Amplitudes`."""
     wires = range(circuit.wires)
     if isinstance(operation, Gate):
         return [operation]

@@ -59,7 +59,7 @@ class Readout:
         self.observables = self.observables or ((),)
 
     def __call__(self, values: Tensor) -> Tensor:
-        """The values (B, values) that are read, from those of `observables`."""
+        """The values (B, values) that are read, from the exact values of `observables`."""
         matrix, count = self.matrix.to(values), self.matrix.shape[1]
         words = values[:, :count] * matrix.diagonal() if self.is_diagonal else values[:, :count] @ matrix.T
         words = words + self.constants.to(values)

@@ -88,5 +88,5 @@ class Simulator:
 
 @lru_cache(maxsize=64)
 def simulator_of(circuit: Circuit) -> Simulator:
-    """The simulator of a circuit that comes again and again, as those of noise do."""
+    """The simulator of a circuit, kept: noise evaluates the same circuits again and again."""
     return Simulator(circuit)

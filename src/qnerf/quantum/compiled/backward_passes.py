@@ -21,7 +21,7 @@ def _ry_gradient_group(
     """Adds the gradients of a few neighbouring wires to the vectors at `out`."""
     keep_apart()
     real, imaginary = zeros, zeros
-    # The loops are those of `forward_passes.ry_layer`. For each wire one sum of adjoint_1 state_0 and one of adjoint_0
+    # The loops are as in `forward_passes.ry_layer`. For each wire one sum of adjoint_1 state_0 and one of adjoint_0
     # state_1 stay in registers; their difference is the gradient.
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
@@ -159,7 +159,7 @@ def _z_sums_of_weights(x: Any, weight: int, wires: int, width: int, out: int) ->
 def _add_x_group(x: Any, state: int, adjoint: int, outer: int, distance: int, width: int, weights: Any) -> None:
     """adjoint += sum_j weight_j X_j state for a few neighbouring wires."""
     keep_apart()
-    # The loops are those of `forward_passes.ry_layer`.
+    # The loops are as in `forward_passes.ry_layer`.
     span = distance << len(weights)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):

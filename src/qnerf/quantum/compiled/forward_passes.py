@@ -58,8 +58,8 @@ def ry_layer_per_sample(x: Any, source: int, target: int, n: int, width: int, ha
     keep_apart()
     size = width << n
     sign = splat(x.dtype.type(1 if forward else -1))
-    # One wire at a time: with an angle for each sample, cosine and sine are vectors, and those of four wires would
-    # leave no registers for the amplitudes.
+    # One wire at a time: with an angle for each sample, cosine and sine are vectors. The vectors of four wires
+    # would leave no registers for the amplitudes.
     for part in range(2):
         read, write = source + part * size, target + part * size
         for j in range(n):

@@ -90,7 +90,7 @@ def rotate_back(
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
     # The gradient is the same before and after the rotation, which commutes with P. So one pass reads both states, adds
-    # to the gradient and turns both states back. The loops are those of `rotate`; re + i im is the state, u + i v the
+    # to the gradient and turns both states back. The loops are as in `rotate`; re + i im is the state, u + i v the
     # adjoint.
     total = splat(x.dtype.type(0))
     if wx == 0:
@@ -144,7 +144,7 @@ def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, ou
     keep_apart()
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
-    # The loops are those of `rotate`.
+    # The loops are as in `rotate`.
     total = splat(x.dtype.type(0))
     if wx == 0:
         for b in range(1 << n):
@@ -171,7 +171,7 @@ def add_word(x: Any, state: int, adjoint: int, n: int, width: int, word: Any, we
     keep_apart()
     wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
     size = width << n
-    # The loops are those of `rotate`.
+    # The loops are as in `rotate`.
     if wx == 0:
         for b in range(1 << n):
             w = load(x, weights + (_parity(b & wz) ^ flip) * width)

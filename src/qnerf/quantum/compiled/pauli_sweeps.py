@@ -199,7 +199,7 @@ def backward(
     first: int, last: int, parts: int, n: int, width: int, form: PauliArrays, step: StepArrays, gradient: Any,
     moving_out: Any, sums_out: Any, adjoint_out: Any, starts_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients from those of the values, `gradient` (blocks, words and outcomes, width).
+    """Gradients, given the gradients of the values: `gradient` (blocks, words and outcomes, width).
 
     moving_out (blocks, moving rotations, width): of the angles that move with the input
     sums_out (parts, fixed rotations): of the others, summed over each part

@@ -28,7 +28,7 @@ def _basis(x: Any, at: int, n: int, width: int, highest: int, trig: Any) -> None
     keep_apart()
     row = (2 * highest + 1) * width
     zero, one = splat(x.dtype.type(0)), splat(x.dtype.type(1))
-    # cos and sin of (k + 1) a follow from those of k a and a: a product of complex numbers instead of a cosine.
+    # cos and sin of (k + 1) a follow from k a and from a: a product of complex numbers instead of a cosine.
     for j in range(n):
         value, slope = at + j * row, at + (n + j) * row
         for i in range(width):
@@ -103,9 +103,9 @@ def _contract_backward(
     """The reverse of `_contract`: adds to `sums` of the coefficients and to `inputs`, one vector each."""
     keep_apart()
     _, coefficients, wires, basis_sizes, count = _of(polynomials, output)
-    # Stage by stage, the last one first. `adjoints` are the gradients of the numbers of a stage; those of the stage
-    # before are its products with the basis, and the change of the basis gives the gradient of the wire's angle. Two
-    # arrays of adjoints take turns.
+    # Stage by stage, the last one first. `adjoints` are the gradients of the numbers of a stage. Times the
+    # basis they are the gradients of the stage before; times the derivatives of the basis they give the gradient of
+    # the wire's angle. Two arrays of adjoints take turns.
     store(x, adjoints, load(x, g))
     total, here = 1, end
     for w in range(count):
@@ -162,7 +162,7 @@ def gradients(
     first: int, last: int, parts: int, trig: Any, width: int, polynomials: Polynomials, gradient: Any, inputs_out: Any,
     sums_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients from those of the outputs, `gradient` (blocks, outputs, width).
+    """Gradients, given the gradients of the outputs: `gradient` (blocks, outputs, width).
 
     inputs_out (blocks, n, width): of the inputs, in units of the base frequency
     sums_out (parts, outputs, most coefficients): of the coefficients, summed over each part

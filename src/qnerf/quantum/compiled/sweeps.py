@@ -91,7 +91,7 @@ def _forward(
 ) -> int:
     """Runs the operations and returns where the final state lies.
 
-    With `store_states` the state before each operation that is no diagonal stays in the work array.
+    With `store_states` the state before each operation but diagonals stays in the work array.
     """
     keep_apart()
     tangents, diagonals, flip_masks, angle_signs, permutations = tables
@@ -161,7 +161,7 @@ def _backward(
         else:
             mask = flip_masks[step] if step >= 0 else 0
             backward_passes.start_backward(x, here, adjoint, n, width, p, mask, scratch, d, at.first_adjoint)
-        # The gradients go into the sums of the step, and into those of the input where the angles hold it.
+        # The gradients are added to the sums of the step, and to the gradient of the input where the angles hold it.
         if step >= 0 and code != PERMUTATION:
             for j in range(n):
                 value = load(x, d + j * width)
@@ -294,7 +294,7 @@ def backward(
     measurement: Measurement, expectations: Any, states: int, input_scales: Any, gradient: Any, inputs_out: Any,
     sums_out: Any, adjoint_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients from those of the outputs, `gradient` (blocks, outputs, width); the others as in `forward`.
+    """Gradients, given the gradients of the outputs: `gradient` (blocks, outputs, width). The rest is as in `forward`.
 
     inputs_out (blocks, n, width): of the inputs
     sums_out (parts, steps, n): of the angles, summed over each part

@@ -91,7 +91,7 @@ class CircuitArrays:
 
     @cached_property
     def stored_states(self) -> int:
-        """States that the backward pass stores: the first one, and one before every operation that is no diagonal."""
+        """States that the backward pass stores: the first one, and one before every operation but diagonals."""
         return 1 + int((self.per_sample[:, 0] != DIAGONAL).sum())
 
 
@@ -207,7 +207,7 @@ def _bit_mask(x: Any) -> int:
 
 @inner
 def _bind_diagonal(step: int, angle: Any, x: Any, mask: int, signs: Any, tables: Tables) -> None:
-    """The phases of all basis states, wire by wire: those of j wires become those of j + 1 wires in the same place."""
+    """The phases of all basis states, wire by wire: each phase of j wires becomes two phases of j + 1 wires."""
     table = tables.diagonals[step]
     table[0, 0], table[1, 0] = 1.0, 0.0
     for j in range(len(angle)):
@@ -314,7 +314,7 @@ def bind_weights(steps: Steps, weights: Any, measurement: Measurement, tables: T
 
 @jit
 def add_weight_gradients(steps: Steps, angle_signs: Any, sums: Any, gradient: Any) -> None:
-    """Adds the gradients of the angles, `sums` (steps, n), to those of the weights, `gradient` (rows, n, 3)."""
+    """Adds the gradients of the angles, `sums` (steps, n), to `gradient` (rows, n, 3) of the weights."""
     for step in range(len(angle_signs)):
         for e in range(steps.weight_ranges[step], steps.weight_ranges[step + 1]):
             for j in range(sums.shape[1]):
