@@ -20,7 +20,7 @@ from tests.helpers.templates import TEMPLATES, Template
 
 ON_DEFAULT_QUBIT = {"TrotterProduct", "QSVT"}
 FAIL_IN_PENNYLANE = {"SelectPauliRot", "HilbertSchmidt"}  # with tensors of PyTorch: zeros, and an AttributeError
-NO_CIRCUIT = {"AmplitudeEmbedding", "QuantumPhaseEstimation"} | ON_DEFAULT_QUBIT
+NO_CIRCUIT = {"AmplitudeEmbedding", "QuantumPhaseEstimation", "Select"} | ON_DEFAULT_QUBIT
 """Templates whose decompositions take numbers only."""
 
 

@@ -53,12 +53,12 @@ FUNCTIONS: list[Callable[[Tensor], Tensor]] = [
 @st.composite
 def scripts(draw: st.DrawFn) -> tuple[int, Script]:
     """Wires, and a function of numbers (20,) and of samples (..., 20) that queues gates and returns measurements."""
-    n = draw(st.integers(1, 10 if LONG else 5))
+    n = draw(st.integers(1, 6))
     wires = st.permutations(range(n))
     gates: list[Callable[[Tensor, Tensor], Any]] = []
     if draw(st.booleans()):
         gates.append(draw(amplitudes(draw(wires))))
-    for _ in range(draw(st.integers(1, 30 if LONG else 15))):
+    for _ in range(draw(st.integers(1, 15))):
         names = [name for name in (*GATES, *OTHERS) if WIDTHS.get(name, 3 if name in OTHERS else width(name)) <= n]
         gates.append(draw(gate(draw(st.sampled_from(names)), draw(wires))))
     measurements: list[Callable[[Tensor], Any]] = []

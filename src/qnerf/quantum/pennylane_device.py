@@ -39,7 +39,7 @@ class _Executing(Device):
         fast = [_execution(tape, self.wires, config) for tape in circuits]
         others = [tape for tape, own in zip(circuits, fast, strict=True) if own is None]
         for tape in others:
-            needed = 16 * 2 ** len(self.wires or tape.wires) * (tape.batch_size or 1)
+            needed = 16 * 2 ** len(tape.wires) * (tape.batch_size or 1)
             if needed > memory.LARGE:
                 memory.require("qnerf.fast: a state as of default.qubit", needed)
         rest = iter(simulate(self, others, config) if others else ())

@@ -261,21 +261,11 @@ def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Itera
         if isinstance(operation, qml.Snapshot) or not isinstance(operation, qml.operation.Operator):
             raise ValueError(f"{operation.name} is no gate")
         try:
-            parts = _controlled_rotation(operation) or operation.decomposition()
+            parts = operation.decomposition()
         except Exception as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise ValueError(f"{operation.name} does not decompose into gates of qnerf: {reason}") from error
         yield from decomposed(parts, used)
-
-
-def _controlled_rotation(operation: Any) -> list[Any]:
-    """A rotation with one control, which PennyLane's own decomposition takes only with numbers as angles."""
-    if not isinstance(operation, qml.ops.Controlled) or len(operation.control_wires) != 1:
-        return []
-    if operation.base.name not in {"RX", "RY", "RZ", "Rot", "PhaseShift"}:
-        return []
-    flips = [] if operation.control_values[0] else [qml.X(operation.control_wires)]
-    return [*flips, qml.ctrl(operation.base, operation.control_wires), *flips]
 
 
 def described(operations: Iterable[Any], places: dict[Any, int]) -> tuple[Operation, ...]:
