@@ -248,9 +248,9 @@ def test_masks_that_do_not_fit_are_one_line_and_leave_nothing(tmp_path: Path) ->
     good = np.zeros((120, 160), np.uint8)
     for names, image, message in (
         (None, good, "masks does not exist"),
-        ([], good, r"expected images \(jpg, .*\) named as the photographs in .*masks, got none"),
-        (["00.png", "7.png"], good, "7.png belongs to no photograph that was given; expected .* such as 00.png"),
-        (["00.png", "00.jpg"], good, "are both masks of 00.png; expected one"),
+        ([], good, r"masks has none; expected one image \(jpg, .*\) for each photograph, .* such as 00.png"),
+        (["00.png", "7.png"], good, "7.png belongs to no photograph, or is a second one; expected .* such as 00.png"),
+        (["00.png", "00.jpg"], good, "00.jpg belongs to no photograph, or is a second one"),
         (["01.png"], good[1:], "01.png has 160 x 119 pixels, expected those of 01.png held upright, 160 x 120"),
         (["00.png", "01.png", "02.png"], good, "0 of 3 photographs have 40 features .* black in a mask"),
     ):

@@ -67,16 +67,23 @@ def test_an_even_subset_evaluates_in_the_same_world(folder):
 def test_without_a_split_or_its_images_some_training_views_are_held_out(folder):
     for view in (5, 6, 7):  # poses without images, as of a benchmark
         (folder / "images" / f"{view:03d}.png").unlink()
+    scene = build(folder)
+    assert [scene.names[view] for view in scene.eval] == ["images/008.png", "images/009.png"]
+    assert "transforms_val.json is held out: transforms_test.json has no images" in scene.description()
+    for view in (8, 9):
+        (folder / "images" / f"{view:03d}.png").unlink()
     for skip in (False, True):
         scene = build(folder, skip_missing=skip)
         assert (scene.train, scene.eval) == ([0, 1, 2, 4], [3])
-        told = "transforms_test.json has no image, so one in ten views of transforms_train.json is held out"
+        told = "one in ten views of transforms_train.json is held out: no other split has images"
         assert told in scene.description()
     for split in ("test", "val"):
         (folder / f"transforms_{split}.json").unlink()
+    assert build(folder).fingerprint == scene.fingerprint
+    (folder / "transforms_train.json").rename(folder / "transforms_val.json")
     scene = build(folder)
     assert (scene.train, scene.eval) == ([0, 1, 2, 4], [3])
-    assert "transforms_test.json does not exist, so one in ten" in scene.description()
+    assert "one in ten views of transforms_val.json is held out" in scene.description()
 
 
 def test_bad_options_and_files(folder, tmp_path):
@@ -93,6 +100,8 @@ def test_bad_options_and_files(folder, tmp_path):
     change(folder, lambda t: t.update(frames=[t["frames"][0] | {"file_path": "other.png"}]), "transforms_test.json")
     refused(folder, "training and in the evaluation split")
     train.rename(folder / "transforms.json")
+    for split in ("test", "val"):
+        (folder / f"transforms_{split}.json").unlink()
     message = refused(folder, "no transforms_train.json", "it has transforms.json: use scene=nerfstudio")
     assert "scene=blender;" not in message
     scenes.build("nerfstudio", folder)

@@ -233,6 +233,9 @@ def test_a_text_model_without_lines_of_points_is_refused_with_what_to_do(posed: 
     refused("colmap", posed, "image '000.png' has camera 8, which cameras.txt lacks")
     (place / "images.txt").write_text(text.replace("\n2 ", "\n1 ", 1))
     refused("colmap", posed, "images.txt: number 1 comes twice")
+    for record in ("1 1 0 0 0 0 0 1 7", "1 1 0 0 0 7 a.png", "1 nan 0 0 0 0 0 1 7 a.png", "x 1 0 0 0 0 0 1 7 a.png"):
+        (place / "images.txt").write_text(f"{record}\n\n")
+        refused("colmap", posed, "damaged or cut short" if "nan" not in record else "no rotation")
 
 
 def test_names_with_spaces_and_files_left_over_from_another_model(posed: Path) -> None:
@@ -303,6 +306,11 @@ def test_llff_takes_its_lens_from_the_model_beside_it(posed: Path) -> None:
         assert told in scene.description()
     (place / "images.txt").write_text((place / "images.txt").read_text().replace("004.png", "4.png"))
     assert "lenses of sparse/0 not used: it lacks 'images/004.png'" in build("llff", posed).description()
+    (place / "images.txt").write_text("1 1 0 0 0\n\n")
+    (posed / "images" / "._000.png").touch()  # as some systems leave behind
+    told = build("llff", posed).description()
+    assert "lenses of sparse/0 not used: " in told
+    assert "damaged" in told
 
 
 def test_bad_llff_folders_are_one_line(posed: Path) -> None:

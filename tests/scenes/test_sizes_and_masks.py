@@ -140,6 +140,9 @@ def test_masks_are_found_where_other_tools_put_them(tmp_path: Path) -> None:
         place = shutil.copytree(folder, tmp_path / key)
         change(place, lambda t, key=key: [frame.update({key: frame.pop("mask_path")}) for frame in t["frames"]])
         assert torch.equal(build(place).mask, expected.mask)
+    place = shutil.copytree(folder, tmp_path / "whole")
+    change(place, lambda t: (t.update(mask_path="masks/0.png"), [frame.pop("mask_path") for frame in t["frames"]]))
+    assert torch.equal(build(place).mask, expected.mask)
     change(folder, lambda t: [frame.pop("mask_path") for frame in t["frames"]])
     folders = {"a.png": "{:03d}.png", "a.png.png": "{:03d}.png.png", "images": "images/{:03d}.png"}
     for number, name in enumerate(folders.values()):

@@ -74,6 +74,15 @@ def test_a_description_lists_what_was_not_read(tiny_scene):
     ]
 
 
+def test_comments_are_skipped_as_by_instant_ngp(tiny_scene):
+    fingerprint = build(tiny_scene).fingerprint
+    file = tiny_scene / "transforms.json"
+    file.write_text(
+        "// made by hand\n" + file.read_text().replace('"frames"', '/* all " of them */ "note": "//", "frames"')
+    )
+    assert build(tiny_scene).fingerprint == fingerprint
+
+
 def test_frames_are_sorted_by_file_name(tiny_scene):
     before = build(tiny_scene)
     change(tiny_scene, lambda t: t["frames"].reverse())
@@ -117,7 +126,11 @@ def test_a_focal_length_in_another_unit_is_refused_and_the_named_unit_works(copi
     for wrong, told, right in (
         ({"fl_x": 0.25, "fl_y": 0.25}, "looks like image widths, which would be 2 pixels", {"fl_x": 2, "fl_y": 2}),
         ({"fl_x": 162 * 8.0}, "pixels; if they are those of larger images, write the size", {"w": 1296, "h": 972}),
-        ({"camera_angle_x": 40.0}, "in radians, and the number looks like degrees", {"camera_angle_x": 0.698}),
+        (
+            {"camera_angle_x": 40.0},
+            "in radians, and the number looks like degrees, which would be 0.6981",
+            {"camera_angle_x": 0.6981},
+        ),
         ({"camera_angle_x": 0.01}, "0.573 degrees .* the angle across the whole image", {"camera_angle_x": 0.8}),
     ):
         folder = next(copies)
@@ -235,7 +248,12 @@ def test_missing_images_are_left_out_where_enough_are_left(tiny_scene):
     for name in (NAMES[0], NAMES[2]):
         (tiny_scene / name).rename(tiny_scene / name.replace("00", "renamed"))
     for skip in (False, True):
-        message = refused(tiny_scene, "4 of 6 images are missing", "at least 3 are needed", skip_missing=skip)
+        message = refused(
+            tiny_scene,
+            "4 of 6 images are missing",
+            "at least 3, to train on and to hold out, are needed",
+            skip_missing=skip,
+        )
         assert "skip_missing" not in message
         assert message.endswith("images has 2 other images, such as 'renamed0.png'")
     change_frame(tiny_scene, 0, file_path="images/renamed0.png")
@@ -247,7 +265,8 @@ def test_missing_images_are_left_out_where_enough_are_left(tiny_scene):
 
 def test_the_file_s_own_split(tiny_scene):
     before = build(tiny_scene)
-    lists = {"train_filenames": NAMES[2:5], "test_filenames": [".\\images\\000.png"], "val_filenames": NAMES[5:]}
+    train = [NAMES[2], "images/003", "IMAGES/004.PNG"]
+    lists = {"train_filenames": train, "test_filenames": [".\\images\\000.png"], "val_filenames": NAMES[5:]}
     change(tiny_scene, lambda t: t.update(lists))
     scene = build(tiny_scene)
     assert scene.names == [NAMES[i] for i in (0, 2, 3, 4)]

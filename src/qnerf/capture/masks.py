@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps
 
-from qnerf.scenes.folders import PHOTOGRAPHS, photographs
+from qnerf.scenes.folders import PHOTOGRAPHS, SceneFolder, photographs
 from qnerf.scenes.images import open_header
 
 
@@ -24,37 +24,29 @@ def collect_masks(folder: Path, taken: Path, out: Path) -> int:
     """
     if not folder.is_dir():
         raise ValueError(f"masks: {folder} {'is no folder' if folder.exists() else 'does not exist'}")
-    found = photographs(folder)
-    names = [path.name for path in photographs(taken)]
-    if not found:
+    masks, names = SceneFolder(folder), [path.name for path in photographs(taken)]
+    mask_of = {name: path for name in names if (path := masks.image(name) or masks.image(Path(name).stem))}
+    others = sorted({*photographs(folder)} - {*mask_of.values()})
+    if others or not mask_of:
         kinds = ", ".join(kind[1:] for kind in PHOTOGRAPHS)
-        raise ValueError(f"masks: expected images ({kinds}) named as the photographs in {folder}, got none")
-    mask_of: dict[str, Path] = {}
-    for path in found:
-        fitting = [name for name in names if path.stem in (name, Path(name).stem)]
-        if not fitting:
-            some = f"the name of one, such as {Path(names[0]).stem}.png"
-            raise ValueError(f"masks: {path} belongs to no photograph that was given; expected {some}")
-        for name in fitting:
-            if mask_of.setdefault(name, path) != path:
-                raise ValueError(f"masks: {mask_of[name]} and {path} are both masks of {name}; expected one")
+        expected = f"expected one image ({kinds}) for each photograph, named as it, such as {Path(names[0]).stem}.png"
+        what = f"{others[0]} belongs to no photograph, or is a second one" if others else f"{folder} has none"
+        raise ValueError(f"masks: {what}; {expected}")
     for name in names:
         with Image.open(taken / name) as image:
             size = image.size
-        if name not in mask_of:
-            Image.new("L", size, 255).save(out / f"{name}.png")
-            continue
-        path = mask_of[name]
-        open_header(folder, path)
-        try:
-            with Image.open(path) as image:
-                counts = np.asarray(ImageOps.exif_transpose(image).convert("L")) > 0
-        except (OSError, SyntaxError, ValueError) as error:
-            raise ValueError(f"masks: {path} does not decode: {error}") from error
+        counts = np.ones(size[::-1], dtype=bool)
+        if name in mask_of:
+            open_header(folder, mask_of[name])
+            try:
+                with Image.open(mask_of[name]) as image:
+                    counts = np.asarray(ImageOps.exif_transpose(image).convert("L")) > 0
+            except (OSError, SyntaxError, ValueError) as error:
+                raise ValueError(f"masks: {mask_of[name]} does not decode: {error}") from error
         if counts.shape != size[::-1]:
             has = f"{counts.shape[1]} x {counts.shape[0]}"
             raise ValueError(
-                f"masks: {path} has {has} pixels, expected those of {name} held upright, {size[0]} x {size[1]}"
+                f"masks: {mask_of[name]} has {has} pixels, expected those of {name} held upright, {size[0]} x {size[1]}"
             )
         Image.fromarray(255 * counts.astype(np.uint8)).save(out / f"{name}.png")
     return len(mask_of)

@@ -128,10 +128,11 @@ def _folded(name: str) -> str:
 
 
 def photographs(folder: Path) -> list[Path]:
-    """The images directly in a folder, sorted by name; empty if there is no such folder."""
+    """The images directly in a folder, sorted by name, without hidden files; empty if there is no such folder."""
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in PHOTOGRAPHS and path.is_file())
+    files = (path for path in folder.iterdir() if path.suffix.lower() in PHOTOGRAPHS and path.is_file())
+    return sorted(path for path in files if not path.name.startswith("."))
 
 
 def capture_hint(source: Path) -> str:

@@ -98,7 +98,8 @@ def check_focal_lengths(stated: Mapping[str, float], width: int, height: int, la
         if length is not None and length <= 0:
             raise ValueError(f"{label}: fl_{axis} must be above 0, got {length:g}")
         if length is None and angle is not None and not 0 < angle < math.pi:
-            degrees = "; it is in radians, and the number looks like degrees" if math.pi < angle < 180 else ""
+            unit = f"; it is in radians, and the number looks like degrees, which would be {math.radians(angle):.4g}"
+            degrees = unit if math.pi < angle < 180 else ""
             raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}{degrees}")
     side = max(width, height)
     low, high = FIELD_OF_VIEW

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from qnerf.scenes.base import MIN_VIEWS, Cameras, Scene, digest, split_views
 from qnerf.scenes.folders import SMALLER, SceneFolder, photographs
-from qnerf.scenes.images import Mask, open_header, read_images, read_masks, reduced_sizes
+from qnerf.scenes.images import ImageFile, Mask, open_header, read_images, read_masks, reduced_sizes
 from qnerf.scenes.intrinsics import check_lenses, intrinsics, stated_intrinsics
 from qnerf.scenes.normalise import normalise, rigid
 
@@ -67,44 +67,28 @@ def load_scene(
             usable.
     """
     folder, name = capture.folder.path, capture.format
-    posed = existing(capture, skip_missing)
-    check_unique(capture.source, folder, posed)
-    poses, scales = rigid_poses(capture.source, posed)
-    try:
-        poses, transform = normalise(poses, orient=capture.recentre, centre=capture.recentre)
-    except ValueError as error:
-        raise ValueError(f"{folder}: {error}") from error
+    posed = existing(capture, skip_missing, eval_every)
+    check_unique(capture.source, posed)
     train, held_out = split_of(posed, eval_every)
     if not train or not held_out:
         raise ValueError(f"{folder}: the split leaves no image to {'evaluate' if train else 'train'}")
+    poses, transform, scales = normalised(capture, posed)
     used = sorted({*train, *held_out})
     train, held_out = [used.index(index) for index in train], [used.index(index) for index in held_out]
-    matrices = [image.matrix[:3] for image in posed]
     views = with_masks(capture.folder, [posed[index] for index in used])
-    remarks = [*capture.remarks, *scaled(scales), *unread(capture, posed, views)]
     files = [open_header(folder, image.file) for image in views if image.file is not None]
     sizes = reduced_sizes(f"scene={name}", files, downscale, width)
-    labels = [f"{capture.source}: frame {image.name!r}" for image in views]
-    stated = [stated_intrinsics(image.lens, label) for image, label in zip(views, labels, strict=True)]
-    table = np.array(
-        [
-            intrinsics(numbers, file.width, file.height, label)
-            for numbers, file, label in zip(stated, files, labels, strict=True)
-        ]
-    )
-    fisheye = np.array(["fisheye" in numbers for numbers in stated])
-    full = np.array([(file.width, file.height) for file in files])
-    check_lenses(labels, table, full, fisheye)
+    lenses, table, fisheye = read_lenses(capture.source, views, files)
     images, hashes = read_images(folder, files, sizes, downscale)
     mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], sizes, downscale)
     contents = [
-        {"frame": index, "image": file.name, "content": content, "lens": numbers} | ({"mask": black} if black else {})
-        for index, file, content, numbers, black in zip(used, files, hashes, stated, mask_hashes, strict=True)
+        {"frame": index, "image": file.name, "content": content, "lens": lens} | ({"mask": black} if black else {})
+        for index, file, content, lens, black in zip(used, files, hashes, lenses, mask_hashes, strict=True)
     ]
     if width is None:
         table[:, :4] /= downscale
     else:
-        table[:, :4] *= np.tile(np.array(sizes) / full, 2)
+        table[:, :4] *= np.tile(np.array(sizes) / [(file.width, file.height) for file in files], 2)
     scale = float(np.linalg.norm(transform[:3, 0]))
     near, far = (None, None) if capture.bounds is None else (bound * scale for bound in capture.bounds)
     return Scene(
@@ -114,17 +98,17 @@ def load_scene(
         train=train,
         eval=held_out,
         names=[file.name for file in files],
-        fingerprint=fingerprint(name, matrices, contents, train, held_out, downscale, width),
+        fingerprint=fingerprint(name, posed, contents, train, held_out, downscale, width),
         transform=torch.from_numpy(transform),
         near=near,
         far=far,
         mask=None if mask is None else torch.from_numpy(mask),
         masks=sum(image.mask is not None for image in views),
-        remarks=tuple(remarks),
+        remarks=(*capture.remarks, *scaled(scales), *unread(capture, posed, views)),
     )
 
 
-def existing(capture: Capture, skip_missing: bool) -> list[PosedImage]:
+def existing(capture: Capture, skip_missing: bool, eval_every: int | None) -> list[PosedImage]:
     """The images whose file exists.
 
     Raises:
@@ -140,33 +124,49 @@ def existing(capture: Capture, skip_missing: bool) -> list[PosedImage]:
     if not missing:
         raise ValueError(f"{folder.path}: expected at least {MIN_VIEWS} images, got {len(found)}")
     told = f"{folder.path}: {len(missing)} of {len(images)} images are missing, the first is {missing[0]!r}"
-    if enough:
+    if enough and all(split_of(found, eval_every)):
         raise ValueError(f"{told}; scene.skip_missing=true goes on with the other {len(found)}")
     place = folder.path / posixpath.dirname(missing[0].replace("\\", "/"))
     others = [path for path in photographs(place) if path not in {image.file for image in found}]
     there = f"; {place} has {len(others)} other images, such as {others[0].name!r}" if others else ""
-    raise ValueError(f"{told}; at least {MIN_VIEWS} are needed{there}")
+    needed = f"at least {MIN_VIEWS}, to train on and to hold out,"
+    raise ValueError(f"{told}; {needed} are needed{there}")
 
 
-def check_unique(source: Path, folder: Path, images: Sequence[PosedImage]) -> None:
+def check_unique(source: Path, images: Sequence[PosedImage]) -> None:
     """ValueError if two of the images are one file."""
     first: dict[Path, PosedImage] = {}
     for image in images:
         assert image.file is not None
         other = first.setdefault(image.file.resolve(), image)
-        if other is image:
-            continue
-        if {other.use, image.use} == {"train", "eval"}:
-            raise ValueError(f"{folder}: image {image.name!r} is in the training and in the evaluation split")
-        if image.name == other.name:
-            raise ValueError(f"{source} names image {image.name!r} twice")
-        raise ValueError(f"{source} names one image file twice: as {other.name!r} and as {image.name!r}")
+        if other is not image and {other.use, image.use} == {"train", "eval"}:
+            raise ValueError(f"{source}: image {image.name!r} is in the training and in the evaluation split")
+        if other is not image:
+            raise ValueError(f"{source} names one image file twice: as {other.name!r} and as {image.name!r}")
 
 
-def rigid_poses(source: Path, images: Sequence[PosedImage]) -> tuple[NDArray, NDArray]:
-    """Poses (V, 3, 4) with exact rotations, and the factors (V,) by which the rotations were scaled."""
-    found = [rigid(image.matrix, f"{source}: frame {image.name!r}") for image in images]
-    return np.stack([pose for pose, _ in found]), np.array([scale for _, scale in found])
+def normalised(capture: Capture, images: Sequence[PosedImage]) -> tuple[NDArray, NDArray, NDArray]:
+    """Poses (V, 3, 4) in the normalised world, the similarity that leads there, and by what rotations were scaled."""
+    found = [rigid(image.matrix, f"{capture.source}: frame {image.name!r}") for image in images]
+    try:
+        poses = np.stack([pose for pose, _ in found])
+        poses, transform = normalise(poses, orient=capture.recentre, centre=capture.recentre)
+    except ValueError as error:
+        raise ValueError(f"{capture.folder.path}: {error}") from error
+    return poses, transform, np.array([scale for _, scale in found])
+
+
+def read_lenses(
+    source: Path, images: Sequence[PosedImage], files: Sequence[ImageFile]
+) -> tuple[list[dict[str, float]], NDArray, NDArray[np.bool_]]:
+    """The numbers of each lens as written, intrinsics (V, 8) in pixels of the files, and which are fisheyes (V,)."""
+    labels = [f"{source}: frame {image.name!r}" for image in images]
+    lenses = [stated_intrinsics(image.lens, label) for image, label in zip(images, labels, strict=True)]
+    entries = zip(lenses, files, labels, strict=True)
+    table = np.array([intrinsics(lens, file.width, file.height, label) for lens, file, label in entries])
+    fisheye = np.array(["fisheye" in lens for lens in lenses])
+    check_lenses(labels, table, np.array([(file.width, file.height) for file in files]), fisheye)
+    return lenses, table, fisheye
 
 
 def split_of(images: Sequence[PosedImage], eval_every: int | None) -> tuple[list[int], list[int]]:
@@ -189,11 +189,10 @@ def with_masks(folder: SceneFolder, images: Sequence[PosedImage]) -> list[PosedI
     def find(file: Path) -> Mask | None:
         first, _, rest = folder.relative(file).partition("/")
         smaller = [f"{MASKS}_{factor}" for factor in SMALLER if first.endswith(f"_{factor}")]
-        for place in (*smaller, MASKS):
-            for inner in (rest, f"{first}/{rest}") if rest else (first,):
-                for name in (f"{inner}.png", inner, posixpath.splitext(inner)[0]):
-                    if (folder.path / place).is_dir() and (path := folder.image(f"{place}/{name}")):
-                        return Mask(path)
+        for place in filter(lambda place: (folder.path / place).is_dir(), (*smaller, MASKS)):
+            for name in (rest, f"{first}/{rest}") if rest else (first,):
+                if path := folder.image(f"{place}/{name}") or folder.image(f"{place}/{posixpath.splitext(name)[0]}"):
+                    return Mask(path)
         return None
 
     return [replace(image, mask=find(image.file)) for image in images if image.file is not None]
@@ -240,7 +239,7 @@ def shortened(names: Sequence[str]) -> str:
 
 def fingerprint(
     name: str,
-    matrices: Sequence[NDArray],
+    images: Sequence[PosedImage],
     views: Sequence[Mapping[str, Any]],
     train: Sequence[int],
     held_out: Sequence[int],
@@ -251,14 +250,14 @@ def fingerprint(
 
     Args:
         name: of the scene reader.
-        matrices: (3, 4) as written, of all frames over which the world is normalised.
-        views: of each view, its index into `matrices`, its image, the hash of the image file, and the numbers that
+        images: those over which the world is normalised.
+        views: of each view, its index into `images`, its image, the hash of the image file, and the numbers that
             decide its intrinsics, as written; the hash of its mask if it has one.
         train, held_out: indices into `views`.
     """
     content = {
         "reader": name,
-        "matrices": [matrix.tolist() for matrix in matrices],
+        "matrices": [image.matrix[:3].tolist() for image in images],
         "views": views,
         "train": train,
         "held_out": held_out,

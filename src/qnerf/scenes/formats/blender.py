@@ -11,8 +11,8 @@ from qnerf.scenes.formats.transforms import posed_images, read_json, unread_keys
 from qnerf.scenes.loading import Capture, PosedImage, load_scene
 
 BOUNDS = (2.0, 6.0)  # near and far by convention, in the source's units
-TRAIN = "transforms_train.json"
-FORMATS["blender"] = (TRAIN,)
+FILES = {split: f"transforms_{split}.json" for split in ("train", "val", "test")}
+FORMATS["blender"] = tuple(FILES.values())
 
 
 @SCENES.register("blender")
@@ -28,8 +28,8 @@ def blender(
     """Reads the training split and one evaluation split.
 
     The world is the source's, scaled so that the largest absolute camera coordinate over both splits is 1. Near 2 and
-    far 6 are scaled with it. Where the evaluation split has no file or no image, 10 % of the training views are held
-    out.
+    far 6 are scaled with it. Where the evaluation split has no file or no image, the other one is read; where both have
+    none, 10 % of the training views are held out.
 
     Args:
         path: the folder.
@@ -43,24 +43,31 @@ def blender(
         ValueError: one line that names the mistake and the file or frame.
     """
     folder = SceneFolder(path)
-    files = [folder.file(TRAIN)]
-    other = folder.path / f"transforms_{eval_split}.json"
-    files += [other] if other.is_file() else []
-    contents = [read_json(file) for file in files]
-    images, *rest = (posed_images(folder, file, content) for file, content in zip(files, contents, strict=True))
-    held_out = [image for image in (rest[0] if rest else []) if not skip_missing or image.file is not None]
-    remarks = list(unread_keys(*contents))
-    if any(image.file is not None for image in held_out):
-        images = [replace(image, use="train") for image in images] + evaluated(held_out, eval_views)
+    there = {split: folder.path / name for split, name in FILES.items() if (folder.path / name).is_file()}
+    first = "train" if "train" in there or not there else next(iter(there))
+    contents = {first: read_json(folder.file(FILES[first]))}
+    images = posed_images(folder, there[first], contents[first])
+    held_out: list[PosedImage] = []
+    for split in (eval_split, "val" if eval_split == "test" else "test"):
+        if split in there and split != first and not any(image.file for image in held_out):
+            contents[split] = read_json(there[split])
+            held_out, evaluated = posed_images(folder, there[split], contents[split]), split
+    remarks = list(unread_keys(*contents.values()))
+    if any(image.file for image in held_out):
+        if evaluated != eval_split:
+            remarks.insert(0, f"{FILES[evaluated]} is held out: {FILES[eval_split]} has no images")
+        existing = [image for image in held_out if image.file or not skip_missing]
+        images = [replace(image, use="train") for image in images] + limited(existing, eval_views)
     else:
-        without = "has no image" if rest else "does not exist"
-        remarks.insert(0, f"{other.name} {without}, so one in ten views of {TRAIN} is held out")
-    read = [f"transforms_{split}.json" for split in ("train", "val", "test")]
-    capture = Capture("blender", folder, files[0], images, recentre=False, bounds=BOUNDS, remarks=remarks, read=read)
+        remarks.insert(0, f"one in ten views of {FILES[first]} is held out: no other split has images")
+    read = tuple(FILES.values())
+    capture = Capture(
+        "blender", folder, there[first], images, recentre=False, bounds=BOUNDS, remarks=remarks, read=read
+    )
     return load_scene(capture, downscale, width, skip_missing=skip_missing)
 
 
-def evaluated(images: list[PosedImage], limit: int | None) -> list[PosedImage]:
+def limited(images: list[PosedImage], limit: int | None) -> list[PosedImage]:
     """The evaluation split, of which at most `limit` images are measured."""
     chosen = set(even_subset(len(images), limit))
     return [replace(image, use="eval" if index in chosen else "unused") for index, image in enumerate(images)]

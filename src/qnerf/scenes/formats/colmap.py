@@ -229,7 +229,10 @@ def _images_text(file: Path, remarks: list[str]) -> Iterator[tuple[int, Posed]]:
     for line in lines:
         if not line or line[0] == "#":
             continue
-        number, *pose, camera, name = line.split(maxsplit=9)
+        fields = line.split(maxsplit=9)
+        if len(fields) != 10:
+            raise IndexError
+        number, *pose, camera, name = fields
         points = next(lines, None)
         if points is None:  # COLMAP leaves such an image out
             remarks.append(f"{file.name} ends before the line of points of {name!r}, which is left out as in COLMAP")

@@ -72,7 +72,10 @@ def with_lenses(
     if place is None:
         return images, [], ()
     name = place.relative_to(folder.path).as_posix()
-    lenses = {Path(frame["file_path"]).stem: frame for frame in read_model(place)["frames"]}
+    try:
+        lenses = {Path(frame["file_path"]).stem: frame for frame in read_model(place)["frames"]}
+    except ValueError as error:
+        return images, [f"lenses of {name} not used: {error}"], ()
     lacking = [image.name for image in images if Path(image.name).stem not in lenses]
     if lacking:
         return images, [f"lenses of {name} not used: it lacks {lacking[0]!r}"], ()

@@ -47,16 +47,19 @@ def nerfstudio(
         "nerfstudio",
         folder,
         file,
-        assigned(file, content, images),
+        assigned(folder, file, content, images),
         remarks=list(unread_keys(content)),
         read=[FILE],
     )
     return load_scene(capture, downscale, width, skip_missing=skip_missing)
 
 
-def assigned(file: Path, content: Mapping[str, Any], images: Sequence[PosedImage]) -> Sequence[PosedImage]:
+def assigned(
+    folder: SceneFolder, file: Path, content: Mapping[str, Any], images: Sequence[PosedImage]
+) -> Sequence[PosedImage]:
     """The images with the use that train_filenames, test_filenames and val_filenames give them."""
     known = {normal(image.name) for image in images}
+    name_of: dict[Path | None, str] = {image.file: normal(image.name) for image in images if image.file is not None}
 
     def listed(key: str) -> set[str] | None:
         names = content.get(key)
@@ -64,10 +67,13 @@ def assigned(file: Path, content: Mapping[str, Any], images: Sequence[PosedImage
             return None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise ValueError(f"{file}: {key} must be a list of file names")
+        found = set()
         for name in names:
-            if normal(name) not in known:
+            image = normal(name) if normal(name) in known else name_of.get(folder.image(name))
+            if image is None:
                 raise ValueError(f"{file}: {key} names {name!r}, which is no frame")
-        return {normal(name) for name in names}
+            found.add(image)
+        return found
 
     train, held_out, val = (listed(f"{split}_filenames") for split in ("train", "test", "val"))
     if held_out is None:
@@ -77,7 +83,7 @@ def assigned(file: Path, content: Mapping[str, Any], images: Sequence[PosedImage
     train = known - (held_out or set()) if train is None else train
     held_out = known - train if held_out is None else held_out
     if both := train & held_out:
-        raise ValueError(f"{file.parent}: image {min(both)!r} is in the training and in the evaluation split")
+        raise ValueError(f"{file}: image {min(both)!r} is in the training and in the evaluation split")
     return [
         replace(image, use="train" if key in train else "eval" if key in held_out else "unused")
         for image, key in ((image, normal(image.name)) for image in images)

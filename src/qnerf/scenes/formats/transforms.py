@@ -3,6 +3,7 @@
 import json
 import math
 import posixpath
+import re
 import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,11 +19,12 @@ from qnerf.scenes.loading import PosedImage, shortened
 from qnerf.scenes.normalise import MAX_ENTRY
 
 MASKS = ("mask_path", "mask_file_path", "mask_filename", "mask_file")
-"""Keys of a frame's mask, whose black pixels do not count."""
+"""Keys of a mask, of a frame or of the whole file; its black pixels do not count."""
 DYNAMIC = "dynamic_mask_"  # instant-ngp's mask lies beside the image; pixels that are not black do not count
 FIELDS_OF_VIEW = {"x_fov": "camera_angle_x", "y_fov": "camera_angle_y"}  # degrees, of instant-ngp
 FRAME_KEYS = {"file_path", "transform_matrix", "K", *FIELDS_OF_VIEW, *LENS, *MASKS}
-FILE_KEYS = {"frames", "train_filenames", "val_filenames", "test_filenames", "K", *FIELDS_OF_VIEW, *LENS}
+FILE_KEYS = {"frames", "train_filenames", "val_filenames", "test_filenames", "K", *FIELDS_OF_VIEW, *LENS, *MASKS}
+COMMENTS = re.compile(r'("(?:[^"\\]|\\.)*")|//[^\n]*|/\*.*?\*/', re.DOTALL)  # outside of texts; instant-ngp skips them
 
 _short = reprlib.repr  # of what a file holds: never long, never deep
 
@@ -30,7 +32,7 @@ _short = reprlib.repr  # of what a file holds: never long, never deep
 def read_json(file: Path) -> dict[str, Any]:
     """The file's JSON object. ValueError unless it has a non-empty list `frames`."""
     try:
-        content = json.loads(file.read_bytes().decode("utf-8-sig"))
+        content = json.loads(COMMENTS.sub(r"\1", file.read_bytes().decode("utf-8-sig")))
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
@@ -54,20 +56,16 @@ def posed_images(folder: SceneFolder, file: Path, content: Mapping[str, Any]) ->
         ValueError: names the first frame without file_path, without a pose, or with a mask that is missing.
     """
     images = []
-    names: set[str] = set()
     for index, frame in enumerate(content["frames"]):
         if not isinstance(frame, dict):
             raise ValueError(f"{file}: frame {index} must be an object, got {type(frame).__name__}")
         name = frame.get("file_path")
         if not isinstance(name, str) or not name:
             raise ValueError(f"{file}: file_path of frame {index} must be a file name, got {_short(name)}")
-        if normal(name) in names:
-            raise ValueError(f"{file} names image {name!r} twice")
-        names.add(normal(name))
         label = f"{file}: frame {name!r}"
         image = folder.image(name)
         smaller = None if image else folder.smaller(name)
-        mask = find_mask(folder, frame, image or smaller, label, reduced=smaller is not None)
+        mask = find_mask(folder, {**content, **frame}, image or smaller, label, reduced=smaller is not None)
         lens = merged_lens(content, frame, label)
         images.append(PosedImage(name, image or smaller, read_matrix(frame, label), lens, mask))
     return images
