@@ -19,7 +19,6 @@ from qnerf.analysis.report import content, pictures
 from qnerf.analysis.report.versions import versions
 from qnerf.analysis.tables import ablation
 
-from qnerf import records
 from qnerf.cli import main, numbers, streams
 from qnerf.export import to_csv
 from qnerf.records import StoreError, details, index
@@ -143,13 +142,6 @@ def test_an_environment_that_is_no_small_object(bad: Path, kind: str) -> None:
         path.write_text('{"packages": {}}' + " " * 2**21)
     assert versions([str(bad)]) == [None]
     assert any("environment.json" in problem for problem in details.read(bad).problems)
-
-
-def test_metrics_have_no_empty_cells(bad: Path) -> None:
-    table = pa.table({"step": [1, 2], "time_s": [0.0, 1.0], "key": pa.array([None, "a"]), "value": [1.0, 2.0]})
-    pq.write_table(table, bad / "metrics" / "part-00000.parquet")
-    with pytest.raises(StoreError, match="rows without a step, time, key or value"):
-        records.read_metrics(bad)
 
 
 def test_headers_of_a_csv_are_no_formulas_either() -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import pyarrow as pa
@@ -55,10 +56,10 @@ def typed(table: pa.Table, kinds: Kinds) -> pa.Table:
     Raises:
         ValueError: a column occurs twice, or its values are of another kind.
     """
-    names = table.schema.names
-    if doubled := [name for name in names if names.count(name) > 1]:
-        raise ValueError(f"expected one column {doubled[0]}, got {names.count(doubled[0])}")
-    return pa.table({name: _typed(table[name], name, kinds(name)) for name in names})
+    target = _target(table.schema, kinds)
+    result = table if table.schema.equals(target) else table.cast(target)
+    result.validate(full=True)  # text is UTF-8
+    return result
 
 
 def require_columns(table: pa.Table, kinds: Mapping[str, str], label: object) -> pa.Table:
@@ -80,14 +81,21 @@ def kind_of(kind: pa.DataType) -> str:
     return "float" if pa.types.is_floating(kind) else "text"
 
 
-def _typed(column: pa.ChunkedArray, name: str, wanted: str | None) -> pa.ChunkedArray:
-    kind = kind_of(column.type)
+@lru_cache(maxsize=256)
+def _target(schema: pa.Schema, kinds: Kinds) -> pa.Schema:
+    """The schema after `typed`. Runs with the same columns, of which a store has many, need it once."""
+    names = schema.names
+    if len(set(names)) < len(names):
+        doubled = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"expected one column {doubled}, got {names.count(doubled)}")
+    return pa.schema([(field.name, _type(field, kinds(field.name))) for field in schema])
+
+
+def _type(field: pa.Field, wanted: str | None) -> pa.DataType:
+    kind = kind_of(field.type)
     wanted = wanted or kind
     if wanted == "none":
-        return column
-    if kind not in ("none", wanted) and wanted != "text" and (kind, wanted) not in (("int", "float"), ("float", "int")):
-        raise ValueError(f"{name}: expected {_NAMES[wanted]}, got {column.type}")
-    result = column if column.type == TYPES[wanted] else column.cast(TYPES[wanted])
-    if wanted == "text":
-        result.validate(full=True)  # it is UTF-8
-    return result
+        return field.type
+    if kind not in ("none", wanted) and wanted != "text" and {kind, wanted} != {"int", "float"}:
+        raise ValueError(f"{field.name}: expected {_NAMES[wanted]}, got {field.type}")
+    return TYPES[wanted]

@@ -1,0 +1,208 @@
+"""Files of a run that are damaged or come from another person: one line each, nothing in them is executed."""
+
+import io
+import json
+import logging
+import os
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from qnerf import records
+from qnerf.records import RunStore, StoreError, owner
+from tests.helpers.stores import CONFIG, claimed
+
+
+def store(tmp_path: Path) -> RunStore:
+    return RunStore(tmp_path / "runs", every=60, watch=0.1)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """An interrupted run with ten rows, a checkpoint and the one before."""
+    run = claimed(store(tmp_path))
+    for step in range(10):
+        run.log(step, 0.0, {"loss": 1 / (step + 1)})
+        if step >= 8:
+            run.save_checkpoint({"step": step})
+    run.interrupt()
+    return run.dir
+
+
+def goes_on(run: Path) -> None:
+    """The same command continues the run."""
+    assert records.state(run) == "interrupted"
+    claim = RunStore(run.parent, watch=0.1).claim(run.name, CONFIG)
+    assert claim.outcome == "resumed", claim.message
+    assert claim.run is not None
+    claim.run.interrupt()
+
+
+def refused(reader: Callable[[Path], Any], run: Path, match: str) -> None:
+    with pytest.raises(StoreError, match=match) as error:
+        reader(run)
+    assert "\n" not in str(error.value)
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def giant(path: Path) -> None:
+    with open(path, "wb") as file:
+        file.write(b'{"state": "finished"')
+        file.truncate(2**40)  # a hole takes no space on the disk, but would in memory
+
+
+def test_damaged_status_reads_as_interrupted(run: Path) -> None:
+    odd = ["", "[]", "{", "null", '"x"', "[" * 100_000, '{"a":' * 100_000, '{"state": {"state": "running"}}', "\x00",
+           '{"state": "finished?"}', '{"state": "running"}', '{"state": 1}']  # fmt: skip
+    for text in odd:
+        (run / "status.json").write_text(text)
+        goes_on(run)
+    for spoil in (giant, pipe):
+        spoil(run / "status.json")
+        goes_on(run)
+
+
+def spoil_records(run: Path, **values: Any) -> None:
+    """Sets keys in status.json and in the owner's file, which are old."""
+    for path in [run / "status.json", *run.glob("owner/*.json")]:
+        path.write_text(json.dumps(json.loads(path.read_text()) | values))
+        os.utime(path, (0, 0))
+
+
+def test_pid_that_is_not_the_writer_s_does_not_hold_a_run(run: Path) -> None:
+    """Another user's process, all processes (-1), this process's group (0), not a number."""
+    for pid in (1, -1, 0, 2**70, float("inf"), "../1", None, [1]):
+        spoil_records(run, state="running", pid=pid, heartbeat=0, since=0, released=False)
+        goes_on(run)
+
+
+def test_owner_is_told_in_one_printable_line(tmp_path: Path) -> None:
+    run = claimed(store(tmp_path))
+    for path in [run.dir / "status.json", *run.dir.glob("owner/*.json")]:
+        odd = {"host": "\x1b[2J\nroot:" + "x" * 10_000, "boot": "other"}
+        path.write_text(json.dumps(json.loads(path.read_text()) | odd))
+    claim = store(tmp_path).claim("a", CONFIG)
+    assert claim.outcome == "busy"
+    assert claim.message.isprintable()
+    assert len(claim.message) < len(str(run.dir)) + 200
+    assert str(owner.describe(run.dir)) in claim.message
+    run._stop()
+
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{chr(98 + i)}: &{chr(98 + i)} [{', '.join([f'*{chr(97 + i)}'] * 9)}]\n" for i in range(9)
+)
+"""Billion laughs: nine levels of nine aliases each."""
+
+CONFIGS = (
+    "a: !!python/object/apply:os.system ['touch OWNED']\n",
+    "a: !!python/object/new:subprocess.Popen [['touch', 'OWNED']]\n",
+    "a: !!python/name:os.system\n",
+    "a: !Path /etc/passwd\n",
+    BOMB,
+    "a: &x 1\nb: *x\n",
+    "a: " + "[" * 5_000,
+    "a: " + "9" * 5_000 + "\n",
+    "[1, 2]\n",
+    "hello\n",
+    "",
+    "\x00\x01",
+    "a: \udcff\n",
+    "a: !!binary aGk=\n",
+    "a: " + "x" * 2**18 + "\n",
+)
+
+
+def test_hostile_yaml_is_refused(run: Path, tmp_path: Path) -> None:
+    for text in CONFIGS:
+        data = text.replace("OWNED", str(tmp_path / "owned")).encode(errors="surrogateescape")
+        (run / "config.yaml").write_bytes(data)
+        refused(records.read_config, run, r"config\.yaml: ")
+    assert not (tmp_path / "owned").exists()
+    goes_on(run)
+    assert records.read_config(run) == CONFIG  # with the command's own
+
+
+def test_text_in_yaml_stays_text(run: Path, tmp_path: Path) -> None:
+    """A date, as Hydra takes it, and what hostile values a configuration may hold as values."""
+    (run / "config.yaml").write_text("a: 2001-01-01\nb: 2001-99-99\n")
+    assert records.read_config(run) == {"a": "2001-01-01", "b": "2001-99-99"}
+    config = {"a": "!!python/object/apply:os.system ['x']", "b": "*a", "c": "&a 1", "d": "<<", "e\n": "\x1b[2J"}
+    claim = store(tmp_path).claim("b", config)
+    assert claim.run is not None
+    assert records.read_config(claim.dir) == config
+    claim.run.finish()
+
+
+def test_what_is_no_table_is_damaged(run: Path) -> None:
+    for data in (b"", b"PAR1", b"PAR1" + bytes(100) + b"PAR1", b"hello", bytes(2**16)):
+        (run / "metrics" / "part-00000.parquet").write_bytes(data)
+        (run / "summary.parquet").write_bytes(data)
+        refused(records.read_metrics, run, r"part-00000\.parquet: damaged")
+        refused(records.read_summary, run, r"summary\.parquet: damaged")
+
+
+def test_other_columns_are_damaged(run: Path) -> None:
+    metrics = {"step": [1], "time_s": [0.0], "key": ["a"], "value": [1.0]}
+    odd: tuple[dict[str, Any], ...] = ({"more": [1]}, {"step": ["x"]}, {"value": [[1.0]]}, {"key": [{"a": 1}]})
+    for columns in ({"step": [1]}, *(metrics | other for other in odd)):
+        pq.write_table(pa.table(columns), run / "metrics" / "part-00000.parquet")
+        refused(records.read_metrics, run, r"part-00000\.parquet: damaged")
+    pq.write_table(pa.table(metrics | {"key": pa.nulls(1, pa.string())}), run / "metrics" / "part-00000.parquet")
+    refused(records.read_metrics, run, "rows without a step, time, key or value")
+    for rows in (0, 2):
+        pq.write_table(pa.table({"run_id": ["a"] * rows}), run / "summary.parquet")
+        refused(records.read_summary, run, f"expected one row, got {rows}")
+
+
+class Command:
+    """Unpickling it runs a shell command."""
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.system, (self.command,)
+
+
+def saved(content: object, **options: bool) -> bytes:
+    data = io.BytesIO()
+    torch.save(content, data, **options)
+    return data.getvalue()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path, command: path.write_bytes(saved({"step": 3, "x": Command(command)})),
+        lambda path, command: path.write_bytes(saved(Command(command), _use_new_zipfile_serialization=False)),
+        lambda path, command: path.write_bytes(pickle.dumps(Command(command))),
+        lambda path, command: path.write_bytes(saved({"step": 3, "x": torch.zeros(2**18)})),  # larger than the run's
+        lambda path, command: pipe(path),
+    ],
+    ids=["archive", "legacy", "pickle", "large", "pipe"],
+)
+def test_hostile_checkpoint_is_set_aside(
+    run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, spoil: Callable[[Path, str], None]
+) -> None:
+    spoil(run / "checkpoint.pt", f"touch {tmp_path / 'owned'}")
+    resumed = claimed(store(tmp_path))
+    with caplog.at_level(logging.WARNING):
+        assert resumed.load_checkpoint(max_bytes=2**20) == {"step": 8}
+    assert not (tmp_path / "owned").exists()
+    (message,) = caplog.messages
+    assert "damaged" in message
+    assert "going on from the checkpoint before" in message
+    assert "\n" not in message
+    resumed.save_checkpoint({"step": 9})
+    resumed.finish()
