@@ -178,6 +178,8 @@ def _hidden(k, lanes, encoded, w1, b1, h, width, unit):  # type: ignore[no-untyp
 
     `encoded` (width, BLOCK) and `w1` (H, width) are flat, as everywhere below.
     """
+    # Four units times two vectors of points are eight sums in registers: each feature is loaded once for four units,
+    # and each weight once for two vectors. Eight independent sums hide the latency of a multiplication with addition.
     a, b, c, d = splat(b1[h]), splat(b1[h + U(1)]), splat(b1[h + U(2)]), splat(b1[h + U(3)])
     a2, b2, c2, d2 = a, b, c, d
     for f in range(width):
@@ -203,12 +205,14 @@ def _values(count, lanes, encoded, w1, b1, w2, b2, width, unit, total):  # type:
     """Writes the values (O, BLOCK) of a block of points; `unit` (H, 2 lanes) is used on the way."""
     rows, pair = U(b1.size), U(2) * lanes
     zero = splat(encoded.dtype.type(0))
+    # Two vectors of points at a time go through the whole MLP: their hidden units stay in the first-level cache.
     for k in range(U(0), U(count), pair):
         for h in range(U(0), rows, U(GROUP)):
             _hidden(k, lanes, encoded, w1, b1, h, width, unit[h * pair :])
         for u in range(U(0), rows * pair, lanes):
             x = load(unit, u)
             store(unit, u, where_positive(x, x))
+        # Even and odd hidden units are summed apart, so that one addition need not wait for the one before.
         for o in range(U(b2.size)):
             even, even2, odd, odd2 = splat(b2[o]), splat(b2[o]), zero, zero
             for h in range(U(0), rows, U(2)):
@@ -224,6 +228,7 @@ def _values(count, lanes, encoded, w1, b1, w2, b2, width, unit, total):  # type:
 @inner
 def _gather(points, inside, first, last, numbers, local):  # type: ignore[no-untyped-def]
     """Copies the points first..last that are inside to `local` (count, 3), their numbers to `numbers`; their count."""
+    # Without a branch: every number is written, and the next one overwrites it unless its point is inside.
     count = U(0)
     for i in range(U(first), U(last)):
         numbers[count] = i
@@ -254,6 +259,8 @@ def _forward(  # type: ignore[no-untyped-def]
     for block in range(start, stop):
         first = block * BLOCK
         last = min(first + BLOCK, points.size // 3)
+        # The features of the block's points. With a mask, those inside are packed together first, and the others get
+        # the values of no density.
         if inside.size == 0:
             count = U(last - first)
             for k in range(count):
@@ -272,6 +279,7 @@ def _forward(  # type: ignore[no-untyped-def]
         for o in range(outputs):
             for k in range(count):
                 values[U(numbers[k]) * outputs + o] = total[o * b + k]
+        # What the backward pass needs. Places behind the last point are cleared, because it works on whole vectors.
         if keeps:
             for f in range(U(width)):
                 for k in range(count, b):
@@ -307,17 +315,21 @@ def _backward(  # type: ignore[no-untyped-def]
     for part in range(start, stop):
         out[:] = 0
         for block in range(part * PART, min((part + 1) * PART, kept.size)):
+            # The gradients of the block's values, one output after another, for the points that were evaluated.
             encoded, gradient, numbers, end = kept_features[block], to_features[block], number_of[block], U(kept[block])
             gradient[:] = 0
             above[:] = 0
             for o in range(outputs):
                 for k in range(end):
                     above[o * b + k] = upstream[U(numbers[k]) * outputs + o]
+            # Biases of the last layer: the sums of these gradients. As everywhere below, a sum stays one vector of
+            # partial sums until the part is finished.
             for o in range(outputs):
                 total = zero
                 for k in range(U(0), end, lanes):
                     total = total + load(above, o * b + k)
                 _add(out, (first_b2 + o) * lanes, total)
+            # Four hidden units at a time: their values are computed again, so that the forward pass need not keep them.
             for h in range(U(0), rows, U(GROUP)):
                 for k in range(U(0), end, U(2) * lanes):
                     _hidden(k, lanes, encoded, w1, b1, h, width, two)
@@ -333,6 +345,8 @@ def _backward(  # type: ignore[no-untyped-def]
                         store(unit, p + lanes, where_positive(y, y))
                         store(slope, p, where_positive(x, to_unit))
                         store(slope, p + lanes, where_positive(y, to_unit2))
+                # `unit` now holds the units after ReLU, `slope` the gradients before it. Products of each with the
+                # layer above and below give the gradients of both layers' weights.
                 for o in range(outputs):
                     _add_products(end, lanes, unit, above, o * b, out, (first_w2 + o * rows + h) * lanes, lanes)
                 for r in range(U(GROUP)):
@@ -342,6 +356,7 @@ def _backward(  # type: ignore[no-untyped-def]
                     _add(out, (first_b1 + h + r) * lanes, total)
                 for f in range(width):
                     _add_products(end, lanes, slope, encoded, f * b, out, (h * width + f) * lanes, width * lanes)
+                    # The four units' share of the features' gradients.
                     w = h * width + f
                     wa, wb = splat(w1[w]), splat(w1[w + width])
                     wc, wd = splat(w1[w + U(2) * width]), splat(w1[w + U(3) * width])
@@ -349,6 +364,7 @@ def _backward(  # type: ignore[no-untyped-def]
                         left = wa * load(slope, k) + wb * load(slope, b + k)
                         right = wc * load(slope, U(2) * b + k) + wd * load(slope, U(3) * b + k)
                         _add(gradient, f * b + k, left + right)
+        # The lanes of each sum, added in their order.
         for number in range(U(sums.shape[1])):
             total_of_lanes = dtype.type(0)
             for lane in range(number * lanes, (number + U(1)) * lanes):
@@ -389,6 +405,7 @@ def _table_gradient(start, stop, points, number_of, kept, to_features, resolutio
     row = np.empty(8 * BLOCK, np.uint32)
     weight = np.empty(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
+    # As in `hashgrid`, a thread owns whole levels. The points inside are packed again as the forward pass did it.
     for level in range(start, stop):
         entry = out[U(level) * width : U(level + 1) * width]
         entry[:] = 0

@@ -184,6 +184,9 @@ def corners(points, first, count, resolution, direct, mask, row, weight, fractio
     plane = u32(side * side)
     prime_y, prime_z, u1 = u32(2654435761), u32(805459861), u32(1)
     b = U(BLOCK)
+    # The cell of each point, and from it the rows of its 8 corners. Corner c is at x + (c & 1), y + (c >> 1 & 1), z +
+    # (c >> 2), so rows and weights of corner c start at c BLOCK. A direct row is one sum, and a neighbour's row is a
+    # constant further on.
     if direct:
         for i in range(U(count)):
             j = U(3) * (U(first) + i)
@@ -196,6 +199,9 @@ def corners(points, first, count, resolution, direct, mask, row, weight, fractio
             row[U(2) * b + i], row[U(3) * b + i] = u32(low + side), u32(u32(low + side) + u1)
             row[U(4) * b + i], row[U(5) * b + i] = high, u32(high + u1)
             row[U(6) * b + i], row[U(7) * b + i] = u32(high + side), u32(u32(high + side) + u1)
+    # A hashed row is the exclusive or of one number for each axis. Both numbers of an axis are computed once, and those
+    # of y and z are joined once for each of their four pairs. The table's size is a power of two: `mask` is the
+    # modulus.
     else:
         for i in range(U(count)):
             j = U(3) * (U(first) + i)
@@ -211,6 +217,8 @@ def corners(points, first, count, resolution, direct, mask, row, weight, fractio
             row[U(2) * b + i], row[U(3) * b + i] = u32(x0 ^ yz10), u32(x1 ^ yz10)
             row[U(4) * b + i], row[U(5) * b + i] = u32(x0 ^ yz01), u32(x1 ^ yz01)
             row[U(6) * b + i], row[U(7) * b + i] = u32(x0 ^ yz11), u32(x1 ^ yz11)
+    # Trilinear weights: f is the distance from the lower corner along an axis, g = 1 - f. A loop of its
+    # own, of plain arithmetic on consecutive floats, which LLVM turns into vectors.
     for i in range(U(count)):
         fx, fy, fz = fraction[i], fraction[b + i], fraction[U(2) * b + i]
         gx, gy, gz = one - fx, one - fy, one - fz
@@ -238,18 +246,22 @@ def interpolate(points, count, table, resolutions, dense, features, row, weight,
         corners(points, 0, count, resolutions[level], direct, mask, row, weight, fraction)
         entry = table[U(level) * width : U(level + 1) * width]
         base = U(level) * nf * b
+        # One feature: a vector of points at a time. Each corner's entries are gathered and added with their weights.
         if nf == U(1):
             for i in range(U(0), U(count), lanes):
                 total = load(weight, i) * gather(entry, row, i)
                 for c in range(b, U(8) * b, b):
                     total = total + load(weight, c + i) * gather(entry, row, c + i)
                 store(encoded, base + i, total)
+        # Two features lie side by side: half as many points fill a vector, and one gather brings both numbers of each.
+        # The result alternates, and is split into one row for each feature.
         elif nf == U(2):
             for i in range(U(0), U(count), lanes // U(2)):
                 total = load_twice(weight, i) * gather_pairs(entry, row, i)
                 for c in range(b, U(8) * b, b):
                     total = total + load_twice(weight, c + i) * gather_pairs(entry, row, c + i)
                 store_split(encoded, base + i, base + b + i, total)
+        # Any other number: one feature after another.
         else:
             for f in range(nf):
                 for i in range(U(count)):
@@ -273,6 +285,8 @@ def _forward(start, stop, points, table, resolutions, dense, features, out):  # 
     fraction = np.empty(3 * BLOCK, points.dtype)
     total = np.empty(max(BLOCK, features), points.dtype)
     zero = points.dtype.type(0)
+    # A block of points goes through all levels while its rows and weights are in the first-level cache. Corners are
+    # added in the order of the reference, one at a time, so that the values equal its own to the last bit.
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
         for level in range(levels):
@@ -280,6 +294,8 @@ def _forward(start, stop, points, table, resolutions, dense, features, out):  # 
             corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
             entry = table[U(level) * width : U(level + 1) * width]
             base = U(first) * stride + U(level) * nf
+            # One feature: corner by corner over the block, so that the loads of a whole row of points are under way at
+            # once. With more features an entry is a piece of a cache line, and point by point reads it once.
             if features == 1:
                 for i in range(U(count)):
                     total[i] = weight[i] * entry[row[i]]
@@ -316,6 +332,8 @@ def add_gradient(entry, gradient, base, point, feature, count, features, row, we
     The gradient of feature f of point i is gradient[base + i * point + f * feature].
     """
     b = U(BLOCK)
+    # An entry's gradient is the sum over points and corners of the trilinear weight times the feature's gradient.
+    # Points share entries, so they are added one after another: in the same order for any number of threads.
     if features == U(1):
         for i in range(U(count)):
             g = gradient[base + i * point]
@@ -348,6 +366,7 @@ def _table_gradient(start, stop, points, gradient, resolutions, dense, features,
     weight = np.empty(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
     count_all = points.size // 3
+    # A thread owns whole levels. So no two threads write to one entry, and nothing has to be merged.
     for level in range(start, stop):
         entry = out[U(level) * width : U(level + 1) * width]
         entry[:] = 0
@@ -384,6 +403,7 @@ def _points_gradient(start, stop, points, gradient, resolutions, dense, features
             corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
             entry = table[U(level) * width : U(level + 1) * width]
             base = U(first) * stride + U(level) * nf
+            # What moving the point's weight to each corner would be worth: the gradient times the corner's features.
             for c in range(U(0), U(8) * b, b):
                 if features == 1:
                     for i in range(U(count)):
@@ -398,6 +418,8 @@ def _points_gradient(start, stop, points, gradient, resolutions, dense, features
                         for f in range(nf):
                             product += gradient[base + i * stride + f] * entry[k + f]
                         dot[c + i] = product
+            # Along an axis the derivative is the difference of opposite corners, interpolated along the other two axes,
+            # times the cells along a side.
             for i in range(U(count)):
                 fx, fy, fz = fraction[i], fraction[b + i], fraction[U(2) * b + i]
                 gx, gy, gz = one - fx, one - fy, one - fz
@@ -409,6 +431,7 @@ def _points_gradient(start, stop, points, gradient, resolutions, dense, features
                 total[i] += cells * along_x
                 total[b + i] += cells * along_y
                 total[U(2) * b + i] += cells * along_z
+        # A point outside was moved to the nearest face: across it the features do not change.
         for i in range(U(count)):
             for axis in range(U(3)):
                 j = U(3) * (U(first) + i) + axis

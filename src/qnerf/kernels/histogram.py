@@ -27,13 +27,18 @@ def _grain(weights: Tensor) -> int:
 
 @jit
 def _draw(start, stop, s, w, jitter, padding, min_total, out):  # type: ignore[no-untyped-def]
+    """Writes the edges drawn on rays start..stop."""
     bins, count = w.shape[1], out.shape[1]
     for ray in range(start, stop):
+        # The whole weight. What an almost empty ray lacks to `min_total` is spread evenly over its intervals.
         total = 0.0
         for j in range(bins):
             total += np.float64(w[ray, j]) + padding
         fill = max(min_total - total, 0.0) / bins
         total += fill * bins
+        # Targets grow with k, so one walk along the intervals finds them all: interval j holds the target if the weight
+        # `below` it does not reach the target and that up to its end does. The edge lies within it by linear
+        # interpolation.
         j = 0
         below = 0.0
         mass = np.float64(w[ray, 0]) + padding + fill
@@ -61,10 +66,12 @@ def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None
 
 @jit
 def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: ignore[no-untyped-def]
+    """Writes the losses of rays start..stop and their derivatives by the outer weights."""
     bins, outer_bins = w.shape[1], w_outer.shape[1]
     cumulative = np.empty(outer_bins + 1)
     slope = np.empty(outer_bins + 1)
     for ray in range(start, stop):
+        # Cumulative outer weights: the weight of the outer intervals from `low` to `high` is a difference of two.
         cumulative[0] = 0.0
         slope[:] = 0.0
         for j in range(outer_bins):
@@ -72,6 +79,8 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
         above = 0  # outer edges at or below the inner one
         while above <= outer_bins and s_outer[ray, above] <= s[ray, 0]:
             above += 1
+        # Edges of both histograms grow, so one walk finds the outer intervals that touch each inner one. The derivative
+        # by all outer weights between `low` and `high` is the same number: noted where it begins and where it ends.
         total = 0.0
         for i in range(bins):
             low = max(above - 1, 0)
@@ -85,6 +94,7 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
                 slope[low] += step
                 slope[high] -= step
         loss[ray] = total
+        # The running sum of these notes is the derivative by each outer weight.
         running = 0.0
         for j in range(outer_bins):
             running += slope[j]
@@ -119,10 +129,13 @@ class Interlevel(torch.autograd.Function):
 
 @jit
 def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
+    """Writes the losses of rays start..stop and their derivatives by the weights."""
     bins = w.shape[1]
     for ray in range(start, stop):
+        # With W_k = w_0 + ... + w_k, W their sum and gap_k = s_(k+2) - s_k, twice the distance of two midpoints:
         # L = sum_i w_i (sum_{k<i} gap_k W_k + 1/3 w_i (s_(i+1) - s_i)); every term is positive, so nothing cancels.
-        # dL/dw_i = sum_{k<i} gap_k W_k + sum_{k>=i} gap_k (W - W_k) + 2/3 w_i (s_(i+1) - s_i), gap_k = s_(k+2) - s_k
+        # dL/dw_i = sum_{k<i} gap_k W_k + sum_{k>=i} gap_k (W - W_k) + 2/3 w_i (s_(i+1) - s_i)
+        # One walk forward sums what lies before each interval, and a walk back what lies behind it.
         before = 0.0
         cumulative = 0.0
         total = 0.0

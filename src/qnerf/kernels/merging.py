@@ -60,6 +60,7 @@ class Merge(torch.autograd.Function):
 
 @jit
 def _merge(start, stop, shares, geometry, count, parts, tiny, part, merged, mean):  # type: ignore[no-untyped-def]
+    """Writes the parts of rays start..stop, and of which part each sample is."""
     number = shares.dtype.type
     features = U(mean.size // merged.size)
     n, m = U(count), U(parts)
@@ -71,6 +72,8 @@ def _merge(start, stop, shares, geometry, count, parts, tiny, part, merged, mean
         total = max(total, number(tiny))
         for j in range(out, out + m):
             merged[j] = number(0)
+        # A sample's part is that of the middle of its share, in a running sum that ends at 1. Sums are in float32 or
+        # float64 as the reference's are, in the same order, so that both choose the same part.
         before = number(0)
         for i in range(first, first + n):
             before += shares[i]
@@ -80,6 +83,7 @@ def _merge(start, stop, shares, geometry, count, parts, tiny, part, merged, mean
             merged[out + U(own)] += shares[i]
         for j in range(out * features, (out + m) * features):
             mean[j] = number(0)
+        # The mean geometry of each part, weighted by the samples' shares of it.
         for i in range(first, first + n):
             own = out + U(part[i])
             weight = shares[i] / max(merged[own], number(tiny))
@@ -92,7 +96,10 @@ def _merge_gradient(  # type: ignore[no-untyped-def]
     start, stop, shares, geometry, merged, mean, part, to_merged, to_mean, count, parts, tiny, floor, to_shares,
     to_geometry,
 ):  # fmt: skip
-    """The derivative of a part's mean m by a sample's share is (g - m) / S, with S of at least `floor`."""
+    """Writes the gradients of rays start..stop.
+
+    The derivative of a part's mean m by a sample's share is (g - m) / S, with S of at least `floor`.
+    """
     number = shares.dtype.type
     features = U(mean.size // merged.size)
     n, m = U(count), U(parts)
@@ -100,6 +107,8 @@ def _merge_gradient(  # type: ignore[no-untyped-def]
         for i in range(ray * n, (ray + U(1)) * n):
             own = ray * m + U(part[i])
             weight = shares[i] / max(merged[own], number(tiny))
+            # Through the mean and through the part's share. A sample of a part with next to no share gets a bounded
+            # gradient, see `MergeShading`.
             inner = number(0)
             for f in range(features):
                 g = to_mean[own * features + f]

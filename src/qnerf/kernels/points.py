@@ -49,9 +49,12 @@ def _place(start, stop, origins, directions, edges, count, contraction, half_ext
         r, e = U(3) * ray, ray * (n + U(1))
         ox, oy, oz = origins[r], origins[r + U(1)], origins[r + U(2)]
         dx, dy, dz = directions[r], directions[r + U(1)], directions[r + U(2)]
+        # The midpoints of the ray's intervals, axis by axis: three plain arrays, which LLVM turns into vectors.
         for k in range(n):
             t = half * (edges[e + k + U(1)] + edges[e + k])
             x[k], y[k], z[k] = ox + dx * t, oy + dy * t, oz + dz * t
+        # All of space into the cube by the largest coordinate (`contract`), or a box by its size. Each operation is the
+        # reference's, in its order: the points equal its own to the last bit, and so do the cells that they choose.
         if contraction == CUBE:
             for k in range(n):
                 px, py, pz = _bounded(x[k], largest), _bounded(y[k], largest), _bounded(z[k], largest)
@@ -68,6 +71,7 @@ def _place(start, stop, origins, directions, edges, count, contraction, half_ext
         for k in range(n):
             p = U(3) * (first + k)
             unit[p], unit[p + U(1)], unit[p + U(2)] = x[k], y[k], z[k]
+        # The cell of the mask; outside the cube the nearest one.
         if inside.size:
             for k in range(n):
                 cx, cy, cz = _cell(x[k] * side, last), _cell(y[k] * side, last), _cell(z[k] * side, last)

@@ -39,6 +39,8 @@ def count_views_reference(points: Tensor, matrices: Tensor, width: int, height: 
 @jit
 def _count(start, stop, points, matrices, width, height, max_views, out):  # type: ignore[no-untyped-def]
     """Writes the counts of points start..stop."""
+    # Point by point over the views, because counting stops as soon as enough of them see the point. The division by the
+    # depth is left out: x <= width depth where the depth is above 0.
     for i in range(start, stop):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         count = np.int64(0)
