@@ -17,7 +17,7 @@ RUNS = {
         {"lpips_reason": "no weights", "eval_views": 3, "params.color": 211, "machine": "a"},
     ),
     "signal": (
-        {"seed": 2, "train": {"lr": "auto"}, "needs": {"train.lr": {"value": 3}}, "extra": {"count": 2}},
+        {"seed": 2, "train": {"lr": 3}, "extra": {"count": 2}},
         {"psnr_unseen": 7, "stopped": None, "more": 1},
     ),
     "later": ({"seed": 3, "train": {"lr": 2}, "extra": {"count": 0.5}}, {"stopped": "plateau", "more": 0.5}),
