@@ -9,11 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import qnerf.geometry.rays
+from qnerf.config import memory
+from qnerf.geometry import rays
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project, rays_from
 from qnerf.scenes import Cameras, Scene
 from qnerf.scenes.base import composite
 from qnerf.scenes.lens import _distort, distort, invertible, undistort
+from tests.helpers import worlds
 
 IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
 FOX = torch.tensor([0.0578421, -0.0805099, -0.000980296, 0.00015575], dtype=torch.float64)
@@ -287,3 +290,24 @@ def test_colors_composite_straight_alpha():
     np.testing.assert_allclose(red[..., 1], (pixels[..., :3] * pixels[..., 3:])[..., 1], atol=1e-6)
     opaque = scene(cameras())
     assert torch.equal(opaque.colors(1, 1.0), opaque.images[1].float() / 255)
+
+
+def test_the_table_of_rays_says_what_it_would_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = worlds.ball(views=4, size=32)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1000)
+    with pytest.raises(ValueError, match=r"the table of 1,024 rays would take .* available"):
+        rays.RayTable(scene)
+
+
+def test_rays_computed_in_parts_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = worlds.ball(views=4, size=32)
+    whole = rays.RayTable(scene, validation_stride=7)
+    monkeypatch.setattr(rays, "PART", 96)
+    parts = rays.RayTable(scene, validation_stride=7)
+    assert torch.equal(whole.directions, parts.directions)
+    numbers = torch.arange(6, 3 * 32 * 32, 7)  # the held-out pixels, one by one
+    chosen = numbers[torch.linspace(0, len(numbers) - 1, 50, dtype=torch.float64).long()]
+    held_out, colors = parts.validation(50)
+    views, pixels = torch.div(chosen, 32 * 32, rounding_mode="floor"), chosen % (32 * 32)
+    assert torch.equal(held_out.directions, parts.rays(views, pixels).directions)
+    assert torch.equal(colors, parts.colors[chosen].float() / 255)

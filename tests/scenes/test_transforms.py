@@ -14,8 +14,9 @@ import torch
 from PIL import Image
 
 from qnerf.cli.errors import MAX_MESSAGE, one_line
+from qnerf.config import memory
 from qnerf.geometry.rays import RayTable
-from qnerf.scenes import SCENES
+from qnerf.scenes import SCENES, images
 from qnerf.scenes.area import area_downscale
 from tests.helpers import scenes
 from tests.helpers.configs import DATA
@@ -415,14 +416,25 @@ def test_kinds_of_pixels(tiny_scene):
 
 def test_alpha_is_kept_where_there_is_any(tmp_path):
     folder = write_scene(tmp_path / "scene", channels=4)
-    assert build(folder).images.shape[-1] == 4
-    for view in range(6):
-        Image.new("RGBA", (8, 6), (1, 2, 3, 255)).save(folder / NAMES[view])
-    assert build(folder).images.shape[-1] == 3
-    Image.new("RGBA", (8, 6), (1, 2, 3, 254)).save(folder / NAMES[3])
-    images = build(folder).images
-    assert images[3, 0, 0].tolist() == [1, 2, 3, 254]
-    assert images[2, 0, 0].tolist() == [1, 2, 3, 255]
+    pixels = [np.asarray(Image.open(folder / name)).copy() for name in NAMES]
+    np.testing.assert_array_equal(build(folder).images, np.stack(pixels))
+    for name, image in zip(NAMES, pixels, strict=True):
+        image[..., 3] = 255
+        Image.fromarray(image).save(folder / name)
+    np.testing.assert_array_equal(build(folder).images, np.stack(pixels)[..., :3])
+    pixels[2][0, 0, 3] = 254  # one pixel that is not opaque, and one image without alpha
+    Image.fromarray(pixels[2]).save(folder / NAMES[2])
+    Image.fromarray(pixels[4][..., :3]).save(folder / NAMES[4])
+    np.testing.assert_array_equal(build(folder).images, np.stack(pixels))
+
+
+def test_a_scene_that_does_not_fit_into_memory_is_refused_and_a_smaller_width_fits(tmp_path, monkeypatch):
+    folder = write_scene(tmp_path / "scene", width=64, height=48)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 6 * 64 * 48 * 3)
+    refused(folder, "6 images would take", "are available; use a larger scene.downscale or a smaller scene.width")
+    monkeypatch.setattr(images, "DECODING_BYTES", 0)
+    build(folder, width=32)
+    build(folder, downscale=2)
 
 
 def test_downscaling_averages_areas_and_scales_intrinsics(tmp_path):
