@@ -11,7 +11,7 @@ Data re-uploading circuits (`reuploading`): `initial_angles`, `normal_form` (wha
 the CPU), `statevector` (the plain PyTorch reference).
 
 Any other circuit (`any_circuit`): `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and
-`pauli_statevector` (the engine and its reference), `pauli_cost`.
+`pauli_statevector` (the engine and its reference).
 
 Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled: errors become angles, `folded_errors`,
 or signs of angles, `carried_errors`), `readout`, `measurement`.

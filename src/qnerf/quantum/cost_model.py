@@ -4,9 +4,6 @@ Operations are multiply-adds on one sample, counted from the normal form of the 
 few operations a sample, but its circuit has to be evaluated on a grid once a step. It is cheaper from some batch size
 on; with large cones it never is.
 
-The expected time has seven constants, which were fitted to a grid of wires, re-uploadings and batches
-(benchmarks/results/cost_model.parquet). On this grid the time of a step is within a factor of 2.
-
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> for spectral in (1, 2):
 ...     circuit = ANSATZE.build("qiren", 8, spectral)
@@ -16,10 +13,8 @@ statevector
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isnan
 
 import torch
 
@@ -30,32 +25,7 @@ from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.cones import TooLarge
 from qnerf.quantum.lightcone import interpolation, pieces, polynomial_form
 from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form
-from qnerf.quantum.registers import as_registers, is_split, measured
-
-
-@dataclass(frozen=True)
-class Rates:
-    """How fast the machine is.
-
-    Attributes:
-        step: seconds of every step: Python, autograd.
-        table: seconds for each amplitude and step of the normal form: what is set up once, of any batch.
-        state, cone: bytes of multiply-add operands a second, thread and byte of a vector, of either engine.
-        sample: seconds for each byte of the inputs.
-        cache: bytes of a block's state from which on the memory slows it down.
-        slowdown: by how much more time at most.
-    """
-
-    step: float = 3.42e-4
-    table: float = 4.11e-8
-    state: float = 2.78e9
-    cone: float = 1.52e9
-    sample: float = 9.22e-9
-    cache: float = 3.39e6
-    slowdown: float = 3.55
-
-
-RATES = Rates()
+from qnerf.quantum.registers import as_registers, is_split
 
 
 @dataclass(frozen=True)
@@ -69,7 +39,6 @@ class Cost:
         operations: multiply-adds for each sample.
         operations_once: multiply-adds for each step, whatever the batch.
         memory: bytes of work space beside inputs and outputs.
-        seconds: expected time of a step; NaN where no rate was measured (GPUs, plain PyTorch, PennyLane).
         reason: why this engine was taken.
         others: the methods that were not taken -> why not.
     """
@@ -80,15 +49,13 @@ class Cost:
     operations: int
     operations_once: int
     memory: int
-    seconds: float
     reason: str
     others: dict[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        time = "" if isnan(self.seconds) else f", about {self.seconds * 1e3:.2f} ms"
         return (
             f"{self.method} ({self.backend}) for {self.batch} samples: {self.operations:,} operations a sample, "
-            f"{self.operations_once:,} a step, {readable_bytes(self.memory)}{time}; {self.reason}"
+            f"{self.operations_once:,} a step, {readable_bytes(self.memory)}; {self.reason}"
         )
 
 
@@ -123,39 +90,6 @@ def statevector_memory(form: NormalForm, batch: int, itemsize: int = 4) -> int:
     return blocks_at_once * vectors * 2**form.wires * VECTOR_BYTES + itemsize * batch * 4 * form.wires
 
 
-def expected_seconds(
-    forms: Mapping[NormalForm, int],
-    wires: int,
-    batch: int,
-    itemsize: int,
-    operations: int,
-    operations_once: int,
-    rates: Rates = RATES,
-) -> float:
-    """Forward and backward of a compiled engine; with operations once a step, that of the light cones.
-
-    forms: what is evaluated, and how often: a circuit of many wires may be evaluated as several registers.
-    """
-    lanes = VECTOR_BYTES // itemsize
-    blocks = -(-batch // lanes)  # one sample costs as much as a block
-    threads = min(loop_threads(), max(blocks, 1))
-    once = sum(
-        count * rates.table * len(form.steps) * 2**form.wires * _slow(form, rates) for form, count in forms.items()
-    )
-    slow = max(_slow(form, rates) for form in forms)
-    state, cone = rates.state * VECTOR_BYTES * threads / slow, rates.cone * VECTOR_BYTES * threads
-    per_sample = operations * blocks * lanes * itemsize / (cone if operations_once else state)
-    once += operations_once * 8 / state  # the grid is float64
-    calls = 1 if operations_once else sum(forms.values())
-    return rates.step * calls + once + per_sample + rates.sample * batch * wires * itemsize
-
-
-def _slow(form: NormalForm, rates: Rates) -> float:
-    """By what factor memory slows a state down."""
-    filled = (2.0**form.wires * VECTOR_BYTES / rates.cache) ** 2
-    return 1 + rates.slowdown * filled / (filled + 1)
-
-
 def forms_of(circuit: Circuit) -> Counter[NormalForm]:
     """The normal forms that a re-uploading circuit is evaluated as, and how often each."""
     return Counter({normal_form(own): count for own, count in Counter(p.circuit for p in pieces(circuit)).items()})
@@ -185,20 +119,6 @@ def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
     return 2 * (forward + 8 * polynomials.highest_degree * circuit.wires) + backward, once
 
 
-def of_registers(costs: Sequence[Cost], circuit: Circuit, dtype: torch.dtype) -> Cost:
-    """What the registers of a wide circuit cost together; each of them is evaluated by itself."""
-    first = costs[0]
-    outputs = first.batch * measured(circuit).values * torch.finfo(dtype).bits // 8
-    return replace(
-        first,
-        operations=sum(cost.operations for cost in costs),
-        operations_once=sum(cost.operations_once for cost in costs),
-        memory=max(cost.memory for cost in costs) + 2 * outputs,
-        seconds=sum(cost.seconds for cost in costs),
-        reason=as_registers(circuit),
-    )
-
-
 def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
     """The cheaper engine for a batch of a re-uploading circuit if `method` is auto, else the one asked for.
 
@@ -209,11 +129,6 @@ def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype,
     itemsize = torch.finfo(dtype).bits // 8
     backend = "compiled" if compiled else "torch"
     split = f", {as_registers(circuit)}" if is_split(circuit) else ""
-
-    def seconds(operations: int, once: int) -> float:
-        if not compiled:
-            return float("nan")
-        return expected_seconds(forms, circuit.wires, batch, itemsize, operations, once)
 
     state = sum(count * statevector_operations(form) for form, count in forms.items())
     counted = lightcone_operations(circuit)
@@ -233,10 +148,8 @@ def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype,
             if split:
                 memory += sum(count * statevector_memory(form, 1, 8) for form, count in forms.items())
             reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
-            return Cost("lightcone", backend, batch, cone, once, memory, seconds(cone, once), reason + split, others)
+            return Cost("lightcone", backend, batch, cone, once, memory, reason + split, others)
         why_not = f"{cone:,} operations a sample, but {once:,} once a step"
     memory = max(statevector_memory(form, batch, itemsize) for form in forms) if compiled else statevector.CHUNK_BYTES
     reason = "asked for" if method == "statevector" else why_not
-    return Cost(
-        "statevector", backend, batch, state, 0, memory, seconds(state, 0), reason + split, {"lightcone": why_not}
-    )
+    return Cost("statevector", backend, batch, state, 0, memory, reason + split, {"lightcone": why_not})

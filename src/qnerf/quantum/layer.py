@@ -143,7 +143,7 @@ class QuantumLayer(nn.Module):
         Counts for the device and the precision of the parameters and for PyTorch's present number of threads.
         """
         if self._simulator is None:
-            return Cost("pennylane", "torch", batch, 0, 0, 0, float("nan"), "asked for")
+            return Cost("pennylane", "torch", batch, 0, 0, 0, "asked for")
         first = next(self.parameters(), torch.empty(0))
         computed = torch.empty(0, dtype=_computed(first.dtype), device=first.device)
         return self._simulator.cost(batch, computed.dtype, self._simulator.is_compiled(computed))
