@@ -57,7 +57,6 @@ SLOW = (
     "scenes/test_fingerprint.py",
     "quantum/test_tapes.py::test_random",
     "quantum/test_tapes.py::test_the_device_passes",
-    "scenes/test_memory.py",
     "search/",
     "slurm/",
     "test_devices.py",
