@@ -1,4 +1,4 @@
-"""Two samples of angles compared: Kuiper's test, Wasserstein distance and mean direction on the circle.
+"""Two samples of angles compared: Wasserstein distance and mean direction on the circle.
 
 Angles are in turns, of any number: 0.25 and 1.25 are the same direction.
 """
@@ -8,26 +8,6 @@ from typing import TypeVar
 import numpy as np
 
 Angles = TypeVar("Angles", float, np.ndarray)
-
-
-def kuiper(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Kuiper's two-sample statistic V = max(F - G) + max(G - F), in [0, 1], and its asymptotic p-value.
-
-    V does not depend on where the circle is cut open. p = 2 sum_j (4 j^2 l^2 - 1) exp(-2 j^2 l^2) with
-    l = (sqrt(N) + 0.155 + 0.24 / sqrt(N)) V and N = n m / (n + m) (Kuiper 1960, "Tests concerning random points on a
-    circle"; Stephens 1970, "Use of the Kolmogorov-Smirnov, Cramer-von Mises and related statistics without extensive
-    tables"). NaN where a sample is empty.
-    """
-    if min(len(first), len(second)) == 0:
-        return float("nan"), float("nan")
-    _, gap = _gaps(first, second)
-    statistic = float(max(gap.max(), 0.0) + max(-gap.min(), 0.0))
-    root = np.sqrt(len(first) * len(second) / (len(first) + len(second)))
-    scale = (root + 0.155 + 0.24 / root) * statistic
-    if scale < 0.4:  # the series converges slowly and its sum is 1 to seven digits
-        return statistic, 1.0
-    squares = (np.arange(1, 101) * scale) ** 2
-    return statistic, float(np.clip(2 * np.sum((4 * squares - 1) * np.exp(-2 * squares)), 0, 1))
 
 
 def wasserstein(first: np.ndarray, second: np.ndarray) -> float:

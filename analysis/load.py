@@ -12,7 +12,7 @@ from qnerf.records import filters, index
 from qnerf.records.deletion import holds_runs
 
 from . import packed
-from .settings import LABELS
+from .selection import LABELS
 
 _HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NEEDED = (

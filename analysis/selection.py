@@ -1,18 +1,12 @@
 """Which runs a table or figure uses, which are left out and why, and which must not be averaged together."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextvars import ContextVar
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from qnerf.records.filters import check_column
-
-from .settings import LABELS, configuration, distinct, effective
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
@@ -21,6 +15,15 @@ FIRST_KEYS = ("scene_name", "field", "density", "color")
 """Row keys that every table of the report has."""
 
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
+
+LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
+"""Columns that name a run's choices; a label that does not act in a run is absent."""
+QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head": ("quantum",)}
+"""Head -> the fields in which it is a circuit."""
+
+_SCALARS = ("experiment", "geo_features", "appearance")
+_RESULTS = ("params", "time", "run")  # first parts of dotted names that are no configuration
+_RECORDED = ("scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")  # change no result
 
 
 @dataclass(frozen=True)
@@ -39,50 +42,26 @@ class Selection:
 
 
 def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
-    """The runs of `frame` (from `load.runs`) that finished with a finite `metric`.
-
-    A run is left out if another has the same seed and the same effective settings. Settings without effect are None.
-    ValueError as `finite` raises it.
-    """
-    found: Selection = _once(frame, metric, partial(_select, frame, metric))
-    return Selection(found.runs.copy(), found.left_out)
+    """The runs of `frame` (from `load.runs`) that finished with a finite `metric`; ValueError as `finite` raises it."""
+    runs, left_out = finite(frame, metric)
+    return Selection(runs.copy(), {reason: count for reason, count in left_out.items() if count})
 
 
 def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Scene -> its runs."""
-    scenes: dict[str, pd.DataFrame] = _once(frame, "scenes", lambda: dict(list(frame.groupby("scene_name"))))
-    return scenes
+    return dict(list(frame.groupby("scene_name")))
 
 
-@contextlib.contextmanager
-def remembering() -> Iterator[None]:
-    """Inside it, `select` and `by_scene` work once for each table: for a caller in whose tables nothing changes."""
-    token = _remembered.set({})
-    try:
-        yield
-    finally:
-        _remembered.reset(token)
+def configuration(frame: pd.DataFrame) -> list[str]:
+    """Columns of the flat configuration that decide a result, without the seed."""
+    dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
+    return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _RECORDED]
 
 
-_remembered: ContextVar[dict[tuple[int, str], tuple[pd.DataFrame, Any]] | None]
-_remembered = ContextVar("_remembered", default=None)
-
-
-def _once(frame: pd.DataFrame, what: str, make: Callable[[], Any]) -> Any:
-    known = _remembered.get()
-    if known is None:
-        return make()
-    key = (id(frame), what)
-    if key not in known:
-        known[key] = (frame, make())  # an id belongs to the frame as long as it is kept
-    return known[key][1]
-
-
-def _select(frame: pd.DataFrame, metric: str) -> Selection:
-    runs, left_out = finite(frame, metric)
-    selected = distinct(runs)
-    left_out["repeating another"] = len(runs) - len(selected)
-    return Selection(selected, {reason: count for reason, count in left_out.items() if count})
+def settings(runs: pd.DataFrame) -> pd.DataFrame:
+    """The settings in which the runs differ, as text; "" where one does not act in a run."""
+    differing = [name for name in configuration(runs) if runs[name].nunique(dropna=False) > 1]
+    return runs[differing].map(lambda value: "" if value is None or value != value else str(value))
 
 
 def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, int]]:
@@ -111,19 +90,19 @@ def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, in
 
 def measured(runs: pd.DataFrame) -> list[str]:
     """Columns with a number in at least one run that do not belong to the configuration."""
-    settings = set(configuration(runs))
+    known = set(configuration(runs))
     return [
         name
         for name in runs.select_dtypes("number").columns
-        if name not in settings and name not in _PROGRESS and runs[name].notna().any()
+        if name not in known and name not in _PROGRESS and runs[name].notna().any()
     ]
 
 
 def row_keys(runs: pd.DataFrame) -> list[str]:
     """Scene, field, heads, and further settings that are needed so that no row mixes configurations."""
     keys = list(FIRST_KEYS)
-    settings = ("encoder", "hash", *LABELS, *configuration(runs))
-    for name in (name for name in settings if runs[name].nunique(dropna=False) > 1):
+    names = ("encoder", "hash", *LABELS, *configuration(runs))
+    for name in (name for name in names if runs[name].nunique(dropna=False) > 1):
         if name not in keys and runs.groupby(keys, dropna=False)[name].nunique(dropna=False).max() > 1:
             keys.append(name)
     return keys
@@ -150,8 +129,8 @@ def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
     """ValueError where groups of `rows` compare different scenes, or one group mixes configurations."""
     refuse_scenes(runs, rows)
     groups = runs.groupby(list(rows), dropna=False, sort=False)
-    settings = [key for key in (*LABELS, *effective(runs)) if key in runs.columns and key not in rows]
-    varying = [key for key in settings if runs[key].nunique(dropna=False) > 1]
+    names = [key for key in (*LABELS, *configuration(runs)) if key in runs.columns and key not in rows]
+    varying = [key for key in names if runs[key].nunique(dropna=False) > 1]
     if varying:
         several = groups[varying].nunique(dropna=False) > 1
         mixed = several[several.any(axis=1)]

@@ -3,9 +3,9 @@
 Takes the run means of every pair of configurations of the same scene in docs/results/seeds (ten seeds), removes the
 means, and draws experiments from what is left: the seeds' own spreads, skewness and tails. One side is then shifted by
 a true difference. `wrong` is a false sign or a false equivalence, `decided` is a verdict other than "undecided".
-One table is of a single look (`qnerf tables`), the other of `qnerf decide`, which looks several times.
+Compared are tables of 3 to 20 seeds, which look once, and `qnerf decide`, which looks several times.
 
-Prints the tables and saves them in benchmarks/results/coverage.parquet.
+Prints the table and saves it in benchmarks/results/coverage.parquet.
 """
 
 import argparse
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from qnerf.analysis import load
+from qnerf.analysis.decide.looks import MOST, look, looks, shares
 from qnerf.analysis.verdict import Verdict, evaluations, verdict
 
 RESULTS = Path(__file__).parent / "results" / "coverage.parquet"
@@ -37,13 +38,24 @@ def pairs(store: Path) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def single(one: Draw, two: Draw, seeds: int) -> tuple[Verdict, int]:
-    return verdict(one(seeds), two(seeds), WITHIN), seeds
+    return verdict(one(seeds), two(seeds), WITHIN, metric="psnr"), seeds
+
+
+def several(one: Draw, two: Draw) -> tuple[Verdict, int]:
+    """What `qnerf decide` finds, and after how many seeds a side."""
+    values = one(MOST), two(MOST)
+    for count, alpha in zip(looks(), shares(), strict=True):
+        found, _ = look(values[0][:count], values[1][:count], WITHIN, alpha)
+        if found.kind != "undecided":
+            break
+    return found, count
 
 
 def rows(measured: list[tuple[np.ndarray, np.ndarray]], experiments: int) -> Iterator[dict[str, object]]:
     """A row a method and true difference in dB: shares of wrong and decided verdicts, mean number of seeds a side."""
     random = np.random.default_rng(0)
-    methods = {f"one look, {n} seeds": (lambda one, two, n=n: single(one, two, n)) for n in (3, 5, 10, 20)}
+    methods: dict[str, Callable[[Draw, Draw], tuple[Verdict, int]]] = {"qnerf decide, up to 20 seeds": several}
+    methods |= {f"one look, {n} seeds": (lambda one, two, n=n: single(one, two, n)) for n in (3, 5, 10, 20)}
     for name, method in methods.items():
         for true in (0.0, 0.3, WITHIN, 1.0, 2.0):
             wrong, decided, seeds = 0, 0, 0

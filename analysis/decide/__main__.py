@@ -187,7 +187,7 @@ class Study:
         text = found.text(question.metric)
         if collapse < alpha:
             text += "; they do not collapse equally often"
-        print(f"{count} seeds: {name} - {baseline}: {interval(found, question.metric)} ({level}), {text}")
+        print(f"\n{count} seeds: {name} - {baseline}: {interval(found, question.metric)} ({level}), {text}")
         if found.kind != "undecided" or collapse < alpha or last:
             record.verdicts[name] = f"{text} ({interval(found, question.metric)}, {count} seeds)"
 
@@ -199,8 +199,8 @@ class Study:
 
 
 def _cost(frame: pd.DataFrame) -> float:
-    """Seconds of a run: training and evaluation."""
-    return float(frame["train_s"].mean() + frame.get("eval_s", pd.Series([0.0])).fillna(0).mean())
+    """Median seconds of a run: training and evaluation."""
+    return float((frame["train_s"] + frame.get("eval_s", pd.Series(0.0, frame.index)).fillna(0)).median())
 
 
 def _title(scene: str, candidate: str) -> str:

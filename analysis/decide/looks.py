@@ -6,6 +6,7 @@ no more than that is wrong wherever one stops. `most`, the last look, is fixed o
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -44,7 +45,7 @@ def look(
     baseline: Sequence[float], other: Sequence[float], within: float, alpha: float, metric: str = "psnr"
 ) -> tuple[Verdict, float]:
     """The verdict at error rate `alpha`, and the p-value of Fisher's test that one side collapses more often."""
-    found = verdict(baseline, other, within, metric=metric, alpha=alpha)
+    found = replace(verdict(baseline, other, within, metric=metric, alpha=alpha), star=False)
     table = [[gone, kept] for gone, kept in zip(found.collapsed, found.seeds, strict=True)]
     return found, float(stats.fisher_exact(table).pvalue)
 

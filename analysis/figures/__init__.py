@@ -14,7 +14,6 @@ from .cpu_ladder import cpu_ladder_points, psnr_vs_cpu_seconds
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
 from .forest import forest, forest_points
-from .image_sizes import image_sizes
 from .ladder import ladder_points, speed_error_ladder
 from .pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
 from .plateaus import barren_plateaus, plateau_points
@@ -24,53 +23,3 @@ from .sampling import ray_samples, sampling_strategies
 from .shape import psnr_vs_depth, psnr_vs_width, shape_points
 from .shots_and_noise import hardware_points, psnr_vs_noise, psnr_vs_shots
 from .spectrum import fourier_spectrum, spectrum_points
-
-__all__ = [
-    "FIGURES",
-    "Entry",
-    "accuracy_points",
-    "accuracy_vs_speed",
-    "barren_plateaus",
-    "best_of",
-    "capacity_points",
-    "capacity_vs_psnr",
-    "cpu_ladder_points",
-    "encoding_channels",
-    "encoding_slices",
-    "engine_points",
-    "engine_speed_vs_error",
-    "forest",
-    "forest_points",
-    "fourier_spectrum",
-    "front",
-    "hardware_points",
-    "hash_configurations",
-    "hash_points",
-    "hsv_boxes",
-    "hsv_histograms",
-    "hsv_samples",
-    "hsv_study",
-    "image_sizes",
-    "ladder_points",
-    "loss_curves",
-    "loss_points",
-    "plateau_points",
-    "psnr_vs_cpu_seconds",
-    "psnr_vs_depth",
-    "psnr_vs_noise",
-    "psnr_vs_shots",
-    "psnr_vs_time",
-    "psnr_vs_width",
-    "qualitative_grid",
-    "qualitative_panels",
-    "ray_samples",
-    "sampling_strategies",
-    "save",
-    "shape_points",
-    "spectrum_points",
-    "speed_error_ladder",
-    "speed_points",
-    "speed_vs_error",
-    "time_points",
-    "typical",
-]

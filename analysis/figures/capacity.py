@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from qnerf.metrics import HEAD_PARAMETERS, metric_of
 
 from .. import style
-from ..marks import Mark, arrange
+from ..marks import Mark, write_names
 from ..selection import select
 from . import points
 
@@ -43,7 +43,7 @@ def capacity_points(frame: pd.DataFrame, part: str = "heads") -> pd.DataFrame:
 def capacity_vs_psnr(frame: pd.DataFrame, part: str = "heads") -> Figure:
     """PSNR against the parameters of a part, coloured by SSIM: a row per scene, quantum left, classical right.
 
-    Each mark has the name of its heads. Marks of equal size stand beside each other.
+    Each mark has the name of its heads.
     """
     finished = select(frame)
     table = capacity_points(frame, part)
@@ -65,7 +65,7 @@ def capacity_vs_psnr(frame: pd.DataFrame, part: str = "heads") -> Figure:
         ax.set_xlabel(f"parameters of the {style.HEADS.get(part, part)}")
     _ssim_bar(figure, axes, norm)
     style.footnote(figure, points.seeds(table), key, finished.note)
-    arrange(figure, drawn)
+    write_names(figure, drawn)
     return figure
 
 
@@ -99,7 +99,7 @@ def hash_configurations(frame: pd.DataFrame) -> Figure:
     names = points.scenes(table)
     figure, axes = style.panels(len(names), 2.7, sharey=True)
     norm = _ssim_norm(table)
-    drawn, covered = [], []
+    drawn = []
     lines = list(dict.fromkeys(table["line"]))
     for ax, scene in zip(axes, names, strict=True):
         ax.set(title=scene, xscale="log", xlabel="parameters of hash table\nand density head")
@@ -110,14 +110,13 @@ def hash_configurations(frame: pd.DataFrame) -> Figure:
             ax.plot(family["params"], family["psnr"], dashes, color=style.ink(), alpha=0.4, lw=0.8)
             ax.plot([], [], dashes, marker=marker, color=style.ink(), alpha=0.6, lw=0.8, label=line)
             drawn += _marks(ax, family, norm, family["hash"], marker)
-            covered.append((ax, family[["params", "psnr"]].to_numpy()))
         style.plain_ticks(ax)
     axes[0].set_ylabel(metric_of("psnr").heading)
     _ssim_bar(figure, axes, norm)
     if len(lines) > 1:
         style.legend(figure)
     style.footnote(figure, points.seeds(table), select(frame).note)
-    arrange(figure, drawn, covered)
+    write_names(figure, drawn)
     return figure
 
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from qnerf.metrics import METRICS, metric_of
 
 from .. import style
-from ..marks import Mark, arrange
+from ..marks import Mark, write_names
 from ..selection import select
 from ..step_times import doubt
 from . import benchmarks, points
@@ -54,7 +54,7 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
     )
     scenes = points.scenes(table)
     figure, axes = style.panels(len(scenes), 2.6)
-    drawn, lines = [], []
+    drawn = []
     for ax, scene in zip(axes, scenes, strict=True):
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):
@@ -63,9 +63,8 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
             ax.plot([], [], ls="", marker=marker, color=color, label=field)
             names = group["mark"].where(group["front"], "")
             values = zip(group[time], group[metric], group[f"{metric}_std"], names, strict=True)
-            drawn += [Mark(ax, *value, movable=False).draw(marker, color=color) for value in values]
-        best = _draw_front(ax, shown, time, metric, lw=0.8)
-        lines.append((ax, best[[time, metric]].to_numpy()))
+            drawn += [Mark(ax, *value).draw(marker, color=color) for value in values]
+        _draw_front(ax, shown, time, metric, lw=0.8)
         ax.set(title=scene, xlabel=metric_of(time).heading, xscale="log")
         ax.margins(0.15)
         style.plain_ticks(ax)
@@ -73,7 +72,7 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
     style.legend(figure)
     ranked = doubt(finished.runs, time) or "line and names: Pareto front"
     style.footnote(figure, ranked, points.seeds(table), key, finished.note)
-    arrange(figure, drawn, lines)
+    write_names(figure, drawn)
     return figure
 
 
@@ -122,8 +121,7 @@ def _with_fronts(table: pd.DataFrame, by: str, cost: pd.Series, loss: pd.Series)
     return table.assign(front=pd.concat(fronts))
 
 
-def _draw_front(ax: Axes, shown: pd.DataFrame, x: str, y: str, lw: float) -> pd.DataFrame:
-    """Draws the front as steps and returns its rows, cheapest first."""
+def _draw_front(ax: Axes, shown: pd.DataFrame, x: str, y: str, lw: float) -> None:
+    """Draws the front as steps."""
     best = shown[shown["front"]].sort_values(x)
     ax.step(best[x], best[y], where="post", color=style.ink(), lw=lw, alpha=0.6, zorder=1)
-    return best

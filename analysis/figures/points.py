@@ -7,7 +7,7 @@ from string import ascii_lowercase
 
 import pandas as pd
 
-from ..settings import LABELS, QUANTUM, effective
+from ..selection import LABELS, QUANTUM, settings
 
 _NAME_LABELS = ("field", "encoder", "hash", "density", "color", "head", "sampler", "cameras", "train", "steps")
 _NOTATIONS = {
@@ -85,12 +85,12 @@ def names(
         labels = labels.assign(density="density " + labels["density"], color="colour " + labels["color"])
     told = labels[used].fillna("").to_numpy()  # a label that a kind of run lacks
     texts = pd.Series([" ".join(filter(None, row)) for row in told], index=table.index, dtype=object)
-    settings = _settings(table, runs, ignored)
+    own = _settings(table, runs, ignored)
     alike = [table["scene_name"], texts]
-    several = settings.groupby(alike).transform("nunique") > 1
+    several = own.groupby(alike).transform("nunique") > 1
     for key in several.columns[several.any()]:
-        told = several[key] & (settings[key] != "")
-        texts = texts.where(~told, texts + f", {key}=" + settings[key])
+        told = several[key] & (own[key] != "")
+        texts = texts.where(~told, texts + f", {key}=" + own[key])
     return texts
 
 
@@ -118,7 +118,7 @@ def notation(names: Iterable[str]) -> str:
 
 
 def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> pd.DataFrame:
-    keys = pd.concat([runs["scene_name"], effective(runs)], axis=1)
+    keys = pd.concat([runs["scene_name"], settings(runs)], axis=1)
     groups = runs.groupby(keys.groupby(list(keys.columns), sort=False).ngroup())
     table = groups[list(dict.fromkeys(["scene_name", *LABELS, "train.steps", *keep]))].first()
     for value in values:
@@ -129,9 +129,9 @@ def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> 
 
 
 def _settings(table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str]) -> pd.DataFrame:
-    """The `effective` settings of each row of `points`, without the ignored ones."""
-    settings = effective(runs.loc[[members[0] for members in table["runs"]]]).set_axis(table.index)
-    return settings.drop(columns=[key for key in map(str, settings) if {key, key.split(".")[0] + "."} & set(ignored)])
+    """The `settings` of each row of `points`, without the ignored ones."""
+    own = settings(runs.loc[[members[0] for members in table["runs"]]]).set_axis(table.index)
+    return own.drop(columns=[key for key in map(str, own) if {key, key.split(".")[0] + "."} & set(ignored)])
 
 
 def seeds(table: pd.DataFrame, drawn: str = "bars") -> str:

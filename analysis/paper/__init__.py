@@ -9,13 +9,3 @@ from .tables import (
     quoted_numbers,
     rgb_predictors,
 )
-
-__all__ = [
-    "PAPER_TABLES",
-    "SETTING",
-    "hash_encoding_configurations",
-    "hsv_tests",
-    "quantum_density_and_rgb",
-    "quoted_numbers",
-    "rgb_predictors",
-]

@@ -94,7 +94,6 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track)
         "total": f"{len(frame):,}",
         "dates": content.dates(frame),
         "states": list(frame["state"].fillna("unknown").value_counts().items()),
-        "older": content.older(frame),
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],

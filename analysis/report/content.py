@@ -5,19 +5,16 @@ from typing import Any
 
 import pandas as pd
 
-import qnerf
 from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 
 from .. import style
 from ..figures import points
-from ..load import NEEDED, with_needed
+from ..load import with_needed
 from ..selection import select
-from ..settings import acting, first_of_each, without_constants
 from ..step_times import doubts
 from . import curves, pictures
 from .columns import packed
 from .figures import dark_colors
-from .versions import versions
 
 FIRST_COLUMNS = ("run_id", "psnr", "state")
 LABEL_COLUMNS = ("scene_name", "field", "encoder", "density", "color", "seed")
@@ -35,10 +32,8 @@ _RESULTS = ("params.", "time.", "run.")
 
 
 def prepared(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with columns for the page: those of `described` and `named`, and the version of qnerf."""
-    frame = described(with_needed(frame.reset_index(drop=True)))
-    frame["version"] = versions(frame["path"])
-    return named(frame)
+    """`frame` with columns for the page: those of `described` and `named`."""
+    return named(described(with_needed(frame.reset_index(drop=True))))
 
 
 def described(frame: pd.DataFrame) -> pd.DataFrame:
@@ -50,15 +45,11 @@ def described(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def named(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with `repeats`, the run that a finished run repeats, and `configuration`, a name from `points.points`.
-
-    Damaged runs have none.
-    """
-    telling = without_constants(frame, NEEDED)
-    named = frame.assign(repeats=first_of_each(telling), configuration=None)
-    readable = telling[telling["state"] != "damaged"]
+    """`frame` with `configuration`, a name from `points.points`; damaged runs have none."""
+    named = frame.assign(configuration=None)
+    readable = frame[frame["state"] != "damaged"]
     if len(readable):
-        table = points.points(acting(readable), ["psnr"])
+        table = points.points(readable, ["psnr"])
         names = {row: name for name, rows in zip(table["name"], table["runs"], strict=True) for row in rows}
         named["configuration"] = named.index.to_series().map(names).astype(object)
     return named
@@ -112,12 +103,6 @@ def dates(frame: pd.DataFrame) -> str:
         datetime.fromtimestamp(float(t), UTC).date().isoformat() for t in frame["created"].agg(["min", "max"])
     )
     return f"started {first}" if first == last else f"started {first} to {last}"
-
-
-def older(frame: pd.DataFrame) -> list[tuple[str, int]]:
-    """Versions of qnerf other than this one that wrote runs, and how many each."""
-    others = frame.loc[frame["version"] != qnerf.__version__, "version"]
-    return list(others.value_counts().items())
 
 
 def no_pictures(drawn: pictures.Pictures, asked: bool, pack: bool) -> str:

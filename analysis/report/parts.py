@@ -8,10 +8,8 @@ import pandas as pd
 
 from .. import hsv
 from ..figures import FIGURES, colors
-from ..load import NEEDED
 from ..paper import PAPER_TABLES
-from ..selection import by_scene, remembering
-from ..settings import without_constants
+from ..selection import by_scene
 from ..tables import Table
 from ..verdict import within_of
 from .figures import Drawn, draw
@@ -21,10 +19,6 @@ COLOURS = ("hsv",)
 INTERACTIVE = ("capacity", "capacity_color", "capacity_density", "loss", "time", "speed")
 """Figures that the page's own plots show; `qnerf figures` writes them."""
 PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in (*COLOURS, *INTERACTIVE))
-REPEATS = (
-    "repeat another: the same scene and seed, and settings that differ only where they do not act. They are among the "
-    "runs above, and count nowhere below."
-)
 OTHER_FIGURES = tuple(
     name
     for name, entry in FIGURES.items()
@@ -57,15 +51,7 @@ class Part:
 
 def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     """Tables and figures of the store, in the order of the page."""
-    with remembering():
-        return _parts(without_constants(frame, (*NEEDED, "train.rays")), advance)
-
-
-def _parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
-    repeats = frame["repeats"].notna().sum()
     configurations = Part("tables", "Tables", "Configurations over seeds")
-    if repeats:
-        configurations.text = f"{repeats:,} runs {REPEATS}"
     configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame)]
     if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
         configurations.tables.append(decided)

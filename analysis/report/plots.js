@@ -45,8 +45,7 @@ function drawable(x, y, scene) {
 
 /** One point a configuration: name, field, runs, and mean and spread of x and y. */
 function configurations(runs, x, y) {
-  const counted = runs.filter((run) => value("repeats", run) === null);
-  const groups = Map.groupBy(counted, (run) => value("configuration", run));
+  const groups = Map.groupBy(runs, (run) => value("configuration", run));
   return [...groups].map(([name, members]) => ({
     name,
     field: value("field", members[0]),

@@ -19,12 +19,11 @@ from qnerf.records import filters
 from qnerf.records.pictures import read_png_bytes
 
 from ..images import named_panels, pictures
-from ..load import NEEDED, metrics
+from ..load import metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
 from ..report.tables import ShownTable, decisions, shown
 from ..selection import row_keys, select
-from ..settings import without_constants
 from ..tables import ablation
 from .store import Changes, WatchedStore
 
@@ -137,7 +136,6 @@ class Answers:
         if frame.empty:
             raise ValueError("there are no runs yet")
         chosen = filters.require(frame, filter) if filter.strip() else frame
-        chosen = without_constants(chosen, (*NEEDED, *(key.strip() for key in rows.split(","))))
         metric = metric or "psnr"
         keys = [key.strip() for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
         if metric not in {item.key for item in quality_metrics()}:

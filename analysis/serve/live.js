@@ -109,7 +109,7 @@ function apply(news) {
   refresh(Object.keys(news.rows).map((id) => numberOf.get(id)));
 }
 
-const NAMED = ["configuration", "repeats"];
+const NAMED = ["configuration"];
 const isSetting = (name) => name.includes(".") && !/^(params|time|run)\./.test(name);
 
 function numbered(id) {

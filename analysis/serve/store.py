@@ -34,8 +34,8 @@ NAMES_SHARE = 0.1
 class Changes:
     """What a page does not know yet.
 
-    rows: run -> column -> value, whole rows. named: run -> its configuration, and the run that it repeats. removed:
-    runs that are gone.
+    rows: run -> column -> value, whole rows. named: run -> its configuration. removed: runs that are
+    gone.
     """
 
     version: int
@@ -94,8 +94,7 @@ class WatchedStore:
         if frame.empty:
             return version, frame
         frame = content.described(completed(frame.copy()))
-        for key in ("configuration", "repeats"):
-            frame[key] = [names.get(run, {}).get(key) for run in frame["run_id"]]
+        frame["configuration"] = [names.get(run, {}).get("configuration") for run in frame["run_id"]]
         return version, frame
 
     def path(self, run: str) -> Path:
@@ -113,7 +112,7 @@ class WatchedStore:
         start = time.monotonic()
         _, frame = self.frame()
         named = content.named(frame) if len(frame) else frame
-        rows = named[["run_id", "configuration", "repeats"]].to_dict("records") if len(frame) else []
+        rows = named[["run_id", "configuration"]].to_dict("records") if len(frame) else []
         with self._lock:
             self._names_after = time.monotonic() + (time.monotonic() - start) / NAMES_SHARE
             new = {row.pop("run_id"): {key: plain(value) for key, value in row.items()} for row in rows}

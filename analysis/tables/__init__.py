@@ -8,15 +8,3 @@ from .smallest import smallest
 from .stability import stability
 from .table import Table
 from .units import units
-
-__all__ = [
-    "Table",
-    "ablation",
-    "across_scenes",
-    "markdown",
-    "over_seeds",
-    "shots_and_noise",
-    "smallest",
-    "stability",
-    "units",
-]

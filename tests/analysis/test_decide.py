@@ -91,7 +91,7 @@ def trainings(monkeypatch):
 def test_a_study_stops_at_the_verdict_and_keeps_its_record(trainings, tmp_path, capsys):
     decide.main(["x=a", "x=b", "--store", str(tmp_path), "--budget", "1h"])
     said = capsys.readouterr().out
-    assert said.splitlines()[0].startswith("4 seeds: x=b - x=a: +0.")
+    assert said.splitlines()[1].startswith("4 seeds: x=b - x=a: +0.")
     assert "(99.8 %)" in said
     assert "next look at 6 seeds, about 2 minutes more" in said
     (row,) = records(tmp_path).to_dict("records")

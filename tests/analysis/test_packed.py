@@ -1,19 +1,14 @@
-import errno
 import shutil
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from qnerf.analysis import load
 from qnerf.analysis.pack import main
 from qnerf.analysis.paper import PAPER_TABLES
-from qnerf.analysis.results import stored
 from qnerf.analysis.tables import ablation
 from qnerf.analysis.verdict import evaluations
 
 from tests.helpers.packed_stores import write_run
-from tests.helpers.sweep import sweep
 
 
 @pytest.fixture
@@ -47,14 +42,6 @@ def test_a_packed_folder_names_no_machine(store, tmp_path):
         assert str(tmp_path) not in table.astype(str).to_csv()
 
 
-def test_packing_again_reads_the_new_views(store, tmp_path):
-    packed = tmp_path / "packed"
-    main([str(store), str(packed), "--filter", "seed=0"])
-    assert evaluations(load.runs(packed)).size == 4
-    main([str(store), str(packed)])
-    assert evaluations(load.runs(packed, "state=finished")).size == 8
-
-
 def test_runs_are_added_to_packed_ones(store, tmp_path):
     """For example those of another machine; a run that is there already is replaced."""
     packed, whole = tmp_path / "packed", tmp_path / "whole"
@@ -82,20 +69,11 @@ def test_figures_of_other_runs_go_and_files_of_others_stay(store, tmp_path):
     assert sorted(path.name for path in packed.iterdir() if path.suffix != ".parquet") == ["notes.md", "photo.png"]
 
 
-def test_in_a_folder_that_is_not_packed_nothing_goes(store, tmp_path):
-    names = {"loss.png", "width_notes.png", "rgb.md", "units.parquet"}
-    for name in names:
-        (tmp_path / name).write_text("mine")
-    main([str(store), str(tmp_path)])
-    assert {name for name in names if (tmp_path / name).read_text() == "mine"} == names
-
-
-@pytest.mark.parametrize("part", ["", "images", "images/more"])
-def test_nothing_is_packed_into_a_run(store, part):
+def test_nothing_is_packed_into_a_run(store):
     run = next(store.glob("poster-*"))
     (run / "units.parquet").write_text("measured")
     with pytest.raises(ValueError, match="is in a run's folder"):
-        main([str(store), str(run / part)])
+        main([str(store), str(run / "images")])
     assert (run / "units.parquet").read_text() == "measured"
     assert not list(run.glob("**/views.parquet"))
 
@@ -108,46 +86,13 @@ def test_nothing_is_packed_into_another_store(store, tmp_path):
         main([f"file://{store}", str(store)])
 
 
-@pytest.mark.parametrize("name", ["runs.parquet", "views.parquet", "rgb.md", "capacity.png"])
-def test_nothing_is_written_through_a_link(store, tmp_path, name):
-    (tmp_path / "mine").write_text("mine")
-    (tmp_path / "packed").mkdir()
-    (tmp_path / "packed" / name).symlink_to(tmp_path / "mine")
-    with pytest.raises(ValueError, match="is a link"):
-        main([str(store), str(tmp_path / "packed"), "--paper", "rgb", "--figures", "capacity"])
-    assert (tmp_path / "mine").read_text() == "mine"
-
-
-def test_a_full_disk_keeps_the_earlier_tables(store, tmp_path, monkeypatch):
-    packed = tmp_path / "packed"
-    main([str(store), str(packed), "--filter", "seed=0"])
-    before = {path.name: path.read_bytes() for path in packed.iterdir()}
-
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full)
-    with pytest.raises(OSError, match="No space left"):
-        main([str(store), str(packed)])
-    assert {path.name: path.read_bytes() for path in packed.iterdir()} == before
-
-
-def test_a_packed_folder_can_be_packed_again(store, tmp_path):
-    main([str(store), str(tmp_path / "packed")])
-    main([str(tmp_path / "packed"), str(tmp_path / "part"), "--filter", "field=qcolor"])
-    assert evaluations(load.runs(tmp_path / "part", "state=finished")).size == 4
-
-
-def test_what_needs_pictures_and_curves_is_drawn_of_the_store(tmp_path, tmp_path_factory):
-    trained = sweep(tmp_path_factory.getbasetemp())
+def test_what_needs_pictures_and_curves_is_drawn_of_the_store(trained, tmp_path):
     folder = tmp_path / "results" / "scenes"
     main([str(trained), str(folder), "--figures", "loss", "hsv", "--paper", "hsv", "--filter", "state=finished"])
     assert {file.name for file in folder.iterdir()} == {
         "runs.parquet", "views.parquet", "loss.png", "hsv.png", "hsv.md",
     }  # fmt: skip
-    text = "\n".join(stored(folder))
-    assert "**HSV Output Analysis" in text
-    assert "![Loss in training and on held-out views](results/scenes/loss.png)" in text
+    assert (folder / "hsv.md").read_text().startswith("**HSV Output Analysis")
     with pytest.raises(ValueError, match="unknown figure 'nonsense'"):
         main([str(trained), str(folder), "--figures", "nonsense"])
 
@@ -168,12 +113,3 @@ def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
         shutil.copy(tmp_path / "packed" / name, store)
     with pytest.raises(ValueError, match="holds runs and also packed tables"):
         load.runs(store)
-
-
-def test_a_table_with_two_columns_of_one_name_is_damaged(store, tmp_path, capsys):
-    run = next(store.glob("poster-*"))
-    row = {"when": "end", "head": "color", "kind": "relu", "units": 1, "layer": 0, "dead": 0.5, "std": 0.5}
-    table = pa.Table.from_pylist([row])
-    pq.write_table(table.append_column("layer", table["layer"]), run / "units.parquet")
-    main([str(store), str(tmp_path / "packed")])
-    assert "units.parquet: damaged: expected one column layer, got 2" in capsys.readouterr().err

@@ -1,6 +1,6 @@
 import pandas as pd
 import pytest
-from qnerf.analysis.selection import check_keys, measured, select
+from qnerf.analysis.selection import check_keys, measured, select, settings
 
 from qnerf.records import filters
 
@@ -57,33 +57,12 @@ def test_everything_left_out_is_told():
     assert select(FRAME[:2]).note == ""
 
 
-def test_a_run_that_differs_in_nothing_that_acts_counts_once():
-    """An MLP does not see the circuits' options, nor a circuit the MLP's width; another seed is another run."""
-    base = {"state": "finished", "field": "classical", "qiren": "1L2S", "color.qiren.layers": 1, "color.mlp.width": 64}
-    rows = [
-        base | {"seed": 0, "psnr": 20.0},
-        base | {"seed": 0, "psnr": 20.0, "qiren": "3L2S", "color.qiren.layers": 3},
-        base | {"seed": 1, "psnr": 21.0},
-        base | {"seed": 0, "psnr": 22.0, "color.mlp.width": 32},
-        base | {"seed": 0, "psnr": 23.0, "field": "qcolor"},
-        base | {"seed": 0, "psnr": 23.0, "field": "qcolor", "color.mlp.width": 32},
+def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():
+    """An absent column means that: the runs of a signal beside those of a field."""
+    base = {"state": "finished", "seed": 0, "psnr": 20.0, "train.steps": 10}
+    rows = [base | {"field": "classical", "color.mlp.width": 64.0}, base | {"head": "1L2S", "head.qiren.layers": 1.0}]
+    made = settings(pd.DataFrame(rows))
+    assert made.to_dict("records") == [
+        {"color.mlp.width": "64.0", "head.qiren.layers": ""},
+        {"color.mlp.width": "", "head.qiren.layers": "1.0"},
     ]
-    selection = select(pd.DataFrame(rows))
-    assert selection.note == "left out: 2 repeating another"
-    assert selection.runs["psnr"].tolist() == [20.0, 21.0, 22.0, 23.0]
-    assert selection.runs["qiren"].fillna("none").tolist() == ["none", "none", "none", "1L2S"]
-    assert selection.runs["color.mlp.width"].astype(float).fillna(0).tolist() == [64, 64, 32, 0]
-
-
-def test_options_that_heads_copy_are_columns_too():
-    """`qiren.layers` is what a user sweeps; it acts through `color.qiren.layers`."""
-    base = {"state": "finished", "seed": 0, "encoder": "hash", "psnr": 20.0}
-    rows = [
-        base | {"field": "classical", "qiren.layers": 1, "hash.levels": 8},
-        base | {"field": "classical", "qiren.layers": 2, "hash.levels": 8},
-        base | {"field": "qcolor", "qiren.layers": 1, "color.qiren.layers": 1, "hash.levels": 8},
-        base | {"field": "qcolor", "qiren.layers": 2, "color.qiren.layers": 2, "hash.levels": 8, "encoder": "pe"},
-    ]
-    runs = select(pd.DataFrame(rows)).runs
-    assert runs["qiren.layers"].astype(float).fillna(0).tolist() == [0, 1, 2]
-    assert runs["hash.levels"].astype(float).fillna(0).tolist() == [8, 8, 0]

@@ -6,7 +6,6 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from qnerf.analysis import command
 from qnerf.analysis.load import runs
 from qnerf.analysis.tables import Table, ablation, across_scenes, markdown, over_seeds
 from qnerf.analysis.tables.__main__ import main
@@ -17,7 +16,6 @@ from rich.console import Console
 from rich.text import Text
 from scipy import stats
 
-from qnerf.experiment import run
 from tests.helpers.packed_stores import write_run
 
 
@@ -109,8 +107,6 @@ def test_what_must_not_be_averaged_is_refused(store):
     with pytest.raises(ValueError, match=r"row qcolor mixes runs of different train.steps \(10, 20\)"):
         over_seeds(runs(store), ["field"])
     assert len(over_seeds(runs(store), ["field", "train.steps"])) == 3
-    again = pd.concat([frame, frame[frame["seed"] == 1]])
-    pd.testing.assert_frame_equal(over_seeds(again, ["field"]), over_seeds(frame, ["field"]))
 
 
 def test_scenes_stand_in_one_table_only_under_their_names(store):
@@ -259,21 +255,6 @@ def test_bold_is_what_prints_like_the_best(means, name):
     assert {f"{means[row]:.{digits}f}" for row in np.flatnonzero(bold)} == {f"{means[wanted]:.{digits}f}"}
 
 
-def test_tables_of_trained_runs(tiny, tmp_path):
-    for seed in (0, 1):
-        for field in ("classical", "qcolor"):
-            run(tiny(f"field={field}", f"seed={seed}"))
-    frame = runs(tmp_path / "runs")
-    table = ablation(frame, ["scene_name", "field", "color"], baseline={"field": "classical"})
-    psnr = frame[frame["field"] == "qcolor"]["psnr"]
-    line = table.data.loc[("scene", "qcolor", "1L2S")]
-    assert line["psnr"].tolist() == pytest.approx([psnr.mean(), psnr.std(), 2])
-    assert line[("difference", "difference")] == pytest.approx(
-        psnr.mean() - frame[frame["field"] == "classical"]["psnr"].mean()
-    )
-    assert line["params.color"].tolist() == [491, 0, 2]
-
-
 def test_the_command_prints_what_is_asked(store, capsys):
     main([str(store), "--rows", "field", "--filter", "seed=1", "--values", "psnr"])
     assert capsys.readouterr().out.splitlines()[2:4] == ["| classical | 21.50 | 1 |", "| qcolor | **22.50** | 1 |"]
@@ -285,20 +266,6 @@ def test_the_command_prints_what_is_asked(store, capsys):
         main([str(store), "--filter", "seed=7"])
     with pytest.raises(ValueError, match="baseline: 'run_id' is not a row key"):
         main([str(store), "--rows", "field", "--baseline", "seed"])
-
-
-HOSTILE = "\x1b[31m\u202e\u2028\x85\r\n[a](http://x)![b](http://x)[c][d]"
-
-
-@pytest.mark.parametrize("form", ["markdown", "latex", "csv"])
-def test_names_of_a_stranger_change_neither_the_terminal_nor_the_page(tmp_path, capsys, form):
-    write_run(tmp_path, "qcolor", 0)
-    frame = runs(tmp_path).assign(color=HOSTILE)
-    command.show(ablation(frame, ["color"]), form)
-    out = capsys.readouterr().out
-    assert all(character.isprintable() for line in out.split("\n") for character in line)
-    assert "\\x1b" in out or "textbackslash{}x1b" in out
-    assert form != "markdown" or not re.search(r"(?<!\\)\][(\[]", out)
 
 
 def test_a_key_with_several_values_a_run_is_refused(store, capsys):

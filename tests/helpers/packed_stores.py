@@ -42,7 +42,10 @@ def write_run(
     counts["params.total"] = sum(counts.values())
     name = "-".join([scene, field, f"s{seed}", *(f"{key}{value}" for key, value in (columns or {}).items())])
     claim = RunStore(store).claim(
-        re.sub("[.=]", "", name), settings, columns=names | {"train": "quick"} | counts | dict(columns or {})
+        re.sub("[.=]", "", name),
+        settings,
+        columns=names | {"train": "quick"} | counts | dict(columns or {}),
+        types={"seed": "int", "train.steps": "int"},
     )
     with claim.run as run:
         run.write_eval([{"image": f"{view}.png", "psnr": value, "ssim": value / 40} for view, value in enumerate(psnr)])
