@@ -104,21 +104,7 @@ def capture(
         one_size = len({_size(taken / name) for name in names}) == 1
         shared = lens == "shared" or (lens == "auto" and one_size)
         matchings = {"sequence": ["sequential"], "auto": ["sequential", "exhaustive"] if video else ["exhaustive"]}
-        others = active_children()
-        # Another process, because COLMAP ends its own where it fails, and because a second copy of SQLite must not read
-        # a database in the process that writes it.
-        with ProcessPoolExecutor(1, get_context("spawn"), steps.begin, (work / "log.txt",)) as colmap:
-            try:
-                models = _reconstruct(
-                    colmap, taken, names, work, shared, black, matchings.get(order, ["exhaustive"]), progress
-                )
-                running = colmap.submit(steps.undistort, models[0].folder, taken, work / "scene", JPEG_QUALITY, black)
-                _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
-            except KeyboardInterrupt:  # of SIGTERM, say, which COLMAP's process does not get
-                for process in active_children():
-                    if process not in others:
-                        process.kill()
-                raise
+        models = _solve(taken, names, work, shared, black, matchings.get(order, ["exhaustive"]), progress)
         posed = set(models[0].posed)
         scene = _write(work / "scene", work / "written")
         if out.is_dir():
@@ -133,6 +119,34 @@ def capture(
         error=models[0].error,
         masked=masked,
     )
+
+
+def _solve(
+    folder: Path,
+    names: list[str],
+    work: Path,
+    shared: bool,
+    masks: Path,
+    matchings: list[str],
+    progress: Progress,
+) -> list[Model]:
+    """COLMAP's models, see `_reconstruct`; the photographs of the first are written to `work`/scene, undistorted.
+
+    In another process, because COLMAP ends its own where it fails, and because a second copy of SQLite must not read a
+    database in the process that writes it.
+    """
+    others = active_children()
+    with ProcessPoolExecutor(1, get_context("spawn"), steps.begin, (work / "log.txt",)) as colmap:
+        try:
+            models = _reconstruct(colmap, folder, names, work, shared, masks, matchings, progress)
+            running = colmap.submit(steps.undistort, models[0].folder, folder, work / "scene", JPEG_QUALITY, masks)
+            _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
+            return models
+        except KeyboardInterrupt:  # of SIGTERM, say, which COLMAP's process does not get
+            for process in active_children():
+                if process not in others:
+                    process.kill()
+            raise
 
 
 def _beside(out: Path) -> Path:

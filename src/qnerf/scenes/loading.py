@@ -69,12 +69,8 @@ def load_scene(
     folder, name = capture.folder.path, capture.format
     posed = existing(capture, skip_missing, eval_every)
     check_unique(capture.source, posed)
-    train, held_out = split_of(posed, eval_every)
-    if not train or not held_out:
-        raise ValueError(f"{folder}: the split leaves no image to {'evaluate' if train else 'train'}")
     poses, transform, scales = normalised(capture, posed)
-    used = sorted({*train, *held_out})
-    train, held_out = [used.index(index) for index in train], [used.index(index) for index in held_out]
+    used, train, held_out = used_views(folder, posed, eval_every)
     views = with_masks(capture.folder, [posed[index] for index in used])
     files = [open_header(folder, image.file) for image in views if image.file is not None]
     sizes = reduced_sizes(f"scene={name}", files, downscale, width)
@@ -85,10 +81,8 @@ def load_scene(
         {"frame": index, "image": file.name, "content": content, "lens": lens} | ({"mask": black} if black else {})
         for index, file, content, lens, black in zip(used, files, hashes, lenses, mask_hashes, strict=True)
     ]
-    if width is None:
-        table[:, :4] /= downscale
-    else:
-        table[:, :4] *= np.tile(np.array(sizes) / [(file.width, file.height) for file in files], 2)
+    full = np.array([(file.width, file.height) for file in files])
+    table[:, :4] = table[:, :4] / downscale if width is None else table[:, :4] * np.tile(np.array(sizes) / full, 2)
     scale = float(np.linalg.norm(transform[:3, 0]))
     near, far = (None, None) if capture.bounds is None else (bound * scale for bound in capture.bounds)
     return Scene(
@@ -175,6 +169,21 @@ def split_of(images: Sequence[PosedImage], eval_every: int | None) -> tuple[list
         return split_views(len(images), eval_every)
     train, held_out = ([index for index, image in enumerate(images) if image.use == use] for use in ("train", "eval"))
     return train, held_out
+
+
+def used_views(
+    folder: Path, images: Sequence[PosedImage], eval_every: int | None
+) -> tuple[list[int], list[int], list[int]]:
+    """Indices of the images that train or are held out, and among these the indices of both kinds.
+
+    Raises:
+        ValueError: there are none of one kind.
+    """
+    train, held_out = split_of(images, eval_every)
+    if not train or not held_out:
+        raise ValueError(f"{folder}: the split leaves no image to {'evaluate' if train else 'train'}")
+    used = sorted({*train, *held_out})
+    return used, [used.index(index) for index in train], [used.index(index) for index in held_out]
 
 
 def with_masks(folder: SceneFolder, images: Sequence[PosedImage]) -> list[PosedImage]:

@@ -42,7 +42,12 @@ def blender(
     Raises:
         ValueError: one line that names the mistake and the file or frame.
     """
-    folder = SceneFolder(path)
+    capture = read_splits(SceneFolder(path), eval_split, eval_views, skip_missing)
+    return load_scene(capture, downscale, width, skip_missing=skip_missing)
+
+
+def read_splits(folder: SceneFolder, eval_split: str, eval_views: int | None, skip_missing: bool) -> Capture:
+    """The images of transforms_train.json, or of the only file that is there, and those that are held out."""
     there = {split: folder.path / name for split, name in FILES.items() if (folder.path / name).is_file()}
     first = "train" if "train" in there or not there else next(iter(there))
     contents = {first: read_json(folder.file(FILES[first]))}
@@ -56,18 +61,11 @@ def blender(
     if any(image.file for image in held_out):
         if evaluated != eval_split:
             remarks.insert(0, f"{FILES[evaluated]} is held out: {FILES[eval_split]} has no images")
-        existing = [image for image in held_out if image.file or not skip_missing]
-        images = [replace(image, use="train") for image in images] + limited(existing, eval_views)
+        held_out = [image for image in held_out if image.file or not skip_missing]
+        chosen = set(even_subset(len(held_out), eval_views))
+        images = [replace(image, use="train") for image in images]
+        images += [replace(image, use="eval" if index in chosen else "unused") for index, image in enumerate(held_out)]
     else:
         remarks.insert(0, f"one in ten views of {FILES[first]} is held out: no other split has images")
     read = tuple(FILES.values())
-    capture = Capture(
-        "blender", folder, there[first], images, recentre=False, bounds=BOUNDS, remarks=remarks, read=read
-    )
-    return load_scene(capture, downscale, width, skip_missing=skip_missing)
-
-
-def limited(images: list[PosedImage], limit: int | None) -> list[PosedImage]:
-    """The evaluation split, of which at most `limit` images are measured."""
-    chosen = set(even_subset(len(images), limit))
-    return [replace(image, use="eval" if index in chosen else "unused") for index, image in enumerate(images)]
+    return Capture("blender", folder, there[first], images, recentre=False, bounds=BOUNDS, remarks=remarks, read=read)
