@@ -66,6 +66,9 @@ Measures = dict[str, float | str | None]
 class Display:
     """Receives the progress of a run. This one is silent; the command line has one that prints."""
 
+    def describe(self, config: Mapping[str, Any], parameters: Mapping[str, int]) -> None:
+        """Before `begin`: the configuration that acts, and the number of parameters of each part of the model."""
+
     def begin(self, path: Path, step: int, steps: int) -> None: ...
 
     def phase(self, name: str) -> None:
@@ -178,6 +181,7 @@ def run(
         if claim.outcome == "resumed":
             display.note(claim.message)
         display.note(f"scene {scene.name}: {scene.description()}")
+        display.describe(prepared.config, parameter_counts(task.model))
         if prepared.decisions:
             decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]
             display.note(f"the scene needs {', '.join(decided)}")

@@ -1,22 +1,13 @@
 """What the terminal shows of any configuration and any result."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
 
 from qnerf.cli.display import LiveDisplay, print_outcome
-from qnerf.cli.text import console, tree
+from qnerf.cli.text import console
 from qnerf.experiment import Outcome
-
-
-@pytest.mark.parametrize("value", [r"x\[/b]", "[red]x[/red]", "D:\\data\\", [1, "[/]"], None, "a\nb\x1b[2J"])
-def test_a_configuration_is_shown_as_it_is(value: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    console().print(tree("configuration", {"scene": {"path": value}}))
-    shown = capsys.readouterr().out
-    assert f"path: {value}".replace("\n", r"\n").replace("\x1b", r"\x1b") in shown
-    assert "\x1b" not in shown
 
 
 def test_progress_lines_say_phase_time_and_which_views(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,12 +1,11 @@
-"""Sweeps: jobs side by side, failures, kills and Ctrl-C, and what a scheduler's job does."""
+"""Trainings and sweeps from the command line: what they say, side by side, killed, stopped, shared with others."""
 
-import io
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,49 +14,22 @@ import pytest
 
 from qnerf import experiment
 from qnerf.cli import launch
-from qnerf.cli.launch import _Prefixed, _require
+from qnerf.cli import sweep as sweeps
+from qnerf.cli.ends import Output, stoppable
 from qnerf.cli.sweep import Sweep
 from qnerf.experiment import Outcome
-from qnerf.records import read_metrics, runs, state
+from qnerf.records import Run, RunStore, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
-from tests.helpers.configs import ROOT, TINY
-from tests.helpers.processes import call
+from tests.helpers.configs import ROOT
+from tests.helpers.processes import Forked, call
+from tests.helpers.stores import vanish
 
 posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-
-
-@pytest.fixture
-def small(tiny_scene: Path, tmp_path: Path) -> list[str]:
-    budget = ["hash=C7", "train.rays=8", "train.eval_every=0", "train.log_every=1", "device=cpu", "field=classical"]
-    return [
-        *TINY,
-        *budget,
-        "visibility.resolution=16",
-        "scene=nerfstudio",
-        f"scene.path={tiny_scene}",
-        f"store={tmp_path / 'runs'}",
-    ]
-
-
-@pytest.fixture
-def parallel(small: list[str], tmp_path: Path) -> Callable[..., subprocess.Popen]:
-    """Starts a sweep of two jobs at a time, in a process group of its own."""
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason='needs pip install "qnerf[parallel]"')
-
-    def start(*overrides: str) -> subprocess.Popen:
-        launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-        environment = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"}
-        return subprocess.Popen(
-            [sys.executable, "-m", "src.run", "-m", *launcher, *small, *overrides],
-            cwd=ROOT, env=environment, start_new_session=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-
-    return start
+ENDLESS = "train.steps=100000"
 
 
 def wait(ready: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + 300
     while not ready():
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -71,133 +43,124 @@ def steps(path: Path) -> list[int]:
     return read_metrics(path).query("key == 'train/loss'")["step"].tolist()
 
 
-def test_jobs_side_by_side_share_the_cores_and_a_failure_stops_none(parallel, tmp_path):
-    process = parallel("train.steps=2", "train.lr=1e-2,-1,1e-3")
-    stdout, stderr = process.communicate(timeout=200)
-    assert process.returncode == 1, stderr
+def training(store: Path, jobs: int = 1) -> Callable[[], bool]:
+    """Whether so many runs have logged a step."""
+    return lambda: sum(len(read_metrics(run)) > 0 for run in runs(store)) == jobs
+
+
+def test_a_start_says_what_is_trained_and_an_end_what_came_of_it(qnerf, small):
+    done = qnerf("run", *small, "train.steps=3", "qfgn.scale=2")
+    assert done.code == 0, done.err
+    start = done.out.partition("step 1/3")[0].splitlines()
+    assert len(start) <= 12
+    said = {line.split()[0]: line for line in start}
+    assert "held out" in said["scene"]
+    assert re_count(said["density"]) > 0
+    assert "mlp" in said["density"]
+    assert "train.steps=3" in said["changed"]
+    assert "runs/" in said["run"]
+    assert "qfgn" not in said["changed"]
+    assert done.err == "note: no effect with the chosen components: qfgn.scale=2\n"
+    for word in ("PSNR", "SSIM", "parameters", "encoder", "training"):
+        assert word in done.out
+    again = qnerf("run", *small, "train.steps=3", "qfgn.scale=2")
+    assert (again.code, "scene" in again.out.split()) == (0, False)
+
+
+def re_count(line: str) -> int:
+    return int(line.split()[-2].replace(",", ""))
+
+
+def test_cfg_job_prints_the_configuration_that_acts(qnerf, small):
+    done = qnerf("run", *small, "--cfg", "job")
+    assert done.code == 0, done.err
+    assert "log2_table_size: 13" in done.out
+    assert "qiren" not in done.out
+    unfinished = qnerf("run", "scene=nerfstudio", "--cfg", "job")
+    assert (unfinished.code, "path: ???" in unfinished.out) == (0, True)
+    assert unfinished.err == "note: not complete: scene.path must be given\n"
+
+
+def test_a_sweep_says_how_many_different_runs_it_trains_and_a_failure_stops_none(qnerf, small, tmp_path):
+    options = ["train.steps=1", "field=classical,qcolor", "qiren.layers=1,0,2", "qiren.qubits=3", "qfgn.scale=2"]
+    done = qnerf("run", "-m", *[item for item in small if not item.startswith("field")], *options)
+    assert done.out.startswith("6 jobs, 4 different runs\n")
+    assert done.err.startswith("note: no effect in any job: qfgn.scale\n")
+    assert done.code == 1
+    assert "1 failed" in done.err
+    assert "layers must be between 1 and 64, got 0" in " ".join(done.err.split())
+    assert states(tmp_path / "runs") == ["finished"] * 3
+
+
+@pytest.mark.filterwarnings("ignore")  # Hydra's about schemas, which the command itself leaves out
+def test_a_missing_launcher_or_search_is_one_line(qnerf, monkeypatch):
+    monkeypatch.setattr(
+        sweeps, "EXTRAS", {name: ("no_such_module", extra) for name, (_, extra) in sweeps.EXTRAS.items()}
+    )
+    for option, extra in (("hydra/launcher=joblib", "parallel"), ("hydra/sweeper=qnerf_optuna", "search")):
+        done = qnerf("run", "-m", "seed=0,1", option)
+        assert (done.code, f'pip install "qnerf[{extra}]"' in done.err, done.err.count("\n")) == (2, True, 1)
+
+
+def test_umlauts_are_escaped_where_the_output_knows_only_ascii(small, tmp_path):
+    store = tmp_path / "täst"
+    done = subprocess.run(
+        [sys.executable, "-m", "qnerf", "run", *small, f"store='{store}'"],
+        env=os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}, cwd=tmp_path,
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (run,) = runs(store)
+    assert f"t\\xe4st/{run.name}" in done.stdout
+
+
+# Runs that another process trains
+
+
+@pytest.fixture
+def held(qnerf, small, tmp_path) -> Run:
+    """The run of `small`, interrupted, and now written by this process."""
+    assert qnerf("run", *small, "train.steps=3").code == 0
+    (path,) = runs(tmp_path / "runs")
+    claim = RunStore(tmp_path / "runs", every=60).claim(path.name, read_config(path), force=True)
+    assert claim.run is not None
+    return claim.run
+
+
+def test_a_run_that_another_process_trains_is_exit_code_1(qnerf, small, held):
+    done = qnerf("run", *small, "train.steps=3")
+    assert done.code == 1
+    assert "being written by process" in done.out
+    held.interrupt()
+
+
+@pytest.mark.parametrize("end", ["dies", "finishes"])
+def test_a_sweep_goes_back_to_runs_whose_process_died(qnerf, small, held, tmp_path, monkeypatch, end):
+    monkeypatch.setattr(sweeps, "RETRY", 0.05)
+    looks: list[Path] = []
+
+    def look(path: Path) -> str:
+        looks.append(path)
+        if len(looks) == 3:
+            vanish(held) if end == "dies" else held.finish({"psnr": 1.0})
+        return state(path)
+
+    monkeypatch.setattr(sweeps, "state", look)
+    done = qnerf("run", "-m", *small, "train.steps=3,2")
+    assert done.code == 0, done.err
+    assert f"waiting for runs that other processes train: {held.dir.name}" in done.out
     assert states(tmp_path / "runs") == ["finished"] * 2
-    assert "1 failed" in stderr
-    assert "train.lr=-1" in stderr
-    assert "train.lr must be between 1e-30 and 1000000.0, got -1" in " ".join(stderr.split())
-    assert "Traceback" not in stderr
-    assert {line.split(" | ")[0] for line in stdout.splitlines()} == {"0", "1", "2"}, "each line says whose it is"
-    assert "1 | error: train.lr" in stderr
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    for path in runs(tmp_path / "runs"):
-        environment = pd.read_json(path / "environment.json", typ="series")
-        assert environment["threads"]["torch"] == max(cores // 2, 1)
+    assert (read_summary(held.dir)["psnr"] == 1.0) == (end == "finishes")
 
 
-@posix
-def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
-    store = tmp_path / "runs"
-    sweep = ("train.steps=3,200", "seed=0,1")
-    process = parallel(*sweep)
-    wait(lambda: states(store).count("finished") == 2 and "running" in states(store))
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
-    finished = {
-        path: (path / "summary.parquet").stat().st_mtime_ns for path in runs(store) if state(path) == "finished"
-    }
-    assert len(finished) == 2
-    again = parallel(*sweep)
-    stdout, stderr = again.communicate(timeout=200)
-    assert again.returncode == 0, stderr
-    assert states(store) == ["finished"] * 4
-    assert " ".join(stdout.replace("|", " ").split()).count("does it over") == 2
-    for path, written in finished.items():
-        assert (path / "summary.parquet").stat().st_mtime_ns == written
-        assert not (path / "environment-2.json").exists()
-    assert sorted(len(steps(path)) for path in runs(store)) == [3, 3, 200, 200]
-    assert all(steps(path) == list(range(1, len(steps(path)) + 1)) for path in runs(store))
-
-
-@posix
-@pytest.mark.usefixtures("signals")
-@pytest.mark.parametrize("how", ["Ctrl-C in a terminal, which reaches everybody", "SIGHUP to the first process alone"])
-def test_a_signal_stops_all_jobs_with_checkpoints(parallel, tmp_path, how):
-    store = tmp_path / "runs"
-    process = parallel("train.steps=100000", "seed=0,1,2")
-    wait(lambda: sum((path / "environment.json").exists() for path in runs(store)) == 2)
-    if "everybody" in how:
-        os.killpg(process.pid, signal.SIGINT)
-    else:
-        process.send_signal(signal.SIGHUP)
-    stdout, stderr = process.communicate(timeout=100)
-    assert process.returncode == 130, stderr
-    assert "Traceback" not in stdout + stderr
-    assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
-    assert states(store) == ["interrupted"] * 2, "the third job was not begun"
-    assert all((path / "checkpoint.pt").exists() for path in runs(store))
-
-
-@posix
-def test_jobs_stop_with_checkpoints_when_the_process_that_started_them_is_killed(parallel, tmp_path):
-    store = tmp_path / "runs"
-    process = parallel("train.steps=100000", "seed=0,1,2")
-    wait(lambda: sum((path / "environment.json").exists() for path in runs(store)) == 2)
-    process.kill()
-    process.communicate(timeout=100)  # returns when no job holds the pipe any more
-    assert states(store) == ["interrupted"] * 2
-    assert all((path / "checkpoint.pt").exists() for path in runs(store))
-
-
-def test_a_launcher_without_its_plugin_is_one_line(monkeypatch, capsys):
-    monkeypatch.setattr(launch.importlib.util, "find_spec", lambda name: None)
-    for name, extra in (("joblib", "parallel"), ("submitit_slurm", "slurm")):
-        with pytest.raises(SystemExit) as stop:
-            _require(name)
-        assert stop.value.code == 2
-        assert capsys.readouterr().err == (
-            f'error: hydra/launcher={name} needs a plugin: pip install "qnerf[{extra}]"\n'
-        )
-    _require("basic")
-
-
-def test_failures_come_in_the_order_of_the_jobs_without_what_all_have_in_common(tmp_path):
-    sweep = Sweep(tmp_path / "sweep", ["field=qcolor", "seed=0,1"])
-    assert sweep.failures() == []
-    for job in (10, 2):
-        Sweep(tmp_path / "sweep").fail(job, ["field=qcolor", f"seed={job}"], f"reason {job}")
-    assert sweep.failures() == [("seed=2", "reason 2"), ("seed=10", "reason 10")]
-    assert not sweep.stopping()
-    sweep.stop()
-    assert Sweep(tmp_path / "sweep").stopping()
-
-
-def test_a_damaged_report_of_a_job_is_one_failure(tmp_path):
+def test_a_cluster_does_not_wait_and_says_what_is_left(tmp_path, capsys):
+    run = RunStore(tmp_path / "runs", every=60).claim("a", {"seed": 0}).run
+    assert run is not None
     sweep = Sweep(tmp_path / "sweep")
-    for job in range(4):
-        sweep.fail(job, [f"seed={job}"], "reason")
-    (sweep.folder / "failed" / "0.json").write_text("[" * 100_000)
-    (sweep.folder / "failed" / "1.json").write_text('{"overrides": 3}')
-    (sweep.folder / "failed" / "2.json").unlink()
-    (sweep.folder / "failed" / "2.json").symlink_to(sweep.folder / "failed" / "3.json")
-    (sweep.folder / "failed" / "other.json").write_text("{}")
-    failures = sweep.failures()
-    assert [job for job, _ in failures] == ["job 0", "job 1", "job 2", "seed=3"]
-    assert all("cannot be read" in reason for _, reason in failures[:3])
-
-
-def test_every_line_gets_its_prefix():
-    file = io.StringIO()
-    prefixed = _Prefixed(file, "3 | ")
-    prefixed.write("one\ntwo\n")
-    assert file.getvalue() == "3 | one\n3 | two\n"
-
-
-@posix
-def test_a_schedulers_warning_reaches_its_handler_when_the_run_has_stopped():
-    heard: list[str] = []
-    previous = signal.signal(signal.SIGUSR2, lambda *_: heard.append("handler"))
-    try:
-        with stop_requests() as stops:
-            signal.raise_signal(signal.SIGUSR2)
-            assert stops == [signal.SIGUSR2]
-            heard.append("stopped")
-        assert heard == ["stopped", "handler"]
-    finally:
-        signal.signal(signal.SIGUSR2, previous)
+    sweep.busy(3, ["seed=0"], run.dir)
+    assert launch._report(sweep) == 1
+    assert f"other processes train them: a (process {os.getpid()} on " in capsys.readouterr().err
+    run.finish()
 
 
 @pytest.mark.parametrize(("restarts", "calls"), [(None, 1), ("1", 3)])
@@ -208,8 +171,8 @@ def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatc
     monkeypatch.setattr(experiment, "run", lambda *_, **__: done.append(outcomes[len(done)]) or done[-1])
     monkeypatch.setattr(launch, "RETRY", 0.0)
     runtime = SimpleNamespace(choices={"hydra/sweeper": "basic"})
-    job = SimpleNamespace(overrides=SimpleNamespace(task=[]), runtime=runtime)
-    monkeypatch.setattr(launch.HydraConfig, "get", lambda: job)
+    own = SimpleNamespace(overrides=SimpleNamespace(task=[]), runtime=runtime, job=SimpleNamespace(num=0))
+    monkeypatch.setattr(launch.HydraConfig, "get", lambda: own)
     monkeypatch.delenv("SLURM_RESTART_COUNT", raising=False)
     if restarts:
         monkeypatch.setenv("SLURM_RESTART_COUNT", restarts)
@@ -217,16 +180,175 @@ def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatc
     assert len(done) == calls
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("encoder=fourier", "encoder=fourier: unknown; known: hash, none, pe, rff"),
-        ("encoder.band=3", "unknown option encoder.band; known: bands, frequency_window, include_input"),
-        ("color.mlp.wide=3", "unknown option color.mlp.wide; known: init, layers, width"),
-    ],
-)
-def test_an_unknown_choice_or_option_is_one_line(override, message):
-    done = call("run", "encoder=pe", override)
+def test_threads_come_from_slurm(qnerf, monkeypatch):
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "many")
+    assert qnerf("run").err == "error: SLURM_CPUS_PER_TASK must be a whole number, got 'many'\n"
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "100000")
+    assert "threads must be between 1 and 1024, got 100000" in qnerf("run").err
+
+
+# Jobs side by side
+
+
+@pytest.fixture
+def parallel(small: list[str]) -> Callable[..., "subprocess.Popen[str]"]:
+    """Starts a sweep of two jobs at a time, in a process group of its own."""
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason='needs pip install "qnerf[parallel]"')
+
+    def start(*overrides: str) -> "subprocess.Popen[str]":
+        launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+        environment = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"}
+        return subprocess.Popen(
+            [sys.executable, "-m", "src.run", "-m", *launcher, *small, *overrides],
+            cwd=ROOT, env=environment, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    return start
+
+
+@posix
+def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
+    store = tmp_path / "runs"
+    sweep = ("train.steps=3,200", "seed=0,1", "train.lr=1e-2")
+    process = parallel(*sweep)
+    wait(lambda: states(store).count("finished") == 2 and "running" in states(store))
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    finished = {path: (path / "summary.parquet").stat() for path in runs(store) if state(path) == "finished"}
+    again = parallel(*sweep, "train.eps=1e-15,-1")
+    stdout, stderr = again.communicate(timeout=200)
+    assert again.returncode == 1, stderr
+    assert "4 failed" in stderr
+    assert "train.eps" in stderr
+    assert "Traceback" not in stderr
+    assert stdout.startswith("8 jobs, 8 different runs\n")
+    assert {line.split(" | ")[0] for line in stdout.splitlines()[1:]} == set("01234567"), "each line says whose it is"
+    assert states(store) == ["finished"] * 4
+    assert {path: (path / "summary.parquet").stat() for path in finished} == finished
+    assert all(steps(path) == list(range(1, len(steps(path)) + 1)) for path in runs(store))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    for path in runs(store):
+        assert pd.read_json(path / "environment.json", typ="series")["threads"]["torch"] == max(cores // 2, 1)
+
+
+@posix
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
+def test_jobs_side_by_side_stop_with_checkpoints(parallel, tmp_path, how):
+    store = tmp_path / "runs"
+    process = parallel(ENDLESS, "seed=0,1,2")
+    wait(training(store, 2))
+    if how == "Ctrl-C":  # in a terminal it reaches everybody
+        os.killpg(process.pid, signal.SIGINT)
+    else:
+        process.kill()
+    stdout, stderr = process.communicate(timeout=300)  # returns when no job holds the pipe any more
+    assert "Traceback" not in stdout + stderr
+    if how != "kill":
+        assert process.returncode == 130, stderr
+        assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
+    assert states(store) == ["interrupted"] * 2, "the third job was not begun"
+    assert all((path / "checkpoint.pt").exists() for path in runs(store))
+
+
+def test_failures_come_in_the_order_of_the_jobs_without_what_all_have_in_common(tmp_path):
+    sweep = Sweep(tmp_path / "sweep", ["field=qcolor", "seed=0,1"])
+    assert sweep.failures() == []
+    for job in (10, 2):
+        Sweep(tmp_path / "sweep").fail(job, ["field=qcolor", f"seed={job}"], f"reason {job}")
+    assert sweep.failures() == [("seed=2", "reason 2"), ("seed=10", "reason 10")]
+
+
+# How a training ends
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Forked]]:
+    """Starts `qnerf run`."""
+    started: list[Forked] = []
+
+    def begin(*arguments: str) -> Forked:
+        started.append(Forked("run", *arguments))
+        return started[-1]
+
+    yield begin
+    for process in started:
+        process.close()
+
+
+@posix
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("how", ["SIGINT", "stdout"])
+def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, small, tmp_path, how):
+    arguments = [*small, "train.steps=400", "train.eval_every=4", "train.eval_views=1", "threads=1"]
+    process = start(*arguments)
+    wait(training(tmp_path / "runs"))
+    process.stdout.close() if how == "stdout" else process.send_signal(getattr(signal, how))
+    errors = process.stderr.read()
+    process.wait(timeout=300)
+    assert process.returncode == (141 if how == "stdout" else 130)
+    assert errors.endswith("the same command continues from there\n")
+    assert errors.count("\n") == 1
+    (run,) = runs(tmp_path / "runs")
+    assert state(run) == "interrupted"
+    assert (run / "checkpoint.pt").is_file()
+    if how == "SIGINT":
+        assert call("run", *arguments).returncode == 0
+        assert steps(run) == list(range(1, 401))
+
+
+def test_a_second_request_ends_at_once_and_the_handlers_are_restored():
+    before = sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM)
+    with stoppable(), stop_requests() as stops:
+        for _ in range(3):  # a terminal that closes sends it more than once
+            signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert stops == [signal.SIGHUP] * 3 + [signal.SIGTERM]
+    assert (sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_an_ignored_hangup_stays_ignored():
+    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stoppable(), stop_requests() as stops:
+            signal.raise_signal(signal.SIGHUP)
+        assert stops == []
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, previous)
+
+
+def test_output_is_dropped_once_it_cannot_be_written():
+    reading, writing = os.pipe()
+    with open(writing, "w") as stream:
+        output = Output(stream)
+        output.write("one\n")
+        output.flush()
+        assert not output.lost
+        os.close(reading)
+        output.write("two\n" * 100_000)
+        output.flush()
+        assert output.lost
+        output.write("three\n")
+
+
+def test_a_stop_while_the_scene_is_read_leaves_no_run(qnerf, small, tmp_path, monkeypatch):
+    monkeypatch.setattr(experiment, "run", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
+    done = qnerf("run", *small)
+    assert (done.code, done.err) == (130, "stopped\n")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_too_little_memory_is_one_line(small):
+    resource = pytest.importorskip("resource")
+    limit = 2**30  # bytes of address space: less than the libraries take
+    done = subprocess.run(
+        [sys.executable, "-m", "src.run", *small], cwd=ROOT, capture_output=True, text=True, timeout=200, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+    )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr.startswith(f"error: {message}")
+    assert done.stderr.startswith("error: a limit of this system is reached")
     assert done.stderr.count("\n") == 1

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
-from qnerf.cli.overrides import plugins as typed_plugins
+from qnerf.cli.compose import plugins as typed_plugins
 from qnerf.cli.plugins import node
 from qnerf.config.plugins import check_plugins, import_plugins
 from qnerf.config.registry import Registry

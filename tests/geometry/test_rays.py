@@ -198,13 +198,6 @@ def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_ti
     assert len(table.validation(10_000)[0]) == 4 * 63 // 5
 
 
-def test_without_pixels_apart_all_are_drawn():
-    table = RayTable(scene(cameras(width=2, height=3), train=[1, 3], eval=[0]))
-    rays, _ = table.batch(2000, torch.Generator().manual_seed(0))
-    keys = torch.cat([rays.directions, rays.cameras[:, None].float()], dim=1)
-    assert len(torch.unique(keys, dim=0)) == 12
-
-
 def test_batches_follow_the_generator():
     table = RayTable(scene(cameras()))
     draw = [table.batch(16, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]

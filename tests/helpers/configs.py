@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import Container, DictConfig, OmegaConf
 
 import qnerf.cli.resolvers  # noqa: F401
-from qnerf.cli.overrides import translated
+from qnerf.cli.compose import translated
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
@@ -43,7 +43,7 @@ def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictC
     search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
     folder = str(SWEEPS if sweep else CONF)
     with initialize_config_dir(folder, version_base="1.3"), patch.object(OmegaConf, "load", _load):
-        return compose(sweep or "config", [*translated(overrides), *search], return_hydra_config=hydra)
+        return compose(sweep or "config", [*map(translated, overrides), *search], return_hydra_config=hydra)
 
 
 def _load(file: TextIO) -> Container:

@@ -1,9 +1,10 @@
-"""Terminal output of a training: a progress bar and a closing table."""
+"""Terminal output of a training: what is trained, a progress bar, and a closing table."""
 
 import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -11,19 +12,25 @@ from rich.table import Table
 
 from qnerf.cli.text import duration, measured
 from qnerf.config.checks import is_number
+from qnerf.config.identity import flatten
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records.printable import printable
 
 BESIDE = 118  # characters beside a bar
+CHANGES = 20  # options that are named at the start, of those that differ from the defaults
 
 
 class LiveDisplay(Display):
-    """A progress bar with phase, step, elapsed time, loss, PSNR, rate, the last held-out PSNR and time left;
-    plain lines without a terminal."""
+    """What is trained, then a progress bar with phase, step, elapsed time, loss, PSNR, rate, the last held-out PSNR and
+    time left; plain lines without a terminal.
 
-    def __init__(self, console: Console, live: bool = True) -> None:
+    defaults: the configuration when nothing but the scene is chosen; None: the start says nothing.
+    """
+
+    def __init__(self, console: Console, live: bool = True, defaults: Mapping[str, Any] | None = None) -> None:
         self.console = console
+        self.defaults = defaults
         self.progress = Progress(
             TextColumn("{task.fields[phase]}"),
             BarColumn(max(8, min(40, console.width - BESIDE))),
@@ -38,9 +45,14 @@ class LiveDisplay(Display):
         self.every = 0
         self.held_out_text = ""
 
+    def describe(self, config: Mapping[str, Any], parameters: Mapping[str, int]) -> None:
+        """Prints the parts of the model with their parameters, and the options that differ from the defaults."""
+        if self.defaults is not None:
+            for name, text in described(config, parameters, self.defaults).items():
+                self.note(f"{name} {printable(text)}")
+
     def begin(self, path: Path, step: int, steps: int) -> None:
-        line = f"run {path}" + (f", resuming at step {step}" if step else "")
-        self.console.print(line, highlight=False, markup=False, soft_wrap=True)
+        self.note(f"run {path}" + (f", resuming at step {step}" if step else ""))
         self.every = max(1, steps // 10)
         self.steps = steps
         self.started = time.monotonic()
@@ -62,8 +74,7 @@ class LiveDisplay(Display):
         status = "  ".join(filter(None, parts))
         self.progress.update(self.task, completed=step, status=status)
         if self.progress.disable and step % self.every == 0:
-            elapsed = duration(time.monotonic() - self.started)
-            self.console.print(f"step {step}/{self.steps}  {elapsed}  {status}", highlight=False, soft_wrap=True)
+            self.note(f"step {step}/{self.steps}  {duration(time.monotonic() - self.started)}  {status}")
 
     def held_out(self, step: int, metric: str, value: float | str | None, views: str) -> None:
         item = metric_of(metric)
@@ -80,6 +91,25 @@ class LiveDisplay(Display):
         self.progress.stop()
 
 
+def described(config: Mapping[str, Any], parameters: Mapping[str, int], defaults: Mapping[str, Any]) -> dict[str, str]:
+    """Title -> line: each part of the model that has parameters, and what differs from the defaults.
+
+    parameters: of each part, under its column in the summary.
+    """
+    lines = {}
+    for column, count in parameters.items():
+        part = column.removeprefix("params.")
+        if count and part != "total":
+            node = config.get(part)
+            name = f"{node['name']}, " if isinstance(node, Mapping) and "name" in node else ""
+            lines[part] = f"{name}{count:,} parameters"
+    usual, own = flatten(defaults), flatten(config)
+    changes = [f"{key}={value}" for key, value in own.items() if key not in usual or usual[key] != value]
+    more = f" and {len(changes) - CHANGES} more (--cfg job prints all)" if len(changes) > CHANGES else ""
+    text = f"{' '.join(changes[:CHANGES])}{more}" if changes else "nothing, all options are at their defaults"
+    return lines | {"changed": text}
+
+
 def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
     """Prints a short table: quality on the held-out views, parameters of each part, training time, the run's folder.
 
@@ -92,12 +122,12 @@ def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
     summary = outcome.summary
     if outcome.state != "finished":  # evaluations during training are not the result
         return
-    table = Table(show_header=False, box=None, padding=(0, 2))
     if missing := [
         key for key in ("eval_views", "params.total", "train_s", "step_ms") if not is_number(summary.get(key))
     ]:
         console.print(f"no number for {', '.join(missing)} in its summary", highlight=False, markup=False)
         return
+    table = Table(show_header=False, box=None, padding=(0, 2))
     fitted = "head" in summary  # a signal
     views = "the whole picture" if fitted else f"{summary['eval_views']:.0f} held-out views"
     for item in quality_metrics():
@@ -107,11 +137,8 @@ def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
     parts = {name: int(value) for name, value in counts.items() if value is not None}
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
     table.add_row("parameters", f"{parts['total']:,}", listed)
-    table.add_row(
-        "training",
-        f"{summary['train_s']:.1f} s",
-        f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median",
-    )
+    step = f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median"
+    table.add_row("training", f"{summary['train_s']:.1f} s", step)
     console.print(table)
     panels = "truth | fit | error" if fitted else "truth | render | error | depth"
     for name, path, content in (("run", "", ""), ("pictures", "images", panels)):

@@ -1,63 +1,49 @@
-"""How a command ends: by signals, and when nobody reads its output any more.
+"""How a command ends: exit codes, signals, and output that nobody reads any more.
+
+| code | |
+|---|---|
+| 0 | done |
+| 1 | the command was understood; something failed, differed or was refused while it ran |
+| 2 | the command was wrong, or something that it needs is missing; nothing was begun |
+| 130 | stopped by Ctrl-C, SIGTERM or SIGHUP |
+| 141 | stopped because nobody reads the output any more, such as `head` |
 
 `interruptible` goes around every command: Ctrl-C, SIGTERM and SIGHUP end it alike. `stoppable` goes around one that
-trains. There, a standard stream whose reader is gone (`| head`, a closed terminal) raises nothing; later output is
-dropped, and `output_lost` says so.
+trains. There, output that cannot be written raises nothing: it is dropped, and `output_lost` says so.
 """
 
 import contextlib
 import os
-import select
 import signal
 import sys
 from collections.abc import Iterator
 from typing import Any
 
-INTERRUPTED, OUTPUT_LOST = 130, 141  # exit codes
+DONE, FAILED, WRONG, INTERRUPTED, OUTPUT_LOST = 0, 1, 2, 130, 141
 
 
 class Output:
     """Standard output or standard error. After the first failed write, the rest is dropped."""
 
-    def __init__(self, stream: Any, watched: bool) -> None:
+    def __init__(self, stream: Any) -> None:
         self.stream = stream
         self.lost = False
-        self._poll: Any = None
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # not a real file, or no poll on this system
-            if watched:
-                poll = select.poll()
-                poll.register(stream.fileno(), 0)  # errors and hang-ups are always reported
-                self._poll = poll
 
     def write(self, text: str) -> int:
-        if not self.lost:
-            try:
-                self.stream.write(text)
-            except OSError:
-                self._drop()
+        self._try(self.stream.write, text)
         return len(text)
 
     def flush(self) -> None:
-        if not self.lost:
-            try:
-                self.stream.flush()
-            except OSError:
-                self._drop()
+        self._try(self.stream.flush)
 
-    def is_lost(self) -> bool:
-        """Whether a write has failed or would fail, because the reader of a pipe or the terminal is gone."""
-        if not self.lost and self._poll is not None:
-            gone = select.POLLERR | select.POLLHUP
-            if any(event & gone for _, event in self._poll.poll(0)):
-                self._drop()
-        return self.lost
-
-    def _drop(self) -> None:
-        self.lost = True
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # what is buffered must not fail at exit
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, self.stream.fileno())
-            os.close(null)
+    def _try(self, action: Any, *arguments: str) -> None:
+        if self.lost:
+            return
+        try:
+            action(*arguments)
+        except OSError:
+            self.lost = True
+            drop(self.stream)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.stream, name)
@@ -66,9 +52,24 @@ class Output:
 _outputs: list[Output] = []
 
 
+def drop(stream: Any) -> None:
+    """Sends what the stream has buffered, and all that follows, to the null device."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # not a real file
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)
+
+
+def escape_unencodable() -> None:
+    """Characters that the encoding of the output lacks, such as an umlaut in ASCII, are printed as escapes."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def output_lost() -> bool:
-    """Whether nobody reads standard output or standard error any more."""
-    return any(output.is_lost() for output in _outputs)
+    """Whether output of this command could not be written."""
+    return any(output.lost for output in _outputs)
 
 
 def stopped_code() -> int:
@@ -101,11 +102,9 @@ def stoppable() -> Iterator[None]:
     if _outputs:  # a command inside another one
         yield
         return
-    open_standard_streams()
-    outlives = hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (Output(stream, not (outlives and stream.isatty())) for stream in streams)
-    _outputs[:] = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (stream and Output(stream) for stream in streams)
+    _outputs[:] = filter(None, (sys.stdout, sys.stderr))  # type: ignore[arg-type]
     try:
         with interruptible():
             yield
@@ -114,20 +113,3 @@ def stoppable() -> Iterator[None]:
             output.flush()
         _outputs.clear()
         sys.stdout, sys.stderr = streams
-
-
-def open_standard_streams() -> None:
-    """Opens those that the command was started without (`>&-`).
-
-    Otherwise the next file that is opened would get the number of standard output, and printed text would go into it.
-    """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            handle = os.open(os.devnull, os.O_RDWR)
-            if handle != number:
-                os.dup2(handle, number)
-                os.close(handle)
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115

@@ -1,4 +1,4 @@
-"""Exit codes of commands, and the one line on standard error for a user's mistake."""
+"""The one line on standard error for what went wrong, and the exit code that follows from it."""
 
 import argparse
 import os
@@ -7,20 +7,25 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-from qnerf.cli.ends import INTERRUPTED, OUTPUT_LOST
-from qnerf.cli.streams import escape_unencodable
+from qnerf.cli.ends import FAILED, INTERRUPTED, OUTPUT_LOST, WRONG, drop, escape_unencodable
 from qnerf.config.plugins import raised_in
 
 MAX_MESSAGE = 2000  # characters; a file can hold a name of a megabyte
 OWN_PACKAGES = ("qnerf",)
+SHORTAGES = (
+    "allocate memory",
+    "Too many open files",
+    "can't start new thread",
+    "failed to map segment",
+)
+"""What errors say when a limit of the system (`ulimit`, a container's memory) is reached."""
 
 
 def exit_code(command: Callable[[], int | None]) -> int:
     """Runs a command and returns its exit code.
 
-    A user's mistake (ValueError), an unreadable file (OSError) and a missing package are printed as one line on
-    standard error, with exit code 2, and so is a limit of the system and any error in a user's module. Any other
-    exception is a bug and keeps its traceback.
+    A user's mistake (ValueError), an unreadable file (OSError), a missing package, a limit of the system and any error
+    in a user's module are one line on standard error. Any other exception is a bug and keeps its traceback.
     """
     escape_unencodable()
     try:
@@ -30,14 +35,18 @@ def exit_code(command: Callable[[], int | None]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
-        return closed_pipe()
-    except (ValueError, OSError) as error:
-        return report(error)
+        drop(sys.stdout)
+        return OUTPUT_LOST
     except Exception as error:
-        missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] not in OWN_PACKAGES
-        if not missing and not is_shortage(error) and not raised_in(error):
+        if not is_known(error):
             raise
         return report(error)
+
+
+def is_known(error: BaseException) -> bool:
+    """Whether one line is enough for the user to act on; any other error is a bug."""
+    missing = isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] not in OWN_PACKAGES
+    return isinstance(error, (ValueError, OSError)) or missing or is_shortage(error) or bool(raised_in(error))
 
 
 def check_process() -> None:
@@ -61,25 +70,10 @@ class Parser(argparse.ArgumentParser):
         sys.exit(report(ValueError(message)))
 
 
-def closed_pipe() -> int:
-    """Drops the rest of the output once its reader, such as `head`, has ended; returns the exit code."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return OUTPUT_LOST
-
-
-def report(error: Exception) -> int:
-    """Prints the error as one line; returns the exit code of a user's mistake."""
-    print(f"error: {one_line(error)}", file=sys.stderr)
-    return 2
-
-
-SHORTAGES = (
-    "allocate memory",
-    "Too many open files",
-    "can't start new thread",
-    "failed to map segment",
-)
-"""What errors say when a limit of the system (`ulimit`, a container's memory) is reached."""
+def report(error: Exception, before: str = "") -> int:
+    """Prints the error as one line, `before` first; returns the exit code."""
+    print(f"{before}error: {one_line(error)}", file=sys.stderr)
+    return FAILED if is_shortage(error) else WRONG
 
 
 def is_shortage(error: BaseException) -> bool:
@@ -94,7 +88,7 @@ def is_shortage(error: BaseException) -> bool:
     return False
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """The error's message on one line of printable characters, after the place where a plugin raised it."""
     if is_shortage(error):  # nothing more can be imported then
         text = " ".join(str(error).split()) or "not enough memory"

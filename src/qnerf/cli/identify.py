@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 
 from qnerf.building.scene import prepare
 from qnerf.cli import resolvers  # noqa: F401  the configuration needs the resolvers
+from qnerf.cli.compose import translated
 from qnerf.config.folders import CONF
 
 
@@ -17,7 +18,7 @@ def run_ids(overrides: Sequence[str], seeds: Iterable[int], store: str | Path) -
 
     The scene is read once. ValueError where the configuration is not valid or the scene cannot be read.
     """
-    own = [item for item in overrides if not item.startswith("hydra")]
+    own = [translated(item) for item in overrides if not item.startswith("hydra")]
     scene, names = None, []
     for seed in seeds:
         with hydra.initialize_config_dir(str(CONF), version_base="1.3"):

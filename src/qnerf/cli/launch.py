@@ -1,33 +1,24 @@
 """Hydra's side: composes the configuration from conf/ and the command line, and hands each job to the library.
 
-The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them. They report to the process that
-started the sweep through the sweep's folder.
+The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them (`sweep.py`).
 """
 
 import contextlib
-import importlib.util
 import logging
 import os
 import re
-import signal
 import sys
-import threading
 import time
 import traceback
 import warnings
 from functools import partial
-from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Any, TextIO
 
 import hydra
-from annotated_types import MinLen
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.object_type import ObjectType
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from hydra.experimental.callback import Callback
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
@@ -35,151 +26,21 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from qnerf.cli import ends, plugins, resolvers  # noqa: F401  the configuration needs the resolvers
-from qnerf.cli import overrides as typed
-from qnerf.cli.ends import INTERRUPTED
-from qnerf.cli.errors import is_shortage, one_line, report
-from qnerf.cli.streams import escape_unencodable
-from qnerf.cli.sweep import Sweep, check_file
-from qnerf.config import bounds
-from qnerf.config.bounds import PositiveInt
+from qnerf.building.acting import complete, without_effect
+from qnerf.cli import compose, ends, plugins, resolvers  # noqa: F401  the configuration needs the resolvers
+from qnerf.cli import sweep as sweeps
+from qnerf.cli.ends import FAILED, INTERRUPTED, WRONG
+from qnerf.cli.errors import is_known, is_shortage, one_line, report
+from qnerf.cli.sweep import RETRY, Sweep
 from qnerf.config.folders import CONF
-from qnerf.config.plugins import raised_in
+from qnerf.records import state
 
-LAUNCHERS = {
-    "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
-    "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
-    "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
-}
-"""Launcher -> the module of its plugin, and the extra that installs it."""
-
-SEARCH = "qnerf_optuna"
-"""The sweeper that searches instead of training every combination."""
-
-STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
-RETRY = 10.0  # seconds between attempts to take over the run of a dead job
-MAX_JOBS = 100_000  # in a sweep; Hydra lists them all in memory
 PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
 
 # The plugins' schemas have the names of the files in conf/hydra/launcher. Hydra warns that matching them is deprecated.
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
-_started: list[Sweep] = []  # sweeps that this process started
 _jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
-
-
-class SweepStart(Callback):
-    """Prepares a sweep, once, in the process that starts it."""
-
-    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        launcher = config.hydra.runtime.choices["hydra/launcher"]
-        _require(launcher)
-        searches = config.hydra.runtime.choices["hydra/sweeper"] == SEARCH
-        if searches:
-            _require_search()
-        try:
-            bounds.check("store", config.store, Annotated[str, MinLen(1)])  # the sweep's folder is inside
-            _limit_processes(config, 1 if searches else _count_jobs(config))
-        except (ValueError, HydraException, OmegaConfBaseException) as error:
-            sys.exit(report(error))  # Hydra would only warn
-        sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
-        _started.append(sweep)
-        # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
-        quoted = str(sweep.folder).replace("'", "\\'")
-        with open_dict(config):
-            config.hydra.sweep.dir = str(sweep.folder)
-            config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
-        if launcher == "joblib":
-            os.environ[STARTER] = str(os.getpid())
-            _stop_together(sweep)
-        elif launcher == "submitit_slurm":
-            print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
-
-
-def _limit_processes(config: DictConfig, jobs: int) -> None:
-    """At most one process a job or a processor: joblib starts as many as it is told, also with nothing to do.
-
-    Raises:
-        ValueError: a number of processes or of jobs at a time that is none.
-    """
-    bounds.check("hydra.sweeper.max_batch_size", config.hydra.sweeper.get("max_batch_size"), PositiveInt | None)
-    launcher = config.hydra.launcher
-    wanted = launcher.get("n_jobs")
-    if wanted == 0:
-        raise ValueError("hydra.launcher.n_jobs must be at least 1, or -1 for one process a usable core, got 0")
-    if isinstance(wanted, int):
-        launcher.n_jobs = min(wanted, max(jobs, os.cpu_count() or 1))
-
-
-def _count_jobs(config: DictConfig) -> int:
-    """The sweep's number of jobs. ValueError if it has none or over `MAX_JOBS`, or a choice that does not exist."""
-    loader = GlobalHydra.instance().config_loader()
-    params = config.hydra.sweeper.get("params") or {}
-    arguments = [*config.hydra.overrides.task, *(f"{key}={value}" for key, value in params.items())]
-    jobs = 1
-    for override in OverridesParser.create(loader).parse_overrides(arguments):
-        if override.is_sweep_override() and override.is_discrete_sweep():
-            values = list(islice(override.sweep_string_iterator(), MAX_JOBS + 1))
-            if not values:
-                raise ValueError(f"{override.input_line}: an empty list of values, so there is no job")
-            jobs *= len(values)
-            known = loader.get_group_options(override.key_or_group, ObjectType.CONFIG)
-            names = [value for value in values if re.fullmatch(r"[\w.-]+", value) and value != "null"]
-            if known and (unknown := [name for name in names if name.removesuffix(".yaml") not in known]):
-                raise ValueError(f"{override.key_or_group}={unknown[0]}: unknown; known: {', '.join(known)}")
-    if jobs > MAX_JOBS:
-        raise ValueError(f"the sweep has more than {MAX_JOBS} jobs")
-    return jobs
-
-
-def _require(launcher: str) -> None:
-    if launcher not in LAUNCHERS:
-        return
-    module, extra = LAUNCHERS[launcher]
-    if importlib.util.find_spec("hydra_plugins") is None or importlib.util.find_spec(module) is None:
-        print(f'error: hydra/launcher={launcher} needs a plugin: pip install "qnerf[{extra}]"', file=sys.stderr)
-        sys.exit(2)
-
-
-def _require_search() -> None:
-    if importlib.util.find_spec("optuna") is None:
-        print(f'error: hydra/sweeper={SEARCH} needs Optuna: pip install "qnerf[search]"', file=sys.stderr)
-        sys.exit(2)
-    from qnerf.cli import search
-
-    search.register()
-
-
-def _stop_together(sweep: Sweep) -> None:
-    """Turns Ctrl-C, SIGTERM and SIGHUP into the stop file that joblib's processes watch.
-
-    A second Ctrl-C or SIGTERM ends this process. A terminal that closes may send SIGHUP more than once.
-
-    Otherwise joblib would kill its processes, and Ctrl-C in a terminal would interrupt them anywhere. They inherit the
-    blocked signals of this thread, so another thread has to receive them.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        return
-    requests = {signal.SIGINT, signal.SIGTERM}
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        requests.add(signal.SIGHUP)
-    received: list[int] = []
-
-    def stop(number: int, _frame: Any) -> None:
-        if number != signal.SIGHUP:
-            if received:
-                os._exit(ends.INTERRUPTED)
-            received.append(number)
-        sweep.stop()
-
-    def receive() -> None:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, requests)
-        threading.Event().wait()
-
-    for kind in requests:
-        signal.signal(kind, stop)
-    signal.pthread_sigmask(signal.SIG_BLOCK, requests)
-    threading.Thread(target=receive, name="qnerf-signals", daemon=True).start()
 
 
 class _Prefixed:
@@ -199,39 +60,43 @@ class _Prefixed:
 @ends.stoppable()  # the processes of a launcher start here
 def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
-    escape_unencodable()  # in a launcher's process, too
-    hydra_config = HydraConfig.get()
-    sweep = Sweep(hydra_config.sweep.dir) if hydra_config.mode == RunMode.MULTIRUN else None
+    ends.escape_unencodable()  # in a launcher's process, too
+    own = HydraConfig.get()
+    sweep = Sweep(own.sweep.dir) if own.mode == RunMode.MULTIRUN else None
     _jobs.append(sweep)
-    side_by_side = sweep is not None and hydra_config.runtime.choices["hydra/launcher"] == "joblib"
-    prefix = f"{hydra_config.job.num} | " if side_by_side else ""
+    side_by_side = sweep is not None and own.runtime.choices["hydra/launcher"] == "joblib"
+    prefix = f"{own.job.num} | " if side_by_side else ""
     try:
         if not _stopping(sweep):
             _train(composed, prefix, sweep)
     except KeyboardInterrupt:
-        print("stopped; the same command continues from the last checkpoint", file=sys.stderr)
+        print("stopped", file=sys.stderr)
         sys.exit(ends.stopped_code())
     except Exception as error:
-        known = _is_known(error)
-        if _wants_traceback(composed) or (sweep is None and not known):
-            raise
-        reason = one_line(error)
-        if not known:
-            traceback.print_exc()
-            reason = f"{type(error).__name__}: {reason}"
-        print(f"{prefix}error: {reason}", file=sys.stderr)
-        if sweep is None:
-            sys.exit(2)
-        sweep.fail(hydra_config.job.num, list(hydra_config.overrides.task), reason)
+        _failed(error, composed, prefix, sweep)
     finally:
-        if sweep is not None and _is_abandoned():
-            os._exit(1)  # otherwise joblib's process waits for its next job
+        if sweep is not None and sweeps.is_abandoned():
+            os._exit(FAILED)  # otherwise joblib's process waits for its next job
 
 
-def _wants_traceback(composed: DictConfig) -> bool:
+def _failed(error: Exception, composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
+    """Prints the error as one line. A bug keeps its traceback, and so does everything with run.debug=true."""
+    from qnerf.training.trainer import Diverged
+
+    known = is_known(error) or isinstance(error, (Diverged, OmegaConfBaseException))
+    debug = False
     with contextlib.suppress(OmegaConfBaseException):
-        return bool(OmegaConf.select(composed, "run.debug") is True)
-    return False
+        debug = OmegaConf.select(composed, "run.debug") is True
+    if debug or (sweep is None and not known):
+        raise error
+    if not known:
+        traceback.print_exc()
+    reason = one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
+    print(f"{prefix}error: {reason}", file=sys.stderr)
+    if sweep is None:
+        wrong = isinstance(error, (ValueError, OmegaConfBaseException)) and not is_shortage(error)
+        sys.exit(WRONG if wrong else FAILED)
+    sweep.fail(HydraConfig.get().job.num, list(HydraConfig.get().overrides.task), reason)
 
 
 def _stopping(sweep: Sweep | None) -> bool:
@@ -240,61 +105,64 @@ def _stopping(sweep: Sweep | None) -> bool:
             with contextlib.suppress(OSError):
                 sweep.stop()  # the other jobs, too
         return True
-    return sweep is not None and (sweep.stopping() or _is_abandoned())
-
-
-def _is_abandoned() -> bool:
-    """Whether this is one of joblib's processes and the process that started the sweep is dead."""
-    starter = os.environ.get(STARTER, "")
-    return starter.isdecimal() and os.getpid() != int(starter) != os.getppid()
+    return sweep is not None and (sweep.stopping() or sweeps.is_abandoned())
 
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
-    from qnerf.building.acting import complete, without_effect
     from qnerf.cli.display import LiveDisplay, print_outcome
-    from qnerf.cli.text import tree
     from qnerf.experiment import run
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
-    overrides = list(HydraConfig.get().overrides.task)
-    plugins.load(config["plugins"])  # a launcher's process has not imported them
-    idle = without_effect(config, overrides)
-    config = complete(config)
-    log = logging.getLogger("qnerf")  # Hydra has turned it off; its warnings go to standard error
-    log.disabled = False
-    log.setLevel(logging.WARNING)
+    own = HydraConfig.get()
+    overrides = list(own.overrides.task)
+    _show_warnings()
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
-    if sweep is None:
-        console.print(tree("configuration", config))
-    elif prefix:
-        console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
-    else:
-        console.rule(" ".join(overrides), align="left")
-    if sweep is None and idle:  # some jobs of a sweep always have such options
+    if sweep is not None:
+        title = " ".join(overrides)
+        console.print(title, highlight=False, markup=False, soft_wrap=True) if prefix else console.rule(
+            title, align="left"
+        )
+    plugins.load(config["plugins"])  # a launcher's process has not imported them
+    if sweep is None and (idle := without_effect(config, overrides)):  # a sweep has said so in its first line
         print(f"note: no effect with the chosen components: {', '.join(idle)}", file=sys.stderr)
-    cpus = os.environ.get("SLURM_CPUS_PER_TASK")
-    if cpus is not None and config["threads"] is None:
-        if not re.fullmatch("[0-9]{1,9}", cpus):
-            raise ValueError(f"SLURM_CPUS_PER_TASK must be a whole number, got {cpus!r}")
-        config["threads"] = int(cpus)
-    display = LiveDisplay(console, live=config["run"]["progress"])
-    stopping = partial(_stopping, sweep)
-    unpromising = _judge(sweep, config["store"])
-    outcome = run(config, overrides, display, stopping, unpromising=unpromising)
+    config["threads"] = config["threads"] or _threads_of_slurm()
+    display = LiveDisplay(console, config["run"]["progress"], _defaults(overrides) if sweep is None else None)
+    train = partial(
+        run, config, overrides, display, partial(_stopping, sweep), unpromising=_judge(sweep, config["store"])
+    )
+    outcome = train()
     # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
     deadline = time.monotonic() + (PATIENCE if "SLURM_RESTART_COUNT" in os.environ else 0)
     while outcome.state == "busy" and time.monotonic() < deadline:
         display.note(f"{outcome.message}; waiting for its heartbeat to stop")
         time.sleep(RETRY)
-        outcome = run(config, overrides, display, stopping, unpromising=unpromising)
+        outcome = train()
     print_outcome(console, outcome, prefix)
-    if outcome.state == "interrupted" and not prefix:
+    if outcome.state == "busy" and sweep is not None:
+        sweep.busy(own.job.num, overrides, outcome.path)
+    elif outcome.state == "busy":
+        sys.exit(FAILED)
+    elif outcome.state == "interrupted" and not prefix:
         sys.exit(ends.stopped_code())
+
+
+def _show_warnings() -> None:
+    """Warnings of the library go to standard error. Hydra has turned them off."""
+    log = logging.getLogger("qnerf")
+    log.disabled = False
+    log.setLevel(logging.WARNING)
+
+
+def _threads_of_slurm() -> int | None:
+    cpus = os.environ.get("SLURM_CPUS_PER_TASK")
+    if cpus is not None and not re.fullmatch("[0-9]{1,9}", cpus):
+        raise ValueError(f"SLURM_CPUS_PER_TASK must be a whole number, got {cpus!r}")
+    return int(cpus) if cpus else None
 
 
 def _judge(sweep: Sweep | None, store: str) -> Any:
     """What a job of a search gives up by; any other run is never given up."""
-    if sweep is not None and HydraConfig.get().runtime.choices["hydra/sweeper"] == SEARCH:
+    if sweep is not None and HydraConfig.get().runtime.choices["hydra/sweeper"] == "qnerf_optuna":
         from qnerf.cli.search import judge
 
         if (found := judge(sweep.folder, Path(store))) is not None:
@@ -302,20 +170,29 @@ def _judge(sweep: Sweep | None, store: str) -> Any:
     return lambda path, step, measured: False
 
 
-def _is_known(error: Exception) -> bool:
-    """Whether one line is enough for the user to act on; any other error is a bug."""
-    if is_shortage(error) or raised_in(error):
-        return True
-    from qnerf.training.trainer import Diverged
+def _defaults(overrides: list[str]) -> Any:
+    """The configuration when nothing but the scene is chosen; ??? stands for a missing value."""
+    chosen = [override for override in overrides if override.startswith("scene=")]
+    loaded = GlobalHydra.instance().config_loader().load_configuration("config", chosen, RunMode.RUN)
+    with open_dict(loaded):
+        del loaded["hydra"]
+    return OmegaConf.to_container(loaded, resolve=True)
 
-    return isinstance(error, (ValueError, OSError, Diverged, OmegaConfBaseException))
+
+def show(composed: DictConfig) -> None:
+    """`--cfg job`: the configuration that acts, or as far as it is composed where options are missing."""
+    try:
+        config: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+        plugins.load(config["plugins"])
+        shown: Any = complete(config)
+    except (ValueError, OmegaConfBaseException) as error:
+        print(f"note: not complete: {one_line(error)}", file=sys.stderr)
+        shown = composed
+    print(OmegaConf.to_yaml(shown), end="")
 
 
 def _report(sweep: Sweep) -> int:
-    """Prints which jobs of a sweep failed and why.
-
-    Returns 130 or 141 if it was stopped, else 1 if a job failed, else 0.
-    """
+    """Prints which jobs of a sweep failed and why, and what others still train; returns the exit code."""
     failures = sweep.failures()
     if failures:
         table = Table("job", "reason", title=f"{len(failures)} failed")
@@ -325,38 +202,10 @@ def _report(sweep: Sweep) -> int:
     if sweep.stopping():
         print("stopped; the same command continues from the last checkpoints", file=sys.stderr)
         return ends.stopped_code()
-    return 1 if failures else 0
-
-
-def _unknown_option(message: str) -> str:
-    """The known options, if Hydra's message is about an unknown one; else nothing."""
-    unknown = re.match(r"Could not override '([\w.@]+)'", message)
-    if unknown is None:
-        return ""
-    group, _, _ = unknown[1].rpartition(".")
-    options = [word for word in sys.argv[1:] if "=" in word and not word.startswith((unknown[1], "-", "hydra"))]
-    with contextlib.suppress(HydraException, OmegaConfBaseException):
-        with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-            config = hydra.compose("config", [word for word in options if "," not in word])
-        node = OmegaConf.select(config, group) if group else config
-        if isinstance(node, DictConfig):
-            return f"unknown option {unknown[1]}; known: {', '.join(sorted(map(str, node)))}"
-    return ""
-
-
-def _composition_message(error: Exception) -> str:
-    """Hydra's error about what the user typed, on one line."""
-    if isinstance(error, MissingConfigException):
-        group, _, name = str(error.missing_cfg_file).rpartition("/")
-        known = f"known: {', '.join(error.options)}" if error.options else "--sweep NAME lists the sweeps"
-        return f"{group or 'config'}={name}: unknown; {known}"
-    unknown = _unknown_option(str(error))
-    if unknown:
-        return unknown
-    if isinstance(error, OverrideParseException) and error.message.startswith("LexerNoViableAlt"):
-        return f"{error.override}: cannot be read; quote a value that holds special characters: \"option='value'\""
-    cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
-    return one_line(error).partition(" See https://hydra.cc")[0] + cause
+    if busy := [run for run in sweep.busy_runs() if state(run) != "finished"]:
+        names = ", ".join(f"{run.name} ({sweeps.writer(run)})" for run in busy)
+        print(f"not finished, other processes train them: {names}; the same command looks again", file=sys.stderr)
+    return FAILED if failures or busy else 0
 
 
 def run_command() -> None:
@@ -364,31 +213,39 @@ def run_command() -> None:
     full_error = os.environ.get("HYDRA_FULL_ERROR", "0") not in ("", "0")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of printing them itself
     code: Any = 0
+    task = job
     try:
-        arguments, options = typed.ordered(sys.argv[1:])
-        sys.argv[1:] = typed.translated(arguments)
-        typed.check(sys.argv[1:])
-        for folder in filter(None, (options["config_dir"], options["config_path"])):
-            check_file(Path(folder) / f"{(options['config_name'] or 'config').removesuffix('.yaml')}.yaml")
-        plugins.load(typed.plugins(sys.argv[1:]))
-    except ValueError as error:
-        sys.exit(report(error))
-    try:
-        hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
+        sys.argv[1:], options = compose.arguments_for_hydra(compose.expand_sweep(sys.argv[1:]))
+        plugins.load(compose.plugins(sys.argv[1:]))
+        if options["cfg"] == "job" and not options["package"] and not options["resolve"]:
+            task = show
+            sys.argv[1:] = [*_without_cfg(sys.argv[1:]), "hydra.mode=RUN"]
+        hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(task)()
     except SystemExit as end:
         code = end.code
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         code = INTERRUPTED
     except Exception as error:
-        if full_error or (_jobs and not _started):  # a job prints a user's mistake itself: this is a bug
+        if full_error or (_jobs and not sweeps.started):  # a job prints a user's mistake itself: this is a bug
             raise
-        ended = ""
-        if _started and not isinstance(error, HydraException):
-            # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
-            ended = "the sweep ended early; the same command continues it: "
-        print(f"error: {ended}{_composition_message(error)}", file=sys.stderr)
-        code = 1
-    reported = [_report(sweep) for sweep in _started]
+        code = _not_launched(error)
+    reported = [_report(sweep) for sweep in sweeps.started]
     if code or any(reported):
         sys.exit(code or max(reported))
+
+
+def _without_cfg(arguments: list[str]) -> list[str]:
+    place = next(i for i, argument in enumerate(arguments) if re.match("--?c(fg)?(=|$)", argument))
+    return arguments[:place] + arguments[place + (1 if "=" in arguments[place] else 2) :]
+
+
+def _not_launched(error: Exception) -> int:
+    """Prints why Hydra could not compose a configuration or a launcher ended early; returns the exit code."""
+    if isinstance(error, HydraException):
+        return report(ValueError(compose.message(error)))
+    if _jobs or not isinstance(error, (ValueError, OSError, OmegaConfBaseException)):
+        # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
+        print(f"error: the sweep ended early; the same command continues it: {one_line(error)}", file=sys.stderr)
+        return FAILED
+    return report(error)

@@ -10,11 +10,9 @@ from difflib import get_close_matches
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from qnerf import __version__
-from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS, RENAMED
-from qnerf.cli.ends import OUTPUT_LOST, interruptible, open_standard_streams, output_lost, stoppable, stopped_code
+from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS
+from qnerf.cli.ends import OUTPUT_LOST, escape_unencodable, interruptible, output_lost, stoppable, stopped_code
 from qnerf.cli.errors import Parser, check_process, exit_code, is_shortage, report
-from qnerf.cli.streams import escape_unencodable
-from qnerf.cli.sweep import expand_sweep
 
 FIRST_STEPS = """\
 first steps:
@@ -38,12 +36,8 @@ def usage() -> str:
 
 def main() -> None:
     """The console command `qnerf`."""
-    open_standard_streams()
     escape_unencodable()
     command, *arguments = sys.argv[1:] or ["--help"]
-    if command in RENAMED:
-        print(f"note: `qnerf {command}` is now called `qnerf {RENAMED[command]}`", file=sys.stderr)
-        command = RENAMED[command]
     if command in ("-h", "--help", "help"):
         sys.exit(exit_code(lambda: print(usage())))
     elif command == "--version":
@@ -55,8 +49,8 @@ def main() -> None:
         sys.exit(dispatch(command, arguments))
     else:
         near = get_close_matches(command, COMMANDS, n=1)
-        hint = f"did you mean {near[0]}? known" if near else "known"
-        sys.exit(report(ValueError(f"unknown command {command!r}; {hint}: {', '.join(COMMANDS)}")))
+        hint = f"did you mean {near[0]}? " if near else "did you mean qnerf run? " if "=" in command else ""
+        sys.exit(report(ValueError(f"unknown command {command!r}; {hint}known: {', '.join(COMMANDS)}")))
 
 
 def run() -> None:
@@ -64,7 +58,6 @@ def run() -> None:
     escape_unencodable()
     try:
         check_process()
-        sys.argv[1:] = expand_sweep(sys.argv[1:])
     except ValueError as error:
         sys.exit(report(error))
     with stoppable():

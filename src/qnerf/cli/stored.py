@@ -1,12 +1,14 @@
-"""A run of the store to go on with: `resume`, `reproduce`, `render`, `export`, `view` and `probe` begin with it."""
+"""Stored runs, taken up again: `resume`, `reproduce`, `probe` and what shows a trained model begin with it.
 
-from collections.abc import Sequence
+The stored configuration is complete. Only how it is executed may differ, and where its scene is now.
+"""
+
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.cli import overrides as typed
 from qnerf.cli import plugins
 from qnerf.cli.ends import output_lost
 from qnerf.cli.text import console
@@ -19,66 +21,70 @@ if TYPE_CHECKING:
     from qnerf.probes import Trained
 
 CHANGEABLE = (
+    "scene.path",
     "threads",
     "device",
     "run.progress",
     "run.preview_seconds",
     "run.debug",
     "numerics.finite_checks",
-    "scene.path",
 )
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
 
 
+def split(words: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Words that are no overrides of a stored run, and those that are."""
+    own: tuple[list[str], list[str]] = [], []
+    for word in words:
+        own[word.partition("=")[0] in (*CHANGEABLE, "plugins") and "=" in word].append(word)
+    return own
+
+
 def stored(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The run's configuration with `overrides`.
+    """The run's complete configuration with `overrides`; imports the run's plugins.
 
     Raises:
         ValueError: an override of an option that decides the run's numbers; an option that this version does not have;
             plugins of the run that the overrides do not repeat.
     """
     from qnerf.building.acting import acting
+    from qnerf.cli import compose
 
-    config = read_config(run)
-    repeated = typed.plugins(overrides)
-    check_plugins(run / "config.yaml", config.get("plugins", []), repeated)
-    plugins.load(repeated)
+    config, file = read_config(run), run / "config.yaml"
+    plugins_again = compose.plugins(overrides)
+    check_plugins(file, config.get("plugins", []), plugins_again)
+    plugins.load(plugins_again)
     try:
         config = acting(config)
     except ValueError as error:
-        raise StoreError(f"{run / 'config.yaml'}: {error}; the run was written by another version of qnerf") from error
-    config["store"] = str(run.parent)
+        raise StoreError(f"{file}: {error}; it was written by another version of qnerf") from error
     for override in overrides:
         key, _, text = override.partition("=")
         if key == "plugins":
             continue
         if key not in CHANGEABLE:
             raise ValueError(f"{override}: cannot change what the run computes; known: {', '.join(CHANGEABLE)}")
-        *groups, last = key.split(".")
-        node = config.setdefault(groups[0], {}) if groups else config
+        group, _, last = key.rpartition(".")
+        node = config.setdefault(group, {}) if group else config
         node[last] = _value(override, text)
-    return config
+    return config | {"store": str(run.parent)}
 
 
 def run_stored(run: Path, config: dict[str, Any], name: str | None = None) -> "Outcome":
     """Trains with the stored `config`, which may be changed in `CHANGEABLE` options, and shows the progress.
 
-    name: the run's id, to continue it; None: the id of the configuration.
+    name: the run's id, to continue it.
 
     Raises:
-        ValueError: the scene or the stored configuration has changed; the training diverged.
+        ValueError: the scene or the stored configuration has changed.
     """
     from qnerf import experiment
     from qnerf.building.scene import prepare
     from qnerf.cli.display import LiveDisplay
-    from qnerf.training.trainer import Diverged
 
     check_identity(run, prepare(config))
     display = LiveDisplay(console(), live=config.get("run", {}).get("progress", True))
-    try:
-        return experiment.run(config, (), display, output_lost, name=name)
-    except Diverged as error:
-        raise ValueError(str(error)) from error
+    return experiment.run(config, (), display, output_lost, name=name)
 
 
 def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = True) -> "Trained":
@@ -103,7 +109,7 @@ def check_identity(run: Path, prepared: "Prepared") -> None:
     from qnerf.building.acting import run_id
 
     scene = prepared.scene
-    if run.name.endswith(run_id(prepared.config, scene.fingerprint)[-11:]):
+    if run.name.rpartition("-")[2] == run_id(prepared.config, scene.fingerprint).rpartition("-")[2]:
         return
     if read_summary(run).get("scene.fingerprint") == scene.fingerprint:
         raise StoreError(f"{run / 'config.yaml'} is not the configuration that the run was started with")

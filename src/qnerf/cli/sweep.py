@@ -1,81 +1,56 @@
-"""Sweeps by name, and the folder through which the jobs of a sweep report to the process that started it.
+"""Sweeps: the folder through which jobs report, and what happens before the first job and after the last.
 
 The folder works for jobs on any machine that shares the store:
 
 <store>/.sweeps/<time>/
   multirun.yaml    the sweep's configuration, written by Hydra
   failed/3.json    job 3: its overrides and why it failed
+  busy/3.json      job 3: its overrides, and the run that another process was training
   stop             when it exists, jobs stop with a checkpoint and no further job starts
   jobs/            scripts and output of a cluster's jobs
 """
 
+import contextlib
+import copy
+import importlib.util
 import json
-from collections.abc import Collection, Sequence
-from itertools import chain
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from qnerf.config.folders import SWEEPS
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-MAX_FILE_BYTES = 2**18  # of a configuration file
-MAX_VALUES = 10_000  # in it, aliases written out
+from qnerf.building.acting import acting, without_effect
+from qnerf.cli import compose
+from qnerf.cli.ends import INTERRUPTED
+from qnerf.cli.errors import one_line, report
+from qnerf.records import read_status, state
 
+EXTRAS = {
+    "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
+    "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "qnerf_optuna": ("optuna", "search"),
+}
+"""Launcher or sweeper -> the module that it needs, and the extra that installs it."""
 
-def expand_sweep(arguments: Sequence[str]) -> list[str]:
-    """Replaces `--sweep NAME` by the options with which Hydra finds the sweep's file.
+GRID, SEARCH = "hydra_plugins.qnerf.Grid", "hydra_plugins.qnerf_optuna.OptunaSweeper"
+STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
+COUNTED = 300  # jobs; composing more of them to count different runs takes longer than it is worth
+MAX_JOBS = 100_000  # Hydra lists them all in memory
+RETRY = 5.0  # seconds between two looks at runs that other processes train
 
-    NAME is a sweep that comes with qnerf, or the path of a YAML file.
-
-    Raises:
-        ValueError: no such sweep, or no NAME.
-
-    >>> expand_sweep(["--sweep", "seeds", "budget=short"])
-    ['-cd', '.../sweeps', '-cn', 'seeds', 'budget=short']
-    """
-    expanded = []
-    rest = iter(arguments)
-    for argument in rest:
-        option, equals, name = argument.partition("=")
-        if option != "--sweep":
-            expanded.append(argument)
-            continue
-        name = name if equals else next(rest, "")
-        file = Path(name) if name.endswith(".yaml") else SWEEPS / f"{name}.yaml"
-        if not file.is_file():
-            known = ", ".join(sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml")))
-            raise ValueError(f"--sweep expects a .yaml file or a known sweep, got {name!r}; known: {known}")
-        expanded += ["-cd", str(file.parent.absolute()), "-cn", file.stem]
-    return expanded
-
-
-def check_file(file: Path) -> None:
-    """ValueError if a configuration file is too large to read, or becomes too large by aliases of its own parts."""
-    import yaml  # type: ignore[import-untyped]
-
-    if not file.is_file():
-        return  # Hydra will say so
-    if file.stat().st_size > MAX_FILE_BYTES:
-        raise ValueError(f"{file}: more than {MAX_FILE_BYTES // 2**10} KiB of configuration")
-    content = file.read_bytes()
-    if b"*" not in content:
-        return
-    sizes: dict[int, int] = {}
-
-    def size(node: Any) -> int:
-        """Number of values of the node with all its aliases written out."""
-        if id(node) not in sizes:
-            sizes[id(node)] = MAX_VALUES  # an alias of a node that it is in
-            children = chain.from_iterable(node.value) if isinstance(node, yaml.MappingNode) else node.value
-            sizes[id(node)] = 1 if isinstance(node, yaml.ScalarNode) else 1 + sum(map(size, children))
-        return sizes[id(node)]
-
-    try:
-        root = yaml.compose(content, Loader=yaml.SafeLoader)
-        values = size(root) if root is not None else 0
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return  # Hydra will say so
-    if values > MAX_VALUES:
-        raise ValueError(f"{file}: its aliases stand for more than {MAX_VALUES} values")
+started: list["Sweep"] = []  # sweeps that this process started
 
 
 class Sweep:
@@ -86,26 +61,22 @@ class Sweep:
         self.common = set(common)
 
     def fail(self, job: int, overrides: Sequence[str], reason: str) -> None:
-        path = self.folder / "failed" / f"{job}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({"overrides": list(overrides), "reason": reason}))
+        self._write("failed", job, {"overrides": list(overrides), "reason": reason})
+
+    def busy(self, job: int, overrides: Sequence[str], run: Path) -> None:
+        """Another process trains the run of this job."""
+        self._write("busy", job, {"overrides": list(overrides), "run": str(run)})
 
     def failures(self) -> list[tuple[str, str]]:
         """Each failed job's own overrides and the reason, in the order of the jobs."""
-        from qnerf.records.files import read_json  # imports pandas, which `qnerf --help` must not wait for
+        return [(self._own(job["overrides"]), job["reason"]) for job in self._read("failed").values()]
 
-        failed = []
-        reports = [path for path in (self.folder / "failed").glob("*.json") if path.stem.isdecimal()]
-        for path in sorted(reports, key=lambda path: int(path.stem)):
-            try:
-                job = read_json(path)
-                failed.append((self._own(list(map(str, job["overrides"]))), str(job["reason"])))
-            except (OSError, ValueError, KeyError, TypeError) as error:
-                failed.append((f"job {path.stem}", f"{path}: cannot be read: {error}"))
-        return failed
+    def busy_runs(self) -> dict[Path, tuple[int, list[str]]]:
+        """Run -> job and overrides, of the jobs whose runs another process trained when they began."""
+        return {Path(job["run"]): (number, job["overrides"]) for number, job in self._read("busy").items()}
 
-    def _own(self, overrides: Sequence[str]) -> str:
-        return " ".join([item for item in overrides if item not in self.common] or overrides)
+    def not_busy(self, job: int) -> None:
+        (self.folder / "busy" / f"{job}.json").unlink(missing_ok=True)
 
     def stop(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -113,3 +84,223 @@ class Sweep:
 
     def stopping(self) -> bool:
         return (self.folder / "stop").exists()
+
+    def _write(self, kind: str, job: int, content: Mapping[str, Any]) -> None:
+        path = self.folder / kind / f"{job}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content))
+
+    def _read(self, kind: str) -> dict[int, Any]:
+        paths = {int(path.stem): path for path in (self.folder / kind).glob("*.json")}
+        return {number: json.loads(paths[number].read_text()) for number in sorted(paths)}
+
+    def _own(self, overrides: Sequence[str]) -> str:
+        return " ".join([item for item in overrides if item not in self.common] or overrides)
+
+
+class SweepStart(Callback):
+    """Prepares a sweep, once, in the process that starts it."""
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        try:
+            launcher, sweeper = (config.hydra.runtime.choices[f"hydra/{kind}"] for kind in ("launcher", "sweeper"))
+            for name in (launcher, sweeper):
+                _require(name)
+            if not config.store:
+                raise ValueError("store must not be empty")  # the sweep's folder is inside
+            sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
+        except (ValueError, OmegaConfBaseException) as error:
+            sys.exit(report(error))  # Hydra would only warn
+        started.append(sweep)
+        # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
+        quoted = str(sweep.folder).replace("'", "\\'")
+        with open_dict(config):
+            config.hydra.sweep.dir = str(sweep.folder)
+            config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
+            if sweeper == "basic":
+                config.hydra.sweeper._target_ = GRID
+        _register(sweeper)
+        if launcher == "joblib":
+            os.environ[STARTER] = str(os.getpid())
+            _stop_together(sweep)
+        elif launcher == "submitit_slurm":
+            print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
+
+
+def _register(sweeper: str) -> None:
+    """Puts the sweepers of this package where Hydra keeps the plugins that it has found in `hydra_plugins`."""
+    Plugins.instance().class_name_to_class[GRID] = Grid
+    if sweeper == "qnerf_optuna":
+        from qnerf.cli.search import OptunaSweeper
+
+        Plugins.instance().class_name_to_class[SEARCH] = OptunaSweeper
+
+
+def _require(name: str) -> None:
+    """ValueError if a launcher or a sweeper needs an extra that is not installed."""
+    if name in EXTRAS:
+        module, extra = EXTRAS[name]
+        if any(importlib.util.find_spec(part) is None for part in (module.partition(".")[0], module)):
+            raise ValueError(f'{name} needs a package that is not installed: pip install "qnerf[{extra}]"')
+
+
+class Grid(BasicSweeper):
+    """Hydra's own sweeper, which also says what it will train, and goes back to runs that other processes had."""
+
+    config: Any
+    hydra_context: Any
+    launcher: Any
+
+    def __init__(self, max_batch_size: int | None = None, params: Mapping[str, str] | None = None) -> None:
+        # Not the base's own: Hydra imports its module a second time to look for plugins, and `super` there fails.
+        self.max_batch_size, self.params = max_batch_size, dict(params or {})
+        self.overrides, self.batch_index = None, 0
+
+    def sweep(self, arguments: list[str]) -> Any:
+        parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
+        parsed = parser.parse_overrides([*self._parse_config(), *arguments])
+        count = 1
+        for override in parsed:
+            if override.is_discrete_sweep():
+                count *= sum(1 for _, _ in zip(range(MAX_JOBS + 1), override.sweep_string_iterator(), strict=False))
+            if not 0 < count <= MAX_JOBS:
+                reason = f"more than {MAX_JOBS} jobs" if count else "an empty list of values, so there is no job"
+                raise ValueError(f"{override.input_line}: {reason}")
+        self._announce(self.split_arguments(parsed, None)[0])
+        returned = super().sweep(arguments)
+        if "submitit" not in self.config.hydra.runtime.choices["hydra/launcher"]:
+            self._go_back(Sweep(self.config.hydra.sweep.dir), count)
+        return returned
+
+    def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
+        """Nothing: `_announce` has composed the jobs."""
+
+    def _announce(self, batch: Sequence[Sequence[str]]) -> None:
+        """Composes the jobs, and says in one line what they are."""
+        composer = Composer(self.hydra_context.config_loader, self.config)
+        different: set[str] = set()
+        idle: dict[str, bool] = {}  # option -> whether it acts in none of the jobs
+        for overrides in batch[:COUNTED]:
+            config = composer.configuration(overrides)
+            try:
+                different.add(json.dumps(acting(config), sort_keys=True))
+                without = without_effect(config, overrides)
+            except ValueError:  # the job will say so
+                different.add(json.dumps(list(overrides)))
+                continue
+            for override in overrides:
+                option = override.partition("=")[0]
+                idle[option] = idle.get(option, True) and override in without
+        if len(batch) <= COUNTED:
+            print(f"{_count(len(batch), 'job')}, {_count(len(different), 'different run')}", flush=True)
+            if names := [option for option, without_any in idle.items() if without_any]:
+                print(f"note: no effect in any job: {', '.join(names)}", file=sys.stderr)
+
+    def _go_back(self, sweep: Sweep, number: int) -> None:
+        """Trains the runs that other processes had, as soon as these processes are dead; leaves what they finish."""
+        told = False
+        while (busy := sweep.busy_runs()) and not sweep.stopping():
+            jobs = []
+            for run, (job, overrides) in busy.items():
+                if (now := state(run)) != "running":
+                    sweep.not_busy(job)
+                    jobs += [overrides] if now != "finished" else []
+            if jobs:
+                for result in self.launcher.launch(jobs, initial_job_idx=number):
+                    _ = result.return_value
+                number += len(jobs)
+            elif waiting := sweep.busy_runs():
+                if not told:
+                    names = ", ".join(f"{run.name} ({writer(run)})" for run in waiting)
+                    print(f"waiting for runs that other processes train: {names}", flush=True)
+                told = True
+                time.sleep(RETRY)
+
+
+def writer(run: Path) -> str:
+    """`process 12 on HOST`, which writes the run."""
+    with contextlib.suppress(ValueError):
+        status = read_status(run)
+        return f"process {status.get('pid')} on {status.get('host')}"
+    return "another process"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'s' * (number != 1)}"
+
+
+class Composer:
+    """Configurations of the jobs of a sweep.
+
+    Hydra composes one for each choice of groups, which takes a fifth of a second. Options are then set as Hydra would.
+    """
+
+    def __init__(self, loader: Any, config: DictConfig) -> None:
+        self.loader, self.config = loader, config
+        self.parser = OverridesParser.create(config_loader=loader)
+        self._composed: dict[tuple[str, ...], DictConfig] = {}
+
+    def configuration(self, overrides: Sequence[str]) -> dict[str, Any]:
+        """The resolved configuration of a job.
+
+        Raises:
+            HydraException: a choice or an option that does not exist.
+            ValueError: an option without a value, or an interpolation that leads nowhere.
+        """
+        parsed = self.parser.parse_overrides(list(overrides))
+        plain = [one for one in parsed if one.type.name == "CHANGE" and not self.is_group(one.key_or_group)]
+        chosen = tuple(str(one.input_line) for one in parsed if one not in plain)
+        if chosen not in self._composed:
+            composed = self.loader.load_sweep_config(self.config, list(chosen))
+            with open_dict(composed):
+                del composed["hydra"]
+            self._composed[chosen] = composed
+        config = copy.deepcopy(self._composed[chosen])
+        try:
+            for one in plain:
+                try:
+                    OmegaConf.update(config, one.key_or_group, one.value(), merge=True)
+                except (ConfigAttributeError, ConfigKeyError) as error:
+                    raise ValueError(compose.unknown_option(one.key_or_group, config)) from error
+            resolved: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        except OmegaConfBaseException as error:
+            raise ValueError(one_line(error)) from error
+        return resolved
+
+    def is_group(self, key: str) -> bool:
+        return bool(self.loader.get_group_options(key))
+
+
+def _stop_together(sweep: Sweep) -> None:
+    """Turns Ctrl-C, SIGTERM and SIGHUP into the stop file that joblib's processes watch; a second one ends at once.
+
+    Otherwise joblib would kill its processes, and Ctrl-C in a terminal would interrupt them anywhere. They inherit the
+    blocked signals of this thread, so another thread has to receive them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        return
+    requests = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    requests = {kind for kind in requests if signal.getsignal(kind) is not signal.SIG_IGN}
+    urgent: list[int] = []
+
+    def stop(number: int, _frame: Any) -> None:
+        if number != signal.SIGHUP:  # a closing terminal sends it more than once
+            if urgent:
+                os._exit(INTERRUPTED)
+            urgent.append(number)
+        sweep.stop()
+
+    def receive() -> None:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, requests)
+        threading.Event().wait()
+
+    for kind in requests:
+        signal.signal(kind, stop)
+    signal.pthread_sigmask(signal.SIG_BLOCK, requests)
+    threading.Thread(target=receive, name="qnerf-signals", daemon=True).start()
+
+
+def is_abandoned() -> bool:
+    """Whether this is one of joblib's processes and the process that started the sweep is dead."""
+    starter = os.environ.get(STARTER, "")
+    return starter.isdecimal() and os.getpid() != int(starter) != os.getppid()

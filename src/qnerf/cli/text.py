@@ -4,14 +4,12 @@ import json
 import math
 import numbers
 import time
-from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
-from rich.tree import Tree
 
-from qnerf.cli.streams import escape_unencodable
+from qnerf.cli.ends import escape_unencodable
 from qnerf.metrics import Metric
 from qnerf.records.printable import printable
 
@@ -27,17 +25,6 @@ def console() -> Console:
 def styled(value: object, style: str = "", limit: int | None = None) -> Text:
     """`printable(value)` in a style."""
     return Text(printable(value, limit), style)
-
-
-def tree(title: str, node: Mapping[str, Any]) -> Tree:
-    """A nested configuration as a tree."""
-    root = Tree(Text(title, "bold"), guide_style="dim")
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            root.add(tree(printable(key), value))
-        else:
-            root.add(Text.assemble(f"{printable(key)}: ", (printable(value), "cyan")))
-    return root
 
 
 def missing(value: Any) -> bool:

@@ -252,7 +252,8 @@ def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
     """Coefficients (outputs, most coefficients) for flat weights, differentiable; plain PyTorch."""
     most = polynomial_form(circuit).most_coefficients
     weights = weights.reshape(circuit.rows, circuit.wires, 3)
-    rows: list[Tensor] = [weights.new_zeros(most)] * circuit.outputs
+    constants = torch.from_numpy(measured(circuit).constants).to(weights)  # outputs that no piece has
+    rows = list(torch.nn.functional.pad(constants[:, None], (0, most - 1)))
     for piece in pieces(circuit):
         grid = interpolation(piece.circuit)
         points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
@@ -294,6 +295,7 @@ class _Polynomials(torch.autograd.Function):
         form, angles_by_row = cone.form, by_row(weights, cone.circuit)
         dtype = numpy_dtype(x.dtype)
         table = np.zeros((len(form.wire_counts), form.most_coefficients), dtype)
+        table[:, 0] = measured(cone.circuit).constants  # outputs that no piece has
         bound = []
         for piece, grid in cone.parts:
             own = _BoundGrid(grid, angles_by_row[:, piece.wires])

@@ -4,11 +4,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from qnerf.search.history import History
+from qnerf.search.history import NO_VALUE, History
 from qnerf.search.space import Point
 from qnerf.search.study import SAMPLERS, Trial, propose
 
 POLL = 10.0  # seconds between two looks at runs that another process trains
+
+
+class NoObjective(Exception):
+    """The runs that have finished have no number for an objective, so the search cannot learn from any."""
 
 
 @dataclass(frozen=True)
@@ -42,38 +46,53 @@ def search(
 
     Raises:
         ValueError: no such sampler.
+        NoObjective: runs have finished, and none of them has a number for one of the objectives.
     """
     if options.sampler not in SAMPLERS:
         raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
     trials = history.trials()
     while not stopping() and len(history.rejected) < options.trials:
+        require_values(history.objectives, trials)
         begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
+        room = min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials))
         fresh = propose(
             history.space,
             history.objectives,
             trials,
-            max(min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials)), 0),
+            max(room, 0),
             sampler=options.sampler,
             startup=options.startup,
             seed=options.seed,
-            alike=history.alike,
+            result=history.result,
         )
-        batch = [point for point in (*begun, *fresh) if history.ids(point)]
         if not begun and not fresh:
             break
+        batch = [point for point in (*begun, *fresh) if history.ids(point)]
         if batch:
             launch(batch, trials)
+        trials = history.trials()
         if stopping():
-            trials = history.trials()
             break
-        known = {trial.point: trial for trial in history.trials()}
+        known = {history.result(trial.point): trial for trial in trials}
         for point in batch:
-            if point not in known:
+            if history.result(point) not in known:
                 history.reject(point, "")  # its job failed before the run began, and has told why
         trials = history.trials()
-        left = [known[point] for point in begun if point in known and known[point].state == "unfinished"]
+        left = [trial for point in begun if (trial := known.get(history.result(point))) and trial.state == "unfinished"]
         if left and len(left) == len(batch):
             if not any(trial.running for trial in left):
                 break
             time.sleep(POLL)
     return trials
+
+
+def require_values(objectives: Sequence[str], trials: Sequence[Trial]) -> None:
+    """NoObjective if runs have finished, and none of them has a number for one of the objectives."""
+    if any(trial.state == "finished" for trial in trials):
+        return
+    for name in objectives:
+        if count := sum(trial.error == NO_VALUE.format(name) for trial in trials):
+            runs = "the run that has finished has" if count == 1 else f"the {count} runs that have finished have"
+            raise NoObjective(
+                f"hydra.sweeper.objectives: {runs} no number for {name}, so there is nothing to search by"
+            )

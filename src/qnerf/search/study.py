@@ -6,18 +6,16 @@ from typing import Literal
 
 import numpy as np
 import optuna
-from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from qnerf.search import objectives as goals
-from qnerf.search.space import Point, Space, points, random_point, size
+from qnerf.search.space import Point, Space
 
-REPEATS = 20  # proposals of what was tried already, after which a point that was not is drawn at random
-COUNTABLE = 10**5  # points of a space that are listed to find those that were not tried
-DRAWS = 1000  # from a larger space
+REPEATS = 20  # proposals of what was tried already, after which points are drawn at random
+DRAWS = 300  # random points, after which the space counts as tried to its end
 
-SAMPLERS = {
+SAMPLERS: Mapping[str, Callable[[int, int], BaseSampler]] = {
     "tpe": lambda startup, seed: TPESampler(n_startup_trials=startup, seed=seed, constant_liar=True),
     "gp": lambda startup, seed: GPSampler(n_startup_trials=startup, seed=seed),
     "random": lambda startup, seed: RandomSampler(seed=seed),
@@ -62,29 +60,20 @@ def propose(
     sampler: str = "tpe",
     startup: int = 5,
     seed: int = 0,
-    alike: Callable[[Point], Hashable] = lambda point: point,
+    result: Callable[[Point], Hashable] = lambda point: point,
 ) -> list[Point]:
-    """Up to `count` points that are like no trial's and no other's; fewer only if the space has no more.
+    """Up to `count` points whose result is that of no trial and no other point; fewer if the space has no more.
 
-    alike: points for which it is equal are one.
+    result: equal for points whose runs are the same.
 
     The same trials in the same order give the same points, so a search that was killed goes on as if it had not been.
     """
-    seeds = np.random.SeedSequence([seed, len(trials)])
-    study = rebuilt(space, objectives, trials, SAMPLERS[sampler](startup, int(seeds.generate_state(1)[0])))
-    distributions = {option: values.distribution() for option, values in space.items()}
-    rng = np.random.default_rng(seeds)
-    tried = {alike(trial.point) for trial in trials}
-
-    def untried(point: Point) -> bool:
-        return alike(point) not in tried
-
+    own_seed = int(np.random.SeedSequence([seed, len(trials)]).generate_state(1)[0])
+    study = rebuilt(space, objectives, trials, SAMPLERS[sampler](startup, own_seed))
+    tried = {result(trial.point) for trial in trials}
     proposed: list[Point] = []
-    for _ in range(count):
-        point = _ask(study, space, distributions, untried) or _drawn(space, untried, rng)
-        if point is None:
-            break
-        tried.add(alike(point))
+    while len(proposed) < count and (point := _ask(study, space, own_seed, lambda p: result(p) not in tried)):
+        tried.add(result(point))
         proposed.append(point)
     return proposed
 
@@ -115,26 +104,15 @@ def _frozen(space: Space, trial: Trial, one_objective: bool) -> FrozenTrial:
     )
 
 
-def _ask(
-    study: optuna.Study,
-    space: Space,
-    distributions: Mapping[str, BaseDistribution],
-    untried: Callable[[Point], bool],
-) -> Point | None:
-    """What Optuna proposes; None if it insists on what was tried."""
-    for _ in range(REPEATS):
-        trial = study.ask(dict(distributions))
+def _ask(study: optuna.Study, space: Space, seed: int, untried: Callable[[Point], bool]) -> Point | None:
+    """What Optuna proposes, or a random point if it insists on what was tried; None if there is nothing else."""
+    distributions = {option: values.distribution() for option, values in space.items()}
+    for attempt in range(REPEATS + DRAWS):
+        if attempt == REPEATS:
+            study.sampler = RandomSampler(seed)
+        trial = study.ask(distributions)
         point = tuple(space[option].text(trial.params[option]) for option in space)
         if untried(point):
             return point
         study.tell(trial, state=TrialState.FAIL)
     return None
-
-
-def _drawn(space: Space, untried: Callable[[Point], bool], rng: np.random.Generator) -> Point | None:
-    if size(space) <= COUNTABLE:
-        listed = list(points(space))
-        drawn = (listed[place] for place in rng.permutation(len(listed)))
-    else:
-        drawn = (random_point(space, rng) for _ in range(DRAWS))
-    return next(filter(untried, drawn), None)

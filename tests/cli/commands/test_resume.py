@@ -115,37 +115,40 @@ def test_a_running_one_says_who_runs_it(tmp_path, resume):
     claim.run.finish()
 
 
-def test_how_it_is_executed_may_change(config, resume):
+def test_how_it_is_executed_may_change_and_what_it_computes_may_not(config, resume):
     run = stopped(config)
+    before = (run / "status.json").read_bytes()
+    for override, message in {
+        "seed=1": "seed=1: cannot change what the run computes; known: scene.path, threads, device",
+        "store=elsewhere": "store=elsewhere: cannot change",
+        "run.force=true": "run.force=true: cannot change",
+        "threads=many": "threads",
+        "threads=[": "threads=[: expected key=value",
+        "device=tpu": "device",
+    }.items():
+        code, said = resume(run, override)
+        assert (code, len(said.splitlines())) == (2, 1), said
+        assert message in said
+    assert (run / "status.json").read_bytes() == before
     assert resume(run, "threads=2", "device=cpu", "run.progress=false")[0] == 0
     assert state(run) == "finished"
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("seed=1", "seed=1: cannot change what the run computes; known: threads, device, run.progress"),
-        ("train.steps=10", "train.steps=10: cannot change what the run computes"),
-        ("store=elsewhere", "store=elsewhere: cannot change"),
-        ("run.force=true", "run.force=true: cannot change"),
-        ("threads=many", "threads"),
-        ("threads=[", "threads=[: expected key=value"),
-        ("device=tpu", "device"),
-    ],
-)
-def test_what_it_computes_may_not(config, resume, override, message):
+def test_another_scene_or_configuration_is_another_run(config, tiny_scene, resume):
     run = stopped(config)
-    before = (run / "status.json").read_bytes()
-    code, said = resume(run, override)
-    assert code == 2
-    assert said.startswith("error: ")
-    assert message in said
-    assert len(said.splitlines()) == 1
-    assert (run / "status.json").read_bytes() == before
-
-
-def test_a_scene_that_has_changed_is_another_run(config, tiny_scene, resume):
-    run = stopped(config)
+    stored = (run / "config.yaml").read_text()
+    changes: dict[str, Callable[[Config], object]] = {
+        "config.yaml is not the configuration that the run was started with": lambda c: c["train"].update(lr=0.5),
+        "train: unknown option older=2": lambda c: c["train"].update(older=2),
+        "it was written by another version of qnerf": lambda c: c["train"].update(older=2),
+        "contraction must be a group of options, got None": lambda c: c.update(contraction=None),
+        "train must be a group of options, got [1]": lambda c: c.update(train=[1]),
+    }
+    for message, change in changes.items():
+        edit(run, change)
+        code, said = resume(run)
+        assert (code, len(said.splitlines()), message in said) == (2, 1, True), said
+        (run / "config.yaml").write_text(stored)
     shutil.copy(tiny_scene / "images" / "000.png", tiny_scene / "images" / "001.png")
     code, said = resume(run)
     assert code == 2
@@ -153,52 +156,29 @@ def test_a_scene_that_has_changed_is_another_run(config, tiny_scene, resume):
     assert state(run) == "interrupted"
 
 
-def test_a_configuration_that_was_edited_is_another_run(config, resume):
-    run = stopped(config)
-    edit(run, lambda config: config["train"].update(lr=0.5))
-    code, said = resume(run)
-    assert code == 2
-    assert "config.yaml is not the configuration that the run was started with" in said
-
-
-def test_a_scene_that_has_moved_is_named_anew(config, tiny_scene, tmp_path, resume):
+def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scene, tmp_path, resume, capsys):
     run = stopped(config)
     tiny_scene.rename(tmp_path / "moved")
+    moved, store = f"scene.path={tmp_path / 'moved'}", ["--store", str(run.parent)]
     code, said = resume(run)
     assert (code, "does not exist" in said) == (2, True)
-    assert resume(run, f"scene.path={tmp_path / 'moved'}")[0] == 0
+    assert resume(run, moved)[0] == 0
     assert state(run) == "finished"
     assert records.runs(run.parent) == [run]
+    for command, *options in (
+        ["render", "--frames", "1", "--size", "8x8", "--out", str(tmp_path / "frames")],
+        ["probe", "rays"],
+        ["export", "--to", "points", "--points", "50", "--out", str(tmp_path / "points.ply")],
+        ["reproduce"],
+    ):
+        assert main.dispatch(command, [run.name, *options, *store]) == 2, command
+        assert "does not exist" in capsys.readouterr().err
+        assert main.dispatch(command, [run.name, *options, moved, *store]) == 0, capsys.readouterr()
 
 
-def test_an_option_of_a_contraction_that_conf_does_not_spell_out_is_known(tiny, resume):
+def test_options_that_conf_or_the_run_does_not_spell_out_are_known(tiny, resume):
     run = stopped(tiny("train.steps=6", "contraction.name=box", "+contraction.half_extent=2.0", "threads=1"))
+    edit(run, lambda config: config["encoder"].pop("dense"))
     code, said = resume(run)
     assert code == 0, said
     assert state(run) == "finished"
-
-
-def test_options_that_this_version_does_not_have_are_named(config, resume):
-    run = stopped(config)
-    edit(run, lambda config: config["train"].update(older=2))
-    code, said = resume(run)
-    assert code == 2
-    assert "train: unknown option older=2" in said
-    assert said.rstrip().endswith("the run was written by another version of qnerf")
-    assert len(said.splitlines()) == 1
-
-
-def test_an_option_that_the_run_is_too_old_for_has_its_default(config, resume):
-    run = stopped(config)
-    edit(run, lambda config: config["encoder"].pop("dense"))
-    assert resume(run)[0] == 0
-    assert state(run) == "finished"
-
-
-@pytest.mark.parametrize(("key", "value"), [("contraction", None), ("train", [1])])
-def test_a_group_that_is_no_group_is_one_line(config, resume, key, value):
-    run = stopped(config)
-    edit(run, lambda config: config.update({key: value}))
-    code, said = resume(run)
-    assert code == 2
-    assert f"{key} must be a group of options, got {value!r}" in said

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from qnerf.cli.commands.runs import Reading
 from qnerf.cli.table import Column, fitting, shorten
 from qnerf.cli.text import age, count, duration, size
 
@@ -126,21 +125,6 @@ def test_a_terminal_gets_what_its_screen_holds(make, qnerf, terminal):
     assert len(lines) == 10
     assert lines[-1].endswith("… 4 more (--limit 0 shows all)")
     assert len(qnerf("runs", "--limit", "0").out.splitlines()) == 14
-
-
-def test_a_first_look_at_many_runs_says_how_far_it_is(monkeypatch, capsys):
-    def read(total: int) -> str:
-        with Reading() as reading:
-            for number in range(total):
-                reading("summary.parquet", number, total)
-        return capsys.readouterr().err
-
-    assert read(1000) == ""
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    assert read(10) == ""
-    said = read(1000)
-    assert said.split("\x1b[K")[2] == "reading summary.parquet: 100 of 1,000\r"
-    assert said.endswith("\r\x1b[K")
 
 
 def test_a_run_that_is_running(running, qnerf):

@@ -65,9 +65,7 @@ ANALYSIS = {
 }
 """Commands of the analysis package -> their module in it; its `main` takes the arguments as strings."""
 
-RENAMED = {"evaluate": "probe"}
-"""Former name of a command -> its name."""
-
+STORED = "scene.path=DIR: where the scene is now; plugins=[A,B]: modules that the run was trained with; device, threads"
 RUN = "a run's folder (runs/ID or ./ID), its id, or a unique part of its id"
 
 
@@ -82,12 +80,12 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add_store(parser)
 
 
-def add_many_runs(parser: argparse.ArgumentParser) -> None:
-    """One run or more, and `--store`."""
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
+def add_many_runs(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """One run or more, and `--store`. more: what else may stand between them."""
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN + more)
     add_store(parser)
 
 
-def add_plugins(parser: argparse.ArgumentParser) -> None:
-    """The plugins of a run. Its folder may come from anybody, so the user has to name them."""
-    parser.add_argument("plugins", nargs="*", metavar="plugins=[A,B]", help="modules that the run was trained with")
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    """What may differ from a stored run. Its folder may come from anybody, so the user has to name its plugins."""
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help=STORED)

@@ -16,8 +16,6 @@ from qnerf.records import details, find
 from qnerf.records.details import Details
 from qnerf.records.printable import printable
 
-ABSENT = "-"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "What differs between two runs: configuration, environment, and the results side by side."
@@ -39,38 +37,33 @@ def main(options: argparse.Namespace) -> None:
 def compare(a: Details, b: Details) -> dict[str, Any]:
     """What differs, in sections.
 
-    `configuration`, `environment`: name -> [value in A, value in B], only if they differ. `results`: name
-    -> [A, B, B - A] for every number; the difference is None if one run has no number.
+    `configuration`, `environment`: name -> [value in A, value in B], only if they differ. `results`: name -> [A, B,
+    B - A] for every number; the difference is None if one run has no number.
     """
-    config = differences(*(flatten(run.config) for run in (a, b)))
+    environments = ({key: value for key, value in run.environment.items() if key != "command"} for run in (a, b))
     return {
         "a": str(a.path),
         "b": str(b.path),
         "state": [a.state, b.state],
-        "configuration": config,
-        "environment": differences(_environment(a), _environment(b)),
+        "configuration": differences(a.flat, b.flat),
+        "environment": differences(*map(flatten, environments)),
         "results": results(a.results, b.results),
     }
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
     """Name -> [value in a, value in b], only if they differ; None stands for a missing name."""
-    names = list(dict.fromkeys([*a, *b]))
-    return {name: [a.get(name), b.get(name)] for name in names if a.get(name) != b.get(name)}
-
-
-def _environment(run: Details) -> dict[str, Any]:
-    """Omits the command line; the configuration records it."""
-    return flatten({key: value for key, value in run.environment.items() if key != "command"})
+    return {name: [a.get(name), b.get(name)] for name in {**a, **b} if a.get(name) != b.get(name)}
 
 
 def results(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
     """Name -> [A, B, B - A] for every name that is a number in one of the runs."""
-    names = [name for name in dict.fromkeys([*a, *b]) if is_number(a.get(name)) or is_number(b.get(name))]
-    pairs: dict[str, list[Any]] = {name: [a.get(name), b.get(name)] for name in names}
-    for pair in pairs.values():
-        pair.append(pair[1] - pair[0] if all(map(is_number, pair)) else None)
-    return pairs
+    pairs: dict[str, list[Any]] = {name: [a.get(name), b.get(name)] for name in {**a, **b}}
+    return {
+        name: [*pair, pair[1] - pair[0] if all(map(is_number, pair)) else None]
+        for name, pair in pairs.items()
+        if any(map(is_number, pair))
+    }
 
 
 def show(out: Console, a: Details, b: Details, compared: Mapping[str, Any]) -> None:
@@ -80,36 +73,33 @@ def show(out: Console, a: Details, b: Details, compared: Mapping[str, Any]) -> N
             out.print(Text(f"   {printable(problem)}", "red"), soft_wrap=True)
     for name in ("configuration", "environment"):
         if compared[name]:
-            _section(out, name)
-            rows = [{"key": key, "a": pair[0], "b": pair[1]} for key, pair in compared[name].items()]
-            print_table(out, [_text("key"), _text("a"), _text("b")], rows)
+            _section(out, name, compared[name], ("a", "b"))
         else:
             out.print(f"\nno differences in {name}")
     if not compared["configuration"] and a.run_id != b.run_id and not (a.problems or b.problems):
         out.print("the ids differ, so the scene's files differ")
-    _section(out, "results")
-    rows = [
-        {"key": key, "a": values[0], "b": values[1], "b - a": values[2]} for key, values in compared["results"].items()
-    ]
-    print_table(out, [_text("key"), *(_number(name) for name in ("a", "b", "b - a"))], rows)
+    _section(out, "results", compared["results"], ("a", "b", "b - a"), numbers=True)
 
 
-def _section(out: Console, title: str) -> None:
+def _section(
+    out: Console, title: str, compared: Mapping[str, list[Any]], titles: tuple[str, ...], numbers: bool = False
+) -> None:
     out.print(f"\n{title}", style="bold cyan")
+    columns = [Column("key", lambda row: row["key"], limit=60)]
+    for title in titles:
+        columns.append(Column(title, lambda row, title=title: row[title], limit=60, right=numbers))  # type: ignore[misc]
+    rows = [
+        {
+            "key": key,
+            **{title: _text(value, "+" * (title == "b - a")) for title, value in zip(titles, values, strict=True)},
+        }
+        for key, values in compared.items()
+    ]
+    print_table(out, columns, rows)
 
 
-def _text(name: str) -> Column:
-    return Column(name, lambda row: ABSENT if row[name] is None else str(row[name]), limit=60)
-
-
-def _number(name: str) -> Column:
-    sign = "+" if name == "b - a" else ""
-
-    def cell(row: Mapping[str, Any]) -> str:
-        value = row[name]
-        if not is_number(value):
-            return ABSENT if value is None else str(value)
-        whole = float(value).is_integer() and abs(value) < 1e15
-        return f"{int(value):{sign},}" if whole else f"{value:{sign}.4g}"
-
-    return Column(name, cell, right=True, style=lambda row: "dim" if row["b - a"] == 0 else "")
+def _text(value: Any, sign: str = "") -> str:
+    if not is_number(value):
+        return "-" if value is None else str(value)
+    whole = float(value).is_integer() and abs(value) < 1e15
+    return f"{int(value):{sign},}" if whole else f"{value:{sign}.4g}"

@@ -4,9 +4,10 @@ import argparse
 import importlib
 from pathlib import Path
 
-from qnerf.cli.commands import add_many_runs
+from qnerf.cli.commands import STORED, add_many_runs
 from qnerf.cli.errors import report
 from qnerf.cli.numbers import MAX_COUNT, number, whole
+from qnerf.cli.stored import load_stored, split
 from qnerf.records import StoreError, find
 from qnerf.records.printable import printable
 
@@ -29,7 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "geometry of their models as PLY files in the coordinates of transforms.json: points where the training rays "
         "end, or a mesh."
     )
-    add_many_runs(parser)
+    add_many_runs(parser, f"; points, mesh: also {STORED}")
     parser.add_argument("--to", required=True, choices=(*COPIES, *GEOMETRY), help="where the copies go")
     parser.add_argument(
         "--out", metavar="DIR",
@@ -57,8 +58,13 @@ def main(options: argparse.Namespace) -> int:
     for name, targets in TARGETS_OF.items():
         if getattr(options, name) is not None and options.to not in targets:
             raise ValueError(f"--{name} is for {' and '.join(targets)}")
-    folders = [find(name, options.store) for name in options.runs if not name.startswith("plugins=")]
-    return _geometry(folders, options) if options.to in GEOMETRY else _copies(folders, options)
+    names, overrides = split(options.runs)
+    folders = [find(name, options.store) for name in names]
+    if not folders:
+        raise ValueError("expected a run")
+    if options.to in GEOMETRY:
+        return _geometry(folders, overrides, options)
+    return _copies(folders, options)
 
 
 def _copies(folders: list[Path], options: argparse.Namespace) -> int:
@@ -83,9 +89,8 @@ def _copies(folders: list[Path], options: argparse.Namespace) -> int:
     return code
 
 
-def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
+def _geometry(folders: list[Path], overrides: list[str], options: argparse.Namespace) -> int:
     """Writes `<out>/<run id>.ply` of each run, or the file `out` of a single one."""
-    from qnerf.cli.stored import load_stored
     from qnerf.viewing import ply, surfaces
     from qnerf.viewing.frames import Renderer
 
@@ -94,7 +99,7 @@ def _geometry(folders: list[Path], options: argparse.Namespace) -> int:
     if single and len(folders) > 1:
         raise ValueError(f"--out: expected a folder for {len(folders)} runs, got the file {printable(out)}")
     for folder in folders:
-        trained = load_stored(folder, [name for name in options.runs if name.startswith("plugins=")])
+        trained = load_stored(folder, overrides)
         renderer = Renderer(trained)
         hits = surfaces.ray_ends(renderer, options.points or surfaces.RAYS, options.within or surfaces.WITHIN)
         if options.to == "points":

@@ -3,8 +3,8 @@
 import argparse
 from typing import Any
 
-from qnerf.cli.commands import add_run
-from qnerf.cli.stored import load_stored
+from qnerf.cli.commands import STORED, add_run
+from qnerf.cli.stored import load_stored, split
 from qnerf.config.bounds import PositiveInt, Share, check
 from qnerf.records import find
 
@@ -30,15 +30,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PROBE | KEY=VALUE",
         help=f"{' | '.join(PROBES)} | shots=100,1000 | noise=depolarizing p=0.001,0.01 | "
         "two_qubit=0.01 | readout=0.02 | t1=1e-4 t2=8e-5 one_qubit_time=3e-8 two_qubit_time=3e-7 | patterns=100 | "
-        "views=0 (0: all) | seed=0",
+        f"views=0 (0: all) | seed=0; {STORED}",
     )
 
 
 def main(options: argparse.Namespace) -> None:
     run = find(options.run, options.store)
-    names = [option for option in options.options if "=" not in option]
-    repeated = [option for option in options.options if option.startswith("plugins=")]
-    settings = [option for option in options.options if "=" in option and option not in repeated]
+    own, overrides = split(options.options)
+    names = [option for option in own if "=" not in option]
+    settings = [option for option in own if "=" in option]
     _check(names, settings)
     conditions, counts = _conditions(settings) if settings or not names else (None, {})
 
@@ -47,7 +47,7 @@ def main(options: argparse.Namespace) -> None:
     from qnerf.probes.shots_and_noise import FILE, evaluate_hardware
     from qnerf.records.read import read_probe
 
-    trained = load_stored(run, repeated, unfinished=False)
+    trained = load_stored(run, overrides, unfinished=False)
     for name in names:
         path = probe(trained, name)
         print(path)

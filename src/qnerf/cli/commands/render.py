@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.progress import track
 
-from qnerf.cli.commands import add_plugins, add_run
+from qnerf.cli.commands import add_overrides, add_run
 from qnerf.cli.numbers import number, whole
 from qnerf.cli.text import console, count, duration
 from qnerf.records import find
@@ -30,7 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "decides the format: .webp, .mp4 (needs the extra view), or without an ending a folder of PNG files."
     )
     add_run(parser)
-    add_plugins(parser)
+    add_overrides(parser)
     parser.add_argument(
         "--path", default="interpolate", metavar="PATH",
         help="orbit (around what the cameras look at), spiral (around one camera), interpolate (through the training "
@@ -77,7 +77,7 @@ def main(options: argparse.Namespace) -> None:
 
     name = Path(options.path).stem if is_file else options.path
     out = options.out or Path("renders") / f"{run.name}-{name}{'-depth' * (options.what == 'depth')}.webp"
-    trained = load_stored(run, options.plugins)
+    trained = load_stored(run, options.overrides)
     renderer = Renderer(trained)
     cameras = cameras_of(trained, renderer, options)
     width, height = cameras[0].width, cameras[0].height

@@ -10,7 +10,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from qnerf.cli.commands import add_plugins, add_run
+from qnerf.cli.commands import add_overrides, add_run
 from qnerf.cli.ends import stoppable, stopped_code
 from qnerf.cli.numbers import tolerance
 from qnerf.cli.stored import run_stored, stored
@@ -39,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "lists the differences of the environments. Exit code 1: numbers differ."
     )
     add_run(parser)
-    add_plugins(parser)
+    add_overrides(parser)
     parser.add_argument("--keep", metavar="DIR", help="store for the second run (default: it is deleted)")
     parser.add_argument(
         "--tolerance",
@@ -58,12 +58,12 @@ def main(options: argparse.Namespace) -> int:
     keep = None if options.keep is None else store_folder(options.keep)
     if keep is not None and resolved(keep) == run.parent:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
-    config = stored(run, options.plugins)
+    config = stored(run, options.overrides)
 
     from qnerf.records.reproduction import compare, environment_differences, recorded_threads
 
-    config["threads"] = recorded_threads(run)
-    config["run"] = {"force": True}  # the folder of --keep may contain an earlier one
+    config["threads"] = config.get("threads") or recorded_threads(run)
+    config["run"] = config.get("run", {}) | {"force": True}  # the folder of --keep may contain an earlier one
     with contextlib.nullcontext(keep) if keep else tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = str(store)
         outcome = run_stored(run, config)

@@ -2,9 +2,9 @@
 
 import argparse
 
-from qnerf.cli.commands import add_run
+from qnerf.cli.commands import add_overrides, add_run
 from qnerf.cli.ends import stoppable, stopped_code
-from qnerf.cli.stored import CHANGEABLE, run_stored, stored
+from qnerf.cli.stored import run_stored, stored
 from qnerf.cli.text import console
 from qnerf.records import find, owner, state
 from qnerf.records.location import resolved
@@ -17,9 +17,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "with. Does nothing if the run is finished or running."
     )
     add_run(parser)
-    parser.add_argument(
-        "overrides", nargs="*", metavar="KEY=VALUE", help=f"any of {', '.join(CHANGEABLE)}; plugins=[A,B] of the run"
-    )
+    add_overrides(parser)
 
 
 @stoppable()

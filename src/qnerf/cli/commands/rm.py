@@ -8,15 +8,14 @@ from pathlib import Path
 from qnerf.cli.commands import add_many_runs
 from qnerf.cli.text import STATE_STYLES, console, size, styled
 from qnerf.records import find, state
-from qnerf.records.deletion import delete_run, is_run, require_run
-from qnerf.records.files import reporting
+from qnerf.records.deletion import delete_run, require_run
 from qnerf.records.find import is_path
-from qnerf.records.location import existing_store, resolved
+from qnerf.records.location import existing_store
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Deletes runs for good, after asking. A run that is being written is refused. Of a link only the link goes. "
+        "Deletes runs for good, after asking. A run that is being written is refused, and so is a link. "
         "Exit code 1: nothing was deleted."
     )
     add_many_runs(parser)
@@ -27,29 +26,24 @@ def main(options: argparse.Namespace) -> int:
     paths = list(dict.fromkeys(_checked(name, options.store, options.yes) for name in options.runs))
     out = console()
     for path in paths:
-        kind = "link" if path.is_symlink() else state(path)
-        bytes_in_all = size(0 if path.is_symlink() else _total_size(path))
-        out.print(styled(path, limit=200), styled(kind, STATE_STYLES.get(kind, "")), bytes_in_all, soft_wrap=True)
+        now = state(path)
+        out.print(
+            styled(path, limit=200), styled(now, STATE_STYLES.get(now, "")), size(_total_size(path)), soft_wrap=True
+        )
     if not options.yes and not _agreed(len(paths)):
         out.print("nothing deleted")
         return 1
     for path in paths:
-        if path.is_symlink():
-            with reporting(path, "delete"):
-                path.unlink()
-        else:
-            delete_run(path)
+        delete_run(path)
         out.print("deleted", styled(path.name), soft_wrap=True)
     return 0
 
 
 def _checked(name: str, store: str, whole: bool) -> Path:
-    """The absolute path of the run, or of the link that the user names. whole: as in `find`."""
+    """The absolute path of the run. whole: as in `find`. ValueError for a link, and for a run that is being written."""
     path = Path(name) if is_path(name) else existing_store(store) / name
     if name and path.is_symlink():
-        if is_path(name) and path.exists() and not is_run(resolved(path)):
-            raise ValueError(f"{name}: a link that leads to no run; nothing deleted")
-        return path.absolute()
+        raise ValueError(f"{name}: is a link; `rm` without qnerf deletes it; nothing deleted")
     run = find(name, store, whole=whole).absolute()
     try:
         require_run(run)

@@ -75,36 +75,10 @@ def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> 
     Raises:
         ValueError: no run has one of those in `further`; the message names similar ones.
     """
-    with Reading() as reading:
-        frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])), progress=reading)
+    frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])))
     if len(frame) and (unknown := [name for name in further if name not in frame]):
         filters.check_column(unknown[0], index.columns(store))
     return frame
-
-
-class Reading:
-    """A line on standard error, if it is a terminal, while many runs are read for the first time."""
-
-    MANY = 500
-
-    def __init__(self) -> None:
-        self.visible = False
-
-    def __call__(self, file: str, number: int, total: int) -> None:
-        if total >= self.MANY and number % 100 == 0 and sys.stderr.isatty():
-            self._write(f"reading {file}: {number:,} of {total:,}")
-            self.visible = True
-
-    def __enter__(self) -> "Reading":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.visible:
-            self._write("")
-
-    def _write(self, text: str) -> None:
-        sys.stderr.write(f"\r\x1b[K{text}")
-        sys.stderr.flush()
 
 
 def arrange(frame: pd.DataFrame, sort: str = "created", reverse: bool = False) -> pd.DataFrame:

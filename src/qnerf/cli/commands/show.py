@@ -4,13 +4,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import yaml  # type: ignore[import-untyped]
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.table import Column, metric_column, print_table
-from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, size, styled, tree
+from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, size, styled
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
@@ -21,7 +22,7 @@ from qnerf.records.printable import printable
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Everything about one run: state, results, held-out views, environment, tags, note, files."
     add_run(parser)
-    parser.add_argument("--config", action="store_true", help="the whole configuration too, as a tree")
+    parser.add_argument("--config", action="store_true", help="the whole configuration too")
     parser.add_argument("--json", action="store_true", help="all of it as one object")
 
 
@@ -59,8 +60,8 @@ def show(out: Console, run: Details, config: bool = False) -> None:
     _results(out, run)
     _views(out, run)
     if config:
-        out.print()
-        out.print(tree("configuration", run.config))
+        _section(out, "configuration")
+        out.print(yaml.safe_dump(run.config, sort_keys=False).rstrip(), soft_wrap=True)
     _environment(out, run)
     _section(out, "files", str(run.path))
     for name, length in files(run.path).items():

@@ -1,0 +1,252 @@
+"""What the user typed, before Hydra reads it: short forms, plugins, and advice where Hydra's messages have none."""
+
+import contextlib
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NoReturn
+
+import hydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from qnerf.cli.errors import one_line
+from qnerf.config.folders import CONF, SWEEPS
+
+HEADS = ("density", "color")
+SHOWN = 3  # suggestions
+HABITS = {
+    "learning_rate": "train.lr",
+    "batch_size": "train.rays",
+    "iterations": "train.steps",
+    "max_num_iterations": "train.steps",
+    "epochs": "train.steps",
+    "data": "scene.path",
+    "output_dir": "store",
+}
+"""What other programs call an option -> the option."""
+
+_OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./@-]*)(?P<value>=.*)?", re.DOTALL)
+_OPENED = re.compile(r"\w+\(|\[|\{")  # a function, a list, a dictionary
+_CLOSED_BY = {"(": ")", "[": "]", "{": "}"}
+
+
+def expand_sweep(arguments: Sequence[str]) -> list[str]:
+    """Replaces `--sweep NAME` by the options with which Hydra finds the sweep's file.
+
+    NAME is a sweep that comes with qnerf, or the path of a YAML file.
+
+    Raises:
+        ValueError: no such sweep, or no NAME.
+
+    >>> expand_sweep(["--sweep", "seeds", "budget=short"])
+    ['-cd', '.../sweeps', '-cn', 'seeds', 'budget=short']
+    """
+    expanded = []
+    rest = iter(arguments)
+    for argument in rest:
+        option, equals, name = argument.partition("=")
+        if option != "--sweep":
+            expanded.append(argument)
+            continue
+        name = name if equals else next(rest, "")
+        file = Path(name) if name.endswith(".yaml") else SWEEPS / f"{name}.yaml"
+        if not file.is_file():
+            known = sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml"))
+            raise ValueError(f"--sweep expects a .yaml file or a known sweep, got {name!r}{_suggested(name, known)}")
+        expanded += ["-cd", str(file.parent.absolute()), "-cn", file.stem]
+    return expanded
+
+
+def arguments_for_hydra(arguments: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+    """Hydra's own options before the overrides, because Hydra wants them so, and the values of those options.
+
+    >>> arguments_for_hydra(["seed=0", "-m", "density=qiren"])[0]
+    ['-m', 'seed=0', 'head@density=qiren']
+
+    Raises:
+        ValueError: what Hydra cannot read; the message says what to type instead.
+    """
+    from hydra._internal.utils import get_args_parser
+
+    _check_spaces(arguments)
+    parser = get_args_parser()
+    parser.error = _refuse  # type: ignore[method-assign]
+    parsed = vars(parser.parse_intermixed_args(list(arguments)))
+    rest = list(arguments)
+    for override in parsed["overrides"]:
+        rest.remove(override)
+    overrides = [translated(argument) for argument in parsed["overrides"]]
+    for override in overrides:
+        _check_choice(override, parse(override))
+    return [*rest, *overrides], parsed
+
+
+def translated(argument: str) -> str:
+    """`density=qiren` and `color=qiren` as Hydra knows them.
+
+    >>> translated("density=qiren"), translated("seed=1")
+    ('head@density=qiren', 'seed=1')
+    """
+    key, _, value = argument.partition("=")
+    name = key.lstrip("+~")
+    return argument.replace(name, f"head@{name}", 1) if name in HEADS and not value.startswith("{") else argument
+
+
+def parse(argument: str) -> Override:
+    """One override, as Hydra reads it; ValueError with the cure if Hydra cannot."""
+    match = _OVERRIDE.fullmatch(argument)
+    if match is None or not (match["value"] or match["sign"] == "~"):
+        name = re.split("[ =]", argument)[0]
+        raise ValueError(f"{argument!r:.200}: expected OPTION=VALUE{hint(name) if name else ''}")
+    try:
+        return OverridesParser.create().parse_override(argument)
+    except (HydraException, RecursionError):
+        raise ValueError(f"{argument:.200}: cannot be read; {_cure(argument)}") from None
+
+
+def _cure(argument: str) -> str:
+    """What to type instead of an override that Hydra cannot read."""
+    key, _, value = argument.partition("=")
+    if value.endswith(","):
+        return f"several values have commas between them and no spaces, such as {key}=1,2,3"
+    missing = "".join(
+        closing * (value.count(opening) - value.count(closing)) for opening, closing in _CLOSED_BY.items()
+    )
+    if missing and _OPENED.match(value):
+        with contextlib.suppress(HydraException, RecursionError):
+            OverridesParser.create().parse_override(argument + missing)
+            return f"a closing {missing} is missing: '{argument}{missing}'"
+    quoted = value.replace("\\", "\\\\").replace("'", "\\'")
+    return f"quote a value that holds special characters: \"{key}='{quoted}'\""
+
+
+def _check_spaces(arguments: Sequence[str]) -> None:
+    """ValueError for `qiren.layers=1, 2, 3`, which a shell hands over as three arguments."""
+    for number, argument in enumerate(arguments[:-1]):
+        if "=" in argument and argument.endswith(",") and not arguments[number + 1].startswith("-"):
+            values = [argument]
+            for value in arguments[number + 1 :]:
+                values.append(value)
+                if not value.endswith(","):
+                    break
+            raise ValueError(f"{' '.join(values)}: no spaces between values: {''.join(values)}")
+
+
+def _refuse(message: str) -> NoReturn:
+    unknown = re.match(r"unrecognized arguments: (--?)(\S+)", message)
+    raise ValueError(f"{message}; an option is set by OPTION=VALUE{hint(unknown[2])}" if unknown else message)
+
+
+def _check_choice(argument: str, override: Override) -> None:
+    """ValueError for a group that is set to what is no name of a choice, such as hash=null."""
+    group = override.key_or_group
+    value = override.value()
+    names = value if isinstance(value, list) else [value]
+    if override.is_delete() or override.is_sweep_override() or all(isinstance(name, str) for name in names):
+        return
+    if known := choices(group):
+        raise ValueError(f"{argument}: expected the name of a choice; known: {', '.join(known)}")
+
+
+def choices(group: str) -> list[str]:
+    """The names that a group of conf/ offers; empty if there is no such group."""
+    return sorted(file.stem for file in (CONF / group).glob("*.yaml") if file.stem != "base")
+
+
+def plugins(overrides: Iterable[str]) -> list[str]:
+    """The modules of `plugins=[a,b]`, if any. ValueError if it is not a list of names."""
+    names: list[str] = []
+    for override in overrides:
+        if override.lstrip("+").startswith("plugins="):
+            value = parse(override).value()
+            if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+                raise ValueError(f"{override[:80]}: expected a list of modules, such as plugins=[my_module]")
+            names = value
+    return names
+
+
+def message(error: Exception) -> str:
+    """Hydra's error about a configuration that cannot be composed, on one line."""
+    if isinstance(error, MissingConfigException):
+        group, _, name = str(error.missing_cfg_file).rpartition("/")
+        known = _suggested(name, list(error.options)) if error.options else "; --sweep NAME lists the sweeps"
+        return f"{group or 'config'}={name}: unknown{known}"
+    if ambiguous := re.match(r"Ambiguous value for argument '(.*)'\n", str(error)):
+        key, _, value = ambiguous[1].partition("=")
+        return (
+            f"{ambiguous[1]}: several values are a sweep, add -m; a list is {key}=[{value}], a text \"{key}='{value}'\""
+        )
+    unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
+    if unknown:
+        return unknown_option(unknown[1])
+    cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
+    return one_line(error).partition(" See https://hydra.cc")[0] + cause
+
+
+def unknown_option(name: str, config: DictConfig | None = None) -> str:
+    """What to type instead of an option that the configuration does not have. None: that of the command line."""
+    if name == "head":
+        scenes = [path.stem for path in (CONF / "scene").glob("*.yaml") if "/head" in path.read_text()]
+        return (
+            f"head: only scenes with one head have it, {', '.join(sorted(scenes))}; others: density=... and color=..."
+        )
+    config = config if config is not None else _composed(sys.argv[1:])
+    if config is None or OmegaConf.select(config, name) is not None:
+        return f"unknown option {name} with these choices"
+    group = name.rpartition(".")[0]
+    while not isinstance(node := OmegaConf.select(config, group) if group else config, DictConfig):
+        group = group.rpartition(".")[0]
+    if suggested := hint(name, config):
+        return f"unknown option {name}{suggested}"
+    known = sorted(map(str, node)) if group else sorted({*map(str, config), *_groups()})
+    return f"unknown option {name}; known: {', '.join(known)}"
+
+
+def hint(name: str, config: DictConfig | None = None) -> str:
+    """`; did you mean train.lr=...?` for what is close to an option or a group, or is the last part of an option."""
+    config = config if config is not None else _composed(())
+    names = [*_leaves(OmegaConf.to_container(config) if config is not None else {}), *_groups()]
+    last, group = name.rpartition(".")[2], f"{name.partition('.')[0]}."
+    near = get_close_matches(last, {known.rpartition(".")[2] for known in names}, n=1, cutoff=0.75)
+    found = [HABITS[last]] if last in HABITS else get_close_matches(name, names, n=1, cutoff=0.8)
+    found = found or [known for known in names if known.rpartition(".")[2] in near]
+    found = [known for known in found if known.startswith(group)] or found
+    found = sorted(dict.fromkeys(found), key=lambda known: (known.count("."), not known.startswith("train"), known))
+    return f"; did you mean {' or '.join(f'{known}=...' for known in found[:SHOWN])}?" if found else ""
+
+
+def _groups() -> list[str]:
+    return sorted(
+        [path.name for path in CONF.iterdir() if path.is_dir() and path.name not in ("hydra", "head")] + [*HEADS]
+    )
+
+
+def _leaves(node: Any, prefix: str = "") -> Iterator[str]:
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}"
+
+
+def _composed(arguments: Iterable[str]) -> DictConfig | None:
+    """The configuration with the typed choices, or without them if they do not exist; None if neither is possible."""
+    typed = [word for word in arguments if word.partition("=")[0].rpartition("@")[2] in (*_groups(), "head")]
+    for choices in ([word for word in typed if "," not in word], []):
+        with (
+            contextlib.suppress(HydraException, OmegaConfBaseException),
+            hydra.initialize_config_dir(str(CONF), version_base="1.3"),
+        ):
+            return hydra.compose("config", choices)
+    return None
+
+
+def _suggested(name: str, known: Sequence[str]) -> str:
+    near = get_close_matches(name, known, n=1)
+    return f"; {f'did you mean {near[0]}? ' if near else ''}known: {', '.join(known)}"

@@ -1,0 +1,60 @@
+"""`qnerf run` in this process, as a user calls it."""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+
+from qnerf.cli import launch, main, sweep
+from tests.helpers.configs import TINY
+
+SMALL = [
+    *TINY, "hash=C7", "field=classical", "train.rays=8", "train.eval_every=0", "train.log_every=1", "train.steps=2",
+    "device=cpu", "visibility.resolution=16",
+]  # fmt: skip
+"""A training of a moment."""
+
+
+@dataclass
+class Done:
+    code: int
+    out: str
+    err: str
+
+
+Qnerf = Callable[..., Done]
+
+
+@pytest.fixture
+def qnerf(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Qnerf]:
+    """`qnerf("run", "seed=1")`: exit code, output and standard error of a command, in an empty folder."""
+
+    def call(*arguments: str, full_error: bool = False) -> Done:
+        monkeypatch.setenv("HYDRA_FULL_ERROR", str(int(full_error)))
+        monkeypatch.setattr(sys, "argv", ["qnerf", *arguments])
+        monkeypatch.setattr(sweep, "started", [])
+        monkeypatch.setattr(launch, "_jobs", [])
+        GlobalHydra.instance().clear()
+        capsys.readouterr()
+        code = 0
+        try:
+            main.main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return Done(code, *capsys.readouterr())
+
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    # Hydra would disable the loggers of all tests.
+    monkeypatch.setattr("hydra._internal.logging_config.configure_logging", lambda _: None)
+    yield call
+    GlobalHydra.instance().clear()
+
+
+@pytest.fixture
+def small(tiny_scene: Path, tmp_path: Path) -> list[str]:
+    """A training of a moment in the store tmp_path/runs."""
+    return [*SMALL, "scene=nerfstudio", f"scene.path={tiny_scene}", f"store={tmp_path / 'runs'}"]

@@ -1,0 +1,106 @@
+"""What is typed wrongly is one line with the cure, exit code 2, and nothing is written."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from qnerf import experiment
+from qnerf.cli.compose import arguments_for_hydra, expand_sweep
+from qnerf.config.folders import SWEEPS
+
+MISTAKES = {
+    "=1": "'=1': expected OPTION=VALUE",
+    "~": "'~': expected OPTION=VALUE",
+    "seed": "'seed': expected OPTION=VALUE; did you mean seed=...?",
+    "seed=0 --nope": "unrecognized arguments: --nope",
+    "--steps 100": "an option is set by OPTION=VALUE; did you mean train.steps=...?",
+    "-cn": "argument --config-name/-cn: expected one argument",
+    "qiren.layers=1, 2, 3": "no spaces between values: qiren.layers=1,2,3",
+    "qiren.layers=1,2": "several values are a sweep, add -m",
+    "lr=0.1": "unknown option lr; did you mean train.lr=...?",
+    "learning_rate=0.1": "unknown option learning_rate; did you mean train.lr=...?",
+    "feild=qcolor": "unknown option feild; did you mean field=...?",
+    "rays=3": "unknown option rays; did you mean train.rays=... or stop.rays=...?",
+    "shots=100": "unknown option shots; did you mean qiren.shots=...",
+    "qiren.layer=2": "unknown option qiren.layer; did you mean qiren.layers=...?",
+    "encoder=pe encoder.wide=3": "unknown option encoder.wide; known: bands, ",
+    "head=mlp": "head: only scenes with one head have it, distance, photograph",
+    "encoder=fourier": "encoder=fourier: unknown; known: hash, none, pe, rff",
+    "field=qcolour": "field=qcolour: unknown; did you mean qcolor? known: classical",
+    "hash=null": "hash=null: expected the name of a choice; known: C1, C2",
+    "density=null": "head@density=null: expected the name of a choice; known: amplitude, bloch, ",
+    "hash=???": "You must specify 'hash'",
+    "seed=${nope}": "Interpolation key 'nope' not found",
+    "scene=nerfstudio": "scene.path must be given",
+    "plugins=3": "plugins=3: expected a list of modules, such as plugins=[my_module]",
+    "plugins=[..my_module]": "plugins: expected names of modules such as my_module or package.module",
+    "run=null": "run must be a group of options, got None",
+    "train.steps=-1": "train.steps must be between 1 and 1000000000, got -1",
+    "seed=[1": "seed=[1: cannot be read; a closing ] is missing: 'seed=[1]'",
+    "store=": "store must not be empty",
+    "threads=100000": "threads must be between 1 and 1024, got 100000",
+    "-m store= seed=1,2": "store must not be empty",
+    "-m seed=range(0,0)": "seed=range(0,0): an empty list of values, so there is no job",
+    "-m seed=range(0,1000000000000)": "more than 100000 jobs",
+    "-m seed=0,1 hash=C1,nope": "hash=nope: unknown; known: C1, C2",
+    "-m ansatz=qiren,rx qiren.ansatz_options.qiren.ranges=[1]": "unknown option qiren.ansatz_options.qiren.ranges",
+    "--sweep sedes": "got 'sedes'; did you mean seeds? known: ansatz, ",
+    "--sweep": "--sweep expects a .yaml file or a known sweep, got ''",
+}
+
+
+def test_a_wrong_command_is_one_line_with_exit_code_2(qnerf):
+    for line, message in MISTAKES.items():
+        done = qnerf("run", *line.split(" "))
+        assert (done.code, done.err.count("\n")) == (2, 1), (line, done)
+        assert done.err.startswith("error: "), line
+        assert message in done.err, (line, done.err)
+    assert not list(Path().iterdir())
+
+
+def test_an_unknown_option_does_not_list_itself(qnerf):
+    for line in MISTAKES:
+        found = re.search(r"unknown option (\S+); known: (.*)", qnerf("run", *line.split(" ")).err)
+        assert found is None or found[1].rpartition(".")[2] not in found[2].strip().split(", ")
+
+
+@pytest.mark.parametrize(
+    "typed",
+    ["store=~/runs", "scene.path=/data/epoch=1", "store=/täst", "store=/d (2)/x", "store=[x", "store=a{b", "store='x",
+     "store=/a#b", "store=(", "seed=range(0,3", "sampler.samples=[8,[6]"],
+)  # fmt: skip
+def test_the_cure_of_what_cannot_be_read_can_be_typed(typed):
+    with pytest.raises(ValueError, match="cannot be read; ") as error:
+        arguments_for_hydra([typed])
+    (cure,) = shlex.split(re.search(r"""(["']).*\1$""", str(error.value))[0])  # type: ignore[index]
+    parsed = OverridesParser.create().parse_override(cure)
+    assert parsed.key_or_group == typed.partition("=")[0]
+    if "quote" in str(error.value):
+        assert parsed.value() == typed.partition("=")[2]
+
+
+def test_brackets_without_end_are_one_line():
+    with pytest.raises(ValueError, match="cannot be read"):
+        arguments_for_hydra(["needs=" + 2000 * "["])
+
+
+def test_sweeps_are_files_that_hydra_finds(tmp_path):
+    for file in [*SWEEPS.glob("*.yaml"), tmp_path / "mine.yaml"]:
+        name = file.stem if file.parent == SWEEPS else str(file)
+        file.touch()
+        expected = ["-cd", str(file.parent), "-cn", file.stem, "budget=short"]
+        assert expand_sweep(["--sweep", name, "budget=short"]) == expected
+        assert expand_sweep([f"--sweep={name}", "budget=short"]) == expected
+
+
+def test_a_bug_and_what_is_debugged_keep_their_traceback(qnerf, monkeypatch):
+    monkeypatch.setattr(experiment, "run", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        qnerf("run", "device=cpu")
+    with pytest.raises(ValueError, match="seed"):
+        qnerf("run", "run.debug=true", "seed=-1")
+    with pytest.raises(Exception, match="Could not override"):
+        qnerf("run", "qiren.depth=3", full_error=True)
