@@ -1,6 +1,6 @@
 """Amplitude encoding: features become the amplitudes of a state, a unitary acts on it, Z is measured."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 from typing import Annotated, Any, Literal
 
@@ -151,6 +151,15 @@ def eigenvalues(wires: int, values: Values) -> Tensor:
     return torch.from_numpy(z_eigenvalues(tuple(words), wires)).to(torch.get_default_dtype())
 
 
+def _made(sizes: Sequence[int], registers: Sequence[int], *, points: bool, **options: Any) -> list[nn.Module]:
+    """Registers of so many features and qubits each. points: the last one is a `BlochRegister`."""
+    made: list[nn.Module] = []
+    for size, qubits in zip(sizes, registers, strict=True):
+        is_last = len(made) == len(registers) - 1
+        made.append(BlochRegister(size, qubits) if points and is_last else AmplitudeRegister(size, qubits, **options))
+    return made
+
+
 @HEADS.register("amplitude")
 class AmplitudeHead(Head):
     """Amplitude encoding, a unitary, measured values, a last linear map (docs/heads.md).
@@ -252,10 +261,7 @@ class AmplitudeHead(Head):
         sizes = [in_dim - self.direction_features] * len(registers)
         if self.direction_features:
             sizes[-1] = self.direction_features  # the last register sees the direction alone
-        made: list[nn.Module] = []
-        for size, qubits in zip(sizes, registers, strict=True) if encoding != "none" else ():
-            points = branch == "bloch" and len(made) == len(registers) - 1
-            made.append(BlochRegister(size, qubits) if points else AmplitudeRegister(size, qubits, **options))  # type: ignore[arg-type]
+        made = _made(sizes, registers, points=branch == "bloch", **options) if encoding != "none" else []
         self.groups = [range(len(registers))] if joint else [range(i, i + 1) for i in range(len(registers))]
         self.systems = nn.ModuleList()
         for group in self.groups:
