@@ -135,15 +135,6 @@ def test_the_page_of_options_is_made_from_the_configuration():
     assert options.PAGE.read_text().partition(options.MARK)[2].strip() == options.made().strip()
 
 
-def test_every_option_and_group_is_on_the_page_of_options():
-    page = options.PAGE.read_text()
-    for group in (path.name for path in options.CONF.iterdir() if path.is_dir() and path.name != "hydra"):
-        assert f"`{group}`" in page, group
-        assert options.PURPOSE.get(group), f"{group}: say what it chooses in tests/helpers/options.py"
-    for key, _, _ in options.option_rows(options.CONF / "config.yaml", ""):
-        assert key in page, key
-
-
 def test_what_documents_link_to_is_there():
     for file in DOCUMENTS:
         for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#([^)\s]+))?\)", file.read_text()):
