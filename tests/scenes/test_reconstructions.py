@@ -154,6 +154,8 @@ def test_a_model_that_pycolmap_wrote(tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=4, num_points3D=20)
     model = pycolmap.synthesize_dataset(options)
+    for number, image in model.images.items():
+        image.name = f"{number} ü.png"
     for kind in ("binary", "text"):
         (tmp_path / kind).mkdir()
         getattr(model, f"write_{kind}")(str(tmp_path / kind))

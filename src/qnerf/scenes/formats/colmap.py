@@ -224,7 +224,10 @@ def _cameras_text(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _images_text(file: Path, remarks: list[str]) -> Iterator[tuple[int, Posed]]:
-    """Blank lines and comments may stand before an image, but the next line is always that of its points."""
+    """Blank lines and comments may stand before an image, but the next line is always that of its points.
+
+    Names may hold spaces, of which COLMAP itself reads the first word.
+    """
     lines = _lines(file)
     for line in lines:
         if not line or line[0] == "#":
