@@ -73,7 +73,7 @@ class Parser(argparse.ArgumentParser):
 def report(error: Exception, before: str = "") -> int:
     """Prints the error as one line, `before` first; returns the exit code."""
     print(f"{before}error: {one_line(error)}", file=sys.stderr)
-    return FAILED if is_shortage(error) else WRONG
+    return FAILED if is_shortage(error) or raised_in(error) else WRONG
 
 
 def is_shortage(error: BaseException) -> bool:

@@ -29,8 +29,8 @@ from rich.text import Text
 from qnerf.building.acting import complete, without_effect
 from qnerf.cli import compose, ends, plugins, resolvers  # noqa: F401  the configuration needs the resolvers
 from qnerf.cli import sweep as sweeps
-from qnerf.cli.ends import FAILED, INTERRUPTED, WRONG
-from qnerf.cli.errors import is_known, is_shortage, one_line, report
+from qnerf.cli.ends import FAILED, INTERRUPTED
+from qnerf.cli.errors import is_known, one_line, report
 from qnerf.cli.sweep import RETRY, Sweep
 from qnerf.config.folders import CONF
 from qnerf.records import state
@@ -91,11 +91,10 @@ def _failed(error: Exception, composed: DictConfig, prefix: str, sweep: Sweep | 
         raise error
     if not known:
         traceback.print_exc()
-    reason = one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
-    print(f"{prefix}error: {reason}", file=sys.stderr)
+    code = report(error, prefix)
     if sweep is None:
-        wrong = isinstance(error, (ValueError, OmegaConfBaseException)) and not is_shortage(error)
-        sys.exit(WRONG if wrong else FAILED)
+        sys.exit(code if isinstance(error, (ValueError, OmegaConfBaseException)) else FAILED)
+    reason = one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
     sweep.fail(HydraConfig.get().job.num, list(HydraConfig.get().overrides.task), reason)
 
 
