@@ -271,7 +271,7 @@ def _execute(
     finally:
         display.end()
     if not trainer.done or measured is None:
-        return _stop(record, trainer.step, train.steps, pruned)
+        return _stop(record, f"at step {trainer.step} of {train.steps}", pruned, settings.run.force)
 
     timings = {
         "train_s": trainer.seconds,
@@ -287,13 +287,14 @@ def _execute(
     return Outcome(record.run_id, record.dir, "finished", read_summary(record.dir), "")
 
 
-def _stop(record: Run, step: int, steps: int, pruned: bool) -> Outcome:
+def _stop(record: Run, where: str, pruned: bool, force: bool) -> Outcome:
     """Ends a run that is not finished."""
     if pruned:
         record.write_summary({"stopped": PRUNED})
-        message = f"pruned at step {step} of {steps}: finished runs were better by then"
+        message = f"pruned {where}: finished runs were better by then"
     else:
-        message = f"stopped at step {step} of {steps}; the same command continues from there"
+        command = "the same command without run.force=true" if force else "the same command"
+        message = f"stopped {where}; {command} continues from there"
     record.interrupt()
     return Outcome(record.run_id, record.dir, PRUNED if pruned else "interrupted", read_summary(record.dir), message)
 

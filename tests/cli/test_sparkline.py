@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
+from qnerf.cli.sparkline import BLOCKS, sparkline
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,6 @@ def test_a_curve_as_text(values, width, drawn):
 
 @given(values=st.lists(st.floats()), width=st.integers(1, 40))
 def test_it_is_never_wider_than_asked(values, width):
-    drawn = sparkline(values, width, ASCII)
+    drawn = sparkline(values, width)
     assert len(drawn) == min(width, len(values))
-    assert set(drawn) <= {*ASCII, " "}
+    assert set(drawn) <= {*BLOCKS, " "}

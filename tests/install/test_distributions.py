@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from qnerf.cli.commands import ANALYSIS
 from tests.helpers.configs import ROOT
 
 pytest.importorskip("setuptools", minversion="77")
@@ -123,32 +122,10 @@ def test_every_group_and_sweep_is_found(installed: Installed) -> None:
     )
 
 
-def test_help_says_how_each_command_is_called(installed: Installed) -> None:
-    code = """
-import contextlib, sys
-from qnerf.cli.main import main
-for command in sys.argv[1:]:
-    sys.argv = ["qnerf", command, "--help"]
-    with contextlib.suppress(SystemExit):
-        main()
-    print("=====")
-"""
-    *texts, _ = installed.python("-c", code, *ANALYSIS).split("=====\n")
-    for command, text in zip(ANALYSIS, texts, strict=True):
-        assert text.startswith(f"usage: qnerf {command} ")
-        assert "analysis." not in text
-        assert "{}" not in text
-
-
 def test_a_configuration_is_composed(installed: Installed) -> None:
     """.ci/run trains with an installed wheel; here that would compile every kernel anew."""
     (installed.work / "mine.yaml").write_text("defaults: [config, _self_]\nseed: 7\n")
     assert "seed: 7" in installed.qnerf("run", "--sweep", "mine.yaml", "field=qboth", "--cfg", "job")
-
-
-def test_the_analysis_side_reads_runs(installed: Installed) -> None:
-    """.ci/run writes a report with an installed wheel as well, which takes longer."""
-    assert "classical" in installed.qnerf("tables", RUNS, "--rows", "scene_name,field")
 
 
 def test_figures_of_the_benchmarks_are_drawn(installed: Installed) -> None:

@@ -7,10 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-ASCII = "_.-~=+*#"
 
 
-def sparkline(values: Sequence[float] | np.ndarray, width: int, blocks: str = BLOCKS) -> str:
+def sparkline(values: Sequence[float] | np.ndarray, width: int) -> str:
     """`values` as at most `width` characters: the lowest block is the smallest value, the highest the largest.
 
     More values than characters are averaged. A space stands for values that are all NaN or infinite.
@@ -25,8 +24,8 @@ def sparkline(values: Sequence[float] | np.ndarray, width: int, blocks: str = BL
     if not finite:
         return " " * width
     low, high = min(finite), max(finite)
-    scale = (len(blocks) - 1) / (high - low) if high > low else 0.0
-    return "".join(" " if value is None else blocks[round((value - low) * scale)] for value in means)
+    scale = (len(BLOCKS) - 1) / (high - low) if high > low else 0.0
+    return "".join(" " if value is None else BLOCKS[round((value - low) * scale)] for value in means)
 
 
 def _mean(values: Sequence[float] | np.ndarray) -> float | None:

@@ -25,11 +25,10 @@ def test_a_run_that_has_ended_is_shown_once_and_not_waited_for(store, qnerf, ter
     assert "loss is NaN" in out
 
 
-def test_lines_fit_the_terminal_and_ascii_ones_are_ascii(running):
+def test_lines_fit_the_terminal(running):
     run, metrics = details.read(running.dir), read_metrics(running.dir)
     for width in (60, 100, 200):
         assert all(line.cell_len <= width for line in watch.progress(run, metrics, width)[2:])
-    assert all(line.plain.isascii() for line in watch.progress(run, metrics, 80, ascii_only=True))
 
 
 def test_it_follows_until_the_run_ends(running):
@@ -76,8 +75,8 @@ def test_the_rate_is_that_of_the_last_rows():
     assert watch.steps_per_second(rows.head(1)) is None
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "inf", "nan", "1e300", "soon"])
-def test_seconds_between_refreshes_are_a_finite_number(store, qnerf, text):
-    done = qnerf("watch", f"--every={text}")
-    assert done.code == 2
-    assert done.err.endswith(f"--every: expected a number above 0 to 86400, got {text!r}\n")
+def test_seconds_between_refreshes_are_a_finite_number(store, qnerf):
+    for text in ("0", "-1", "inf", "nan", "1e300", "soon"):
+        done = qnerf("watch", f"--every={text}")
+        assert done.code == 2
+        assert done.err.endswith(f"--every: expected a number above 0 to 86400, got {text!r}\n")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qnerf.cli.commands import add_overrides, add_run
-from qnerf.cli.ends import stoppable, stopped_code
+from qnerf.cli.ends import FAILED, stoppable, stopped_code
 from qnerf.cli.numbers import tolerance
 from qnerf.cli.stored import run_stored, stored
 from qnerf.cli.table import Column, print_table
@@ -68,8 +68,8 @@ def main(options: argparse.Namespace) -> int:
         config["store"] = str(store)
         outcome = run_stored(run, config)
         if outcome.state != "finished":
-            print(printable(outcome.message), file=sys.stderr)
-            return stopped_code() if outcome.state == "interrupted" else 1
+            print(f"{printable(run.name)}: not compared, the second run is {outcome.state}", file=sys.stderr)
+            return stopped_code() if outcome.state == "interrupted" else FAILED
         compared = compare(run, outcome.path)
         different = environment_differences(run, outcome.path)
     return report(run, compared, different, options.tolerance)
@@ -91,4 +91,4 @@ def report(run: Path, compared: "Sequence[Compared]", different: Mapping[str, tu
         print_table(out, [Column(title, itemgetter(title), limit=60) for title in ("name", "then", "now")], rows)
     elif wrong:
         print("the recorded environments are the same")
-    return 1 if wrong else 0
+    return FAILED if wrong else 0

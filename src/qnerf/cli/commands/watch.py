@@ -17,7 +17,7 @@ from qnerf.cli.commands import RUN, add_store
 from qnerf.cli.commands import runs as listing
 from qnerf.cli.commands.show import state_line
 from qnerf.cli.numbers import seconds
-from qnerf.cli.sparkline import ASCII, BLOCKS, sparkline
+from qnerf.cli.sparkline import sparkline
 from qnerf.cli.table import plain_lines, table
 from qnerf.cli.text import console, count, duration, styled
 from qnerf.metrics import metric_of
@@ -87,11 +87,11 @@ def run_frame(folder: Path, out: Console) -> tuple[RenderableType, bool]:
     except StoreError as error:
         run.problems.append(str(error))
         metrics = METRICS_SCHEMA.empty_table().to_pandas()
-    lines = progress(run, metrics, out.width, ascii_only=not _shows(out, BLOCKS))
+    lines = progress(run, metrics, out.width)
     return Group(*lines), run.state == "running"
 
 
-def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool = False) -> list[Text]:
+def progress(run: Details, metrics: pd.DataFrame, width: int) -> list[Text]:
     """Lines: state, a bar with rate and time left, the curves of loss and PSNR, the held-out views so far."""
     lines = [styled(run.run_id, "bold"), state_line(run)]
     if run.error and run.state == "failed":
@@ -100,12 +100,11 @@ def progress(run: Details, metrics: pd.DataFrame, width: int, ascii_only: bool =
     curves = dict(list(metrics.groupby("key", sort=False)))
     loss = curves.get("train/loss")
     if run.steps and run.state == "running":
-        lines.append(_bar(run, steps_per_second(loss) if loss is not None else None, width, ascii_only))
-    blocks = ASCII if ascii_only else BLOCKS
+        lines.append(_bar(run, steps_per_second(loss) if loss is not None else None, width))
     for key, (title, transform) in CURVES.items():
         if key in curves:
             values = curves[key]["value"].to_numpy()
-            drawn = sparkline(transform(values), max(width - BESIDE, 10), blocks)
+            drawn = sparkline(transform(values), max(width - BESIDE, 10))
             last = f"{metric_of(key).with_unit(values[-1])} at step {count(curves[key]['step'].iloc[-1])}"
             lines.append(Text.assemble((f"{title:<10}", "dim"), (drawn, "cyan"), f"  {last}"))
     return lines
@@ -131,21 +130,12 @@ def steps_per_second(rows: pd.DataFrame) -> float | None:
     return float(steps / seconds) if steps > 0 and seconds > 0 else None
 
 
-def _bar(run: Details, rate: float | None, width: int, ascii_only: bool) -> Text:
+def _bar(run: Details, rate: float | None, width: int) -> Text:
     assert run.steps
     share = min(run.step / run.steps, 1.0)
     room = max(width - BESIDE, 10)
     done = round(share * room)
-    full, empty = ("#", "-") if ascii_only else ("━", "─")
     label = f"  {share:4.0%}"
     if rate is not None:
         label += f"  {rate:.1f} steps/s  {duration((run.steps - run.step) / rate)} left"
-    return Text.assemble(" " * 10, (full * done, "green"), (empty * (room - done), "dim"), label)
-
-
-def _shows(out: Console, text: str) -> bool:
-    try:
-        text.encode(out.encoding)
-    except UnicodeEncodeError:
-        return False
-    return True
+    return Text.assemble(" " * 10, ("━" * done, "green"), ("─" * (room - done), "dim"), label)
