@@ -116,11 +116,10 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     overrides = list(own.overrides.task)
     _show_warnings()
     console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
-    if sweep is not None:
-        title = " ".join(overrides)
-        console.print(title, highlight=False, markup=False, soft_wrap=True) if prefix else console.rule(
-            title, align="left"
-        )
+    if sweep is not None and console.is_terminal:
+        console.rule(" ".join(overrides), align="left")
+    elif sweep is not None:
+        console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     plugins.load(config["plugins"])  # a launcher's process has not imported them
     if sweep is None and (idle := without_effect(config, overrides)):  # a sweep has said so in its first line
         print(f"note: no effect with the chosen components: {', '.join(idle)}", file=sys.stderr)
