@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-from qnerf.config.settings import only_acting
 from qnerf.experiment import run
 from tests.helpers.configs import TINY, composed
 from tests.helpers.packed_stores import write_run
@@ -42,7 +41,7 @@ def mixed(folder: Path) -> Path:
         ("distance", "samples=100", "qiren", 0),
     ):
         chosen = [f"scene={scene}", f"scene.{size}", f"head={head}", f"seed={seed}"]
-        run(only_acting(composed(*chosen, *small, "hash=C7", "device=cpu", f"store={store}")))
+        run(composed(*chosen, *small, "hash=C7", "device=cpu", f"store={store}"))
     return store
 
 
