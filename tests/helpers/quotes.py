@@ -13,8 +13,8 @@ or table row.
 own; {2} stands for the second cell of the row.
 
 Other sources: `<!-- from FILE.parquet: qcolor & threads 2 -->` picks the row of a parquet file whose text has these
-parts. `<!-- measured at COMMIT -->` is for numbers that no file holds. `<!-- checked by TEST -->` names a test in
-tests/test_documents.py.
+parts. `<!-- measured at COMMIT -->` and `<!-- quoted from SOURCE -->` are for numbers that no file holds.
+`<!-- checked by TEST -->` names a test in tests/test_documents.py.
 """
 
 import re
@@ -39,8 +39,8 @@ MEASURED = r"|(?<![\w.])\d+(?= (?:ms|s|%)(?:[ ,.|]|$))|(?<=\| )\d+(?= *$)"
 PERCENT = r"|(?<![\w.])\d+(?= %)"
 MUST = re.compile(rf"{INTERVAL}|{MEAN}|\d\.\d+ dB\b")
 """What may not stand in a document without a source."""
-COMMENT = re.compile(r"<!-- (results|from|measured at|checked by) (.*?) ?-->", re.DOTALL)
-EACH_ROW = re.compile(r"<!-- each row, (results|from|measured at|checked by) (.*?) ?-->\n", re.DOTALL)
+COMMENT = re.compile(r"<!-- (results|from|measured at|quoted from|checked by) (.*?) ?-->", re.DOTALL)
+EACH_ROW = re.compile(r"<!-- each row, (results|from|measured at|quoted from|checked by) (.*?) ?-->\n", re.DOTALL)
 FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
