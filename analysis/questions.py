@@ -5,7 +5,7 @@ from .question import QUALITY, Question
 
 def sweep(name: str, *more: str) -> str:
     """The command that trains a sweep."""
-    return " ".join([f"python -m src.run -cd sweeps -cn {name} budget=short", *more])
+    return " ".join([f"python -m src.run --sweep {name} budget=short", *more])
 
 
 def before(name: str, *more: str) -> str:
@@ -13,9 +13,9 @@ def before(name: str, *more: str) -> str:
     return sweep(name, *more, "density.mlp.init=torch")
 
 
-def comparison(title: str, command: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
-    """Compares the values of an option with a baseline; the default: experiments with the quick recipe."""
-    return Question(title, (command,), ("scene_name", key), {key: baseline}, failures=True)
+def comparison(title: str, *commands: str, key: str = "experiment", baseline: str = "quick_recipe") -> Question:
+    """Compares the values of an option with a baseline. `experiment`: a name that packed runs have for what was set."""
+    return Question(title, commands, ("scene_name", key), {key: baseline}, failures=True)
 
 
 def density_start(title: str, field: str, rate: str, initial: str) -> Question:
@@ -43,9 +43,19 @@ UPLOAD = "density.amplitude.registers=[5] density.amplitude.uploads=1"
 TEN_SEEDS = "seed=0,1,2,3,4,5,6,7,8,9"
 GROWN = "density.qiren_bypass.from_zero=false"
 WIRES = "density.qiren_bypass.wire_per_feature=true qiren.spectral=1"
-LINEAR_PIECES = "no_gain,no_center,uniform_angles,full_scale,fast_color"
+PIECES = (
+    "qiren.gain=1", "qiren.center=false", "qiren.sum_layers=false", "qiren.init=uniform", "qiren.input_scale=1",
+    "visibility.cameras=0", "shading=none", "color.direction_scale=1", "color.rates.qiren=1",
+)  # fmt: skip
+"""What takes one piece of the quick recipe away."""
+LARGER = (
+    "train.rays=128 proposal.samples=[256,96] proposal.final=48 proposal.max_resolutions=[128,256] "
+    "proposal.log2_table_size=17",
+)
+ADDITIONS = ("qiren.gain=3", "qiren.statistics=first", "encoder.frequency_window=0.5", "ansatz=ternary")
+LINEAR_PIECES = (PIECES[0], PIECES[1], PIECES[3], PIECES[4], PIECES[8])
 BARE = "qiren.gain=1 qiren.center=false qiren.init=uniform"
-SMALL_MLPS = "rgb_mlp_2x27,rgb_mlp_3x16,rgb_mlp_4x13,raw_mlp_3x20,raw_mlp_2x58"
+RAW_MLPS = "color.directions=raw 'color.mlp={layers:3,width:20},{layers:2,width:58}'"
 
 QUESTIONS = {
     "scenes": Question(
@@ -58,33 +68,37 @@ QUESTIONS = {
     "start": comparison(
         "Which initial weights suit a density MLP beside a colour circuit?",
         sweep("seeds", "field=qcolor density.mlp.init=torch,he"),
-        "density.mlp.init",
-        "torch",
+        key="density.mlp.init",
+        baseline="torch",
     ),
     "start_mlp": comparison(
         "Which initial weights suit a density MLP beside a colour MLP?",
         sweep("seeds", "field=classical density.mlp.init=torch,he"),
-        "density.mlp.init",
-        "torch",
+        key="density.mlp.init",
+        baseline="torch",
     ),
-    "recipe": comparison("How much does each piece of the quick recipe help a quantum colour head?", sweep("recipe")),
+    "recipe": comparison(
+        "How much does each piece of the quick recipe help a quantum colour head?",
+        *(sweep("recipe", piece) for piece in ("", *PIECES, *LARGER)),
+    ),
     "recipe_density": comparison(
         "How much does each piece of the quick recipe help a quantum density head?",
-        sweep("recipe", "field=qdensity experiment=quick_recipe,no_gain,no_center,no_sum,uniform_angles,full_scale"),
+        *(sweep("recipe", "field=qdensity", piece) for piece in ("", *PIECES[:5])),
     ),
     "recipe_linear": Question(
         "What does the quick recipe need where a circuit's colours are linear, as in the paper's code?",
         (
-            sweep("recipe", f"experiment=quick_recipe,{LINEAR_PIECES} color.activations.qiren=linear"),
-            sweep("recipe", f"experiment=quick_recipe color.activations.qiren=linear {BARE}"),
-            sweep("recipe", "experiment=quick_recipe"),
+            *(sweep("recipe", "color.activations.qiren=linear", piece) for piece in ("", *LINEAR_PIECES, BARE)),
+            sweep("recipe"),
         ),
-        ("scene_name", "experiment", "color.activation", "qiren.gain"),
+        ("scene_name", "experiment", "color.activation", "color.qiren.gain"),
         {"experiment": "quick_recipe", "color.activation": "sigmoid"},
         failures=True,
         other_baselines=({"experiment": "no_gain", "color.activation": "linear"},),
     ),
-    "recipe_more": comparison("Which additions to the quick recipe would help?", sweep("recipe_more")),
+    "recipe_more": comparison(
+        "Which additions to the quick recipe would help?", *(sweep("recipe", piece) for piece in ("", *ADDITIONS))
+    ),
     "seeds": Question(
         "How often does training collapse? Colour MLPs as in Nerfacto, and with raw directions and He initialisation",
         (sweep("seeds", "field=classical,qdensity color.directions=raw color.mlp.init=he"), sweep("seeds")),
@@ -135,8 +149,8 @@ QUESTIONS = {
                 " scene=nerfstudio scene.path=TERRACE scene.width=64",
             )
         ),
-        ("scene_name", "needs.name"),
-        {"needs.name": "none"},
+        ("scene_name", "needs"),
+        {"needs": "none"},
         values=(*QUALITY, "step_cpu_ms"),
     ),
     "heads_reupload": Question(
@@ -190,7 +204,7 @@ QUESTIONS = {
     "heads_photograph": Question(
         "Which head holds a photograph of 32 x 32 grey pixels best, and is it the circuit?",
         tuple(
-            f"python -m src.run -cd sweeps -cn heads_photograph scene.path=camera,astronaut {more}"
+            f"python -m src.run --sweep heads_photograph scene.path=camera,astronaut {more}"
             for more in (
                 "train.rates.head=0.3,1.0",
                 "train.rates.head=1.0 head=amplitude,qvf,qnerf,reupload,parallel,product "
@@ -203,7 +217,7 @@ QUESTIONS = {
     "heads_distance": Question(
         "Which head fits the signed distance of a shape best, and is it the circuit?",
         tuple(
-            f"python -m src.run -cd sweeps -cn heads_distance {more}"
+            f"python -m src.run --sweep heads_distance {more}"
             for more in (
                 "train.rates.head=1.0",
                 "train.rates.head=0.1 head=siren",
@@ -218,7 +232,11 @@ QUESTIONS = {
     ),
     "small_heads": Question(
         "Is a quantum colour head as good as MLPs of at most 700 parameters?",
-        (sweep("small_heads"), sweep("small_heads", "color.mlp.init=he", f"experiment={SMALL_MLPS}")),
+        (
+            sweep("small_heads"),
+            sweep("small_heads", RAW_MLPS),
+            "python -m src.run -m budget=short field=qcolor qiren=1L1S,1L2S seed=0,1,2",
+        ),
         ("scene_name", "color", "color.directions", "color.mlp.init"),
         {"color": "1L2S"},
         values=(*QUALITY, "params.color"),
@@ -247,14 +265,14 @@ QUESTIONS = {
     "rates": comparison(
         "Which learning rate suits a colour circuit?",
         sweep("seeds", "field=qcolor train.rates.color=0.33,1.0"),
-        "train.rates.color",
-        "1",
+        key="train.rates.color",
+        baseline="1",
     ),
     "rates_mlp": comparison(
         "Which learning rate suits a colour MLP?",
         before("seeds", "field=classical seed=0,1,2 train.rates.color=0.33,1.0"),
-        "train.rates.color",
-        "1",
+        key="train.rates.color",
+        baseline="1",
     ),
     "rates_density": density_start(
         "Which learning rate and initial density suit a density circuit?", "qdensity", "0.33", "0.1"
@@ -265,16 +283,16 @@ QUESTIONS = {
     "directions": comparison(
         "How strongly should view directions be scaled?",
         before("directions", "train.rates.color=1.0"),
-        "color.direction_scale",
-        "1",
+        key="color.direction_scale",
+        baseline="1",
     ),
     "init": comparison(
         "How strongly should a circuit's outputs be amplified?",
         before(
             "init", "qiren.init=eighth qiren.gain=3,10 seed=0,1,2,3,4 color.direction_scale=1.0 train.rates.color=1.0"
         ),
-        "color.qiren.gain",
-        "3",
+        key="color.qiren.gain",
+        baseline="3",
     ),
     "loss_curves": Question(
         "How do training and held-out loss develop?",
@@ -289,16 +307,16 @@ QUESTIONS = {
     "proposals": Question(
         "How many samples do the proposal networks need on a ray?",
         (sweep("proposals"),),
-        ("scene_name", "field", "proposal.samples"),
-        {"field": "classical", "proposal.samples": "[128,64]"},
+        ("scene_name", "field", "sampler.samples"),
+        {"field": "classical", "sampler.samples": "[128,64]"},
         values=(*QUALITY, "step_cpu_ms"),
-        other_baselines=({"field": "qcolor", "proposal.samples": "[128,64]"},),
+        other_baselines=({"field": "qcolor", "sampler.samples": "[128,64]"},),
     ),
     "final_samples": Question(
         "Do half as many rendered samples suffice for a density circuit?",
         ("python -m src.run -m field=qdensity budget=short seed=0,1,2 proposal.final=32,16",),
-        ("scene_name", "proposal.final"),
-        {"proposal.final": "32"},
+        ("scene_name", "sampler.final"),
+        {"sampler.final": "32"},
         values=(*QUALITY, "step_cpu_ms"),
         failures=True,
     ),
@@ -338,7 +356,7 @@ QUESTIONS = {
     ),
     "rgb_table": Question(
         "The paper's table of colour heads",
-        (sweep("rgb_table"),),
+        (sweep("rgb_table"), sweep("rgb_mlps")),
         ("scene_name", "field", "color"),
         values=(*QUALITY, "params.color", "params.density"),
         paper=("rgb",),
@@ -346,8 +364,8 @@ QUESTIONS = {
     "rgb_paper": Question(
         "The paper's table of colour heads with the paper's recipe, 10,000 of its 30,000 steps",
         (
-            "python -m src.run -cd sweeps -cn rgb_table train=paper train.steps=10000",
-            "python -m src.run -m experiment=rgb_mlp_3x10,rgb_1L1S seed=1,2 train=paper train.steps=10000",
+            "python -m src.run --sweep rgb_table train=paper train.steps=10000",
+            "python -m src.run --sweep rgb_mlps seed=0,1,2 train=paper train.steps=10000",
         ),
         ("scene_name", "field", "color"),
         values=(*QUALITY, "params.color", "params.density"),
@@ -362,7 +380,7 @@ QUESTIONS = {
     ),
     "both_paper": Question(
         "The paper's table of both heads with the paper's recipe, 10,000 of its 30,000 steps",
-        ("python -m src.run -cd sweeps -cn both_table train=paper train.steps=10000",),
+        ("python -m src.run --sweep both_table train=paper train.steps=10000",),
         ("scene_name", "density", "color"),
         values=(*QUALITY, "params.color", "params.density"),
         paper=("both",),
@@ -405,8 +423,8 @@ QUESTIONS = {
     "density_pe": Question(
         "Is a quantum density head as good as an MLP of its size on a positional encoding?",
         (
-            sweep("density_pe", "experiment=pe_1L2S,pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8"),
-            sweep("density_pe", "experiment=pe_mlp_2x14,pe_mlp_3x12,pe_mlp_2x8 density.mlp.init=he"),
+            sweep("density_pe"),
+            sweep("density_pe", "field=classical density.mlp.init=he"),
         ),
         ("scene_name", "density", "density.mlp.init"),
         {"density": "1L2S"},
@@ -415,16 +433,16 @@ QUESTIONS = {
     ),
     "pe_paper": Question(
         "The same with the paper's recipe, 10,000 of its 30,000 steps",
-        ("python -m src.run -cd sweeps -cn density_pe seed=0 train=paper train.steps=10000",),
+        ("python -m src.run --sweep density_pe seed=0 train=paper train.steps=10000",),
         ("scene_name", "density"),
         {"density": "1L2S"},
         values=(*QUALITY, "params.density"),
     ),
     "density_sum": comparison(
         "Does such a head improve if it reads the sum of all its circuits?",
-        sweep("density_pe", "experiment=pe_1L2S density.qiren.sum_layers=false,true"),
-        "density.qiren.sum_layers",
-        "false",
+        sweep("density_pe", "field=qdensity qiren=1L2S density.qiren.sum_layers=false,true"),
+        key="density.qiren.sum_layers",
+        baseline="false",
     ),
     "ansatz": Question(
         "Which ansatz is best?",
@@ -458,7 +476,7 @@ QUESTIONS = {
     ),
     "paper": Question(
         "The paper's recipe to its end, 30,000 steps",
-        ("python -m src.run -cd sweeps -cn paper",),
+        ("python -m src.run --sweep paper",),
         ("scene_name", "field"),
         {"field": "classical"},
         values=(*QUALITY, "step_ms", "train_s"),
@@ -466,7 +484,7 @@ QUESTIONS = {
     ),
     "fog": Question(
         "Which colours of a circuit end as fog in the paper's recipe? (3,000 steps)",
-        ("python -m src.run -cd sweeps -cn fog train.steps=3000",),
+        ("python -m src.run --sweep fog train.steps=3000",),
         ("scene_name", "color.activation"),
         {"color.activation": "linear"},
         failures=True,

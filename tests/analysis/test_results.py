@@ -28,7 +28,7 @@ def test_pages_say_what_was_trained_and_the_verdict(folder: Path) -> None:
     assert page.startswith(
         "# How good is a circuit head on each scene?\n\n8 runs; `train=quick`, 10 steps; seeds 0 to 3."
     )
-    assert "    python -m src.run -cd sweeps -cn scenes budget=short\n" in page
+    assert "    python -m src.run --sweep scenes budget=short\n" in page
     (row,) = (line for line in page.splitlines() if line.startswith("| qcolor |"))
     assert "| **25.58 ± 0.06** |" in row
     assert "| +1.00 ± 0.11 better * |" in row

@@ -4,6 +4,7 @@ import contextlib
 import json
 import multiprocessing
 import os
+import shlex
 import shutil
 import signal
 import sqlite3
@@ -20,6 +21,7 @@ from qnerf.capture.video import extract_frames, sharpness
 from qnerf.cli import main
 from qnerf.scenes import SCENES, Cameras, folders
 from tests.helpers import processes, worlds
+from tests.helpers.configs import composed
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
 
@@ -63,27 +65,22 @@ def above_a_floor(lens: float = 0.0, turning: bool = False) -> tuple[Cameras, li
     return of, images
 
 
-@pytest.mark.parametrize(
-    ("images", "message"),
-    [
+def test_photographs_that_cannot_be_posed_are_one_line_and_leave_nothing(tmp_path: Path) -> None:
+    for images, message in (
         (wall(), "0 of 4 photographs have 40 features or more, 3 are needed"),
         (unlike(), "no two photographs show the same things"),
         (unlike(1) * 3, "the poses of fewer than 3 of 3 photographs can be found"),
         (wall(1), "expected a folder of at least 3 photographs .*, got 1"),
         ([], "expected a folder of at least 3 photographs .*, got 0"),
         (above_a_floor(turning=True)[1], "fewer than 3 of 7 photographs can be found: .* the camera only turned"),
-    ],
-    ids=["wall", "nothing in common", "one place", "one image", "no image", "turning"],
-)
-def test_photographs_that_cannot_be_posed_are_one_line_and_leave_nothing(
-    tmp_path: Path, images: list[np.ndarray], message: str
-) -> None:
-    source = write(tmp_path / "images", *images)
-    with pytest.raises(ValueError, match=message) as error:
-        capture(source, tmp_path / "out")
-    assert "\n" not in str(error.value)
-    assert list(tmp_path.iterdir()) == [source]
-    assert not multiprocessing.active_children()
+    ):
+        source = write(tmp_path / "images", *images)
+        with pytest.raises(ValueError, match=message) as error:
+            capture(source, tmp_path / "out")
+        assert "\n" not in str(error.value)
+        assert list(tmp_path.iterdir()) == [source]
+        assert not multiprocessing.active_children()
+        shutil.rmtree(source)
 
 
 def test_sources_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
@@ -96,8 +93,11 @@ def test_sources_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=message):
             capture(bad, tmp_path / "out")
-    with pytest.raises(ValueError, match=r"images exists already; choose a new folder"):
-        capture(source, source)
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "file").touch()
+    with pytest.raises(ValueError, match=r"taken exists already; choose a new folder"):
+        capture(source, tmp_path / "taken")
+    shutil.rmtree(tmp_path / "taken")
     with pytest.raises(ValueError, match=r"00.png/out cannot be made: .*: .*00.png"):
         capture(source, source / "00.png" / "out")
     with pytest.raises(ValueError, match="frames must be at least 3, got 0"):
@@ -174,7 +174,10 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
     assert main.dispatch("capture", [str(source), "--out", str(tmp_path / "my scene")]) == 0
     told = capsys.readouterr().out
     assert "pairs of photographs: 28" in told
-    assert f"next: qnerf run scene=nerfstudio 'scene.path={tmp_path}/my scene' scene.width=64" in told
+    (command,) = (line.removeprefix("next: ") for line in told.splitlines() if line.startswith("next: "))
+    assert command == f"qnerf run scene=nerfstudio 'scene.path={tmp_path}/my scene' scene.width=64"
+    options = composed(*shlex.split(command)[2:])["scene"]
+    assert SCENES.build(options.pop("name"), **options).cameras.width == 64
     assert "7 of 8 photographs were posed" in told
     assert "not posed: 9.png" in told
     scene = SCENES.build("nerfstudio", path=str(tmp_path / "my scene"))

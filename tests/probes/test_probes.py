@@ -42,8 +42,8 @@ def of(table: pd.DataFrame, output: int, wire: int) -> np.ndarray:
 
 def untrained(config) -> Trained:
     """A model as it is built, in the place of a trained one."""
-    _, chosen, scene = prepare(config)
-    return Trained(Path(), chosen, scene, build_model(chosen, scene).eval(), 0)
+    made = prepare(config)
+    return Trained(Path(), made.settings, made.scene, build_model(made.settings, made.scene).eval(), 0)
 
 
 def command(monkeypatch, *arguments: str) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from qnerf.records import RunStore, StoreError, annotations, find, owner
-from qnerf.records.deletion import delete_run, is_run
+from qnerf.records.deletion import delete_run, holds_runs, is_run
 from qnerf.records.location import existing_store, store_folder
 from tests.helpers.stores import CONFIG, claimed
 
@@ -132,3 +132,10 @@ def test_linked_trash_is_not_emptied(store_: RunStore, tmp_path: Path) -> None:
             action()
     assert mine.exists()
     assert is_run(run.dir)
+
+
+def test_folder_that_cannot_be_looked_into_is_no_run(tmp_path: Path) -> None:
+    (tmp_path / "odd").mkdir()
+    (tmp_path / "odd" / "status.json").symlink_to("status.json")
+    assert not is_run(tmp_path / "odd")
+    assert not holds_runs(tmp_path)

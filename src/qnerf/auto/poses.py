@@ -88,7 +88,7 @@ def warning(scene: Scene) -> str | None:
     if off > WRONG:
         return (
             f"the poses do not fit the images: {told}; axes, direction, principal point and focal length alone do not "
-            "explain it; cameras=so3xr3 corrects small errors"
+            "explain it; `qnerf capture` finds poses from the images"
         )
     return None
 

@@ -40,8 +40,8 @@ def resolve(config: Mapping[str, Any], scene: Scene) -> tuple[dict[str, Any], di
 
 
 def columns(decisions: Mapping[str, Decision]) -> dict[str, Any]:
-    """Columns of a summary: each decision, such as needs.appearance, and what was measured for it."""
-    found: dict[str, Any] = {}
+    """Columns of a summary: `needs`, each decision, such as needs.appearance, and what was measured for it."""
+    found: dict[str, Any] = {"needs": "auto" if decisions else "none"}
     for option, decision in decisions.items():
         found[f"needs.{option}"] = str(decision.value)
         because = {name: number for name, number in decision.because.items() if math.isfinite(number)}

@@ -288,10 +288,7 @@ def _off(*names: str) -> Callable[[Mapping[str, Any]], bool]:
 
 
 _IDLE: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
-    (
-        tuple(f"pose_noise.{key}" for key in ("rotation", "translation", "seed")),
-        _off("pose_noise.rotation", "pose_noise.translation"),
-    ),
+    (("pose_noise.seed",), _off("pose_noise.rotation", "pose_noise.translation")),
     (("visibility.resolution",), _off("visibility.cameras", "visibility.alpha", "occupancy.every")),
     (("occupancy.after", "occupancy.min_opacity"), _off("occupancy.every")),
     (("stop.patience", "stop.min_gain_db", "stop.share", "stop.rays"), _off("stop.every")),

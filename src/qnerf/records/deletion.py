@@ -27,9 +27,12 @@ _ABANDONED_S = 3600.0  # nobody takes so long to make a new run's folder
 
 def is_run(folder: Path) -> bool:
     """Whether the folder was made by `RunStore.claim`."""
-    status = read_status(folder)
-    named = status.get("run_id") == folder.name and "claim" in status and (folder / "config.yaml").exists()
-    return named or owner.was_owned(folder)
+    try:
+        status = read_status(folder)
+        named = status.get("run_id") == folder.name and "claim" in status and (folder / "config.yaml").exists()
+        return named or owner.was_owned(folder)
+    except (OSError, StoreError):  # of another user, who lets nobody look
+        return False
 
 
 def holds_runs(folder: Path) -> bool:
