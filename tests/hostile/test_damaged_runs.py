@@ -18,7 +18,7 @@ from qnerf.analysis.figures.files import draw
 from qnerf.analysis.report import content, pictures
 from qnerf.analysis.tables import ablation
 
-from qnerf.cli import main, numbers, streams
+from qnerf.cli import ends, main, numbers
 from qnerf.export import to_csv
 from qnerf.records import StoreError, details, index
 from qnerf.records.spreadsheets import as_csv
@@ -193,7 +193,7 @@ def test_counts_are_bounded() -> None:
 def test_output_does_not_fail_for_a_character(monkeypatch: pytest.MonkeyPatch) -> None:
     data = io.BytesIO()
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(data, encoding="ascii"))
-    streams.escape_unencodable()
+    ends.escape_unencodable()
     print("läufe \udcff", flush=True)
     assert data.getvalue() == b"l\\xe4ufe \\udcff\n"
 
