@@ -46,7 +46,7 @@ SLOW = (
     "faults/",
     "install/test_distributions.py",
     "kernels/test_jit.py",
-    "numerics/test_bounds.py::test_hard_case",
+    "numerics/test_bounds.py::test_hard_cases",
     "numerics/test_circuits_cases.py",
     "numerics/test_determinism.py",
     "numerics/test_losses_cases.py",

@@ -13,7 +13,6 @@ from torch.autograd import gradcheck
 from qnerf.encoders import DIRECTIONS, ENCODERS, HashEncoder, spherical_harmonics
 from qnerf.encoders.frequency_window import window_weights
 from qnerf.kernels.hashgrid import hash_encode_reference
-from qnerf.model.labels import HASH_TABLES
 
 TINY_HASH = {"levels": 3, "max_resolution": 40, "log2_table_size": 8, "features": 2}
 OPTIONS = {
@@ -130,15 +129,6 @@ def test_fourier_features_against_exact_phases(point):
 
 
 # Hash encoding
-
-
-def test_parameter_counts_of_the_paper():
-    names = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
-    counts = (16777216, 4194304, 3145728, 1572864, 393216, 262144, 65536)
-    for options, count in zip(HASH_TABLES.values(), counts, strict=True):
-        encoder = ENCODERS.build("hash", 3, **dict(zip(names, options, strict=True)))
-        assert sum(parameter.numel() for parameter in encoder.parameters()) == count
-        assert encoder.out_dim == options[0] * options[4]
 
 
 def test_hash_table_starts_small_and_from_the_given_generator():

@@ -31,7 +31,7 @@ def held(case: Case) -> None:
     for dtype in case.dtypes:
         for variant in case.variants:
             forward, gradient = errors(case, variant, dtype, expected)
-            assert math.isfinite(forward), (variant, dtype)
+            assert math.isfinite(forward), (case.id, variant, dtype)
             if variant in case.bounded:
-                assert forward <= bound_in(dtype, case.bound), (variant, dtype)
-                assert case.gradient is None or gradient <= bound_in(dtype, case.gradient), (variant, dtype)
+                assert forward <= bound_in(dtype, case.bound), (case.id, variant, dtype)
+                assert case.gradient is None or gradient <= bound_in(dtype, case.gradient), (case.id, variant, dtype)

@@ -228,25 +228,25 @@ def gradients_of_sum(x, table, cells):
     return torch.autograd.grad(hash_encode(x, table, cells).sum(), table)[0]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"points": torch.zeros(4, 2)}, r"points must be \(N, 3\)"),
-        ({"table": torch.zeros(2, 6, 1)}, "power of two"),
-        ({"table": torch.zeros(2, 1, 1)}, "power of two"),
-        ({"table": torch.zeros(2, 8, 0)}, "table must be"),
-        ({"table": torch.zeros(2, 8, 1, dtype=torch.float64)}, "share a dtype"),
-        ({"resolutions": torch.tensor([1, 2, 3])}, "resolutions must be int64"),
-        ({"resolutions": torch.tensor([1.0, 2.0])}, "resolutions must be int64"),
-        ({"resolutions": torch.tensor([0, 4])}, "must be 1 to"),
-        ({"resolutions": torch.tensor([4, 2**21])}, "must be 1 to"),
-    ],
-)
-def test_what_does_not_fit_is_one_line(change, message):
-    arguments = {"points": torch.zeros(4, 3), "table": torch.zeros(2, 8, 1), "resolutions": torch.tensor([1, 2])}
-    with pytest.raises(ValueError, match=message) as error:
-        hash_encode(**{**arguments, **change})
-    assert "\n" not in str(error.value)
+WRONG: list[tuple[str, dict[str, torch.Tensor]]] = [
+    (r"points must be \(N, 3\)", {"points": torch.zeros(4, 2)}),
+    ("power of two", {"table": torch.zeros(2, 6, 1)}),
+    ("power of two", {"table": torch.zeros(2, 1, 1)}),
+    ("table must be", {"table": torch.zeros(2, 8, 0)}),
+    ("share a dtype", {"table": torch.zeros(2, 8, 1, dtype=torch.float64)}),
+    ("resolutions must be int64", {"resolutions": torch.tensor([1, 2, 3])}),
+    ("resolutions must be int64", {"resolutions": torch.tensor([1.0, 2.0])}),
+    ("must be 1 to", {"resolutions": torch.tensor([0, 4])}),
+    ("must be 1 to", {"resolutions": torch.tensor([4, 2**21])}),
+]
+
+
+def test_what_does_not_fit_is_one_line():
+    right = {"points": torch.zeros(4, 3), "table": torch.zeros(2, 8, 1), "resolutions": torch.tensor([1, 2])}
+    for message, change in WRONG:
+        with pytest.raises(ValueError, match=message) as error:
+            hash_encode(**{**right, **change})
+        assert "\n" not in str(error.value)
 
 
 @given(levels=st.integers(1, 32), low=st.integers(1, 4096), ratio=st.floats(1, 256))

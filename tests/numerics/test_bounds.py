@@ -16,11 +16,13 @@ def test_cases_have_names_of_their_own() -> None:
     assert len({case.id for case in CASES}) == len(CASES)
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.id for case in CASES])
-def test_hard_case(case) -> None:
-    for tensor in case.inputs:
-        assert not tensor.is_floating_point() or (rounded(tensor) == tensor).all()
-    held(case)
+@pytest.mark.parametrize("part", sorted({case.id.partition(":")[0] for case in CASES}))
+def test_hard_cases(part: str) -> None:
+    for case in CASES:
+        if case.id.partition(":")[0] == part:
+            for tensor in case.inputs:
+                assert not tensor.is_floating_point() or (rounded(tensor) == tensor).all()
+            held(case)
 
 
 def test_the_error_is_relative_to_the_largest_and_infinite_where_a_nan_hides() -> None:

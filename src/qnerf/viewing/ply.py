@@ -53,18 +53,3 @@ def write(file: Path, surface: Surface) -> None:
     with reporting(file):
         file.parent.mkdir(parents=True, exist_ok=True)
     replace(file, encode(surface))
-
-
-def decode(data: bytes) -> Surface:
-    """What `encode` wrote. ValueError for other PLY files."""
-    header, mark, body = data.partition(b"end_header\n")
-    counts = {words[1]: int(words[2]) for words in map(bytes.split, header.splitlines()) if words[:1] == [b"element"]}
-    vertices, faces = counts.get(b"vertex", 0), counts.get(b"face", 0)
-    if not mark or len(body) != vertices * _VERTEX.itemsize + faces * _FACE.itemsize:
-        raise ValueError("expected a PLY file with x y z nx ny nz red green blue, as qnerf export writes it")
-    rows = np.frombuffer(body, _VERTEX, vertices)
-    triangles = np.frombuffer(body, _FACE, faces, vertices * _VERTEX.itemsize)["corners"] if b"face" in counts else None
-    points, normals, colors = (
-        np.stack([rows[name] for name in names], axis=1) for names in ("xyz", ("nx", "ny", "nz"), "rgb")
-    )
-    return Surface(points, normals, colors, triangles)
