@@ -315,6 +315,21 @@ def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names() -
             W[index]
 
 
+def test_expressions_are_polynomials_with_one_form() -> None:
+    x, y = feature(0), weight("w", 0)
+    assert (x + 1) ** 2 - 1 == x * x + 2 * x
+    assert 1 - x / 2 == 1 + -0.5 * x
+    assert (x - x).constant == 0
+    assert not x - x
+    assert +x == x
+    assert y != x
+    for wrong in (lambda: x == 1.0, lambda: bool(y), lambda: x**-1, lambda: x**0.5, lambda: x * float("inf")):
+        with pytest.raises(ValueError, match=r"form of a circuit|cannot take the power|finite numbers"):
+            wrong()
+    with pytest.raises(TypeError):
+        x + "a"
+
+
 def test_circuit_without_features_needs_no_input() -> None:
     layer = QuantumLayer(Circuit("vqe", 1, 0, 0, (Gate("RX", 0, W[0, 0]),), (((0, "Z"),),), 0, W))
     assert torch.allclose(layer(), layer.w[0, 0].cos()[None])
