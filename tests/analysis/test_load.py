@@ -33,10 +33,9 @@ def test_one_row_a_run(store: Path) -> None:
 
 
 def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
-    """By their contents: folders may be called the same. Runs from before that was recorded count as the first."""
-    for seed, fingerprint in ((0, "a"), (1, "a"), (2, None)):
-        write_run(tmp_path, seed=seed, columns={"scene.fingerprint": fingerprint} if fingerprint else {})
-    assert set(load.runs(tmp_path)["scene.fingerprint"]) == {"a"}
+    """By their contents: folders may be called the same."""
+    for seed in range(2):
+        write_run(tmp_path, seed=seed, columns={"scene.fingerprint": "a"})
     write_run(tmp_path, seed=3, columns={"scene.fingerprint": "b"})
     with pytest.raises(ValueError, match=r"mixes runs of different scene\.fingerprint \(a, b\)"):
         ablation(load.runs(tmp_path), ["scene_name"])
