@@ -14,10 +14,10 @@ pytest.importorskip("optuna", reason='needs pip install "qnerf[search]"')
 
 from qnerf.records import RunStore
 from qnerf.search.history import History
-from qnerf.search.loop import NoObjective, Options, search
+from qnerf.search.loop import NoObjective, search
 from qnerf.search.pruning import Judge
 from qnerf.search.space import Choices, Interval, Point, Space
-from qnerf.search.study import Trial, best, propose
+from qnerf.search.study import Options, Trial, best, propose
 from tests.helpers.stores import vanish
 
 SPACE: Space = {
@@ -150,10 +150,10 @@ def test_a_search_finds_the_best_with_a_few_trials():
     """20 dB less 0.1 at 1 layer and a learning rate of 0.01; a random point loses 1.1 dB in the mean."""
     trials: list[Trial] = []
     for _ in range(16):
-        (point,) = propose(SPACE, ["psnr"], trials, 1)
+        (point,) = propose(SPACE, ["psnr"], trials, 1, Options(16))
         trials.append(Trial(point, "finished", (psnr_of(point),), ("run",)))
     assert best(SPACE, ["psnr"], trials)[0].values[0] > 19.8
-    assert len(propose(SPACE, ["psnr"], trials[:6], 1, sampler="gp")) == 1
+    assert len(propose(SPACE, ["psnr"], trials[:6], 1, Options(16, sampler="gp"))) == 1
 
 
 def test_an_objective_without_a_value_ends_the_search_after_the_first_finished_trial(tmp_path):
@@ -216,7 +216,7 @@ def test_what_a_search_draws_is_found_again_in_the_store(data):
 
 def test_no_proposal_is_a_trial():
     tried = [Trial(("0.01", layers, head), "finished", (1.0,)) for layers in "123" for head in ("mlp", "qiren")]
-    points = propose({**SPACE, "train.lr": Interval(0.01, 0.01)}, ["psnr"], tried, 3)
+    points = propose({**SPACE, "train.lr": Interval(0.01, 0.01)}, ["psnr"], tried, 3, Options(9))
     assert points == []
-    fresh = propose(SPACE, ["psnr"], tried, 30)
+    fresh = propose(SPACE, ["psnr"], tried, 30, Options(36))
     assert len(set(fresh)) == 30

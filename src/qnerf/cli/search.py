@@ -31,10 +31,10 @@ from qnerf.metrics import metric_of
 from qnerf.scenes import SCENES
 from qnerf.search import objectives as goals
 from qnerf.search.history import History
-from qnerf.search.loop import NoObjective, Options, search
+from qnerf.search.loop import NoObjective, search
 from qnerf.search.pruning import Judge
 from qnerf.search.space import Choices, Interval, Point, Space, overrides
-from qnerf.search.study import Trial, best
+from qnerf.search.study import Options, Trial, best
 
 FILE = "judge.json"
 """In the folder of a sweep: what its jobs need to know to judge themselves."""

@@ -2,32 +2,16 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from qnerf.search.history import NO_VALUE, History
 from qnerf.search.space import Point
-from qnerf.search.study import SAMPLERS, Trial, propose
+from qnerf.search.study import SAMPLERS, Options, Trial, propose
 
 POLL = 10.0  # seconds between two looks at runs that another process trains
 
 
 class NoObjective(Exception):
     """The runs that have finished have no number for an objective, so the search cannot learn from any."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How to search.
-
-    trials: how many in all, those already in the store included; one whose run could not begin does not count.
-    at_once: launched together. startup: random trials before the sampler learns. seed: of the sampler.
-    """
-
-    trials: int
-    at_once: int = 1
-    sampler: str = "tpe"
-    startup: int = 5
-    seed: int = 0
 
 
 def search(
@@ -50,40 +34,30 @@ def search(
     """
     if options.sampler not in SAMPLERS:
         raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
-    trials = history.trials()
-    while not stopping() and len(history.rejected) < options.trials:
+    while True:
+        trials = history.trials()
+        if stopping() or len(history.rejected) >= options.trials:
+            return trials
         require_values(history.objectives, trials)
         begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
         room = min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials))
-        fresh = propose(
-            history.space,
-            history.objectives,
-            trials,
-            max(room, 0),
-            sampler=options.sampler,
-            startup=options.startup,
-            seed=options.seed,
-            result=history.result,
-        )
+        fresh = propose(history.space, history.objectives, trials, max(room, 0), options, history.result)
         if not begun and not fresh:
-            break
+            return trials
         batch = [point for point in (*begun, *fresh) if history.ids(point)]
         if batch:
             launch(batch, trials)
-        trials = history.trials()
         if stopping():
-            break
-        known = {history.result(trial.point): trial for trial in trials}
+            continue
+        known = {history.result(trial.point): trial for trial in history.trials()}
         for point in batch:
             if history.result(point) not in known:
                 history.reject(point, "")  # its job failed before the run began, and has told why
-        trials = history.trials()
         left = [trial for point in begun if (trial := known.get(history.result(point))) and trial.state == "unfinished"]
         if left and len(left) == len(batch):
             if not any(trial.running for trial in left):
-                break
+                return history.trials()
             time.sleep(POLL)
-    return trials
 
 
 def require_values(objectives: Sequence[str], trials: Sequence[Trial]) -> None:

@@ -51,15 +51,27 @@ class Trial:
     error: str = ""
 
 
+@dataclass(frozen=True)
+class Options:
+    """How to search.
+
+    trials: how many in all, those already in the store included; one whose run could not begin does not count.
+    at_once: launched together. startup: random trials before the sampler learns. seed: of the sampler.
+    """
+
+    trials: int
+    at_once: int = 1
+    sampler: str = "tpe"
+    startup: int = 5
+    seed: int = 0
+
+
 def propose(
     space: Space,
     objectives: Sequence[str],
     trials: Sequence[Trial],
     count: int,
-    *,
-    sampler: str = "tpe",
-    startup: int = 5,
-    seed: int = 0,
+    options: Options,
     result: Callable[[Point], Hashable] = lambda point: point,
 ) -> list[Point]:
     """Up to `count` points whose result is that of no trial and no other point; fewer if the space has no more.
@@ -68,8 +80,8 @@ def propose(
 
     The same trials in the same order give the same points, so a search that was killed goes on as if it had not been.
     """
-    own_seed = int(np.random.SeedSequence([seed, len(trials)]).generate_state(1)[0])
-    study = rebuilt(space, objectives, trials, SAMPLERS[sampler](startup, own_seed))
+    own_seed = int(np.random.SeedSequence([options.seed, len(trials)]).generate_state(1)[0])
+    study = rebuilt(space, objectives, trials, SAMPLERS[options.sampler](options.startup, own_seed))
     tried = {result(trial.point) for trial in trials}
     proposed: list[Point] = []
     while len(proposed) < count and (point := _ask(study, space, own_seed, lambda p: result(p) not in tried)):
