@@ -133,7 +133,7 @@ def test_only_the_modules_that_the_user_names_are_imported(stored):
     check_plugins("run", ["a", "b"], ["b", "a"])
 
 
-@pytest.mark.parametrize("typed", ["plugins=a", "plugins=[a", "plugins=[1]", "+plugins={a: 1}", "plugins=[a],[b]"])
+@pytest.mark.parametrize("typed", ["plugins=a", "plugins=[1]", "+plugins={a: 1}", "plugins=[a],[b]"])
 def test_plugins_are_a_list_of_names(typed):
     with pytest.raises(ValueError, match=r"expected a list of modules, such as plugins=\[my_module\]"):
         typed_plugins([typed])
