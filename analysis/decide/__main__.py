@@ -174,9 +174,10 @@ class Study:
             if close or not rest or last:
                 said = f"within {question.within:g} of {best}" if close else f"undecided against {best}"
                 record.verdicts |= {_title(scene, name): said for name in rest} | {_title(scene, best): "the best"}
-            entry = {"leader": best, "worse": worse}
             print(f"{count} seeds: {_title(scene, best)} leads, out: {', '.join(worse) or 'nobody'}")
-            record.looks.append({"name": _title(scene, best), "seeds": count, "spent": alpha, **entry})
+            record.looks.append(
+                {"name": _title(scene, best), "seeds": count, "spent": alpha, "leader": best, "worse": worse}
+            )
             return
         baseline, other = question.candidates
         name = _title(scene, other)

@@ -53,7 +53,9 @@ def forest(
     ax = figure.subplots()
     ax.axvspan(-least, least, color=style.PALETTE[0], alpha=0.12, lw=0)
     ax.axvline(0, color=style.ink(), lw=0.7)
-    ticks, names, place = [], [], 0.0
+    ticks: list[float] = []
+    names: list[str] = []
+    place = 0.0
     for number, line in enumerate(shown):
         if number == 0 or line.configuration != shown[number - 1].configuration:
             place -= 1.4

@@ -77,7 +77,7 @@ def _scenes(
         line |= {"difference": 0.0, "reach": 0.0, "verdict": "", "shown": ""}
         if best != smallest:
             views = [evaluations(runs[runs["path"].map(group) == number], metric) for number in (best, smallest)]
-            found, _ = compare(*views, within, metric=metric)
+            found, _ = compare(views[0], views[1], within, metric=metric)
             line |= {"difference": found.difference, "reach": found.reach, "verdict": found.text(metric)}
             line["shown"] = interval(found, metric)
         lines.append(line)
