@@ -257,7 +257,8 @@ def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
     for piece in pieces(circuit):
         grid = interpolation(piece.circuit)
         points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
-        values = statevector.evaluate(normal_form(piece.circuit), points, weights[:, piece.wires])
+        own = torch.stack([weights[:, wire] for wire in piece.wires], dim=1)
+        values = statevector.evaluate(normal_form(piece.circuit), points, own)
         for outputs, row in zip(piece.outputs, coefficients_of(grid, values), strict=True):
             for output in outputs:
                 rows[output] = torch.nn.functional.pad(row, (0, most - len(row)))
