@@ -177,22 +177,28 @@ def run(
                 f"{claim.dir}: status.json says finished, summary.parquet says {state}; run.force=true does it over"
             )
         return Outcome(name, claim.dir, claim.outcome, summary, claim.message)
-    with claim.run as record, stop_requests() as stops:
+    with claim.run as record, stop_requests() as stops, dispatch.report() as aside:
         if claim.outcome == "resumed":
             display.note(claim.message)
-        display.note(f"scene {scene.name}: {scene.description()}")
-        display.describe(prepared.config, parameter_counts(task.model))
-        if prepared.decisions:
-            decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]
-            display.note(f"the scene needs {', '.join(decided)}")
+        _describe(prepared, task, record, display)
         record.write_environment(capture(settings.seed), dirty_diff())
         if isinstance(scene, Scene):
             record.write_transform(scene.transform.numpy())
-            if not record.resumed and settings.scene.get("path"):
-                for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
-                    display.note(f"warning: {doubt}")
-        with dispatch.report() as aside:
-            return _execute(task, record, display, lambda: bool(stops) or stopping(), unpromising, aside)
+        course = _Course(task, record, display, lambda: bool(stops) or stopping(), unpromising)
+        return course.to_its_end(aside)
+
+
+def _describe(prepared: Prepared, task: Task, record: Run, display: Display) -> None:
+    """Says what is trained, on what, and what about the scene is doubtful."""
+    scene = prepared.scene
+    display.note(f"scene {scene.name}: {scene.description()}")
+    display.describe(prepared.config, parameter_counts(task.model))
+    if prepared.decisions:
+        decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]
+        display.note(f"the scene needs {', '.join(decided)}")
+    if isinstance(scene, Scene) and not record.resumed and prepared.settings.scene.get("path"):
+        for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
+            display.note(f"warning: {doubt}")
 
 
 def _compare(run: Path, config: Mapping[str, Any], display: Display) -> None:
@@ -206,85 +212,101 @@ def _compare(run: Path, config: Mapping[str, Any], display: Display) -> None:
         display.note(f"{run} was recorded with {listed}; run.force=true does it over")
 
 
-def _execute(
-    task: Task,
-    record: Run,
-    display: Display,
-    stopped: Callable[[], bool],
-    unpromising: Unpromising,
-    aside: Mapping[str, str],
-) -> Outcome:
-    settings, scene = task.settings, task.scene
-    watch = Stopwatch(settings.torch_device, task.model, QuantumLayer)
-    trainer, evaluator = task.trainer(watch), task.evaluator(watch)
-    if settings.numerics.finite_checks:
-        check_every_value(trainer)
-    checkpoint = record.load_checkpoint(trainer.check) if record.resumed else None
-    if checkpoint is not None:
-        trainer.load(checkpoint)
-    if record.resumed:
-        record.resume(trainer.step)
-        record.write_summary({"stopped": None})
-    pruned = False
+class _Course:
+    """A run from its last checkpoint, or from the start, to its results or to where it is stopped."""
 
-    def stopping() -> bool:
-        return pruned or stopped()
+    def __init__(
+        self, task: Task, record: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
+    ) -> None:
+        self.settings, self.scene = task.settings, task.scene
+        self.record, self.display, self.stopped, self.unpromising = record, display, stopped, unpromising
+        watch = Stopwatch(self.settings.torch_device, task.model, QuantumLayer)
+        self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
+        self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
+        chosen = even_subset(len(self.scene.eval), task.curve_views or None)
+        self.curve_views = [self.scene.eval[index] for index in chosen]
+        self.pruned = False
+        if self.settings.numerics.finite_checks:
+            check_every_value(self.trainer)
 
-    train = settings.train
-    measured = None
-    preview = Preview(settings.run.preview_seconds, evaluator.preview, record.save_preview)
-    curve_views = [scene.eval[index] for index in even_subset(len(scene.eval), task.curve_views or None)]
+    def to_its_end(self, aside: Mapping[str, str]) -> Outcome:
+        """aside: which compiled loops stepped aside meanwhile, and why."""
+        if self.record.resumed:
+            checkpoint = self.record.load_checkpoint(self.trainer.check)
+            if checkpoint is not None:
+                self.trainer.load(checkpoint)
+            self.record.resume(self.trainer.step)
+            self.record.write_summary({"stopped": None})
+        steps = self.settings.train.steps
+        self.display.begin(self.record.dir, self.trainer.step, steps)
+        try:
+            measured = self.train()
+        finally:
+            self.display.end()
+        if not self.trainer.done or measured is None:
+            where = f"at step {self.trainer.step} of {steps}"
+            return _stop(self.record, where, self.pruned, self.settings.run.force)
+        path = self.record.dir
+        self.record.finish(measured | self.timings() | logged_times(path) | {"loops": dispatch.described(aside)})
+        return Outcome(self.record.run_id, path, "finished", read_summary(path), "")
 
-    def assess() -> Measures | None:
-        """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
-        nonlocal pruned
-        views = scene.eval if trainer.done else curve_views
-        rows, result = evaluate(evaluator, record, views, trainer.step, stopping, display.phase)
-        if result is not None:
-            # Every point of the curve is a mean over the same views.
-            curve = means([row for view, row in zip(views, rows, strict=True) if view in curve_views])
-            record.log(trainer.step, trainer.seconds, {f"eval/{k}": v for k, v in curve.items() if is_number(v)})
-            measured_on = f"{len(curve_views)} of {len(scene.eval)} views" if isinstance(scene, Scene) else ""
-            display.held_out(trainer.step, scene.headline, curve[scene.headline], measured_on)
-            pruned = not trainer.done and unpromising(record.dir, trainer.step, curve)
-        return result
-
-    def is_due() -> bool:
-        return trainer.done or bool(train.eval_every and trainer.step % train.eval_every == 0)
-
-    display.begin(record.dir, trainer.step, train.steps)
-    try:
-        if trainer.step and is_due() and not was_evaluated(record.dir, trainer.step):  # it was stopped in there
-            measured = assess()
+    def train(self) -> Measures | None:
+        """Trains, and evaluates on the way; returns the means of the last evaluation if there was one."""
+        trainer, record = self.trainer, self.record
+        measured = None
+        if trainer.step and self.is_due() and not was_evaluated(record.dir, trainer.step):  # it was stopped in there
+            measured = self.assess()
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
-        for metrics in trainer.steps(record, stopping):
-            display.phase("train")
+        for metrics in trainer.steps(record, self.stopping):
+            self.display.phase("train")
             if metrics:
                 record.log(trainer.step, trainer.seconds, metrics)
-                display.step(trainer.step, metrics)
-            preview.refresh(trainer.step)
-            if is_due():
-                measured = assess()
-        preview.refresh(trainer.step, now=True)
-        if trainer.done and measured is None and not stopping():  # killed between the last checkpoint and the end
-            _, measured = evaluate(evaluator, record, scene.eval, trainer.step, stopping, display.phase)
-    finally:
-        display.end()
-    if not trainer.done or measured is None:
-        return _stop(record, f"at step {trainer.step} of {train.steps}", pruned, settings.run.force)
+                self.display.step(trainer.step, metrics)
+            self.preview.refresh(trainer.step)
+            if self.is_due():
+                measured = self.assess()
+        self.preview.refresh(trainer.step, now=True)
+        if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
+            _, measured = self.evaluate(self.scene.eval)
+        return measured
 
-    timings = {
-        "train_s": trainer.seconds,
-        "step_ms": median_ms(trainer.step_seconds),
-        "steps": trainer.step,
-        "stopped": PLATEAU if trainer.plateau.reached else None,
-        "peak_memory_mb": peak_memory_mb(settings.torch_device),
-        "time.threads": torch.get_num_threads(),
-        "machine": machine(settings.torch_device),
-        "loops": dispatch.described(aside),
-    }
-    record.finish(measured | timings | logged_times(record.dir))
-    return Outcome(record.run_id, record.dir, "finished", read_summary(record.dir), "")
+    def assess(self) -> Measures | None:
+        """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
+        scene, trainer = self.scene, self.trainer
+        views = scene.eval if trainer.done else self.curve_views
+        rows, result = self.evaluate(views)
+        if result is not None:
+            # Every point of the curve is a mean over the same views.
+            curve = means([row for view, row in zip(views, rows, strict=True) if view in self.curve_views])
+            logged = {f"eval/{key}": value for key, value in curve.items() if is_number(value)}
+            self.record.log(trainer.step, trainer.seconds, logged)
+            on = f"{len(self.curve_views)} of {len(scene.eval)} views" if isinstance(scene, Scene) else ""
+            self.display.held_out(trainer.step, scene.headline, curve[scene.headline], on)
+            self.pruned = not trainer.done and self.unpromising(self.record.dir, trainer.step, curve)
+        return result
+
+    def evaluate(self, views: Sequence[int]) -> tuple[list[Measures], Measures | None]:
+        return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase)
+
+    def stopping(self) -> bool:
+        return self.pruned or self.stopped()
+
+    def is_due(self) -> bool:
+        """Whether an evaluation is due after this step."""
+        every = self.settings.train.eval_every
+        return self.trainer.done or bool(every and self.trainer.step % every == 0)
+
+    def timings(self) -> Measures:
+        """Columns of the summary about the training as a whole."""
+        return {
+            "train_s": self.trainer.seconds,
+            "step_ms": median_ms(self.trainer.step_seconds),
+            "steps": self.trainer.step,
+            "stopped": PLATEAU if self.trainer.plateau.reached else None,
+            "peak_memory_mb": peak_memory_mb(self.settings.torch_device),
+            "time.threads": torch.get_num_threads(),
+            "machine": machine(self.settings.torch_device),
+        }
 
 
 def _stop(record: Run, where: str, pruned: bool, force: bool) -> Outcome:
