@@ -56,8 +56,12 @@ SOURCES: dict[str, tuple[tuple[str, ...], str]] = {
 """Group of defaults -> the groups that copy its values, and the name of the component whose options they are."""
 HEAD_SOURCES = ("initials", "rates", "activations")
 """Tables by head in the groups of heads, from which other options take their values."""
-UNTRAINED = ("pe", "rff", "none", "signed", "uniform", "disparity", "geometric", "piecewise", "vanilla", "fixed")
-"""Encoders, samplers and pose refinements without parameters, which no learning rate acts on."""
+UNTRAINED = {
+    "encoder": ("pe", "rff", "none", "signed"),
+    "sampler": ("uniform", "disparity", "geometric", "piecewise", "vanilla"),
+    "cameras": ("fixed",),
+}
+"""Group -> its components without parameters, which no learning rate acts on."""
 
 
 @dataclass(frozen=True)
@@ -126,13 +130,12 @@ def changed(stored: Mapping[str, Any], today: Mapping[str, Any]) -> dict[str, tu
 
     Two configurations of the same id differ where a default has changed since, and in what a run records.
     """
-    pair = [{option.name: option.value for option in options(config)} for config in (stored, today)]
-    names = [name for name in dict.fromkeys([*pair[0], *pair[1]]) if name != "scene.path"]
-    return {
-        name: (pair[0].get(name), pair[1].get(name))
-        for name in names
-        if not name.startswith(EXECUTION) and not _equal(pair[0].get(name), pair[1].get(name))
-    }
+    before, now = (
+        {option.name: option.value for option in options(config) if not option.executes and option.name != "scene.path"}
+        for config in (stored, today)
+    )
+    names = [name for name in dict.fromkeys([*before, *now]) if not _equal(before.get(name), now.get(name))]
+    return {name: (before.get(name), now.get(name)) for name in names}
 
 
 def without_effect(config: Mapping[str, Any], overrides: Sequence[str]) -> list[str]:
@@ -296,9 +299,9 @@ _IDLE: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
     (("train.rates.appearance",), _off("appearance")),
     (("color.degree",), lambda values: values.get("color.directions") != "sh"),
     (("color.direction_scale",), lambda values: values.get("color.directions") != "raw"),
-    (("train.rates.encoder",), lambda values: values.get("encoder.name") in UNTRAINED),
-    (("train.rates.cameras",), lambda values: values.get("cameras.name") in UNTRAINED),
-    (("train.rates.sampler", "train.interlevel"), lambda values: values.get("sampler.name") in UNTRAINED),
+    (("train.rates.encoder",), lambda values: values.get("encoder.name") in UNTRAINED["encoder"]),
+    (("train.rates.cameras",), lambda values: values.get("cameras.name") in UNTRAINED["cameras"]),
+    (("train.rates.sampler", "train.interlevel"), lambda values: values.get("sampler.name") in UNTRAINED["sampler"]),
 ]
 """Options that do not act where a condition on other groups holds. Options of one head are `Head.unread`."""
 

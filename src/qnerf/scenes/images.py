@@ -81,7 +81,9 @@ def reduced_sizes(label: str, files: Sequence[ImageFile], downscale: int, width:
         raise ValueError(f"{label}: set downscale or width, not both, got downscale={downscale} and width={width}")
     widest = max(file.width for file in files)
     if width > widest:
-        raise ValueError(f"{label}: width={width} is more than the images have, {widest} pixels")
+        raise ValueError(
+            f"{label}: width={width} is more than the images have, {widest} pixels; use scene.width={widest} or less"
+        )
     return [
         (width, max(1, round(file.height * width / file.width))) if file.width > width else (file.width, file.height)
         for file in files
