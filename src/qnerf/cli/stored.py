@@ -79,10 +79,9 @@ def run_stored(run: Path, config: dict[str, Any], name: str | None = None) -> "O
         ValueError: the scene or the stored configuration has changed.
     """
     from qnerf import experiment
-    from qnerf.building.scene import prepare
     from qnerf.cli.display import LiveDisplay
 
-    check_identity(run, prepare(config))
+    _prepared(run, config)
     display = LiveDisplay(console(), live=config.get("run", {}).get("progress", True))
     return experiment.run(config, (), display, output_lost, name=name)
 
@@ -95,13 +94,25 @@ def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = 
     Raises:
         ValueError: as for `stored`, `check_identity` and `qnerf.probes.load`.
     """
-    from qnerf.building.scene import prepare
     from qnerf.probes import load, require_loadable
 
     require_loadable(run, unfinished=unfinished)
-    prepared = prepare(stored(run, overrides))
+    return load(run, _prepared(run, stored(run, overrides)), unfinished=unfinished)
+
+
+def _prepared(run: Path, config: dict[str, Any]) -> "Prepared":
+    """The configuration with its scene, which must be the run's own."""
+    from qnerf.building.scene import prepare
+
+    path = config["scene"].get("path")
+    try:
+        prepared = prepare(config)
+    except ValueError as error:
+        if path and not Path(path).exists():
+            raise ValueError(f"{error}; if the scene has moved, add scene.path=DIR") from error
+        raise
     check_identity(run, prepared)
-    return load(run, prepared, unfinished=unfinished)
+    return prepared
 
 
 def check_identity(run: Path, prepared: "Prepared") -> None:

@@ -162,6 +162,7 @@ def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scen
     moved, store = f"scene.path={tmp_path / 'moved'}", ["--store", str(run.parent)]
     code, said = resume(run)
     assert (code, "does not exist" in said) == (2, True)
+    assert "if the scene has moved, add scene.path=DIR" in said
     assert resume(run, moved)[0] == 0
     assert state(run) == "finished"
     assert records.runs(run.parent) == [run]
@@ -172,7 +173,7 @@ def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scen
         ["reproduce"],
     ):
         assert main.dispatch(command, [run.name, *options, *store]) == 2, command
-        assert "does not exist" in capsys.readouterr().err
+        assert "add scene.path=DIR" in capsys.readouterr().err
         assert main.dispatch(command, [run.name, *options, moved, *store]) == 0, capsys.readouterr()
 
 
