@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from qnerf import experiment
-from qnerf.cli import launch
+from qnerf.cli import launch, sweep_start
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import Output, stoppable
 from qnerf.cli.sweep import Sweep
@@ -95,7 +95,7 @@ def test_a_sweep_says_how_many_different_runs_it_trains_and_a_failure_stops_none
 @pytest.mark.filterwarnings("ignore")  # Hydra's about schemas, which the command itself leaves out
 def test_a_missing_launcher_or_search_is_one_line(qnerf, monkeypatch):
     monkeypatch.setattr(
-        sweeps, "EXTRAS", {name: ("no_such_module", extra) for name, (_, extra) in sweeps.EXTRAS.items()}
+        sweep_start, "EXTRAS", {name: ("no_such_module", extra) for name, (_, extra) in sweep_start.EXTRAS.items()}
     )
     for option, extra in (("hydra/launcher=joblib", "parallel"), ("hydra/sweeper=qnerf_optuna", "search")):
         done = qnerf("run", "-m", "seed=0,1", option)
@@ -207,6 +207,12 @@ def parallel(small: list[str]) -> Callable[..., "subprocess.Popen[str]"]:
     return start
 
 
+def written(run: Path) -> tuple[int, int]:
+    """Which file the summary is, and when it was written."""
+    status = (run / "summary.parquet").stat()
+    return status.st_ino, status.st_mtime_ns
+
+
 @posix
 def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
     store = tmp_path / "runs"
@@ -215,7 +221,7 @@ def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
     wait(lambda: states(store).count("finished") == 2 and "running" in states(store))
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    finished = {path: (path / "summary.parquet").stat() for path in runs(store) if state(path) == "finished"}
+    finished = {path: written(path) for path in runs(store) if state(path) == "finished"}
     again = parallel(*sweep, "train.eps=1e-15,-1")
     stdout, stderr = again.communicate(timeout=200)
     assert again.returncode == 1, stderr
@@ -225,7 +231,7 @@ def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
     assert stdout.startswith("8 jobs, 8 different runs\n")
     assert {line.split(" | ")[0] for line in stdout.splitlines()[1:]} == set("01234567"), "each line says whose it is"
     assert states(store) == ["finished"] * 4
-    assert {path: (path / "summary.parquet").stat() for path in finished} == finished
+    assert {path: written(path) for path in finished} == finished
     assert all(steps(path) == list(range(1, len(steps(path)) + 1)) for path in runs(store))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     for path in runs(store):
@@ -342,13 +348,12 @@ def test_a_stop_while_the_scene_is_read_leaves_no_run(qnerf, small, tmp_path, mo
     assert not (tmp_path / "runs").exists()
 
 
-def test_too_little_memory_is_one_line(small):
-    resource = pytest.importorskip("resource")
-    limit = 2**30  # bytes of address space: less than the libraries take
-    done = subprocess.run(
-        [sys.executable, "-m", "src.run", *small], cwd=ROOT, capture_output=True, text=True, timeout=200, check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
-    )  # fmt: skip
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: a limit of this system is reached")
-    assert done.stderr.count("\n") == 1
+def test_too_little_memory_is_one_line(qnerf, small, monkeypatch):
+    def exhausted(*_, **__):
+        raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 2 bytes")
+
+    monkeypatch.setattr(experiment, "run", exhausted)
+    done = qnerf("run", *small)
+    assert done.code == 1
+    assert done.err.startswith("error: a limit of this system is reached")
+    assert done.err.count("\n") == 1

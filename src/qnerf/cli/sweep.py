@@ -1,4 +1,4 @@
-"""Sweeps: the folder through which jobs report, and what happens before the first job and after the last.
+"""Sweeps: the folder through which jobs report, the configurations of jobs, and what happens after the last one.
 
 The folder works for jobs on any machine that shares the store:
 
@@ -12,7 +12,6 @@ The folder works for jobs on any machine that shares the store:
 
 import contextlib
 import copy
-import importlib.util
 import json
 import os
 import signal
@@ -25,26 +24,15 @@ from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.plugins import Plugins
-from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from qnerf.building.acting import acting, without_effect
 from qnerf.cli import compose
 from qnerf.cli.ends import INTERRUPTED
-from qnerf.cli.errors import one_line, report
+from qnerf.cli.errors import one_line
 from qnerf.records import read_status, state
 
-EXTRAS = {
-    "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
-    "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
-    "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
-    "qnerf_optuna": ("optuna", "search"),
-}
-"""Launcher or sweeper -> the module that it needs, and the extra that installs it."""
-
-GRID, SEARCH = "hydra_plugins.qnerf.Grid", "hydra_plugins.qnerf_optuna.OptunaSweeper"
 STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
 COUNTED = 300  # jobs; composing more of them to count different runs takes longer than it is worth
 MAX_JOBS = 100_000  # Hydra lists them all in memory
@@ -96,52 +84,6 @@ class Sweep:
 
     def _own(self, overrides: Sequence[str]) -> str:
         return " ".join([item for item in overrides if item not in self.common] or overrides)
-
-
-class SweepStart(Callback):
-    """Prepares a sweep, once, in the process that starts it."""
-
-    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        try:
-            launcher, sweeper = (config.hydra.runtime.choices[f"hydra/{kind}"] for kind in ("launcher", "sweeper"))
-            for name in (launcher, sweeper):
-                _require(name)
-            if not config.store:
-                raise ValueError("store must not be empty")  # the sweep's folder is inside
-            sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
-        except (ValueError, OmegaConfBaseException) as error:
-            sys.exit(report(error))  # Hydra would only warn
-        started.append(sweep)
-        # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
-        quoted = str(sweep.folder).replace("'", "\\'")
-        with open_dict(config):
-            config.hydra.sweep.dir = str(sweep.folder)
-            config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
-            if sweeper == "basic":
-                config.hydra.sweeper._target_ = GRID
-        _register(sweeper)
-        if launcher == "joblib":
-            os.environ[STARTER] = str(os.getpid())
-            _stop_together(sweep)
-        elif launcher == "submitit_slurm":
-            print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
-
-
-def _register(sweeper: str) -> None:
-    """Puts the sweepers of this package where Hydra keeps the plugins that it has found in `hydra_plugins`."""
-    Plugins.instance().class_name_to_class[GRID] = Grid
-    if sweeper == "qnerf_optuna":
-        from qnerf.cli.search import OptunaSweeper
-
-        Plugins.instance().class_name_to_class[SEARCH] = OptunaSweeper
-
-
-def _require(name: str) -> None:
-    """ValueError if a launcher or a sweeper needs an extra that is not installed."""
-    if name in EXTRAS:
-        module, extra = EXTRAS[name]
-        if any(importlib.util.find_spec(part) is None for part in (module.partition(".")[0], module)):
-            raise ValueError(f'{name} needs a package that is not installed: pip install "qnerf[{extra}]"')
 
 
 class Grid(BasicSweeper):
@@ -271,7 +213,7 @@ class Composer:
         return bool(self.loader.get_group_options(key))
 
 
-def _stop_together(sweep: Sweep) -> None:
+def stop_together(sweep: Sweep) -> None:
     """Turns Ctrl-C, SIGTERM and SIGHUP into the stop file that joblib's processes watch; a second one ends at once.
 
     Otherwise joblib would kill its processes, and Ctrl-C in a terminal would interrupt them anywhere. They inherit the

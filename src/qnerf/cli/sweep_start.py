@@ -1,0 +1,72 @@
+"""What happens once, in the process that starts a sweep: its folder, this package's sweepers, Ctrl-C for all jobs."""
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, open_dict
+from omegaconf.errors import OmegaConfBaseException
+
+from qnerf.cli import sweep as sweeps
+from qnerf.cli.errors import report
+from qnerf.cli.sweep import STARTER, Grid, Sweep, stop_together
+
+EXTRAS = {
+    "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
+    "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "qnerf_optuna": ("optuna", "search"),
+}
+"""Launcher or sweeper -> the module that it needs, and the extra that installs it."""
+
+GRID, SEARCH = "hydra_plugins.qnerf.Grid", "hydra_plugins.qnerf_optuna.OptunaSweeper"
+
+
+class SweepStart(Callback):
+    """Prepares a sweep, once, in the process that starts it."""
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        try:
+            launcher, sweeper = (config.hydra.runtime.choices[f"hydra/{kind}"] for kind in ("launcher", "sweeper"))
+            for name in (launcher, sweeper):
+                _require(name)
+            if not config.store:
+                raise ValueError("store must not be empty")  # the sweep's folder is inside
+            sweep = Sweep(Path(config.hydra.sweep.dir).absolute(), config.hydra.overrides.task)
+        except (ValueError, OmegaConfBaseException) as error:
+            sys.exit(report(error))  # Hydra would only warn
+        sweeps.started.append(sweep)
+        # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
+        quoted = str(sweep.folder).replace("'", "\\'")
+        with open_dict(config):
+            config.hydra.sweep.dir = str(sweep.folder)
+            config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
+            if sweeper == "basic":
+                config.hydra.sweeper._target_ = GRID
+        _register(sweeper)
+        if launcher == "joblib":
+            os.environ[STARTER] = str(os.getpid())
+            stop_together(sweep)
+        elif launcher == "submitit_slurm":
+            print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
+
+
+def _register(sweeper: str) -> None:
+    """Puts the sweepers of this package where Hydra keeps the plugins that it has found in `hydra_plugins`."""
+    Plugins.instance().class_name_to_class[GRID] = Grid
+    if sweeper == "qnerf_optuna":
+        from qnerf.cli.search import OptunaSweeper
+
+        Plugins.instance().class_name_to_class[SEARCH] = OptunaSweeper
+
+
+def _require(name: str) -> None:
+    """ValueError if a launcher or a sweeper needs an extra that is not installed."""
+    if name in EXTRAS:
+        module, extra = EXTRAS[name]
+        if any(importlib.util.find_spec(part) is None for part in (module.partition(".")[0], module)):
+            raise ValueError(f'{name} needs a package that is not installed: pip install "qnerf[{extra}]"')
