@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from qnerf.metrics import HEAD_PARAMETERS
-from qnerf.records import filters, index
+from qnerf.records import filters, index, read_metrics
 from qnerf.records.deletion import holds_runs
+from qnerf.records.location import existing_store
 
 from . import packed
 from .selection import LABELS
@@ -30,8 +31,7 @@ def runs(
     See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed. `scene_name` is the
     last part of scene.path, or the scene's name.
 
-    store: a folder of runs, a folder that `qnerf pack` made, or a URL that fsspec reads, such as s3://bucket/runs. A
-    run behind a URL counts as running while its heartbeat is recent.
+    store: a folder of runs, or a folder that `qnerf pack` made.
     filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
     {"field": "qcolor", "seed": [0, 1]}; see `qnerf.records.filters`.
 
@@ -59,7 +59,7 @@ def completed(frame: pd.DataFrame) -> pd.DataFrame:
 def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:
     """Columns step, time_s (seconds of training), key, value, in the order of logging; only rows of `key` if given.
 
-    run: a run's folder or URL; or several, or the table from `runs`, which adds a first column run_id.
+    run: a run's folder; or several, or the table from `runs`, which adds a first column run_id.
 
     Raises:
         ValueError: a run has no metrics or damaged ones.
@@ -76,7 +76,7 @@ def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | No
 
 
 def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
-    frame = index.metrics(run)
+    frame = read_metrics(existing_store(run))
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from qnerf.records import StoreError
-from qnerf.records.location import resolved, store_folder, url_protocol
+from qnerf.records.location import resolved, store_folder
 from qnerf.records.printable import printable
 
 from . import command, load, output, packed
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
     options = parser.parse_args(arguments)
     check_names(options.figures)
-    if url_protocol(options.store) is None and resolved(options.folder) == resolved(store_folder(options.store)):
+    if resolved(options.folder) == resolved(store_folder(options.store)):
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = command.chosen(options)
     unfinished = int((frame["state"] != "finished").sum())

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import pandas as pd
 
 from qnerf.records.printable import printable
-from qnerf.records.spreadsheets import as_csv
 
 _LATEX = str.maketrans(
     {
@@ -92,7 +91,7 @@ class Table:
         flat = self.data.reset_index() if self.data.index.names != [None] else self.data
         flat.columns = ["_".join(filter(None, map(str, _parts(name)))) for name in flat.columns]
         shown = flat.map(lambda value: printable(value) if isinstance(value, str) else value)
-        return as_csv(shown).rstrip("\n")
+        return shown.to_csv(index=False, lineterminator="\n").rstrip("\n")
 
     def _rows(self, escape: Callable[[str], str], emphasis: str) -> list[list[str]]:
         return [

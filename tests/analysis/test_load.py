@@ -48,19 +48,6 @@ def test_runs_of_a_filter(store: Path) -> None:
         load.runs(store, "field=qboth")
 
 
-def test_runs_behind_a_url(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fsspec = pytest.importorskip("fsspec")
-    monkeypatch.setenv("QNERF_CACHE", str(tmp_path / "cache"))
-    memory = fsspec.filesystem("memory")
-    for path in store.rglob("*"):
-        if path.is_file():
-            memory.pipe_file(f"/{tmp_path.name}/{path.relative_to(store)}", path.read_bytes())
-    frame = load.runs(f"memory://{tmp_path.name}", {"field": "qcolor"})
-    assert frame["psnr"].tolist() == [21.0, 22.0]
-    assert load.metrics(frame, "psnr")["value"].tolist() == [20.0, 21.0, 22.0] * 2
-    assert len(load.metrics(frame["path"].tolist()[0])) == 6
-
-
 def test_no_runs_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no such folder; expected a folder of runs"):
         load.runs(tmp_path / "absent")

@@ -21,7 +21,6 @@ from qnerf.analysis.tables import ablation
 from qnerf.cli import ends, main, numbers
 from qnerf.export import to_csv
 from qnerf.records import StoreError, details, index
-from qnerf.records.spreadsheets import as_csv
 from tests.helpers.packed_stores import picture, write_run
 
 
@@ -140,10 +139,6 @@ def test_an_environment_that_is_no_small_object(bad: Path, kind: str) -> None:
     else:
         path.write_text('{"packages": {}}' + " " * 2**21)
     assert any("environment.json" in problem for problem in details.read(bad).problems)
-
-
-def test_headers_of_a_csv_are_no_formulas_either() -> None:
-    assert as_csv(pd.DataFrame({"=cmd": ["@x"], "＝1": [-1.5]})) == "'=cmd,'＝1\n'@x,-1.5\n"  # noqa: RUF001
 
 
 def test_a_key_may_have_the_name_of_a_column() -> None:

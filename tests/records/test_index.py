@@ -217,7 +217,6 @@ def test_columns_that_are_asked_for(tmp_path: Path) -> None:
     assert list(frame.columns) == ["psnr", "run_id", "state", "train.lr", "tags"]
     pd.testing.assert_frame_equal(frame, index.load(store)[list(frame.columns)])
     assert frame["state"].tolist() == ["finished", "damaged"]
-    assert index.columns(store) == list(index.load(store).columns)
 
 
 @pytest.mark.usefixtures("settled")

@@ -6,7 +6,6 @@ import pandas as pd
 
 from qnerf.export.content import Content, make_folder
 from qnerf.records.files import replace
-from qnerf.records.spreadsheets import as_csv
 
 
 def export(content: Content, out: Path) -> Path:
@@ -23,7 +22,9 @@ def export(content: Content, out: Path) -> Path:
     for name, frame in {
         "metrics": wide(content.metrics, content.created), "eval": run.evaluation, "summary": summary,
     }.items():  # fmt: skip
-        replace(folder / f"{name}.csv", as_csv(frame).encode(errors="backslashreplace"))
+        replace(
+            folder / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n").encode(errors="backslashreplace")
+        )
     return folder
 
 

@@ -2,29 +2,25 @@
 
     {"tags": ["baseline", "good"], "note": "..."}
 
-The file is replaced whole, so a reader finds the old or the new version. Changes need the folder `.annotations/`, which
-has one owner at a time, by the same numbered files as a run (`owner.py`). So two processes that add a tag at once go
-one after the other and both tags stay, and a killed process blocks nobody.
+The file is replaced whole, so a reader finds the old or the new version. Two processes of one machine that add a tag at
+once go one after the other, and both tags stay. Of two machines the later one wins.
 """
 
 import contextlib
-import time
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from qnerf.records import files, owner
+from qnerf.records import files
 from qnerf.records.deletion import require_run
 from qnerf.records.files import StoreError, reporting
 from qnerf.records.printable import printable
 
 FILE = "annotations.json"
-LOCK = ".annotations"
 TAG_LENGTH = 64
 TAGS = 100
 NOTE_LENGTH = 10_000
-WATCH_TIME = 2.0  # seconds in which a process of another machine shows that it lives, by ending its change
-PATIENCE = 10.0  # seconds to wait for another process's change, which takes milliseconds
 
 
 @dataclass(frozen=True)
@@ -97,24 +93,21 @@ def check_tag(tag: str) -> str:
 
 def _write(path: Path, annotations: Annotations) -> Annotations:
     data = files.json_bytes({"tags": list(annotations.tags), "note": annotations.note})
-    files.replace(path, data, temporary_folder=path.parent / LOCK)  # a run that is resumed tidies its own folder
+    files.replace(path, data)
     return annotations
 
 
 @contextlib.contextmanager
 def _changing(run_dir: Path) -> Iterator[Path]:
-    """The path of the file, which no other process changes in the meantime."""
-    path, lock = run_dir / FILE, run_dir / LOCK
+    """The path of the file, which no other process of this machine changes in the meantime."""
     require_run(run_dir)
-    with reporting(path):
-        lock.mkdir(exist_ok=True)
-    end = time.monotonic() + PATIENCE
-    while not isinstance(claim := owner.acquire(lock, watch=WATCH_TIME), owner.Ownership):
-        if time.monotonic() > end:
-            raise StoreError(f"{path}: being changed by {claim or 'another process'}; try again")
-        time.sleep(0.01)
-    files.remove_temporary_files(lock)  # of a change that was killed
+    with reporting(run_dir / FILE):
+        folder = os.open(run_dir, os.O_RDONLY)
     try:
-        yield path
+        with contextlib.suppress(ImportError, OSError):  # where folders cannot be locked, the later change wins
+            import fcntl
+
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        yield run_dir / FILE
     finally:
-        claim.release()
+        os.close(folder)

@@ -26,10 +26,9 @@ import pyarrow.compute as pc
 from qnerf.config.cache import cache_folder
 from qnerf.records import annotations, read
 from qnerf.records.files import StoreError, read_json, replace, reporting
-from qnerf.records.location import existing_store, url_protocol
+from qnerf.records.location import existing_store
 from qnerf.records.owner import unix_time
 from qnerf.records.parquet import TYPES, encode, kind_of, read_table, reading
-from qnerf.records.remote import local_copy
 
 Progress = Callable[[str, int, int], None]
 """Called with what is read, how many of them were read, and how many there are to read."""
@@ -64,18 +63,12 @@ def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: P
 
     A column with numbers in some runs and text in others is text.
 
-    store: a folder, or a URL that fsspec can read, whose runs are read anew each time; an absent or empty one gives no
-    rows. columns: only these; names that no run has are left out. progress: see `Progress`.
+    store: a folder; an empty one gives no rows. columns: only these; names that no run has are left out. progress: see
+    `Progress`.
 
     Raises:
         ValueError: the store cannot be read.
     """
-    if url_protocol(store) is not None:
-        with local_copy(str(store), _is_wanted) as folder:
-            frame = load(folder, columns, progress=progress)
-        if "path" in frame:
-            frame["path"] = [f"{str(store).rstrip('/')}/{Path(path).name}" for path in frame["path"]]
-        return frame
     root = existing_store(store)
     stamps = scan(root)
     stored = _stored(root)
@@ -96,22 +89,6 @@ def load_runs(store: str | Path, runs: Iterable[str]) -> pd.DataFrame:
     """The rows of `load` for these runs alone, read anew: for a reader that knows which ones changed."""
     root = Path(store)
     return _frame(root, _joined([*_read(root, dict.fromkeys(sorted(runs), UNSETTLED), None)]), None)
-
-
-def columns(store: str | Path) -> list[str]:
-    """Names of all columns of `load`."""
-    return list(load(store).columns)
-
-
-def metrics(run: str | Path) -> pd.DataFrame:
-    """`read_metrics` of a run's folder or URL."""
-    if url_protocol(run) is None:
-        return read.read_metrics(existing_store(run))
-    with local_copy(str(run), lambda path: path.parts[:1] == ("metrics",)) as folder:
-        try:
-            return read.read_metrics(folder)
-        except StoreError as error:
-            raise StoreError(str(error).replace(str(folder), str(run))) from error
 
 
 def scan(root: Path) -> Stamps:
@@ -147,12 +124,6 @@ def _stamp(folder: str, settled: float) -> str | None:
 def _is_unicode(name: str) -> bool:
     """False for names in another encoding, which no table can hold; qnerf's own names are ASCII."""
     return not any("\ud800" <= character <= "\udfff" for character in name)
-
-
-def _is_wanted(path: Any) -> bool:
-    """Whether a file below a store belongs to a run's row."""
-    run, *names = path.parts
-    return not run.startswith(".") and (names[:1] == ["owner"] or "/".join(names) in (*FILES, *read.RUN_MARKERS))
 
 
 def _read(root: Path, stamps: Mapping[str, str], progress: Progress | None) -> Iterable[pa.Table]:

@@ -1,4 +1,4 @@
-"""Where a store may be: in a folder of this machine. Some commands also read stores behind URLs (`index`)."""
+"""Where a store may be: in a folder of this machine."""
 
 import os
 import re
@@ -10,17 +10,7 @@ DEFAULT = "runs"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id as qnerf makes it. The folder of a renamed run may have any other name."""
 
-_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
-
-
-def url_protocol(store: str | Path) -> str | None:
-    """`s3` of `s3://bucket/runs`; None for a folder, also for one that is given as `file:///folder`.
-
-    >>> url_protocol("s3://bucket/runs"), url_protocol("runs"), url_protocol("file:///runs")
-    ('s3', None, None)
-    """
-    match = _URL.match(str(store))
-    return None if match is None or match[1].lower() == "file" else match[1].lower()
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 
 
 def resolved(path: Path) -> Path:
@@ -35,15 +25,11 @@ def store_folder(store: str | Path) -> Path:
         ValueError: it is a URL, empty or not a path.
     """
     text = str(store)
-    if isinstance(store, str) and not text.strip():
-        raise ValueError("store: expected a folder, got empty text")
-    if "\0" in text:
+    if not text.strip() or "\0" in text:
         raise ValueError(f"store: expected a folder, got {text!r}")
-    if url_protocol(store) is not None:
-        raise ValueError(
-            f"store: expected a folder of this machine, got {text}; runs behind a URL can only be listed and analysed"
-        )
-    return Path(text[len("file://") :] if text.lower().startswith("file://") else text)
+    if _URL.match(text):
+        raise ValueError(f"store: expected a folder, got {text}; copy the store here, or read its files with DuckDB")
+    return Path(text)
 
 
 def existing_store(store: str | Path) -> Path:

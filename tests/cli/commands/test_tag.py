@@ -1,6 +1,5 @@
 """Tags, and the file that they are in."""
 
-import json
 import multiprocessing
 from pathlib import Path
 
@@ -53,26 +52,6 @@ def test_processes_that_tag_at_once_lose_nothing(make):
     assert set(annotations.read(run).tags) == {f"p{number}-{i}" for number in range(4) for i in range(10)}
 
 
-def test_a_killed_change_does_not_stop_the_next(make):
-    run = make("a")
-    annotations.change_tags(run, ["one"])
-    (held,) = (run / ".annotations" / "owner").glob("*.json")
-    record = json.loads(held.read_text()) | {"released": False, "started": "1"}  # no such process any more
-    held.write_text(json.dumps(record))
-    annotations.change_tags(run, ["two"])
-    assert annotations.read(run).tags == ("one", "two")
-
-
-def test_a_change_waits_for_another_one_and_says_who_is_at_it(make, monkeypatch):
-    run = make("a")
-    monkeypatch.setattr(annotations, "PATIENCE", 0.05)
-    with (
-        annotations._changing(run),
-        pytest.raises(StoreError, match=r"being changed by process .* on .*; try again"),
-    ):
-        annotations.change_tags(run, ["one"])
-
-
 @pytest.mark.parametrize("content", ["", "[]", '{"tags": 3}', '{"tags": [1]}', '{"note": null}', "[" * 100_000])
 def test_a_damaged_file_is_told_and_left_alone(make, content):
     run = make("a")
@@ -81,17 +60,6 @@ def test_a_damaged_file_is_told_and_left_alone(make, content):
         with pytest.raises(StoreError, match=r"annotations\.json"):
             touch()
     assert (run / annotations.FILE).read_text() == content
-
-
-@pytest.mark.parametrize("name", [".annotations", ".annotations/owner"])
-def test_nothing_is_written_through_a_link(make, tmp_path, name):
-    run, elsewhere = make("a"), tmp_path / "elsewhere"
-    (run / name).parent.mkdir(exist_ok=True)
-    elsewhere.mkdir()
-    (run / name).symlink_to(elsewhere)
-    with pytest.raises(StoreError, match="is a link"):
-        annotations.change_tags(run, ["one"])
-    assert list(elsewhere.iterdir()) == []
 
 
 def test_a_run_outside_the_store_is_not_reached_through_a_link_in_it(make, qnerf, tmp_path):

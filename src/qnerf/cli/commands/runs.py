@@ -77,7 +77,7 @@ def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> 
     """
     frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])))
     if len(frame) and (unknown := [name for name in further if name not in frame]):
-        filters.check_column(unknown[0], index.columns(store))
+        filters.check_column(unknown[0], index.load(store).columns)
     return frame
 
 
