@@ -14,6 +14,7 @@ from qnerf.auto import exposure, poses
 from qnerf.building.acting import RECORDED, changed, column_types
 from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
 from qnerf.building.scene import Prepared, prepare
+from qnerf.config import devices
 from qnerf.config.checks import is_number
 from qnerf.config.identity import picture_names
 from qnerf.config.settings import SignalSettings
@@ -145,6 +146,8 @@ def run(
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
+    `device=auto` takes a GPU that no other job has, and waits for one if there are only others.
+
     stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
         checkpoint.
     name: id of an existing run; None: the configuration's.
@@ -156,6 +159,18 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
+    with devices.dealt(config.get("device", devices.AUTO), display.note, stopping) as device:
+        return _run({**config, "device": device}, overrides, display, stopping, name, unpromising)
+
+
+def _run(
+    config: Mapping[str, Any],
+    overrides: Sequence[str],
+    display: Display,
+    stopping: Callable[[], bool],
+    name: str | None,
+    unpromising: Unpromising,
+) -> Outcome:
     prepared = prepare(config)
     settings, scene = prepared.settings, prepared.scene
     if settings.threads is not None:

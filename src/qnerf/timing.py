@@ -44,8 +44,8 @@ class Stopwatch:
 
     def now(self) -> float:
         """Seconds on a monotonic clock, after the device has finished its work."""
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
+        if self.device.type != "cpu":
+            torch.accelerator.synchronize(self.device)
         return time.perf_counter()
 
     @contextmanager

@@ -20,7 +20,7 @@ BAD = {
     "train.rays=many": "train.rays expects int, got 'many' (str)",
     "render.background=blue": "render.background expects one of last_sample, white, black, random, got 'blue'",
     "render.near=2000": "render.near must be below render.far, got 2000 and 1000.0",
-    "device=gpu": "device expects one of auto, cpu, cuda, got 'gpu'",
+    "device=gpu": "device=gpu: PyTorch has no such device here; known: auto, ",
     "numerics.dtype=float16": "numerics.dtype expects one of float32, float64, got 'float16'",
     "seed=-1": "seed must be between 0 and",
     "threads=0": "threads must be between 1 and 1024, got 0",

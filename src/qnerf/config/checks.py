@@ -7,10 +7,10 @@ from typing import Any, TypeGuard
 def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
     """ValueError, which lists the choices, unless `value` is one of them.
 
-    >>> one_of("device", "tpu", ("cpu", "cuda"))
+    >>> one_of("background", "red", ("white", "black"))
     Traceback (most recent call last):
         ...
-    ValueError: device must be one of cpu, cuda, got 'tpu'
+    ValueError: background must be one of white, black, got 'red'
     """
     if value not in choices:
         raise ValueError(f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}")

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 import torch
 from annotated_types import Interval, MinLen
 
+from qnerf.config import devices
 from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, PositiveFactor, PositiveInt, Seed
 
 # Float32, in which most runs compute, has no larger or smaller numbers than about 1e38 and 1e-38.
@@ -187,7 +188,7 @@ class Common:
 
     plugins: list[str] = field(default_factory=list)
     seed: Annotated[int, Interval(ge=0, le=2**63 - 2)]
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: Name = devices.AUTO
     threads: Annotated[int, Interval(ge=1, le=1024)] | None = None
     store: Name = "runs"
     run: Run = field(default_factory=Run)
@@ -196,14 +197,11 @@ class Common:
     scene: dict[str, Any]
 
     def __post_init__(self) -> None:
-        if self.device == "cuda" and not torch.cuda.is_available():
-            raise ValueError("device=cuda: PyTorch sees no CUDA device here; use device=cpu or device=auto")
+        devices.device_of(self.device)
 
     @property
     def torch_device(self) -> torch.device:
-        if self.device == "auto":
-            return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        return torch.device(self.device)
+        return devices.device_of(self.device)
 
     @property
     def dtype(self) -> torch.dtype:
