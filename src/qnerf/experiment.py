@@ -247,10 +247,9 @@ class _Course:
     def to_its_end(self, aside: Mapping[str, str]) -> Outcome:
         """aside: which compiled loops stepped aside meanwhile, and why."""
         if self.record.resumed:
-            checkpoint = self.record.load_checkpoint(self.trainer.check)
+            checkpoint = self.record.go_on(self.trainer.check)
             if checkpoint is not None:
                 self.trainer.load(checkpoint)
-            self.record.resume(self.trainer.step)
             self.record.write_summary({"stopped": None})
         steps = self.settings.train.steps
         self.display.begin(self.record.dir, self.trainer.step, steps)

@@ -51,6 +51,8 @@ def stored(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     from qnerf.cli import compose
 
     config, file = read_config(run), run / "config.yaml"
+    if not isinstance(config.get("scene", {}), dict) or "train" not in config:
+        raise StoreError(f"{run}: was trained by a loop of its own, with qnerf.track; only that loop goes on with it")
     plugins_again = compose.plugins(overrides)
     check_plugins(file, config.get("plugins", []), plugins_again)
     plugins.load(plugins_again)

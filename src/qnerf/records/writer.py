@@ -246,6 +246,12 @@ class Run:
         with self._io:
             return self._checkpoints.load(check, max_bytes)
 
+    def go_on(self, check: Callable[[dict[str, Any]], None]) -> dict[str, Any] | None:
+        """The last checkpoint, as `load_checkpoint`; rows of metrics after its `step` go."""
+        content = self.load_checkpoint(check)
+        self.resume(-1 if content is None else content["step"])
+        return content
+
     # State
 
     def finish(self, summary: Mapping[str, Any] | None = None) -> None:
