@@ -1,21 +1,17 @@
-"""How renderings differ from the truth in colour: distributions of hue, saturation and value, tests, effect sizes."""
+"""How renderings differ from the truth in colour: hue, saturation and value of their pixels, and the paper's test."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
 import pandas as pd
 from matplotlib.colors import rgb_to_hsv
-from scipy.stats import ks_2samp, wasserstein_distance
+from scipy.stats import ks_2samp
 
-from qnerf.cli.numbers import share
 from qnerf.records.filters import require
 
-from . import circular, command
 from .images import common_pictures, panels
 from .selection import refuse_mixtures, refuse_scenes, select
-from .tables.table import Table
 
 SOURCES = ("truth", "classical", "quantum")
 CHANNELS = ("hue", "saturation", "value")
@@ -24,8 +20,6 @@ GREY = 0.05
 
 CLASSICAL = {"field": "classical"}
 QUANTUM = {"field": "qcolor"}
-EFFECTS = ("ks", "cliffs_delta", "wasserstein", "direction")
-"""The statistics of `compare`. None grows with the number of pixels, as p-values of such samples would."""
 
 
 def samples(
@@ -33,16 +27,12 @@ def samples(
     *,
     classical: str | Mapping[str, object] = CLASSICAL,
     quantum: str | Mapping[str, object] = QUANTUM,
-    grey: float = GREY,
-    problems: list[str] | None = None,
 ) -> pd.DataFrame:
     """The pixels of the held-out views that all chosen runs have readable pictures of, one row each.
 
     Args:
         frame: runs as `load.runs` gives them.
         classical, quantum: conditions that choose the runs to compare; see `qnerf.records.filters`.
-        grey: a pixel of at most this saturation has no hue.
-        problems: gets a line for each view that is left out because a picture of it is damaged.
 
     Returns:
         Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which occurs once),
@@ -72,10 +62,8 @@ def samples(
         for source, runs in chosen.items():
             for path, seed in zip(runs["path"], runs["seed"], strict=True):
                 strip = strips[path]
-                pieces.append(pixels(strip.render, grey).assign(source=source, seed=seed, image=image))
-        pieces.append(pixels(strip.truth, grey).assign(source="truth", seed=None, image=image))
-    if problems is not None:
-        problems += damaged
+                pieces.append(pixels(strip.render).assign(source=source, seed=seed, image=image))
+        pieces.append(pixels(strip.truth).assign(source="truth", seed=None, image=image))
     if not pieces:
         raise ValueError(damaged[0])
     table = pd.concat([piece.astype({"seed": "Int64"}) for piece in pieces], ignore_index=True)
@@ -83,7 +71,7 @@ def samples(
     return table[["source", "seed", "image", *CHANNELS]]
 
 
-def pixels(image: np.ndarray, grey: float = GREY) -> pd.DataFrame:
+def pixels(image: np.ndarray) -> pd.DataFrame:
     """Hue (turns), saturation and value in [0, 1] of each pixel of an image (H, W, 3) uint8; grey ones have no hue.
 
     >>> import numpy as np
@@ -91,14 +79,15 @@ def pixels(image: np.ndarray, grey: float = GREY) -> pd.DataFrame:
     [0.333, nan]
     """
     table = pd.DataFrame(rgb_to_hsv(image.reshape(-1, 3) / 255), columns=list(CHANNELS))
-    table.loc[table["saturation"] <= grey, "hue"] = np.nan
+    table.loc[table["saturation"] <= GREY, "hue"] = np.nan
     return table
 
 
 def tests(samples: pd.DataFrame) -> pd.DataFrame:
     """Compares each channel between each two sources, a row per seed that both have; the truth counts for every seed.
 
-    Columns channel, pair, seed and those of `compare`.
+    Columns channel, pair, seed, and ks: the Kolmogorov-Smirnov statistic in [0, 1], NaN where a side has no pixel with
+    a hue. For hue it depends on where the circle is cut (at red); it is given because the paper gives it.
     """
     groups = dict(list(samples.groupby(["source", samples["seed"].fillna(-1)], observed=True)))
     rows = []
@@ -109,103 +98,11 @@ def tests(samples: pd.DataFrame) -> pd.DataFrame:
                 continue
             for channel in CHANNELS:
                 a, b = (part[channel].dropna().to_numpy() for part in (one, groups[second, seed]))
-                rows.append({"channel": channel, "pair": f"{first} - {second}", "seed": seed} | compare(a, b, channel))
+                ks = ks_2samp(a, b, method="asymp").statistic if min(len(a), len(b)) else np.nan
+                rows.append({"channel": channel, "pair": f"{first} - {second}", "seed": seed, "ks": float(ks)})
     return pd.DataFrame(rows)
-
-
-def compare(first: np.ndarray, second: np.ndarray, channel: str) -> dict[str, float]:
-    """Compares two samples of a channel. All statistics are NaN if a sample is empty.
-
-    n_first, n_second: sizes of the samples.
-    ks: Kolmogorov-Smirnov statistic in [0, 1]. For hue it depends on where the circle is cut (at red); it is given
-        because the paper gives it.
-    cliffs_delta: P(second > first) - P(second < first), in [-1, 1]; not for hue, which has no order.
-    wasserstein: mean shift in units of the channel's range [0, 1]; for hue on the circle, in turns.
-    direction: mean direction of the second against the first in turns, in [-0.5, 0.5), for hue alone.
-    """
-    result = {"n_first": len(first), "n_second": len(second), **dict.fromkeys(EFFECTS, float("nan"))}
-    if min(len(first), len(second)) == 0:
-        return result
-    result["ks"] = float(ks_2samp(first, second, method="asymp" if len(first) * len(second) > 1 else "exact").statistic)
-    if channel != "hue":
-        return result | {
-            "cliffs_delta": cliffs_delta(first, second),
-            "wasserstein": wasserstein_distance(first, second),
-        }
-    return result | {
-        "wasserstein": circular.wasserstein(first, second),
-        "direction": circular.turn(circular.mean_direction(first), circular.mean_direction(second)),
-    }
-
-
-def cliffs_delta(first: np.ndarray, second: np.ndarray) -> float:
-    """P(second > first) - P(second < first), in [-1, 1] (Cliff 1993, "Dominance statistics").
-
-    >>> import numpy as np
-    >>> cliffs_delta(np.array([1, 2]), np.array([2, 3]))
-    0.75
-    """
-    ordered = np.sort(first)
-    below = np.searchsorted(ordered, second, side="left")
-    not_above = np.searchsorted(ordered, second, side="right")
-    return float((below + not_above - len(first)).mean() / len(first))
 
 
 def greys(samples: pd.DataFrame) -> pd.Series:
     """Share of pixels without a hue, for each source."""
     return samples["hue"].isna().groupby(samples["source"], observed=True).mean()
-
-
-def table(tests: pd.DataFrame, title: str = "Hue, saturation and value") -> Table:
-    """A row per channel and pair: each effect size as mean ± standard deviation over seeds."""
-    groups = tests.sort_values("channel", kind="stable").groupby(["channel", "pair"], sort=False)
-    data = groups[list(EFFECTS)].agg(["mean", "std"])
-    data[("seeds", "n")] = groups.size()
-    text = data.index.to_frame(index=False)
-    for name in EFFECTS:
-        heading = name.replace("_", " ").replace("cliffs", "Cliff's")
-        text[heading] = [spread(*row) for row in data[name].itertuples(index=False)]
-    text["seeds"] = data[("seeds", "n")].map(str).to_numpy()
-    notes = (
-        "ks: Kolmogorov-Smirnov statistic; Wasserstein distance in units of the channel's range, for hue on the circle "
-        "in turns; direction: mean hue of the second against the first, turns",
-    )
-    return Table(title, text, data, pd.DataFrame(False, index=text.index, columns=text.columns), notes)
-
-
-def spread(mean: float, std: float) -> str:
-    """`0.0342 ± 0.0011`; `0.0342` if the deviation is NaN, empty if the mean is."""
-    if np.isnan(mean):
-        return ""
-    return f"{mean:.4f}" + ("" if np.isnan(std) else f" ± {std:.4f}")
-
-
-DESCRIPTION = """\
-Hue, saturation and value of the stored renderings against the truth and each other: effect sizes
-for each channel and pair, mean over seeds. Grey pixels have no hue.
-"""
-EXAMPLES = """\
-  {} runs --filter scene_name=poster
-  {} runs --filter scene_name=poster --quantum field=qdensity,qiren=2L2S --grey 0.1
-"""
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = command.parser("hsv", DESCRIPTION, EXAMPLES)
-    command.add_runs(parser)
-    command.add_format(parser)
-    parser.add_argument("--classical", default="field=classical", metavar="KEY=VALUE,...", help="default: %(default)s")
-    parser.add_argument("--quantum", default="field=qcolor", metavar="KEY=VALUE,...", help="default: %(default)s")
-    parser.add_argument(
-        "--grey", type=share, default=GREY, help="saturation of a grey pixel at most; default: %(default)s"
-    )
-    options = parser.parse_args(arguments)
-    sources = {name: getattr(options, name) for name in ("classical", "quantum")}
-    problems: list[str] = []
-    made = table(tests(samples(command.chosen(options), **sources, grey=options.grey, problems=problems)))
-    left_out = [f"left out: {len(problems)} views with damaged pictures, the first {problems[0]}"] if problems else []
-    command.show(replace(made, notes=(*made.notes, *left_out)), options.format)
-
-
-if __name__ == "__main__":
-    command.run(main)

@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from qnerf.records.filters import require
 
-from .. import circular, hsv, style
+from .. import hsv, style
 from ..selection import select
 from . import points
 
@@ -81,16 +81,22 @@ def hsv_boxes(samples: pd.DataFrame) -> pd.DataFrame:
         for source, own in samples.groupby("source", observed=True):
             values = own[channel].dropna().to_numpy()
             if channel == "hue":
-                values = center + circular.turn(center, values)
+                values = center + turn(center, values)
             rows.append((channel, str(source), *np.quantile(values, QUANTILES), len(values)))
     return pd.DataFrame(rows, columns=["channel", "source", *QUANTILES, "pixels"])
+
+
+def turn(center: float, hues: np.ndarray) -> np.ndarray:
+    """The signed shorter way around the circle from `center` to each hue, turns in [-0.5, 0.5)."""
+    return (hues - center + 0.5) % 1 - 0.5
 
 
 def hue_center(samples: pd.DataFrame) -> float:
     """The truth's mean direction in turns, rounded so that the opposite side of the circle is an edge of a bin."""
     truth = samples.loc[samples["source"] == "truth", "hue"].dropna().to_numpy()
     bins = len(EDGES["hue"]) - 1
-    return round(circular.mean_direction(truth) * bins) / bins
+    mean = np.angle(np.exp(2j * np.pi * truth).sum()) / (2 * np.pi) % 1  # the direction of the sum of unit vectors
+    return float(round(mean * bins) / bins)
 
 
 @style.styled
@@ -114,7 +120,7 @@ def hsv_study(
             curve = histograms[(histograms["channel"] == channel) & (histograms["source"] == source)]
             middle = (curve["left"] + curve["right"]) / 2
             if channel == "hue":  # cut open where the boxes are
-                curve = curve.assign(middle=center + circular.turn(center, middle.to_numpy())).sort_values("middle")
+                curve = curve.assign(middle=center + turn(center, middle.to_numpy())).sort_values("middle")
                 middle = curve["middle"]
             density, spread = curve["density"] / unit, curve["density_std"] / unit
             top.plot(middle * unit, density, dashes, color=colors[source], label=source)

@@ -100,7 +100,6 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track)
         "note": drawn.note,
         "absent": {
             "pictures": content.no_pictures(drawn, not most, is_packed(options.store)),
-            "plots": content.no_plots(frame),
             "curves": content.no_curves(logged),
         },
         "parts": sections,
@@ -122,7 +121,6 @@ SECTIONS = (
     ("curves-section", "Curves"),
     ("compared-section", "Compare"),
     ("explore-section", "Explore"),
-    ("plots-section", "Capacity and speed"),
 )
 
 if __name__ == "__main__":

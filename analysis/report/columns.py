@@ -1,4 +1,4 @@
-"""The table of runs as compact JSON: a column at a time, rounded, constants and repeated texts once."""
+"""The table of runs as compact JSON: a column at a time, rounded, constants once."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ DIGITS = 6  # significant ones of a number on the page
 
 
 def packed(frame: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Each column that has a value: `{all: v}`, `{levels, codes}` or `{values}`, with None for what is absent."""
+    """Each column that has a value: `{values}`, or `{all: v}` where all are the same; None for what is absent."""
     return {str(name): found for name in frame.columns if (found := _packed(frame[name])) is not None}
 
 
@@ -42,29 +42,7 @@ def rounded_all(numbers: Sequence[float] | np.ndarray, digits: int = DIGITS) -> 
 
 
 def _packed(column: pd.Series) -> dict[str, Any] | None:
-    levels, codes = _levels(column)
-    if all(level is None for level in levels):
-        return None
-    if len(levels) == 1:
-        return {"all": levels[0]}
-    if len(levels) > len(codes) // 2 or all(isinstance(level, (int, float, type(None))) for level in levels):
-        return {"values": [levels[code] for code in codes]}
-    return {"levels": levels, "codes": codes}
-
-
-def _levels(column: pd.Series) -> tuple[list[Any], list[int]]:
-    """The column's different plain values, and for each row the number of its own."""
-    text = column.dtype == object and pd.api.types.infer_dtype(column) == "string"
-    if text or column.dtype.kind in "iuf":
-        codes, levels = pd.factorize(column, use_na_sentinel=False)
-        return _merged([plain(level) for level in levels.tolist()], codes.tolist())
-    # A list cannot be a key, and True would meet 1 as one.
-    return _merged([plain(value) for value in column], list(range(len(column))))
-
-
-def _merged(values: list[Any], codes: list[int]) -> tuple[list[Any], list[int]]:
-    """The same with each value once: the text of a value tells it from all others."""
-    levels = {repr(value): value for value in values}
-    number = {text: place for place, text in enumerate(levels)}
-    merged = [number[repr(value)] for value in values]
-    return list(levels.values()), [merged[code] for code in codes]
+    values = [plain(value) for value in column]
+    if len({repr(value) for value in values}) > 1:
+        return {"values": values}
+    return None if not values or values[0] is None else {"all": values[0]}

@@ -10,8 +10,6 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 from .. import style
 from ..figures import points
 from ..load import with_needed
-from ..selection import select
-from ..step_times import doubts
 from . import curves, pictures
 from .columns import packed
 from .figures import dark_colors
@@ -80,11 +78,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         ],
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
-        "kinds": {
-            "image": quality,
-            **{kind: [m.key for m in METRICS.values() if m.kind == kind] for kind in ("size", "time")},
-        },
-        "unranked": doubts(frame[frame["state"] == "finished"], list(columns)),
+        "quality": quality,
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "palette": style.PALETTE,
@@ -121,15 +115,6 @@ def no_pictures(drawn: pictures.Pictures, asked: bool, pack: bool) -> str:
     )
 
 
-def no_plots(frame: pd.DataFrame) -> str:
-    """Why there is nothing to plot; empty where there is something."""
-    try:
-        select(frame)
-    except ValueError as error:
-        return f"{error}. A run is plotted when it has finished: `qnerf run` with its options goes on with it."
-    return ""
-
-
 def no_curves(logged: dict[int, Any]) -> str:
     """Why there are no curves; empty where there are some."""
     keys = ", ".join(curves.logged_keys())
@@ -140,4 +125,4 @@ def _described(name: str) -> dict[str, Any]:
     """A column as the page's script reads it; `digits` is null where nothing is to be rounded."""
     metric = metric_of(name)
     heading = HEADINGS.get(name, metric.heading)
-    return {"heading": heading, "digits": metric.digits, "sign": metric.sign}
+    return {"heading": heading, "digits": metric.digits}

@@ -56,6 +56,13 @@ function single({ run, x, y }, paint) {
   };
 }
 
+/** Mean and standard deviation (n - 1; null for one value). */
+function spread(values) {
+  const mean = values.reduce((sum, v) => sum + v, 0) / values.length;
+  if (values.length < 2) return { mean, std: null };
+  return { mean, std: Math.sqrt(values.reduce((sum, v) => sum + (v - mean) ** 2, 0) / (values.length - 1)) };
+}
+
 /** A line and a band for each group of runs of one colour key. */
 function bands(lines, paint) {
   const key = $("curve-by").value;

@@ -6,10 +6,8 @@ const DATA = JSON.parse($("data").textContent);
 /** The columns of the runs' table by name; each is an array with a value a run, null where there is none. */
 const columns = new Map(Object.entries(DATA.columns).map(([name, packed]) => [name, unpack(packed)]));
 
-function unpack({ all, values, levels, codes }) {
-  if (values) return values;
-  if (levels) return codes.map((code) => levels[code]);
-  return new Array(DATA.total).fill(all ?? null);
+function unpack({ all, values }) {
+  return values ?? new Array(DATA.total).fill(all);
 }
 
 const column = (name) => columns.get(name) ?? new Array(DATA.total).fill(null);

@@ -87,7 +87,7 @@ def compressed(text: str) -> str:
 EMPTY = {
     "live": False,
     "filter": None,
-    "absent": dict.fromkeys(("pictures", "plots", "curves"), ""),
+    "absent": dict.fromkeys(("pictures", "curves"), ""),
     "note": "",
     "decisions": None,
 }

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from .. import hsv
-from ..figures import FIGURES, colors
+from ..figures import FIGURES
 from ..paper import PAPER_TABLES
 from ..selection import by_scene
 from ..tables import Table
@@ -16,8 +15,8 @@ from .figures import Drawn, draw
 from .tables import ShownTable, attempt, decisions, over_seeds, smallest_configurations
 
 COLOURS = ("hsv",)
-INTERACTIVE = ("capacity", "capacity_color", "capacity_density", "loss", "time", "speed")
-"""Figures that the page's own plots show; `qnerf figures` writes them."""
+INTERACTIVE = ("loss", "time")
+"""Figures that the page's own curves show; `qnerf figures` writes them."""
 PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in (*COLOURS, *INTERACTIVE))
 OTHER_FIGURES = tuple(
     name
@@ -59,10 +58,6 @@ def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
     title = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
     smallest.tables = [attempt(title, smallest_configurations, frame)]
     colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
-    colours.tables = [
-        attempt(f"Hue, saturation and value: {scene}", _hsv_table, own, str(scene))
-        for scene, own in by_scene(frame).items()
-    ]
     advance()
     colours.draw(COLOURS, frame, advance)
     paper = Part("paper", "Paper", "The paper's tables and figures, with ours")
@@ -90,7 +85,3 @@ def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.Dat
 def _has_ours(table: ShownTable) -> bool:
     """Whether any row has a seed of ours; their number is the last column of every table of the paper."""
     return any(row[-1].text != "0" for row in table.rows)
-
-
-def _hsv_table(frame: pd.DataFrame, scene: str) -> Table:
-    return hsv.table(hsv.tests(colors.hsv_samples(colors.chosen(frame))), f"Hue, saturation and value: {scene}")

@@ -6,7 +6,7 @@ function startTheme() {
   const show = (on) => {
     toggle($("theme"), on);
     for (const [image, light] of figures) image.src = on ? darkened(light) : light;
-    for (const draw of [drawPlots, drawCurves, drawExplore]) draw();
+    for (const draw of [drawCurves, drawExplore]) draw();
   };
   const set = (name) => {
     document.documentElement.dataset.theme = name;
@@ -63,7 +63,6 @@ startSelection();
 startCurves();
 startCompare();
 startExplore();
-startPlots();
 startDetail();
 startTheme();
 source.start?.();

@@ -181,7 +181,6 @@ SECTIONS = (
     ("compared-section", "Compare"),
     ("differences-section", "Differences"),
     ("explore-section", "Explore"),
-    ("plots-section", "Capacity and speed"),
 )
 
 

@@ -1,7 +1,7 @@
 /** Means over seeds and verdicts, computed by the server from the selected runs. */
 
 function offerDifferences() {
-  options($("difference-metric"), DATA.kinds.image.filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]));
+  options($("difference-metric"), DATA.quality.filter((name) => columns.has(name) && isNumeric(name)).map((name) => [name, heading(name)]));
   $("column-names").replaceChildren(...telling().map((name) => element("option", { value: name })));
 }
 

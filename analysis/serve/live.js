@@ -130,7 +130,7 @@ function set(run, pairs) {
 }
 
 function refresh(changed) {
-  for (const offer of [offerSelection, offerExplore, offerPlots, offerCurves, offerDifferences]) offer();
+  for (const offer of [offerSelection, offerExplore, offerCurves, offerDifferences]) offer();
   select(); // every listener draws
   drawTraining();
   if (chosen.some((run) => changed.includes(run))) drawCompared();

@@ -1,11 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from qnerf.analysis import hsv
 from qnerf.analysis.images import panels, pictures
 from qnerf.analysis.load import runs
-from scipy.stats import mannwhitneyu
 
 from tests.helpers.packed_stores import picture, write_run
 
@@ -63,48 +60,17 @@ def test_a_darker_copy_differs_in_value_alone(store):
     assert len(tests) == 3 * 3 * 2
     for channel in hsv.CHANNELS:
         same = tests.loc[(channel, "truth - classical", 0)]
-        assert (same["ks"], same["wasserstein"]) == (0, 0)
-    value = tests.loc[("value", "truth - quantum", 1)]
-    values = hsv.samples(runs(folder)).query("source == 'truth'")["value"]
-    assert value["wasserstein"] == pytest.approx(values.mean() / 2)
-    assert value["cliffs_delta"] < -0.5
-    hue = tests.loc[("hue", "truth - quantum", 1)]
-    assert hue["wasserstein"] < 1e-12
-    assert hue["direction"] == pytest.approx(0, abs=1e-12)
-
-
-def test_the_table_has_means_over_seeds(store):
-    tests = hsv.tests(hsv.samples(runs(store[0])))
-    table = hsv.table(tests)
-    rows = tests[(tests["channel"] == "value") & (tests["pair"] == "truth - quantum")]
-    assert table.data.loc[("value", "truth - quantum"), ("ks", "mean")] == pytest.approx(rows["ks"].mean())
-    assert f"| value | truth - quantum | {rows['ks'].mean():.4f} ± 0.0000 |" in table.markdown()
-    assert table.text["seeds"].tolist() == ["2"] * 9
+        assert same["ks"] == 0
+    assert tests.loc[("value", "truth - quantum", 1), "ks"] > 0.5
+    assert tests.loc[("hue", "truth - quantum", 1), "ks"] < 1e-12
 
 
 def test_grey_pixels_have_no_hue():
     image = np.array([[[128, 128, 128], [0, 0, 0], [255, 0, 0], [128, 125, 125], [0, 0, 255]]], dtype=np.uint8)
-    pixels = hsv.pixels(image, grey=0.05)
+    pixels = hsv.pixels(image)
     assert pixels["hue"].isna().tolist() == [True, True, False, True, False]
     assert pixels["hue"].dropna().tolist() == pytest.approx([0, 2 / 3])
     assert pixels["saturation"].tolist() == pytest.approx([0, 0, 1, 3 / 128, 1])
-
-
-def test_constant_and_absent_channels_do_not_crash():
-    same = hsv.compare(np.full(50, 0.3), np.full(40, 0.3), "hue")
-    assert (same["ks"], same["wasserstein"], same["direction"]) == (0, 0, 0)
-    apart = hsv.compare(np.full(50, 0.3), np.full(40, 0.5), "value")
-    assert (apart["ks"], apart["cliffs_delta"]) == (1, 1)
-    assert apart["wasserstein"] == pytest.approx(0.2)
-    none = hsv.compare(np.full(50, 0.3), np.empty(0), "hue")
-    assert (none["n_first"], none["n_second"]) == (50, 0)
-    assert np.isnan([none["ks"], none["wasserstein"], none["direction"]]).all()
-
-
-@given(*[st.lists(st.integers(0, 9), min_size=1, max_size=30)] * 2)
-def test_cliffs_delta_is_the_rank_sum(first, second):
-    below = mannwhitneyu(second, first, method="asymptotic").statistic / (len(first) * len(second))
-    assert hsv.cliffs_delta(np.array(first), np.array(second)) == pytest.approx(2 * below - 1)
 
 
 def test_what_cannot_be_compared_is_refused(store):
@@ -119,8 +85,3 @@ def test_what_cannot_be_compared_is_refused(store):
     frame = runs(folder)
     with pytest.raises(ValueError, match="no picture that all 5 runs have; 1 of them have none at all"):
         hsv.samples(frame[(frame["scene_name"] == "poster") | (frame["path"] == str(bare))])
-
-
-def test_the_command_prints_the_table(store, capsys):
-    hsv.main([str(store[0]), "--grey", "0.1"])
-    assert capsys.readouterr().out.startswith("| channel | pair | ks | Cliff's delta |")

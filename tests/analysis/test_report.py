@@ -74,8 +74,6 @@ class Scripts(HTMLParser):
 def unpacked(packed, total):
     if "values" in packed:
         return packed["values"]
-    if "levels" in packed:
-        return [packed["levels"][code] for code in packed["codes"]]
     return [packed["all"]] * total
 
 

@@ -1,10 +1,7 @@
 """The page in a real browser: Debian's Chromium without a screen, with the page opened from disk."""
 
 import pytest
-from qnerf.analysis.figures import capacity_points
-from qnerf.analysis.load import runs
 from qnerf.analysis.report.__main__ import main
-from qnerf.analysis.report.content import prepared
 
 from tests.helpers.browser import (
     by_id,
@@ -87,26 +84,12 @@ def test_filters_select_runs_and_mistakes_are_said(page, store):
     assert column(page, heads(page).index("state")) == ["failed out of memory"]
 
 
-def test_the_plot_draws_the_means_and_spreads_of_the_figures(page, store):
-    table = capacity_points(prepared(runs(store))).set_index("field")
-    traces = page.execute_script(
-        "return document.getElementById('capacity').data.map((t) => [t.name, t.x, t.y, t.error_y?.array])"
-    )
-    drawn = {name: (x, y, spread) for name, x, y, spread in traces}
-    for name in ("classical", "qcolor"):
-        point = table.loc[name]
-        (x,), (y,), (spread,) = drawn[name]
-        assert (x, y, spread) == pytest.approx((point["params"], point["psnr"], point["psnr_std"]), rel=1e-3)
-        assert len(drawn[f"{name}, runs"][0]) == 2
-
-
 def test_a_click_on_a_mark_opens_its_run_and_escape_closes_it(page):
     place = page.execute_script("""
-        const plot = document.getElementById('speed');
+        const plot = document.getElementById('scatter');
         plot.scrollIntoView({block: 'center', behavior: 'instant'});
-        const trace = plot.data.findIndex((t) => t.name === 'qcolor');
-        const point = plot.querySelectorAll('.scatterlayer .trace')[trace].querySelector('.point');
-        const mark = point.getBoundingClientRect();
+        const place = plot.data[0].customdata.findIndex((run) => value('field', run) === 'qcolor');
+        const mark = plot.querySelectorAll('.scatterlayer .point')[place].getBoundingClientRect();
         return [mark.x + mark.width / 2, mark.y + mark.height / 2]""")
     for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
         press = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
@@ -237,7 +220,7 @@ def test_a_store_where_nothing_finished_opens(browser, tmp_path):
     main([str(tmp_path / "runs"), "--out", str(tmp_path / "page.html")])
     opened(browser, (tmp_path / "page.html").as_uri())
     assert [text.split()[0] for text in sorted(column(browser, heads(browser).index("state")))] == ["damaged", "failed"]
-    assert "no finished runs among 2" in by_id(browser, "plots-section").text
+    assert "no finished runs among 2" in by_id(browser, "tables").text
     assert errors(browser) == []
 
 

@@ -66,7 +66,6 @@ MISTAKES = {
     f"tables {PAPER} --filter 'open": "'open",
     "figures nowhere": "nowhere",
     f"figures {PAPER} portrait": "portrait",
-    "hsv nowhere": "nowhere",
     "pack nowhere packed": "nowhere",
     "results nowhere": "nowhere",
 }

@@ -52,8 +52,8 @@ def opened(browser, address, width=1280, scheme="light", *, plots=True):
     browser.get_log("performance")
     browser.get(address)
     if plots:  # they are drawn when they come near the screen
-        browser.execute_script("document.getElementById('plots-section').scrollIntoView({behavior: 'instant'})")
-        wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#speed .xtitle, #plots-section .absent"))
+        browser.execute_script("document.getElementById('explore-section').scrollIntoView({behavior: 'instant'})")
+        wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#scatter .xtitle"))
         browser.execute_script("scrollTo({top: 0, behavior: 'instant'})")
 
 

@@ -41,7 +41,6 @@ GROUPS = {
         "report": "one HTML page to keep: table, plots, curves, pictures",
         "tables": "tables over seeds as Markdown, CSV or LaTeX",
         "figures": "figures as PNG, SVG and PDF",
-        "hsv": "hue, saturation and value of renderings against the truth",
         "pack": "the runs as a few small tables, to keep beside a paper",
         "results": "one page about several packed folders",
     },
@@ -59,7 +58,6 @@ ANALYSIS = {
     "report": "report.__main__",
     "tables": "tables.__main__",
     "figures": "figures.__main__",
-    "hsv": "hsv",
     "pack": "pack",
     "results": "results",
 }
