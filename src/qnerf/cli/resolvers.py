@@ -1,5 +1,6 @@
 """`${of_head:...}` in conf/: defaults that depend on the chosen head. Import this module before composing."""
 
+import inspect
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -17,4 +18,7 @@ def of_head(group: str, name: str, default: Any, *, _root_: DictConfig) -> Any:
     return next((values[key] for key in names if key in values), default)
 
 
-OmegaConf.register_new_resolver("of_head", of_head, replace=True)
+# OmegaConf 2.4.1 gives the name of an older function, without `replace`, to what was register_new_resolver.
+_renamed = "replace" in inspect.signature(OmegaConf.register_resolver).parameters
+_register: Any = OmegaConf.register_resolver if _renamed else OmegaConf.register_new_resolver
+_register("of_head", of_head, replace=True)
