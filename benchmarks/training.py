@@ -26,10 +26,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-import qnerf.cli.resolvers  # noqa: F401  the configuration needs them
 from qnerf import kernels
 from qnerf.building.model import build_model, ray_table
 from qnerf.building.scene import prepare
+from qnerf.cli.resolvers import HYDRA
 from qnerf.config.folders import CONF
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import STAGES, Stopwatch
@@ -77,7 +77,7 @@ Row = dict[str, object]
 
 def build(overrides: str) -> tuple[Trainer, Evaluator]:
     """A trainer of the configuration with these overrides, and an evaluator of its held-out views."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
+    with initialize_config_dir(str(CONF), **HYDRA):
         config = OmegaConf.to_container(compose("config", overrides.split()), resolve=True)
     assert isinstance(config, dict)
     settings, scene = prepare({str(key): value for key, value in config.items() if key != "hydra"}).of_field()

@@ -11,8 +11,8 @@ from unittest.mock import patch
 from hydra import compose, initialize_config_dir
 from omegaconf import Container, DictConfig, OmegaConf
 
-import qnerf.cli.resolvers  # noqa: F401
 from qnerf.cli.compose import translated
+from qnerf.cli.resolvers import HYDRA
 
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
@@ -42,7 +42,7 @@ def swept(sweep: str) -> dict[str, str]:
 def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictConfig:
     search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
     folder = str(SWEEPS if sweep else CONF)
-    with initialize_config_dir(folder, version_base="1.3"), patch.object(OmegaConf, "load", _load):
+    with initialize_config_dir(folder, **HYDRA), patch.object(OmegaConf, "load", _load):
         return compose(sweep or "config", [*map(translated, overrides), *search], return_hydra_config=hydra)
 
 

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from qnerf.cli.errors import one_line
+from qnerf.cli.resolvers import HYDRA
 from qnerf.config.folders import CONF, SWEEPS
 
 HEADS = ("density", "color")
@@ -241,7 +242,7 @@ def _composed(arguments: Iterable[str]) -> DictConfig | None:
     for choices in ([word for word in typed if "," not in word], []):
         with (
             contextlib.suppress(HydraException, OmegaConfBaseException),
-            hydra.initialize_config_dir(str(CONF), version_base="1.3"),
+            hydra.initialize_config_dir(str(CONF), **HYDRA),
         ):
             return hydra.compose("config", choices)
     return None

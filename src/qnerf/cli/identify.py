@@ -8,8 +8,8 @@ import hydra
 from omegaconf import OmegaConf
 
 from qnerf.building.scene import prepare
-from qnerf.cli import resolvers  # noqa: F401  the configuration needs the resolvers
 from qnerf.cli.compose import translated
+from qnerf.cli.resolvers import HYDRA
 from qnerf.config.folders import CONF
 
 
@@ -21,7 +21,7 @@ def run_ids(overrides: Sequence[str], seeds: Iterable[int], store: str | Path) -
     own = [translated(item) for item in overrides if not item.startswith("hydra")]
     scene, names = None, []
     for seed in seeds:
-        with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        with hydra.initialize_config_dir(str(CONF), **HYDRA):
             composed = hydra.compose("config", [*own, f"seed={seed}"])
         config: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
         prepared = prepare(config, scene)

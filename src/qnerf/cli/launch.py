@@ -27,10 +27,11 @@ from rich.table import Table
 from rich.text import Text
 
 from qnerf.building.acting import complete, without_effect
-from qnerf.cli import compose, ends, plugins, resolvers  # noqa: F401  the configuration needs the resolvers
+from qnerf.cli import compose, ends, plugins
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import FAILED, INTERRUPTED
 from qnerf.cli.errors import is_known, one_line, report
+from qnerf.cli.resolvers import HYDRA
 from qnerf.cli.sweep import RETRY, Sweep
 from qnerf.config.folders import CONF
 from qnerf.records import state
@@ -218,7 +219,7 @@ def run_command() -> None:
         if options["cfg"] == "job" and not options["package"] and not options["resolve"]:
             task = show
             sys.argv[1:] = [*_without_cfg(sys.argv[1:]), "hydra.mode=RUN"]
-        hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(task)()
+        hydra.main(config_path=str(CONF), config_name="config", **HYDRA)(task)()
     except SystemExit as end:
         code = end.code
     except KeyboardInterrupt:

@@ -3,7 +3,11 @@
 import inspect
 from typing import Any
 
+import hydra
 from omegaconf import DictConfig, OmegaConf
+
+HYDRA: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.startswith("1.3") else {}
+"""What Hydra's entry points are given: Hydra 1.3 asks for the behaviour of a version, later ones have one behaviour."""
 
 
 def of_head(group: str, name: str, default: Any, *, _root_: DictConfig) -> Any:
