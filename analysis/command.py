@@ -35,6 +35,11 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--filter", metavar="TEXT", help=HELP)
 
 
+def add_baseline(parser: argparse.ArgumentParser, what: str) -> None:
+    """`--baseline`, for what the help says."""
+    parser.add_argument("--baseline", metavar="KEY=VALUE,...", help=what)
+
+
 def add_format(parser: argparse.ArgumentParser) -> None:
     """`--format`, which `show` takes."""
     parser.add_argument(

@@ -12,7 +12,7 @@ SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
 
 FIRST_KEYS = ("scene_name", "field", "density", "color")
-"""Row keys that every table of the report has."""
+"""Row keys that every table of the report has, where they act in a run."""
 
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
 
@@ -100,7 +100,7 @@ def measured(runs: pd.DataFrame) -> list[str]:
 
 def row_keys(runs: pd.DataFrame) -> list[str]:
     """Scene, field, heads, and further settings that are needed so that no row mixes configurations."""
-    keys = list(FIRST_KEYS)
+    keys = [key for key in FIRST_KEYS if runs[key].notna().any()]
     names = ("encoder", "hash", *LABELS, *configuration(runs))
     for name in (name for name in names if runs[name].nunique(dropna=False) > 1):
         if name not in keys and runs.groupby(keys, dropna=False)[name].nunique(dropna=False).max() > 1:
@@ -113,7 +113,7 @@ def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, obj
     keys = runs[list(rows)].drop_duplicates()
     classical = keys[keys["field"] == "classical"] if "field" in keys else keys[:0]
     if classical.empty or classical["scene_name"].duplicated().any():
-        raise ValueError("expected one classical configuration in a scene: give a baseline, such as color=3x64")
+        raise ValueError("expected one classical configuration in a scene: give --baseline, such as color=3x64")
     return {"field": "classical"}
 
 

@@ -42,6 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tuple(options.candidates), tuple(options.scene or [""]), options.all, within_of(options.metric, options.within),
         options.metric, options.equal,
     )  # fmt: skip
+    names = [_scene(scene) for scene in question.scenes]
+    if len(set(names)) < len(names):
+        raise ValueError(f"--scene: expected scenes of different names, got {', '.join(names)}")
     store = Path(options.store)
     if options.plan:
         plan(question, store)
@@ -141,7 +144,7 @@ class Study:
         """The runs of every candidate that is still in question."""
         kept = [name for name in self.question.candidates if _title(scene, name) not in self.record.verdicts]
         kept = list(self.question.candidates) if len(self.question.candidates) == 2 else kept
-        if self.question.equal == "time" and not self.record.looks:
+        if self.question.equal == "time" and _title(scene, kept[0]) not in self.record.steps:
             self._equalise(scene, kept)
         frames = {}
         for name in kept:
@@ -162,6 +165,7 @@ class Study:
             steps = round(run["train.steps"] * dearest / run["step_cpu_ms"])
             self.record.steps[_title(scene, name)] = steps
             print(f"{_title(scene, name)}: {run['step_cpu_ms']:.1f} ms of CPU a step, so {steps:,} steps")
+        self.record.save(self.store)  # the ratio is measured once: measured again, it would ask for other runs
 
     def _look(self, scene: str, frames: dict[str, pd.DataFrame], count: int, alpha: float) -> None:
         question, record = self.question, self.record
@@ -205,7 +209,13 @@ def _cost(frame: pd.DataFrame) -> float:
 
 
 def _title(scene: str, candidate: str) -> str:
-    return f"{scene}: {candidate}" if scene else candidate
+    return f"{_scene(scene)}: {candidate}" if scene else candidate
+
+
+def _scene(overrides: str) -> str:
+    """The name of a scene: its folder's or, without one, its kind."""
+    values = dict(part.partition("=")[::2] for part in overrides.split())
+    return Path(values.get("scene.path") or values.get("scene", overrides)).name
 
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ class Record:
 
 
 def records(store: str | Path) -> pd.DataFrame:
-    """The records of a store, a row a comparison: question, scene, candidate, looks, seeds, difference, verdict."""
+    """The records of a store, a row a comparison: what was compared, verdict, looks, seeds, difference."""
     rows: list[dict[str, Any]] = []
     for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
@@ -82,14 +82,16 @@ def records(store: str | Path) -> pd.DataFrame:
 
 def _rows(record: dict[str, Any]) -> list[dict[str, Any]]:
     asked, rows = record["question"], []
-    for name, text in record["verdicts"].items():
+    steps = ", ".join(f"{name} {count}" for name, count in record["steps"].items())
+    for name in dict.fromkeys([*(look["name"] for look in record["looks"]), *record["verdicts"]]):
         own = [look for look in record["looks"] if look["name"] == name]
         last = own[-1] if own else {}
         numbers = {key: last.get(key) for key in ("seeds", "difference", "reach", "spent")}
         rows.append(
-            {"baseline": asked["candidates"][0], "comparison": name, "within": asked["within"],
+            {"comparison": name, "baseline": asked["candidates"][0],
+             "verdict": record["verdicts"].get(name, "not decided yet"), "within": asked["within"],
              "metric": asked["metric"], "equal": asked["equal"], "looks": len(own), "most": record["most"],
-             **numbers, "verdict": text}
+             **numbers, "of every run": asked["common"], "steps": steps}
         )  # fmt: skip
     return rows
 

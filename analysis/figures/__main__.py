@@ -21,9 +21,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: %(default)s)")
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
     parser.add_argument("--theme", default="light", choices=["light", "dark"])
+    command.add_baseline(parser, "what forest compares with; default: the classical configuration")
     options = parser.parse_intermixed_args(arguments)
     check_names(options.names)
-    draw(command.chosen(options), options.names, Path(options.out), options.formats.split(","), options.theme)
+    look = {"theme": options.theme, "baseline": options.baseline}
+    draw(command.chosen(options), options.names, Path(options.out), options.formats.split(","), **look)
 
 
 if __name__ == "__main__":

@@ -46,8 +46,16 @@ class Entry:
     one_scene: bool = False
     hint: str = ""
 
-    def draw(self, runs: pd.DataFrame, **options: Any) -> Figure:
-        """The figure of these runs, or of the best probed one. Raises ValueError with what is missing."""
+    def draw(self, runs: pd.DataFrame, baseline: str | None = None, **options: Any) -> Figure:
+        """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
+
+        baseline: what the forest plot compares with; other figures compare with nothing.
+        """
+        if baseline is not None and self.function is forest:
+            options["baseline"] = baseline
+        if not self.benchmark and runs["scene_name"].isna().all():
+            raise ValueError(f"none of {len(runs)} runs has a scene")
+        runs = runs[runs["scene_name"].notna()]  # a tracked run may have none
         source = [] if self.benchmark else [best_of(runs, self.probe) if self.probe else runs]
         return self.function(*source, **self.options, **options)
 
@@ -87,7 +95,7 @@ FIGURES = {
     "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
     "time": Entry("PSNR against wall time", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
-    "forest": Entry("Differences from the classical configuration, scene by scene", forest),
+    "forest": Entry("Differences from the baseline, scene by scene", forest),
     "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, benchmark=True),
     "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, benchmark=True),
     "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, benchmark=True),

@@ -21,8 +21,8 @@ def check_names(names: Sequence[str]) -> None:
         raise ValueError(f"unknown figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
 
 
-def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], theme: str = "light") -> None:
-    """Writes the named figures, or all of them if `names` is empty, into the folder `out`.
+def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], **options: str | None) -> None:
+    """Writes the named figures, or all of them if `names` is empty, into the folder `out`; options as `Entry.draw`.
 
     Prints the files that it wrote, and a line for each figure that cannot be drawn; the others are drawn.
 
@@ -38,7 +38,7 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
         scenes = FIGURES[name].scenes(name, frame)
         for file, runs in scenes.items():
             with collecting(errors, file):
-                print(*save(FIGURES[name].draw(runs, theme=theme), out / file_name(file), formats))
+                print(*save(FIGURES[name].draw(runs, **options), out / file_name(file), formats))
         if name in names and len(errors) == len(scenes):
             failed.append(next(iter(errors.values())))
         else:

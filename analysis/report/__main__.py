@@ -67,6 +67,7 @@ def parser() -> argparse.ArgumentParser:
         help="a folder, which gets index.html, or a .html file (default: report)",
     )
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
+    command.add_baseline(made, "what the table and the forest plot compare with; default: the classical configuration")
     images = made.add_mutually_exclusive_group()
     images.add_argument("--no-images", action="store_true", help="leave out the held-out views")
     images.add_argument(
@@ -86,7 +87,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track)
     most = 0 if options.no_images else options.max_images
     drawn = pictures.gather(frame, order if most else [], most, advance=track("pictures", len(order)))
     logged = curves.gather(frame, order, advance=track("curves", min(len(order), curves.MAX_RUNS)))
-    sections = parts.parts(frame, track("tables and figures", parts.STEPS))
+    sections = parts.parts(frame, options.baseline, track("tables and figures", parts.STEPS))
     return {
         "title": options.title,
         "store": options.store,

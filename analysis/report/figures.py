@@ -27,7 +27,7 @@ class Drawn:
     height: int
 
 
-def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
+def draw(name: str, frame: pd.DataFrame, baseline: str | None = None) -> tuple[list[Drawn], list[str]]:
     """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
     entry, title = FIGURES[name], FIGURES[name].title
     drawn: list[Drawn] = []
@@ -36,7 +36,7 @@ def draw(name: str, frame: pd.DataFrame) -> tuple[list[Drawn], list[str]]:
     for runs in scenes.values():
         own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
         with collecting(absent, own):
-            drawn.append(embedded(own, entry.draw(runs)))
+            drawn.append(embedded(own, entry.draw(runs, baseline)))
     absent = {own: "; ".join(filter(None, [reason, entry.hint])) for own, reason in absent.items()}
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}

@@ -40,18 +40,20 @@ class Part:
     figures: list[Drawn] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
 
-    def draw(self, names: Iterable[str], frame: pd.DataFrame, advance: Callable[[], None]) -> None:
+    def draw(
+        self, names: Iterable[str], frame: pd.DataFrame, advance: Callable[[], None], baseline: str | None = None
+    ) -> None:
         for name in names:
-            drawn, absent = draw(name, frame)
+            drawn, absent = draw(name, frame, baseline)
             self.figures += drawn
             self.absent += absent
             advance()
 
 
-def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
-    """Tables and figures of the store, in the order of the page."""
+def parts(frame: pd.DataFrame, baseline: str | None, advance: Callable[[], None]) -> list[Part]:
+    """Tables and figures of the store, in the order of the page; baseline: None for the classical configuration."""
     configurations = Part("tables", "Tables", "Configurations over seeds")
-    configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame)]
+    configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame, baseline)]
     if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
         configurations.tables.append(decided)
     smallest = Part("smallest", "Smallest", "The smallest configuration that is nearly the best")
@@ -70,7 +72,7 @@ def parts(frame: pd.DataFrame, advance: Callable[[], None]) -> list[Part]:
         paper.text = f"No run is a row of: {'; '.join(without)}."
     paper.draw(PAPER_FIGURES, frame, advance)
     more = Part("more", "Figures", "More figures")
-    more.draw(OTHER_FIGURES, frame, advance)
+    more.draw(OTHER_FIGURES, frame, advance, baseline)
     return [configurations, smallest, colours, paper, more]
 
 

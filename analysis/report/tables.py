@@ -1,7 +1,7 @@
 """Tables of the page and their copies as text; a table that cannot be made is a line that says why."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,14 +56,14 @@ def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTab
     return ShownTable(title, absent=f"{errors[title][:MAX_ERROR]}.")
 
 
-def over_seeds(frame: pd.DataFrame) -> Table:
-    """`ablation` of the best `MAX_ROWS` configurations of each scene, against the classical one if there is one."""
+def over_seeds(frame: pd.DataFrame, baseline: str | Mapping[str, object] | None = None) -> Table:
+    """`ablation` of the best `MAX_ROWS` configurations of each scene, by default against the classical one if any."""
     runs = select(frame).runs
     best, not_shown = points.best(runs, ["psnr"], MAX_ROWS)
     runs = runs.loc[[row for rows in best["runs"] for row in rows]]
-    rows, baseline = row_keys(runs), None
+    rows = row_keys(runs)
     with contextlib.suppress(ValueError):
-        baseline = classical_baseline(runs, rows)
+        baseline = baseline or classical_baseline(runs, rows)
     table = ablation(
         pd.concat([runs, frame[frame["state"] != "finished"]]),
         rows,
@@ -78,6 +78,7 @@ def decisions(store: str | Path) -> ShownTable | None:
     found = records(store)
     if found.empty:
         return None
+    found = found.dropna(axis=1, how="all").loc[:, found.astype(str).ne("").any()]
     text = found.map(
         lambda value: (
             "" if value is None or value != value else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import secrets
 import socket
+import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from .answers import Answers
 from .store import WatchedStore
 
 if TYPE_CHECKING:
-    from .server import Server
+    import uvicorn
 
 DESCRIPTION = """\
 Shows a store of runs on a page that follows it: runs appear and curves grow while they train. The page is the report
@@ -53,8 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with socket.create_server((options.host, options.port), family=family) as listening:
         address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/?token={token}"
         print(f"{options.store}: {address}; Ctrl-C ends", flush=True)
+        before = set(threading.enumerate())
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
+        # Python would end a thread that still reads parquet by unwinding Arrow's C++, which aborts the process.
+        for thread in set(threading.enumerate()) - before:
+            thread.join(10)
 
 
 def _name_of(host: str) -> str:
@@ -66,13 +71,12 @@ def _name_of(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def make(options: argparse.Namespace) -> tuple["Server", str]:
+def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str]:
     """The server, which does not listen yet, and the token that visitors need."""
     try:
         import uvicorn
 
         from .app import LOCAL, application
-        from .server import MOST_CONNECTIONS, Prompt, Server
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
             raise
@@ -82,10 +86,9 @@ def make(options: argparse.Namespace) -> tuple["Server", str]:
     hosts = LOCAL if options.host in LOOPBACK else None
     config = uvicorn.Config(
         application(answers, token, hosts), log_level="error", access_log=False, ws="none",
-        http=Prompt, limit_concurrency=MOST_CONNECTIONS,
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
-    return Server(config, answers), token
+    return uvicorn.Server(config), token
 
 
 if __name__ == "__main__":

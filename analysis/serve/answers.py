@@ -4,7 +4,6 @@ import io
 import secrets
 import threading
 from collections.abc import Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,10 @@ from ..report.pictures import Pictures
 from ..report.tables import ShownTable, decisions, shown
 from ..selection import row_keys, select
 from ..tables import ablation
-from .store import Changes, WatchedStore
+from .store import WatchedStore
 
 PREVIEW = "preview.png"
 POINTS = 400  # of a curve, at most
-MANY_ROWS = 500  # changed rows that a new page fetches; beyond, the table is packed anew
 MAX_RUNS = 400  # runs of one question for curves
 
 
@@ -44,18 +42,13 @@ class Answers:
         self.store = store
         self._title = title
         self._boot = secrets.token_hex(4)  # versions of an earlier server mean nothing
-        self._lock = threading.Lock()
-        self._snapshot = self._packed()
-        self._tables = ThreadPoolExecutor(1, "qnerf-serve-tables")
-        self._asked: dict[tuple[str, ...], Future[ShownTable]] = {}
-
-    def close(self) -> None:
-        """Ends the thread that computes tables, after the one that it is at."""
-        self._tables.shutdown(wait=False, cancel_futures=True)
+        self._tables = threading.Lock()  # one table at a time
 
     def page(self) -> dict[str, Any]:
-        """The values of the page's template. Its table may be a little old; `news` is what has changed since."""
-        data, changes = self.table()
+        """The values of the page's template."""
+        version, frame = self.store.frame()
+        if frame.empty:
+            frame = pd.DataFrame({name: [] for name in ("run_id", "state", "scene_name", "psnr")})
         return {
             "live": True,
             "title": self._title,
@@ -63,20 +56,11 @@ class Answers:
             "version": qnerf.__version__,
             "sections": SECTIONS,
             "decisions": decisions(self.store.folder),
-            "data": data | {"version": f"{self._boot}-{changes.version}", "news": _plain(changes)},
+            "data": content.data(frame, Pictures(), {}) | {"version": f"{self._boot}-{version}"},
         }
 
-    def table(self) -> tuple[dict[str, Any], Changes]:
-        """The packed table of runs, and what has changed since. Packs it anew where that is much."""
-        with self._lock:
-            changes = self.store.changes(self._snapshot[0])
-            if len(changes.rows) + len(changes.named) + len(changes.removed) > MANY_ROWS:
-                self._snapshot = self._packed()
-                changes = self.store.changes(self._snapshot[0])
-            return self._snapshot[1], changes
-
     def changes(self, since: str) -> dict[str, Any]:
-        """What a page of version `since` does not know: rows, names of configurations, removed runs.
+        """What a page of version `since` does not know: changed rows, removed runs.
 
         {"reload": true} where the version is of an earlier server.
         """
@@ -84,7 +68,7 @@ class Answers:
         if boot != self._boot or not number.isdecimal():
             return {"reload": True}
         found = self.store.changes(int(number))
-        return {"version": f"{self._boot}-{found.version}", **_plain(found)}
+        return {"version": f"{self._boot}-{found.version}", "rows": found.rows, "removed": found.removed}
 
     def keys(self, runs: Iterable[str]) -> dict[str, str]:
         """What any of these runs has logged: key -> heading."""
@@ -144,22 +128,8 @@ class Answers:
             least = float(within) if within.strip() else None
         except ValueError:
             raise ValueError(f"within: expected a positive number, got {within!r:.40}") from None
-        return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
-
-    def in_turn(self, *asked: str) -> "Future[ShownTable]":
-        """`differences`, one at a time; those who ask for the same while it is computed share it."""
-        with self._lock:
-            future = self._asked.get(asked)
-            if future is None:
-                future = self._asked[asked] = self._tables.submit(self.differences, *asked)
-                future.add_done_callback(lambda _: self._asked.pop(asked, None))
-            return future
-
-    def _packed(self) -> tuple[int, dict[str, Any]]:
-        version, frame = self.store.frame()
-        if frame.empty:
-            frame = pd.DataFrame({name: [] for name in ("run_id", "state", "scene_name", "psnr")})
-        return version, content.data(frame, Pictures(), {})
+        with self._tables:
+            return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
 
     def _logged(self, run: str) -> dict[str, Any]:
         folder = self.store.path(run)
@@ -168,10 +138,6 @@ class Answers:
         except OSError:
             return {}
         return _curves(folder, stamp)
-
-
-def _plain(changes: Changes) -> dict[str, Any]:
-    return {"rows": changes.rows, "named": changes.named, "removed": changes.removed}
 
 
 SECTIONS = (

@@ -46,10 +46,8 @@ source = {
     return stamp && value("state", run) !== "finished" ? [previewOf(run, stamp)] : [];
   },
   editor,
-  /** The table may be a little older than the page: what has changed is beside it. */
   prepare() {
     for (const [run, id] of column("run_id").entries()) numberOf.set(id, run);
-    take(DATA.news);
   },
   start() {
     startDifferences();
@@ -69,7 +67,7 @@ async function follow() {
     const news = await json("changes", { since: version });
     if (news.reload) return location.reload();
     version = news.version;
-    if (Object.keys(news.rows).length || Object.keys(news.named).length || news.removed.length) apply(news);
+    if (Object.keys(news.rows).length || news.removed.length) apply(news);
     $("live-status").textContent = "";
   } catch {
     $("live-status").textContent = "The server does not answer: what is shown is no longer followed.";
@@ -81,17 +79,16 @@ async function follow() {
 
 document.addEventListener("visibilitychange", () => { if (!document.hidden) drawTraining(); });
 
-/** Takes over whole rows, names of configurations, and the runs that are gone. */
-function take({ rows, named, removed }) {
+/** Takes over whole rows, and the runs that are gone. A reload names the configurations of new runs. */
+function take({ rows, removed }) {
   const known = new Set(columns.keys());
   for (const [id, row] of Object.entries(rows)) {
     const run = numbered(id);
-    for (const [name, values] of columns) if (!NAMED.includes(name)) values[run] = row[name] ?? null;
+    for (const [name, values] of columns) if (name !== "configuration") values[run] = row[name] ?? null;
     set(run, Object.entries(row).filter(([name]) => !columns.has(name)));
     for (const key of fetched.keys()) if (key.startsWith(`${run} `)) fetched.delete(key);
     fetchedViews.delete(run);
   }
-  for (const [id, own] of Object.entries(named)) set(numbered(id), Object.entries(own));
   for (const id of removed) if (numberOf.has(id)) gone.add(numberOf.get(id));
   forget();
   const fresh = [...columns.keys()].filter((name) => !known.has(name));
@@ -109,7 +106,6 @@ function apply(news) {
   refresh(Object.keys(news.rows).map((id) => numberOf.get(id)));
 }
 
-const NAMED = ["configuration"];
 const isSetting = (name) => name.includes(".") && !/^(params|time|run)\./.test(name);
 
 function numbered(id) {

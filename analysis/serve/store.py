@@ -26,21 +26,16 @@ from ..report.columns import plain
 FRESH = 0.5
 """Seconds for which a look at the store is good enough for the next question."""
 
-NAMES_SHARE = 0.1
-"""Of the time, at most, goes into naming configurations anew."""
-
 
 @dataclass(frozen=True)
 class Changes:
     """What a page does not know yet.
 
-    rows: run -> column -> value, whole rows. named: run -> its configuration. removed: runs that are
-    gone.
+    rows: run -> column -> value, whole rows. removed: runs that are gone.
     """
 
     version: int
     rows: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    named: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
 
 
@@ -61,11 +56,7 @@ class WatchedStore:
         self._pending: list[pd.DataFrame] = []  # newer rows that are not in the frame yet
         self._rows: dict[str, dict[str, Any]] = {}
         self._changed: dict[str, int] = {}  # run -> version in which its row changed last
-        self._renamed: dict[str, int] = {}
         self._removed: dict[str, int] = {}
-        self._names: dict[str, dict[str, Any]] = {}
-        self._names_wanted = bool(len(self._frame))
-        self._names_after = 0.0  # time.monotonic() from which they may be made again
         self._version = 0
         self._looked = time.monotonic()
         self._alive = set(self._frame.loc[self._frame["state"] == "running", "run_id"]) if len(self._frame) else set()
@@ -77,12 +68,11 @@ class WatchedStore:
             return Changes(
                 self._version,
                 {run: self._rows[run] for run, version in self._changed.items() if version > since},
-                {run: self._names[run] for run, version in self._renamed.items() if version > since},
                 tuple(run for run, version in self._removed.items() if version > since),
             )
 
     def frame(self) -> tuple[int, pd.DataFrame]:
-        """The version, and the table of all runs as `load.runs` gives it, with configurations as far as named.
+        """The version, and the table of all runs as `load.runs` gives it, with the names of their configurations.
 
         An empty store gives an empty table.
         """
@@ -90,38 +80,15 @@ class WatchedStore:
             self._look()
             frame = self._raw()
             version = self._version
-            names = self._names
         if frame.empty:
             return version, frame
-        frame = content.described(completed(frame.copy()))
-        frame["configuration"] = [names.get(run, {}).get("configuration") for run in frame["run_id"]]
-        return version, frame
+        return version, content.named(content.described(completed(frame.copy())))
 
     def path(self, run: str) -> Path:
         """The folder of a run. ValueError for a name that is none of the store's."""
         if run not in self._stamps:
             raise ValueError(f"{run:.100}: no such run")
         return self.folder / run
-
-    def name_configurations(self) -> bool:
-        """Names the configurations anew if finished runs have come, and not too often. Returns whether it did."""
-        with self._lock:
-            if not self._names_wanted or time.monotonic() < self._names_after:
-                return False
-            self._names_wanted = False
-        start = time.monotonic()
-        _, frame = self.frame()
-        named = content.named(frame) if len(frame) else frame
-        rows = named[["run_id", "configuration"]].to_dict("records") if len(frame) else []
-        with self._lock:
-            self._names_after = time.monotonic() + (time.monotonic() - start) / NAMES_SHARE
-            new = {row.pop("run_id"): {key: plain(value) for key, value in row.items()} for row in rows}
-            different = [run for run, own in new.items() if self._names.get(run) != own]
-            if different:
-                self._version += 1
-                self._renamed |= dict.fromkeys(different, self._version)
-                self._names = new
-        return bool(different)
 
     def _raw(self) -> pd.DataFrame:
         if self._pending or self._removed.keys() & set(self._frame.get("run_id", ())):
@@ -151,7 +118,6 @@ class WatchedStore:
         self._changed |= dict.fromkeys(different, self._version)
         if different:
             self._pending.append(frame[frame["run_id"].isin(different)])
-            self._names_wanted = True
         for run in different:
             self._removed.pop(run, None)
             self._alive.discard(run)
@@ -159,7 +125,7 @@ class WatchedStore:
                 self._alive.add(run)
         for run in gone:
             self._removed[run] = self._version
-            for known in (self._rows, self._changed, self._names, self._renamed):
+            for known in (self._rows, self._changed):
                 known.pop(run, None)
             self._alive.discard(run)
 

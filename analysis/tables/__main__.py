@@ -47,10 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help=f"columns to show; default: the metrics that the runs have, of {', '.join(METRICS)}",
     )
     parser.add_argument("--metric", default="psnr", help="column that ranks the runs; default: %(default)s")
-    parser.add_argument(
-        "--baseline",
-        metavar="KEY=VALUE,...",
-        help="compare each row with this one: the difference with its interval, and the verdict: better, worse, "
+    command.add_baseline(
+        parser,
+        "compare each row with this one: the difference with its interval, and the verdict: better, worse, "
         "equivalent or undecided",
     )
     parser.add_argument(

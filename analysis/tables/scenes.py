@@ -45,8 +45,9 @@ def compared(
     least = within_of(metric, within)
     verdicts, notes = against(selection.runs, rows, keys, baseline, metric, least)
     lines: list[Compared] = []
-    for configuration, members in keys.groupby(others, dropna=False, sort=False):
-        name = label(configuration)
+    telling = [key for key in others if keys[key].nunique(dropna=False) > 1] or others
+    for _, members in keys.groupby(others, dropna=False, sort=False):
+        name = label(tuple(keys.loc[members.index[0], telling]))
         found = {label(tuple(keys.loc[n, scenes])): verdicts[n] for n in members.index if verdicts[n] is not None}
         lines += [Compared(name, scene, verdict) for scene, verdict in found.items()]
         own = [verdict for verdict in found.values() if verdict.freedom]

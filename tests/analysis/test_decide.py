@@ -137,10 +137,31 @@ def test_several_candidates_race(trainings, tmp_path):
     assert max(len(seeds) for overrides, seeds in trainings if "x=c" in overrides) < 20
 
 
-def test_equal_time_gives_the_cheaper_side_more_steps(trainings, tmp_path, capsys):
-    decide.main(["x=a", "x=b", "--equal", "time", "--store", str(tmp_path)])
+def test_equal_time_measures_once_and_gives_the_cheaper_side_more_steps(trainings, tmp_path, monkeypatch, capsys):
+    asked = ["x=a", "x=b", "--equal", "time", "--store", str(tmp_path)]
+    stop = iter([False, False, True])  # killed after both were measured
+
+    def train(overrides, seeds):
+        if next(stop, False):
+            raise KeyboardInterrupt
+        trainings.append((overrides, list(seeds)))
+
+    monkeypatch.setattr(decide, "train", train)
+    with pytest.raises(KeyboardInterrupt):
+        decide.main(asked)
     assert "x=a: 10.0 ms of CPU a step, so 200 steps" in capsys.readouterr().out
+    decide.main(asked)
+    assert "ms of CPU" not in capsys.readouterr().out
     assert any("train.steps=200" in overrides for overrides, _ in trainings)
+    assert set(records(tmp_path)["steps"]) == {"x=a 200, x=b 100"}
+
+
+def test_scenes_are_named_by_their_folders(trainings, tmp_path):
+    question = ["x=a", "x=b", "--store", str(tmp_path), "--scene", "scene=llff scene.path=/data/fern scene.width=64"]
+    decide.main([*question, "--scene", "scene=room"])
+    assert set(records(tmp_path)["comparison"]) == {"fern: x=b", "room: x=b"}
+    with pytest.raises(ValueError, match="scenes of different names, got fern, fern"):
+        decide.main([*question, "--scene", "scene.path=other/fern"])
 
 
 def test_mistakes_are_named(tmp_path, capsys):

@@ -43,7 +43,6 @@ def test_every_page(mixed_store, tmp_path):
     report([str(mixed_store), "--out", str(tmp_path / "page.html")])
     assert (tmp_path / "page.html").stat().st_size > 10_000
     live = Answers(WatchedStore(mixed_store))
-    live.store.name_configurations()
     assert live.page()["data"]["total"] == len(load.runs(mixed_store))
     assert live.differences("", "", "", "psnr").rows
     pack([str(mixed_store), str(tmp_path / "packed")])
