@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from qnerf.config.registry import Registry
 from qnerf.kernels import is_transformed
+from qnerf.kernels.derivatives import clamped
 
 DENSITY_ACTIVATIONS: Registry[Tensor] = Registry("density.activation")
 COLOR_ACTIVATIONS: Registry[Tensor] = Registry("color.activation")
@@ -44,7 +45,7 @@ def trunc_exp_reference(x: Tensor) -> Tensor:
     """`trunc_exp` made of PyTorch's own operations: beyond the bounds a straight line through the value."""
     at = x.detach()
     line = at.exp() + at.clamp(-_BOUND, _BOUND).exp() * (x - at).nan_to_num()  # infinity less infinity is 0 here
-    return torch.where(at.abs() > _BOUND, line, x.clamp(-_BOUND, _BOUND).exp())
+    return torch.where(at.abs() > _BOUND, line, clamped(x, -_BOUND, _BOUND).exp())
 
 
 @DENSITY_ACTIVATIONS.register("softplus")

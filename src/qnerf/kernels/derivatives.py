@@ -1,6 +1,7 @@
-"""What a compiled loop's backward pass does when its results are differentiated again."""
+"""What a compiled loop's backward pass does when its results are differentiated again; derivatives at bounds."""
 
 from collections.abc import Callable, Sequence
+from math import inf
 
 import torch
 from torch import Tensor
@@ -16,6 +17,12 @@ def is_differentiated(*upstream: Tensor) -> bool:
     if torch.is_grad_enabled() or is_transformed(*upstream):
         return True
     return not torch.compiler.is_compiling() and any(map(torch._C._functorch.is_legacy_batchedtensor, upstream))
+
+
+def clamped(x: Tensor, low: float = -inf, high: float = inf) -> Tensor:
+    """x.clamp(low, high), with the derivative 1 at the bounds. PyTorch's own has 1 there up to version 2.13, then 0."""
+    x = x if high == inf else torch.where(x > high, high, x)
+    return x if low == -inf else torch.where(x < low, low, x)
 
 
 def through_reference(

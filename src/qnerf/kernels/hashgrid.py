@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.derivatives import is_differentiated, through_reference
+from qnerf.kernels.derivatives import clamped, is_differentiated, through_reference
 from qnerf.kernels.dispatch import is_transformed, serves
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import (
@@ -77,7 +77,7 @@ def hash_encode_reference(points: Tensor, table: Tensor, resolutions: Tensor, de
     check(points, table, resolutions)
     levels, size, _ = table.shape
     resolution = resolutions.to(points.device)[:, None, None]  # (L, 1, 1)
-    scaled = points.clamp(0, 1).double() * resolution  # (L, N, 3), exact where points are float32
+    scaled = clamped(points, 0.0, 1.0).double() * resolution  # (L, N, 3), exact where points are float32
     cell = torch.minimum(scaled.detach().nan_to_num(nan=0.0).long(), resolution - 1)
     high = (scaled - cell).to(points.dtype)
     low = 1 - high

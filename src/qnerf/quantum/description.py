@@ -149,7 +149,7 @@ class Circuit:
         sublayers: L, the sublayers of each of the S + 1 trainable blocks, where there are `Rotations`. Their angles are
             `weights1` (S, L, n, 3) and `weights2` (L, n, 3). One after the other they are (rows, n, 3), with the row
             r = block * L + sublayer.
-        operations: in the order in which they act on |0...0>.
+        operations: in the order in which they act on `|0...0>`.
         observables: at least one. A Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities`
             of k wires are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
         features: length of the input; by default n. Lists may stand for tuples.

@@ -22,7 +22,7 @@ WHOLE = ("seed", "train.steps")
 def track(
     config: Mapping[str, Any], *, name: str, store: str | Path = DEFAULT, force: bool = False
 ) -> "Iterator[Tracked]":
-    """A run that logs, saves and resumes a loop of your own.
+    """A run that logs, saves and resumes a loop of your own::
 
         with qnerf.track({"scene": "digits", "seed": 0, "lr": 1e-3}, name="mine") as run:
             if run.state is not None:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from qnerf.kernels.derivatives import is_differentiated, through_reference
+from qnerf.kernels.derivatives import clamped, is_differentiated, through_reference
 from qnerf.kernels.dispatch import is_transformed
 from qnerf.rendering.background import background_color
 from qnerf.types import Rendering, Samples
@@ -82,7 +82,7 @@ def color_shares(weights: Tensor, background: str) -> Tensor:
     """
     if background != "last_sample":
         return weights
-    rest = 1 - weights.sum(-1, keepdim=True).clamp(max=1)
+    rest = 1 - clamped(weights.sum(-1, keepdim=True), high=1.0)
     return torch.cat([weights[:, :-1], weights[:, -1:] + rest], dim=-1)
 
 
@@ -116,7 +116,7 @@ def render(
     Raises:
         ValueError: an unknown background, or a random one without a generator.
     """
-    accumulation = weights.sum(-1).clamp(max=1)
+    accumulation = clamped(weights.sum(-1), high=1.0)
     behind = background_color(background, weights, generator)
     if shares is None:
         shares = color_shares(weights, background)
