@@ -1,4 +1,4 @@
-"""The site: `python -m sphinx -W -c docs . site` renders the pages as they are; its contents are in toc.yml."""
+"""The site: `sphinx-build -W -c docs . site` renders the pages as they are; its contents are in toc.yml."""
 
 project = "qnerf"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_external_toc"]
