@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from qnerf.analysis.figures import FIGURES, ladder_points
 
-from tests.helpers import commands, options, quotes
+from tests.helpers import commands, quotes
 from tests.helpers.configs import ROOT
 
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
@@ -129,10 +129,6 @@ def ladder_cell(row) -> str:
     return f"{row.step_ms:.0f} ms, {psnr}" + (f", {row.image_error:.1e}" if row.kind == "same weights" else "")
 
 
-def test_the_page_of_options_is_made_from_the_configuration():
-    assert options.PAGE.read_text().partition(options.MARK)[2].strip() == options.made().strip()
-
-
 def test_what_documents_link_to_is_there():
     for file in DOCUMENTS:
         for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#([^)\s]+))?\)", file.read_text()):
@@ -160,6 +156,13 @@ def test_every_sweep_and_every_figure_is_named():
     for path in (ROOT / "sweeps").glob("*.yaml"):
         assert f"`{path.stem}`" in sweeps, path.stem
     assert [name for name in FIGURES if f"`{name}`" not in figures] == []
+
+
+def test_every_choice_of_a_group_is_named():
+    page = (ROOT / "docs" / "configuration.md").read_text()
+    for path in (ROOT / "conf").glob("*/*.yaml"):
+        if path.stem != "base":
+            assert f"`{path.stem}`" in page, path
 
 
 def test_the_readme_is_short():
