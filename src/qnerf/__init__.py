@@ -4,12 +4,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from qnerf.cli.python import load, run, runs, sweep
     from qnerf.quantum import QuantumLayer, from_qnode
     from qnerf.records.track import track
 
 __version__ = "0.1.0"
-__all__ = ["QuantumLayer", "from_qnode", "track"]
-_MODULES = {"QuantumLayer": "qnerf.quantum", "from_qnode": "qnerf.quantum", "track": "qnerf.records.track"}
+__all__ = ["QuantumLayer", "from_qnode", "load", "run", "runs", "sweep", "track"]
+_MODULES = {
+    "QuantumLayer": "qnerf.quantum",
+    "from_qnode": "qnerf.quantum",
+    "track": "qnerf.records.track",
+    **dict.fromkeys(("load", "run", "runs", "sweep"), "qnerf.cli.python"),
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -132,6 +132,10 @@ Unpromising = Callable[[Path, int, Measures], bool]
 """Whether to give a run up, from its folder, the step and the means of its evaluation."""
 
 
+def never(path: Path, step: int, measured: Measures) -> bool:
+    return False
+
+
 Task = FieldTask | SignalTask
 """What a run trains on, what it trains, how a step's loss is computed, and how the result is judged."""
 
@@ -142,7 +146,7 @@ def run(
     display: Display | None = None,
     stopping: Callable[[], bool] = lambda: False,
     name: str | None = None,
-    unpromising: Unpromising = lambda path, step, measured: False,
+    unpromising: Unpromising = never,
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
@@ -258,8 +262,7 @@ class _Course:
         finally:
             self.display.end()
         if not self.trainer.done or measured is None:
-            where = f"at step {self.trainer.step} of {steps}"
-            return _stop(self.record, where, self.pruned, self.settings.run.force)
+            return _stop(self.record, self.trainer.step, steps, self.pruned, self.settings.run.force)
         path = self.record.dir
         self.record.finish(measured | self.timings() | logged_times(path) | {"loops": dispatch.described(aside)})
         return Outcome(self.record.run_id, path, "finished", read_summary(path), "")
@@ -323,15 +326,16 @@ class _Course:
         }
 
 
-def _stop(record: Run, where: str, pruned: bool, force: bool) -> Outcome:
+def _stop(record: Run, step: int, steps: int, pruned: bool, force: bool) -> Outcome:
     """Ends a run that is not finished."""
+    where = f"at step {step} of {steps}"
     if pruned:
         record.write_summary({"stopped": PRUNED})
         message = f"pruned {where}: finished runs were better by then"
     else:
         command = "the same command without run.force=true" if force else "the same command"
         message = f"stopped {where}; {command} continues from there"
-    record.interrupt()
+    record.interrupt(step)
     return Outcome(record.run_id, record.dir, PRUNED if pruned else "interrupted", read_summary(record.dir), message)
 
 

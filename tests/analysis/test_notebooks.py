@@ -8,13 +8,14 @@ nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
 nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
 
 FOLDER = ROOT / "analysis" / "notebooks"
-DRAWN = {"pandas": 1, "capacity": 2, "your_sweep": 2}
-"""Notebook -> number of figures in it."""
+DRAWN = {"pandas": 1, "capacity": 2, "your_sweep": 2, "train": 1}
+"""Notebook -> number of pictures in it."""
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_a_notebook_runs_and_draws_its_figures(name, mixed_store, monkeypatch):
+def test_a_notebook_runs_and_draws_its_pictures(name, mixed_store, monkeypatch):
     monkeypatch.setenv("QNERF_STORE", str(mixed_store))
+    monkeypatch.setenv("QNERF_STEPS", "3")
     book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in book.cells)  # a repository keeps what a person wrote
     nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(FOLDER)}}).execute()

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -17,6 +16,7 @@ from qnerf.cli import launch, sweep_start
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import Output, stoppable
 from qnerf.cli.sweep import Sweep
+from qnerf.cli.training import train
 from qnerf.experiment import Outcome
 from qnerf.records import Run, RunStore, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
@@ -165,18 +165,14 @@ def test_a_cluster_does_not_wait_and_says_what_is_left(tmp_path, capsys):
 
 @pytest.mark.parametrize(("restarts", "calls"), [(None, 1), ("1", 3)])
 def test_a_restarted_job_waits_for_the_heartbeat_of_the_one_that_died(monkeypatch, tmp_path, config, restarts, calls):
-    summary = {"eval_views": 1, "psnr": 20.0, "ssim": 0.5, "params.total": 10, "train_s": 1.0, "step_ms": 1.0}
-    outcomes = [Outcome("run", tmp_path, state, summary, "") for state in ("busy", "busy", "finished")]
+    outcomes = [Outcome("run", tmp_path, state, {}, "") for state in ("busy", "busy", "finished")]
     done: list[Outcome] = []
     monkeypatch.setattr(experiment, "run", lambda *_, **__: done.append(outcomes[len(done)]) or done[-1])
-    monkeypatch.setattr(launch, "RETRY", 0.0)
-    runtime = SimpleNamespace(choices={"hydra/sweeper": "basic"})
-    own = SimpleNamespace(overrides=SimpleNamespace(task=[]), runtime=runtime, job=SimpleNamespace(num=0))
-    monkeypatch.setattr(launch.HydraConfig, "get", lambda: own)
+    monkeypatch.setattr("qnerf.cli.training.RETRY", 0.0)
     monkeypatch.delenv("SLURM_RESTART_COUNT", raising=False)
     if restarts:
         monkeypatch.setenv("SLURM_RESTART_COUNT", restarts)
-    launch._train(launch.OmegaConf.create(config()), "", Sweep(tmp_path))
+    train(config(), [], experiment.Display())
     assert len(done) == calls
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -15,6 +14,7 @@ from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from qnerf.cli import plugins as plugin_modules
 from qnerf.cli.errors import one_line
 from qnerf.cli.resolvers import HYDRA
 from qnerf.config.folders import CONF, SWEEPS
@@ -172,8 +172,31 @@ def plugins(overrides: Iterable[str]) -> list[str]:
     return names
 
 
-def message(error: Exception) -> str:
-    """Hydra's error about a configuration that cannot be composed, on one line."""
+def configuration(overrides: Sequence[str]) -> dict[str, Any]:
+    """The resolved configuration that these overrides give on the command line; imports the plugins that it names.
+
+    Raises:
+        ValueError: a choice or an option that does not exist, an option without a value.
+    """
+    own = [translated(override) for override in overrides]
+    for override in own:
+        if override.lstrip("+~").startswith("hydra"):
+            raise ValueError(f"{override}: options of Hydra are for the command line, qnerf run")
+        _check_choice(override, parse(override))
+    plugin_modules.load(plugins(own))
+    try:
+        with hydra.initialize_config_dir(str(CONF), **HYDRA):
+            composed = hydra.compose("config", own)
+        resolved: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    except HydraException as error:
+        raise ValueError(message(error, own)) from error
+    except OmegaConfBaseException as error:
+        raise ValueError(one_line(error)) from error
+    return resolved
+
+
+def message(error: Exception, typed: Sequence[str]) -> str:
+    """Hydra's error about a configuration that cannot be composed from what the user typed, on one line."""
     if isinstance(error, MissingConfigException):
         group, _, name = str(error.missing_cfg_file).rpartition("/")
         known = _suggested(name, list(error.options)) if error.options else "; --sweep NAME lists the sweeps"
@@ -185,19 +208,18 @@ def message(error: Exception) -> str:
         )
     unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
     if unknown:
-        return unknown_option(unknown[1])
+        return unknown_option(unknown[1], _composed(typed))
     cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
     return one_line(error).partition(" See https://hydra.cc")[0] + cause
 
 
-def unknown_option(name: str, config: DictConfig | None = None) -> str:
-    """What to type instead of an option that the configuration does not have. None: that of the command line."""
+def unknown_option(name: str, config: DictConfig | None) -> str:
+    """What to type instead of an option that the configuration does not have."""
     if name == "head":
         scenes = [path.stem for path in (CONF / "scene").glob("*.yaml") if "/head" in path.read_text()]
         return (
             f"head: only scenes with one head have it, {', '.join(sorted(scenes))}; others: density=... and color=..."
         )
-    config = config if config is not None else _composed(sys.argv[1:])
     if config is None or OmegaConf.select(config, name) is not None:
         return f"unknown option {name} with these choices"
     group = name.rpartition(".")[0]

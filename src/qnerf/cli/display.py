@@ -65,16 +65,20 @@ class LiveDisplay(Display):
             self.note(f"evaluating {name.removeprefix('evaluate 1 of ')}")
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
+        status = self.status(metrics)
+        self.progress.update(self.task, completed=step, status=status)
+        if self.progress.disable and step % self.every == 0:
+            self.note(f"step {step}/{self.steps}  {duration(time.monotonic() - self.started)}  {status}")
+
+    def status(self, metrics: Mapping[str, float]) -> str:
+        """Loss, PSNR, rate and the last held-out value."""
         values = [
             f"{metric_of(key).label} {metric_of(key).with_unit(metrics[f'train/{key}'])}"
             for key in ("loss", "psnr")
             if f"train/{key}" in metrics
         ]
         parts = [*values, f"{1e3 / metrics['time/step_ms']:.1f} steps/s", self.held_out_text]
-        status = "  ".join(filter(None, parts))
-        self.progress.update(self.task, completed=step, status=status)
-        if self.progress.disable and step % self.every == 0:
-            self.note(f"step {step}/{self.steps}  {duration(time.monotonic() - self.started)}  {status}")
+        return "  ".join(filter(None, parts))
 
     def held_out(self, step: int, metric: str, value: float | str | None, views: str) -> None:
         item = metric_of(metric)
@@ -110,17 +114,19 @@ def described(config: Mapping[str, Any], parameters: Mapping[str, int], defaults
     return lines | {"changed": text}
 
 
-def print_outcome(console: Console, outcome: Outcome, prefix: str = "") -> None:
+def print_outcome(console: Console, outcome: Outcome, prefix: str = "", brief: bool = False) -> None:
     """Prints a short table: quality on the held-out views, parameters of each part, training time, the run's folder.
 
-    That a run was interrupted goes to standard error, behind `prefix`.
+    That a run was interrupted goes to standard error, behind `prefix`. brief: no table of a run that was finished
+    before.
     """
     if outcome.state == "interrupted":
         print(prefix + printable(outcome.message), file=sys.stderr)
     elif outcome.message:
         console.print(outcome.message, highlight=False, markup=False, soft_wrap=True)
     summary = outcome.summary
-    if outcome.state != "finished":  # evaluations during training are not the result
+    # Evaluations during training are not the result.
+    if outcome.state != "finished" or (brief and outcome.message):
         return
     if missing := [
         key for key in ("eval_views", "params.total", "train_s", "step_ms") if not is_number(summary.get(key))

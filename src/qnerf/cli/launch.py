@@ -8,7 +8,6 @@ import logging
 import os
 import re
 import sys
-import time
 import traceback
 import warnings
 from functools import partial
@@ -26,17 +25,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from qnerf.building.acting import complete, without_effect
+from qnerf.building.acting import complete
 from qnerf.cli import compose, ends, plugins
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import FAILED, INTERRUPTED
 from qnerf.cli.errors import is_known, one_line, report
 from qnerf.cli.resolvers import HYDRA
-from qnerf.cli.sweep import RETRY, Sweep
+from qnerf.cli.sweep import Sweep
 from qnerf.config.folders import CONF
 from qnerf.records import state
-
-PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
 
 # The plugins' schemas have the names of the files in conf/hydra/launcher. Hydra warns that matching them is deprecated.
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
@@ -110,7 +107,7 @@ def _stopping(sweep: Sweep | None) -> bool:
 
 def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.cli.display import LiveDisplay, print_outcome
-    from qnerf.experiment import run
+    from qnerf.cli.training import note_without_effect, train
 
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     own = HydraConfig.get()
@@ -122,21 +119,11 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     elif sweep is not None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     plugins.load(config["plugins"])  # a launcher's process has not imported them
-    if sweep is None and (idle := without_effect(config, overrides)):  # a sweep has said so in its first line
-        print(f"note: no effect with the chosen components: {', '.join(idle)}", file=sys.stderr)
-    config["threads"] = config["threads"] or _threads_of_slurm()
+    if sweep is None:  # a sweep has said so in its first line
+        note_without_effect(config, overrides)
     display = LiveDisplay(console, config["run"]["progress"], _defaults(overrides) if sweep is None else None)
-    train = partial(
-        run, config, overrides, display, partial(_stopping, sweep), unpromising=_judge(sweep, config["store"])
-    )
-    outcome = train()
-    # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
-    deadline = time.monotonic() + (PATIENCE if "SLURM_RESTART_COUNT" in os.environ else 0)
-    while outcome.state == "busy" and time.monotonic() < deadline:
-        display.note(f"{outcome.message}; waiting for its heartbeat to stop")
-        time.sleep(RETRY)
-        outcome = train()
-    print_outcome(console, outcome, prefix)
+    outcome = train(config, overrides, display, partial(_stopping, sweep), _judge(sweep, config["store"]))
+    print_outcome(console, outcome, prefix, brief=sweep is not None)
     if outcome.state == "busy" and sweep is not None:
         sweep.busy(own.job.num, overrides, outcome.path)
     elif outcome.state == "busy":
@@ -152,21 +139,13 @@ def _show_warnings() -> None:
     log.setLevel(logging.WARNING)
 
 
-def _threads_of_slurm() -> int | None:
-    cpus = os.environ.get("SLURM_CPUS_PER_TASK")
-    if cpus is not None and not re.fullmatch("[0-9]{1,9}", cpus):
-        raise ValueError(f"SLURM_CPUS_PER_TASK must be a whole number, got {cpus!r}")
-    return int(cpus) if cpus else None
-
-
 def _judge(sweep: Sweep | None, store: str) -> Any:
-    """What a job of a search gives up by; any other run is never given up."""
+    """What a job of a search gives up by; None: any other run is never given up."""
     if sweep is not None and HydraConfig.get().runtime.choices["hydra/sweeper"] == "qnerf_optuna":
         from qnerf.cli.search import judge
 
-        if (found := judge(sweep.folder, Path(store))) is not None:
-            return found
-    return lambda path, step, measured: False
+        return judge(sweep.folder, Path(store))
+    return None
 
 
 def _defaults(overrides: list[str]) -> Any:
@@ -242,7 +221,7 @@ def _without_cfg(arguments: list[str]) -> list[str]:
 def _not_launched(error: Exception) -> int:
     """Prints why Hydra could not compose a configuration or a launcher ended early; returns the exit code."""
     if isinstance(error, HydraException):
-        return report(ValueError(compose.message(error)))
+        return report(ValueError(compose.message(error, sys.argv[1:])))
     if _jobs or not isinstance(error, (ValueError, OSError, OmegaConfBaseException)):
         # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
         print(f"error: the sweep ended early; the same command continues it: {one_line(error)}", file=sys.stderr)

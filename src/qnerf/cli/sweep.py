@@ -18,12 +18,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
@@ -101,42 +102,16 @@ class Grid(BasicSweeper):
     def sweep(self, arguments: list[str]) -> Any:
         parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
         parsed = parser.parse_overrides([*self._parse_config(), *arguments])
-        count = 1
-        for override in parsed:
-            if override.is_discrete_sweep():
-                count *= sum(1 for _, _ in zip(range(MAX_JOBS + 1), override.sweep_string_iterator(), strict=False))
-            if not 0 < count <= MAX_JOBS:
-                reason = f"more than {MAX_JOBS} jobs" if count else "an empty list of values, so there is no job"
-                raise ValueError(f"{override.input_line}: {reason}")
-        self._announce(self.split_arguments(parsed, None)[0])
+        count = check_count(parsed)
+        composer = Composer(self.hydra_context.config_loader, self.config)
+        announce(self.split_arguments(parsed, None)[0], composer.configuration)
         returned = super().sweep(arguments)
         if "submitit" not in self.config.hydra.runtime.choices["hydra/launcher"]:
             self._go_back(Sweep(self.config.hydra.sweep.dir), count)
         return returned
 
     def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
-        """Nothing: `_announce` has composed the jobs."""
-
-    def _announce(self, batch: Sequence[Sequence[str]]) -> None:
-        """Composes the jobs, and says in one line what they are."""
-        composer = Composer(self.hydra_context.config_loader, self.config)
-        different: set[str] = set()
-        idle: dict[str, bool] = {}  # option -> whether it acts in none of the jobs
-        for overrides in batch[:COUNTED]:
-            config = composer.configuration(overrides)
-            try:
-                different.add(json.dumps(acting(config), sort_keys=True))
-                without = without_effect(config, overrides)
-            except ValueError:  # the job will say so
-                different.add(json.dumps(list(overrides)))
-                continue
-            for override in overrides:
-                option = override.partition("=")[0]
-                idle[option] = idle.get(option, True) and override in without
-        if len(batch) <= COUNTED:
-            print(f"{_count(len(batch), 'job')}, {_count(len(different), 'different run')}", flush=True)
-            if names := [option for option, without_any in idle.items() if without_any]:
-                print(f"note: no effect in any job: {', '.join(names)}", file=sys.stderr)
+        """Nothing: `announce` has composed the jobs."""
 
     def _go_back(self, sweep: Sweep, number: int) -> None:
         """Trains the runs that other processes had, as soon as these processes are dead; leaves what they finish."""
@@ -157,6 +132,44 @@ class Grid(BasicSweeper):
                     print(f"waiting for runs that other processes train: {names}", flush=True)
                 told = True
                 time.sleep(RETRY)
+
+
+def check_count(parsed: Sequence[Override]) -> int:
+    """The number of jobs of a sweep; ValueError for no job, or for more than `MAX_JOBS`."""
+    count = 1
+    for override in parsed:
+        if override.is_discrete_sweep():
+            count *= sum(1 for _, _ in zip(range(MAX_JOBS + 1), override.sweep_string_iterator(), strict=False))
+        elif override.is_sweep_override():
+            raise ValueError(f"{override.input_line}: an interval needs a search, hydra/sweeper=qnerf_optuna")
+        if not 0 < count <= MAX_JOBS:
+            reason = f"more than {MAX_JOBS} jobs" if count else "an empty list of values, so there is no job"
+            raise ValueError(f"{override.input_line}: {reason}")
+    return count
+
+
+def announce(jobs: Sequence[Sequence[str]], configuration: Callable[[Sequence[str]], Mapping[str, Any]]) -> None:
+    """Composes the jobs, and says in one line what they are.
+
+    configuration: the configuration that the overrides of a job give.
+    """
+    different: set[str] = set()
+    idle: dict[str, bool] = {}  # option -> whether it acts in none of the jobs
+    for overrides in jobs[:COUNTED]:
+        config = configuration(overrides)
+        try:
+            different.add(json.dumps(acting(config), sort_keys=True))
+            without = without_effect(config, overrides)
+        except ValueError:  # the job will say so
+            different.add(json.dumps(list(overrides)))
+            continue
+        for override in overrides:
+            option = override.partition("=")[0]
+            idle[option] = idle.get(option, True) and override in without
+    if len(jobs) <= COUNTED:
+        print(f"{_count(len(jobs), 'job')}, {_count(len(different), 'different run')}", flush=True)
+        if names := [option for option, without_any in idle.items() if without_any]:
+            print(f"note: no effect in any job: {', '.join(names)}", file=sys.stderr)
 
 
 def writer(run: Path) -> str:

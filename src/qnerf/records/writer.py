@@ -263,7 +263,9 @@ class Run:
     def fail(self, error: str) -> None:
         self._end("failed", " ".join(error.split()))
 
-    def interrupt(self) -> None:
+    def interrupt(self, step: int | None = None) -> None:
+        """step: of the last checkpoint, if it is later than the last row."""
+        self._step = max(self._step, step or 0)
         self._end("interrupted", None)
 
     def __enter__(self) -> "Run":

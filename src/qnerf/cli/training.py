@@ -1,0 +1,51 @@
+"""One training, as `qnerf run`, a job of a sweep and `qnerf.run` start it."""
+
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from qnerf import experiment
+from qnerf.building.acting import without_effect
+from qnerf.cli.sweep import RETRY
+from qnerf.experiment import Display, Outcome, Unpromising, never
+
+PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
+
+
+def train(
+    config: Mapping[str, Any],
+    overrides: Sequence[str],
+    display: Display,
+    stopping: Callable[[], bool] = lambda: False,
+    unpromising: Unpromising | None = None,
+) -> Outcome:
+    """`qnerf.experiment.run` with what a job of Slurm needs: its threads, and patience after a restart."""
+    config = {**config, "threads": config["threads"] or _threads_of_slurm()}
+
+    def attempt() -> Outcome:
+        return experiment.run(config, overrides, display, stopping, unpromising=unpromising or never)
+
+    outcome = attempt()
+    # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
+    deadline = time.monotonic() + (PATIENCE if "SLURM_RESTART_COUNT" in os.environ else 0)
+    while outcome.state == "busy" and time.monotonic() < deadline:
+        display.note(f"{outcome.message}; waiting for its heartbeat to stop")
+        time.sleep(RETRY)
+        outcome = attempt()
+    return outcome
+
+
+def note_without_effect(config: Mapping[str, Any], overrides: Sequence[str]) -> None:
+    """Names the options that the user typed and that change nothing."""
+    if idle := without_effect(config, overrides):
+        print(f"note: no effect with the chosen components: {', '.join(idle)}", file=sys.stderr)
+
+
+def _threads_of_slurm() -> int | None:
+    cpus = os.environ.get("SLURM_CPUS_PER_TASK")
+    if cpus is not None and not re.fullmatch("[0-9]{1,9}", cpus):
+        raise ValueError(f"SLURM_CPUS_PER_TASK must be a whole number, got {cpus!r}")
+    return int(cpus) if cpus else None

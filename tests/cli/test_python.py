@@ -1,0 +1,85 @@
+"""`qnerf.run` and its siblings: the command line without a command line."""
+
+import base64
+import sys
+
+import numpy as np
+import pytest
+
+import qnerf as package
+from qnerf.cli import python
+
+
+def test_run_trains_and_gives_a_run_that_shows_itself(small, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "exit", pytest.fail)
+    trained = package.run(*small)
+    assert "changed" in capsys.readouterr().out
+    assert trained.state == "finished"
+    assert trained.summary["steps"] == 2
+    assert trained.summary["psnr"] == pytest.approx(trained.eval()["psnr"].mean())
+    assert {"train/loss", "train/psnr"} <= set(trained.metrics()["key"])
+    assert sum(p.numel() for p in trained.model.parameters()) == trained.summary["params.total"]
+    picture = trained.render(0)
+    assert picture.size == tuple(trained.trained.scene.cameras.all_sizes[0].tolist())
+    assert np.asarray(picture).std() > 0
+    shown = trained._repr_html_()
+    assert trained.id in shown
+    assert "PSNR" in shown
+    assert base64.b64encode(trained.pictures()[0].read_bytes()).decode() in shown
+    assert package.load(trained.id[-5:], store=str(tmp_path / "runs")).path == trained.path
+    with pytest.raises(ValueError, match="expected the number of a view from 0"):
+        trained.render(99)
+
+
+def test_run_has_the_id_and_the_results_of_the_command(small, qnerf, tmp_path):
+    trained = package.run(*small)
+    done = qnerf("run", *small)
+    assert done.code == 0
+    assert f"{trained.id}" in done.out
+    assert "finished already" in done.out or "is finished" in done.out
+    assert [path.name for path in (tmp_path / "runs").glob("[!.]*")] == [trained.id]
+
+
+def test_sweep_trains_every_combination_and_leaves_out_what_fails(small, tmp_path, capsys):
+    trained = package.sweep(*small, "seed=0,1", "render.far=1000.0,0.01")
+    shown = capsys.readouterr()
+    assert "4 jobs, 4 different runs" in shown.out
+    assert [run.summary["seed"] for run in trained] == [0, 1]
+    assert shown.err.count("error: ") == 2
+    listed = package.runs("state=finished seed=1", store=str(tmp_path / "runs"))
+    assert list(listed["run_id"]) == [trained[1].id]
+
+
+def test_mistakes_are_one_line(small, tmp_path):
+    wrong = {
+        "feild=qcolor": "did you mean field",
+        "train.step=3": "did you mean train.steps",
+        "field=nonsense": "known: ",
+        "seed=0,1": "use qnerf.sweep",
+        "hydra/launcher=joblib": "for the command line",
+        "train.steps=0": "train.steps must be",
+    }
+    for override, message in wrong.items():
+        with pytest.raises(ValueError, match=message) as caught:
+            package.run(*small, override)
+        assert "\n" not in str(caught.value), override
+    with pytest.raises(ValueError, match="needs a search"):
+        package.sweep(*small, "train.lr=interval(0,1)")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_notebook_bar_is_replaced_not_repeated(small, monkeypatch):
+    display = pytest.importorskip("IPython.display", reason="IPython is not installed")
+    shown: list[dict] = []
+
+    class Handle:
+        def update(self, data, raw):
+            shown.append(data)
+
+    monkeypatch.setattr(display, "display", lambda *_, **__: Handle())
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    monkeypatch.setattr(python, "REFRESH", 0.0)
+    package.run(*small)
+    assert [data["text/html"].partition(">")[0] for data in shown] == [
+        f'<progress value="{step}" max="2"' for step in (1, 2)
+    ]
