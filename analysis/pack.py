@@ -17,9 +17,9 @@ from .figures.files import check_names, draw, file_name
 from .paper import PAPER_TABLES
 
 DESCRIPTION = """\
-Packs the runs of a store into small tables: runs.parquet, views.parquet, and for probed runs units.parquet and
-eval_hardware.parquet. `qnerf tables FOLDER` and most figures read the folder like a store. Pictures, curves and other
-probes are not packed: --figures draws what needs them now, --paper writes a table of the paper.
+Packs the runs of a store into small tables: runs.parquet, views.parquet, and for probed runs units.parquet,
+cost.parquet and eval_hardware.parquet. `qnerf tables FOLDER` and most figures read the folder like a store. Pictures,
+curves and other probes are not packed: --figures draws what needs them now, --paper writes a table of the paper.
 """
 
 

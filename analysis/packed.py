@@ -18,7 +18,7 @@ from qnerf.records.schemas import known_kind
 from .output import make_folder, write
 
 RUNS, VIEWS = "runs.parquet", "views.parquet"
-PROBES = ("units", "eval_hardware")
+PROBES = ("units", "cost", "eval_hardware")
 """Tables that `qnerf probe` leaves in a run's folder and that are small enough to keep."""
 _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
 """Columns about the machine that a run was done on, which are not packed."""

@@ -1,12 +1,12 @@
 """A question of docs/results: what was asked, the commands that train its runs, the tables that answer it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
 from .paper import PAPER_TABLES
-from .tables import Table, ablation, shots_and_noise, units
+from .tables import Table, ablation, resources, units
 
 QUALITY = ("psnr", "ssim", "depth_error")
 
@@ -24,17 +24,17 @@ class Question:
     """
 
     title: str
-    commands: tuple[str, ...]
-    rows: tuple[str, ...]
+    commands: Sequence[str]
+    rows: Sequence[str]
     baseline: Mapping[str, object] | None = None
     metric: str = "psnr"
     within: float | None = None
-    values: tuple[str, ...] = QUALITY
+    values: Sequence[str] = QUALITY
     failures: bool = False
     units: bool = False
     hardware: bool = False
-    paper: tuple[str, ...] = ()
-    other_baselines: tuple[Mapping[str, object], ...] = ()
+    paper: Sequence[str] = ()
+    other_baselines: Sequence[Mapping[str, object]] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
         """The tables of the question's runs, as `load.runs` gives them."""
@@ -48,7 +48,7 @@ class Question:
                     frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other, within=self.within
                 )
             )
-        wanted = ((self.units, units), (self.hardware, shots_and_noise))
+        wanted = ((self.units, units), (self.hardware, resources))
         tables += [make(frame, self.rows) for wants, make in wanted if wants]
         return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
 

@@ -1,21 +1,22 @@
 """The pages of results: docs/results/NAME/README.md for each question, and docs/results.md, which lists them.
 
 `qnerf results docs/results` writes them from packed runs. `qnerf pack` packs the runs of each question into a folder of
-its own.
+its own; `questions.yaml` beside these folders has the questions.
 """
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
+import yaml  # type: ignore[import-untyped]
 
 from qnerf.metrics import metric_of, quality_metrics
+from qnerf.records.files import one_line
 from qnerf.records.printable import printable
 
 from . import command, load, output
 from .figures.files import title
 from .question import Question
-from .questions import QUESTIONS
 from .selection import SCENES, label
 from .tables import Table, stability
 from .tables.table import markdown_escape
@@ -47,21 +48,36 @@ def pages(folder: Path) -> dict[Path, str]:
     Raises:
         ValueError: there is no folder of packed runs, or one that belongs to no question.
     """
+    asked = questions(folder)
     present = {path.parent.name for path in folder.glob("*/runs.parquet")}
-    unknown = sorted(present - set(QUESTIONS))
+    unknown = sorted(present - set(asked))
     if not present or unknown:
         raise ValueError(
-            f"{folder}: expected folders of packed runs, among {', '.join(QUESTIONS)}; "
-            f"got {', '.join(unknown) or 'none'}"
+            f"{folder}: expected folders of packed runs, among {', '.join(asked)}; got {', '.join(unknown) or 'none'}"
         )
     made, lines = {}, []
-    for name, question in QUESTIONS.items():
+    for name, question in asked.items():
         if name in present:
             made[folder / name / "README.md"], said = page(folder / name, question)
             lines.append(f"| [{question.title}]({folder.name}/{name}/README.md) | {said} |")
     file = folder / "hardware.txt"
     hardware = " ".join(printable(file.read_text(), lines=True).split()) if file.is_file() else ""
     return {folder.with_suffix(".md"): INDEX.format(hardware=hardware) + "\n".join(lines) + "\n"} | made
+
+
+def questions(folder: Path) -> dict[str, Question]:
+    """The questions of questions.yaml, in its order: the name of a folder of packed runs -> its question.
+
+    Raises:
+        ValueError: there is no such file, or an entry is no `Question`.
+    """
+    file = folder / "questions.yaml"
+    if not file.is_file():
+        raise ValueError(f"{file}: expected the questions that folders of packed runs answer; there is no such file")
+    try:
+        return {name: Question(**options) for name, options in yaml.safe_load(file.read_text()).items()}
+    except (TypeError, AttributeError, yaml.YAMLError) as error:
+        raise ValueError(f"{file}: {one_line(error)}") from error
 
 
 def page(folder: Path, question: Question) -> tuple[str, str]:

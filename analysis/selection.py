@@ -22,7 +22,7 @@ QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head
 """Head -> the fields in which it is a circuit."""
 
 _SCALARS = ("experiment", "geo_features", "appearance")
-_RESULTS = ("params", "time", "run")  # first parts of dotted names that are no configuration
+_RESULTS = ("params", "time", "run", "cost")  # first parts of dotted names that are no configuration
 _RECORDED = ("scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")  # change no result
 
 
@@ -54,7 +54,9 @@ def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def configuration(frame: pd.DataFrame) -> list[str]:
     """Columns of the flat configuration that decide a result, without the seed."""
-    dotted = [name for name in frame.columns if "." in name and name.split(".")[0] not in _RESULTS]
+    dotted = [
+        name for name in frame.columns if "." in name and " @ " not in name and name.split(".")[0] not in _RESULTS
+    ]
     return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _RECORDED]
 
 

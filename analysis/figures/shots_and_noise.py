@@ -6,8 +6,8 @@ from matplotlib.figure import Figure
 from qnerf.metrics import metric_of
 
 from .. import style
-from ..condition_means import FILE, means
 from ..selection import select
+from ..tables.resources import HARDWARE, means
 from . import points
 from .probed import having, probed
 
@@ -22,10 +22,10 @@ def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
         views, then over seeds), psnr_std (over seeds; NaN for one), n (seeds measured under this condition),
         scene_name, name, field, seeds (seeds measured under any condition).
     """
-    runs = having(select(frame).runs, FILE)
+    runs = having(select(frame).runs, HARDWARE)
     parts = []
     for _, row in points.points(runs, ["psnr"]).iterrows():
-        measured = pd.concat([means(probed(runs["path"][index], FILE)) for index in row["runs"]])
+        measured = pd.concat([means(probed(runs["path"][index], HARDWARE)) for index in row["runs"]])
         groups = measured.groupby(["shots", "noise", "p"])["psnr"]
         table = pd.DataFrame({"psnr": groups.mean(), "psnr_std": groups.std(), "n": groups.size()}).reset_index()
         parts.append(table.assign(**row[["scene_name", "name", "field"]], seeds=row["n"]))

@@ -12,7 +12,7 @@ from ..decide.study import records
 from ..figures import points
 from ..figures.files import collecting
 from ..selection import classical_baseline, row_keys, select
-from ..tables import Table, ablation, smallest
+from ..tables import Table, resources, smallest
 
 MAX_ERROR = 600  # characters of an error that may list every column
 MAX_ROWS = 30  # configurations of a scene in the ablation table
@@ -57,14 +57,14 @@ def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTab
 
 
 def over_seeds(frame: pd.DataFrame, baseline: str | Mapping[str, object] | None = None) -> Table:
-    """`ablation` of the best `MAX_ROWS` configurations of each scene, by default against the classical one if any."""
+    """`resources` of the best `MAX_ROWS` configurations of each scene, by default against the classical one if any."""
     runs = select(frame).runs
     best, not_shown = points.best(runs, ["psnr"], MAX_ROWS)
     runs = runs.loc[[row for rows in best["runs"] for row in rows]]
     rows = row_keys(runs)
     with contextlib.suppress(ValueError):
         baseline = baseline or classical_baseline(runs, rows)
-    table = ablation(
+    table = resources(
         pd.concat([runs, frame[frame["state"] != "finished"]]),
         rows,
         baseline=baseline,

@@ -1,9 +1,9 @@
 """Tables over seeds, as DataFrame, Markdown, LaTeX or CSV: `qnerf tables runs --rows field,color`."""
 
 from .ablation import ablation, markdown
+from .resources import resources
 from .scenes import across_scenes
 from .seeds import over_seeds
-from .shots_and_noise import shots_and_noise
 from .smallest import smallest
 from .stability import stability
 from .table import Table

@@ -8,8 +8,8 @@ from qnerf.metrics import METRICS
 from .. import command
 from ..paper import PAPER_TABLES
 from .ablation import ablation
+from .resources import RATE, resources
 from .scenes import across_scenes
-from .shots_and_noise import shots_and_noise
 from .smallest import smallest
 from .stability import stability
 from .units import units
@@ -26,6 +26,7 @@ EXAMPLES = """\
   {} runs --rows scene_name,field --baseline field=classical --across-scenes
   {} runs --rows field,hash --smallest --within 0.5 --size step_ms
   {} runs --rows scene_name,field --stability
+  {} runs --rows scene_name,field --baseline field=classical --resources --rate 1000 --format latex
   {} runs --paper rgb --filter scene_name=poster
 """
 
@@ -69,10 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="instead: dead units and the spread of colours, of runs that `qnerf probe RUN units` probed",
     )
     parser.add_argument(
-        "--shots-and-noise",
-        "--hardware",
+        "--resources",
         action="store_true",
-        help="instead: PSNR with finite shots and noisy gates, of runs that `qnerf probe RUN shots=100` measured",
+        help="instead of all metrics: quality, parameters, time and memory, and what `qnerf probe RUN cost` and `qnerf "
+        "probe RUN shots=100 noise=...` found: gates, depth, device hours, PSNR with finite shots and noisy gates",
     )
     parser.add_argument(
         "--within",
@@ -84,6 +85,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--size",
         default="params.total",
         help="for --smallest: the column to minimise, such as step_ms; default: %(default)s",
+    )
+    parser.add_argument(
+        "--rate",
+        type=number(0, 1e12, above=True),
+        default=RATE,
+        help="for --resources: shots that a device takes in a second; default: %(default)s",
     )
     titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
     parser.add_argument(
@@ -106,8 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table = stability(frame, rows)
     elif options.units:
         table = units(frame, rows)
-    elif options.shots_and_noise:
-        table = shots_and_noise(frame, rows)
+    elif options.resources:
+        table = resources(frame, rows, baseline=options.baseline, within=options.within, rate=options.rate)
     else:
         values = options.values.split(",") if options.values else None
         table = ablation(

@@ -53,5 +53,5 @@ def mean_and_spread(name: str, mean: float, std: float, n: int, seeds: int) -> s
     if pd.isna(mean):
         return ""
     text = metric_of(name).text
-    spread = "" if name.startswith("params.") or pd.isna(std) else f" ± {text(std)}"
+    spread = "" if metric_of(name).kind == "size" or pd.isna(std) else f" ± {text(std)}"
     return text(mean) + spread + (f" (n = {n})" if n < seeds else "")

@@ -78,12 +78,17 @@ def quality_metrics() -> list[Metric]:
 
 
 def metric_of(key: str) -> Metric:
-    """The metric of a column, or of a key of metrics.parquet: `eval/psnr` is the PSNR of an evaluation.
+    """The metric of a column, or of a key of metrics.parquet.
+
+    `eval/psnr` is the PSNR of an evaluation, `psnr @ 100 shots` the PSNR under that condition.
 
     A column that is not declared is shown under its own name.
     """
     if key in METRICS:
         return METRICS[key]
+    measured, _, condition = key.partition(" @ ")
+    if condition and measured in METRICS:
+        return replace(METRICS[measured], key=key, label=f"{METRICS[measured].label}, {condition}")
     group, _, name = key.partition("/")
     if group not in _LOGGED or name not in METRICS:
         return Metric(key, key)
@@ -121,6 +126,11 @@ for _metric in (
     Metric("time.quantum_ms", "circuits' part of a step", "ms", 1, "lower", "time", on_request=True),
     Metric("time.load", "load", "", 2, explanation="processes that run or wait, for each core", on_request=True),
     Metric("eval_s", "evaluation time", "s", 1, "lower", "time", on_request=True),
+    Metric("cost.gates", "gates", kind="size", on_request=True, explanation="of all circuits of the heads"),
+    Metric("cost.two_qubit_gates", "two-qubit gates", kind="size", on_request=True, explanation="CNOT and CZ"),
+    Metric("cost.depth", "depth", kind="size", on_request=True, explanation="of the deepest circuit"),
+    Metric("cost.view_hours", "device time of a view", "h", kind="size", on_request=True),
+    Metric("cost.train_hours", "device time of the training", "h", kind="size", on_request=True),
     Metric("peak_memory_mb", "peak memory", "MB", 0, "lower", on_request=True),
     Metric("loss", "loss", "", 5, "lower", "loss", on_request=True),
     Metric("mse", "mean squared colour error", "", 5, "lower", "loss", on_request=True),

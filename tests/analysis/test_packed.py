@@ -83,7 +83,7 @@ def test_nothing_is_packed_into_another_store(store, tmp_path):
     with pytest.raises(ValueError, match="expected a folder of its own"):
         main([str(store), str(tmp_path / "other")])
     with pytest.raises(ValueError, match="expected a folder of its own"):
-        main([f"file://{store}", str(store)])
+        main([str(store), str(store)])
 
 
 def test_what_needs_pictures_and_curves_is_drawn_of_the_store(trained, tmp_path):

@@ -4,11 +4,18 @@ from pathlib import Path
 
 import pytest
 from qnerf.analysis.pack import main as pack
-from qnerf.analysis.questions import QUESTIONS
-from qnerf.analysis.results import main, pages
+from qnerf.analysis.results import main, pages, questions
 
 from tests.helpers.configs import ROOT
 from tests.helpers.packed_stores import write_run
+
+QUESTION = """\
+scenes:
+  title: How good is a circuit head on each scene?
+  commands: [python -m src.run --sweep scenes budget=short]
+  rows: [scene_name, field]
+  baseline: {field: classical}
+"""
 
 
 @pytest.fixture
@@ -17,6 +24,7 @@ def folder(tmp_path: Path) -> Path:
         for field, psnr in (("classical", 24.0), ("qcolor", 25.0)):
             write_run(tmp_path / "runs", field, seed, [psnr + 0.1 * seed, psnr + 1])
     pack([str(tmp_path / "runs"), str(tmp_path / "results" / "scenes")])
+    (tmp_path / "results" / "questions.yaml").write_text(QUESTION)
     return tmp_path / "results"
 
 
@@ -39,14 +47,23 @@ def test_pages_say_what_was_trained_and_the_verdict(folder: Path) -> None:
 
 def test_a_folder_without_a_question_is_named(folder: Path) -> None:
     (folder / "scenes").rename(folder / "nonsense")
-    with pytest.raises(ValueError, match=r"expected folders of packed runs, among scenes, .* got nonsense"):
+    with pytest.raises(ValueError, match=r"expected folders of packed runs, among scenes; got nonsense"):
         pages(folder)
+    (folder / "nonsense").rename(folder.parent / "nonsense")
     with pytest.raises(ValueError, match="got none"):
+        pages(folder)
+
+
+def test_questions_that_cannot_be_read_are_named(folder: Path) -> None:
+    (folder / "questions.yaml").write_text(QUESTION.replace("rows", "rwos"))
+    with pytest.raises(ValueError, match=r"questions.yaml: .*rwos"):
+        pages(folder)
+    with pytest.raises(ValueError, match="there is no such file"):
         pages(folder / "empty")
 
 
 def test_the_committed_pages_are_made_from_the_committed_runs() -> None:
     folder = ROOT / "docs" / "results"
-    assert {path.parent.name for path in folder.glob("*/runs.parquet")} == set(QUESTIONS)
+    assert {path.parent.name for path in folder.glob("*/runs.parquet")} == set(questions(folder))
     for file, text in pages(folder).items():
         assert file.read_text() == text, file
