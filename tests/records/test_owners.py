@@ -101,11 +101,27 @@ def test_run_of_another_machine_lives_by_the_clock_of_the_file_system(
         claim.run.finish()
 
 
-def test_reader_compares_heartbeats_with_its_clock(store_: RunStore) -> None:
+@pytest.mark.parametrize("ahead", [0, 3600, -3600])
+def test_reader_compares_heartbeats_with_the_clock_of_the_file_system(
+    store_: RunStore, monkeypatch: pytest.MonkeyPatch, ahead: float
+) -> None:
+    """Whether the clock of its own machine is right or not."""
     run = claimed(store_)
-    for age, expected in ((1, "running"), (-20, "running"), (1000, "interrupted"), (-1000, "interrupted")):
-        elsewhere(run, age)
-        assert records.state(run.dir) == expected
+    elsewhere(run, 0)
+    clock = time.time
+    for age, expected in ((1, "running"), (150, "running"), (200, "interrupted")):
+        last_written(run, age)
+        with monkeypatch.context() as patch:
+            patch.setattr(time, "time", lambda: clock() + ahead)
+            assert records.state(run.dir) == expected
+            assert re.search(rf"on other \(last heartbeat {age}|{age + 1} s ago\)", str(owner.describe(run.dir)))
+
+
+def test_owner_in_another_container_is_named_as_such(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = claimed(store_)
+    monkeypatch.setattr(owner, "_boot_id", lambda boot=owner._boot_id().partition("/")[0]: f"{boot}/other")  # noqa: B008
+    assert f"process {os.getpid()} on {platform.node()} in another container" in store_.claim("a", CONFIG).message
+    run.finish()
 
 
 def test_old_heartbeat_that_changes_keeps_the_run(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from qnerf.cli.errors import is_known, one_line, report
 from qnerf.cli.resolvers import HYDRA
 from qnerf.cli.sweep import Sweep
 from qnerf.config.folders import CONF
-from qnerf.records import state
+from qnerf.records import owner, state
 
 # The plugins' schemas have the names of the files in conf/hydra/launcher. Hydra warns that matching them is deprecated.
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
@@ -181,7 +181,7 @@ def _report(sweep: Sweep) -> int:
         print("stopped; the same command continues from the last checkpoints", file=sys.stderr)
         return ends.stopped_code()
     if busy := [run for run in sweep.busy_runs() if state(run) != "finished"]:
-        names = ", ".join(f"{run.name} ({sweeps.writer(run)})" for run in busy)
+        names = ", ".join(f"{run.name} ({owner.describe(run)})" for run in busy)
         print(f"not finished, other processes train them: {names}; the same command looks again", file=sys.stderr)
     return FAILED if failures or busy else 0
 

@@ -10,7 +10,6 @@ The folder works for jobs on any machine that shares the store:
   jobs/            scripts and output of a cluster's jobs
 """
 
-import contextlib
 import copy
 import json
 import os
@@ -32,7 +31,7 @@ from qnerf.building.acting import acting, without_effect
 from qnerf.cli import compose
 from qnerf.cli.ends import INTERRUPTED
 from qnerf.cli.errors import one_line
-from qnerf.records import read_status, state
+from qnerf.records import owner, state
 
 STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
 COUNTED = 300  # jobs; composing more of them to count different runs takes longer than it is worth
@@ -126,9 +125,9 @@ class Grid(BasicSweeper):
                 for result in self.launcher.launch(jobs, initial_job_idx=number):
                     _ = result.return_value
                 number += len(jobs)
-            elif waiting := sweep.busy_runs():
+            if waiting := sweep.busy_runs():
                 if not told:
-                    names = ", ".join(f"{run.name} ({writer(run)})" for run in waiting)
+                    names = ", ".join(f"{run.name} ({owner.describe(run)})" for run in waiting)
                     print(f"waiting for runs that other processes train: {names}", flush=True)
                 told = True
                 time.sleep(RETRY)
@@ -170,14 +169,6 @@ def announce(jobs: Sequence[Sequence[str]], configuration: Callable[[Sequence[st
         print(f"{_count(len(jobs), 'job')}, {_count(len(different), 'different run')}", flush=True)
         if names := [option for option, without_any in idle.items() if without_any]:
             print(f"note: no effect in any job: {', '.join(names)}", file=sys.stderr)
-
-
-def writer(run: Path) -> str:
-    """`process 12 on HOST`, which writes the run."""
-    with contextlib.suppress(ValueError):
-        status = read_status(run)
-        return f"process {status.get('pid')} on {status.get('host')}"
-    return "another process"
 
 
 def _count(number: int, what: str) -> str:

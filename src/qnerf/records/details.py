@@ -13,8 +13,7 @@ from qnerf.records import annotations
 from qnerf.records.annotations import Annotations
 from qnerf.records.files import StoreError, read_bytes, read_json, reporting
 from qnerf.records.owner import unix_time
-from qnerf.records.parquet import reading
-from qnerf.records.read import check_status, read_config, read_evaluation, read_status, read_summary, state
+from qnerf.records.read import checked_status, read_config, read_evaluation, read_status, read_summary, state
 from qnerf.records.schemas import results
 
 MAX_OVERRIDES_BYTES = 2**20
@@ -95,12 +94,12 @@ def read(run_dir: str | Path) -> Details:
             return default
 
     nothing: dict[str, Any] = {}
-    checked = attempt(_checked_status, folder / "status.json", None)
+    checked = attempt(checked_status, folder / "status.json", None)
     summary = attempt(read_summary, folder, None)
-    for name, content in (("status.json", checked), ("summary.parquet", summary)):
-        if content is None and os.path.lexists(folder / name):
-            details.state = "damaged"
     details.config = attempt(read_config, folder, nothing)
+    for name, content in (("status.json", checked), ("summary.parquet", summary), ("config.yaml", details.config)):
+        if not content and os.path.lexists(folder / name):
+            details.state = "damaged"
     details.results = {
         name: value for name, value in results(summary or {}, details.config).items() if value is not None
     }
@@ -112,13 +111,6 @@ def read(run_dir: str | Path) -> Details:
     details.evaluation = attempt(read_evaluation, folder, pd.DataFrame())
     details.annotations = attempt(annotations.read, folder, Annotations())
     return details
-
-
-def _checked_status(path: Path) -> dict[str, Any]:
-    status = read_json(path)
-    with reading(path):
-        check_status(status)
-    return status
 
 
 def read_overrides(path: Path) -> list[str]:

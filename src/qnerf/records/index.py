@@ -1,6 +1,6 @@
 """One table of all runs of a store. It reads only the runs that changed since the last time.
 
-A run's row comes from three files: summary.parquet, status.json and annotations.json. The index on disk,
+A run's row comes from its summary.parquet, status.json, annotations.json and a check of config.yaml. The index on disk,
 `.index/runs-FORMAT.parquet`, holds the rows and a stamp of the files from which each was read: modification time,
 change time, size and inode. A run is read again unless its stamp is still the same. Stamps are taken before reading. A
 file that changed in the last `SETTLED` seconds gives no stamp, because a coarse clock could give the next version the
@@ -25,10 +25,10 @@ import pyarrow.compute as pc
 
 from qnerf.config.cache import cache_folder
 from qnerf.records import annotations, read
-from qnerf.records.files import StoreError, read_json, replace, reporting
+from qnerf.records.files import StoreError, replace, reporting
 from qnerf.records.location import existing_store
 from qnerf.records.owner import unix_time
-from qnerf.records.parquet import TYPES, encode, kind_of, read_table, reading
+from qnerf.records.parquet import TYPES, encode, kind_of, read_table
 
 Progress = Callable[[str, int, int], None]
 """Called with what is read, how many of them were read, and how many there are to read."""
@@ -39,8 +39,8 @@ RUN_COLUMNS = {
 }  # fmt: skip
 """Columns that do not come from the summary, even if it has values with these names."""
 
-FILES = ("summary.parquet", "status.json", "annotations.json")
-FORMAT = 1  # of the index; one in another format is not read
+FILES = ("summary.parquet", "status.json", "config.yaml", "annotations.json")
+FORMAT = 2  # of the index; one in another format is not read
 SETTLED = 10.0  # seconds; file systems count in steps of up to 2 s, and the clock of a server may be a little behind
 UNSETTLED = ""
 """Stamp of a run that changed more recently; it equals no stamp."""
@@ -57,9 +57,9 @@ def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: P
     """One row per run, sorted by `run_id`. The columns are the union of those of summary.parquet (results, parameter
     counts, timings, the flat configuration), empty for runs that lack them, and:
 
-    state: running | finished | interrupted | failed, or damaged if summary.parquet or status.json cannot be read.
-    error: why the run failed, or what is damaged. path: the run's folder or URL. step: the last one
-    logged. created, heartbeat: Unix times. tags: a tuple. note: text.
+    state: running | finished | interrupted | failed, or damaged if summary.parquet, status.json or config.yaml cannot
+    be read, or the folder is a copy of another run. error: why the run failed, or what is damaged. path: the run's
+    folder. step: the last one logged. created, heartbeat: Unix times. tags: a tuple. note: text.
 
     A column with numbers in some runs and text in others is text.
 
@@ -151,6 +151,8 @@ def _row(folder: Path) -> pa.Table | None:
         values |= _status(folder / "status.json")
         if (folder / "summary.parquet").exists():
             summary = read.read_summary_table(folder)
+        if (folder / "config.yaml").exists():
+            read.check_config(folder)
     except (OSError, StoreError) as error:
         values |= {"state": "damaged", "error": str(error)}
     if not folder.is_dir():
@@ -168,14 +170,11 @@ def _row(folder: Path) -> pa.Table | None:
 def _status(path: Path) -> dict[str, Any]:
     """Values from a run's status.json; an absent one is a run that was interrupted."""
     try:
-        with reporting(path, "read"):
-            record = read_json(path)
+        record = read.checked_status(path)
     except StoreError as error:
         if isinstance(error.__cause__, FileNotFoundError):
             return {"state": "interrupted"}
         raise
-    with reading(path):
-        read.check_status(record)
     values = {name: unix_time(record.get(name)) for name in ("created", "heartbeat")}
     state = record.get("state")
     return {

@@ -7,7 +7,8 @@ cannot mistake a new owner for the dead one that it saw before.
 
 Is an owner alive? On this machine: if a process with the same pid and start time runs and is not a zombie. On another
 machine: if it wrote its last heartbeat less than `HEARTBEAT_LIMIT` ago by the clock of the file system, which is read
-from a file just written beside it. An old heartbeat is watched for a while before the run is taken over. A writer
+from a file just written beside it. So no machine's own clock matters. An old heartbeat is watched for a while before
+the run is taken over. A writer
 checks that it still owns the run before every write and stops if it does not. One gap remains: a writer on another
 machine that froze for longer than the limit, exactly between this check and its rename, can still put one file in
 place.
@@ -22,6 +23,7 @@ import secrets
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -60,7 +62,7 @@ class Process:
         return cls(os.getpid(), platform.node(), _boot_id(), _start_time(os.getpid()))
 
     @classmethod
-    def from_record(cls, record: dict[str, Any]) -> "Process | None":
+    def from_record(cls, record: Mapping[str, Any]) -> "Process | None":
         try:
             pid = int(record["pid"])
             return cls(pid, str(record["host"]), str(record["boot"]), str(record["started"])) if pid > 0 else None
@@ -89,7 +91,9 @@ class OwnerInfo:
         if self.process is None:
             return f"an unknown process ({age})"
         host = "".join(c if c.isprintable() else "?" for c in self.process.host[:64])
-        return f"process {self.process.pid} on {host} ({age})"
+        (kernel, _, space), (own, _, own_space) = (boot.partition("/") for boot in (self.process.boot, _boot_id()))
+        container = " in another container" if kernel == own and space != own_space else ""
+        return f"process {self.process.pid} on {host}{container} ({age})"
 
 
 class Ownership:
@@ -167,7 +171,7 @@ def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
 
 def describe(directory: Path) -> OwnerInfo:
     """Who owns the run, or owned it last."""
-    return OwnerInfo(Process.from_record(latest(directory)[1] or {}), time.time() - _last_sign(directory))
+    return OwnerInfo(Process.from_record(latest(directory)[1] or {}), _age(directory))
 
 
 def is_owned(directory: Path) -> bool:
@@ -186,16 +190,11 @@ def was_owned(directory: Path) -> bool:
     return "nonce" in record and "released" in record and Process.from_record(record) is not None
 
 
-def is_alive(record: dict[str, Any], heartbeat: float | None) -> bool:
-    """Whether the process in `record` (pid, host, boot, started) runs, for readers. heartbeat: Unix time.
-
-    The heartbeat of another machine is compared with this machine's clock, also if it lies in the future.
-    """
-    process = Process.from_record(record)
+def is_alive(directory: Path, status: Mapping[str, Any]) -> bool:
+    """Whether the process that wrote `status`, a run's status.json, runs; for readers, who do not watch it."""
+    process = Process.from_record(status)
     running = process.is_running() if process else None
-    if running is None:
-        return heartbeat is not None and abs(time.time() - heartbeat) <= HEARTBEAT_LIMIT
-    return running
+    return _age(directory) <= HEARTBEAT_LIMIT if running is None else running
 
 
 def unix_time(value: Any) -> float | None:
@@ -212,14 +211,12 @@ def _living_owner(directory: Path, watch: float) -> OwnerInfo | None:
     if running is not None:
         return holder if running else None
     first = _signs(directory)
-    age = _file_system_time(directory) - _last_sign(directory)
-    end = time.monotonic() + (watch if age > HEARTBEAT_LIMIT else 0)
-    while time.monotonic() < end:
+    end = time.monotonic() + watch
+    while holder.age_s > HEARTBEAT_LIMIT and time.monotonic() < end:
         time.sleep(min(0.2, watch))
         if _signs(directory) != first:
-            age = 0.0
-            break
-    return OwnerInfo(holder.process, age) if age <= HEARTBEAT_LIMIT else None
+            holder = OwnerInfo(holder.process, 0.0)
+    return holder if holder.age_s <= HEARTBEAT_LIMIT else None
 
 
 def _signs(directory: Path) -> tuple[Any, ...]:
@@ -236,15 +233,26 @@ def _last_sign(directory: Path) -> float:
     return max(times)
 
 
-def _file_system_time(directory: Path) -> float:
-    """The time of a file just written: by the same clock as the times of the files beside it."""
+def _age(directory: Path) -> float:
+    """Seconds since the owner's last sign of life, by the clock of the file system."""
+    minute = int(time.time() // 60), int(time.monotonic() // 60)  # measured again where this machine's clock is set
+    return time.time() + _clock_offset(directory, minute) - _last_sign(directory)
+
+
+@lru_cache(maxsize=64)
+def _clock_offset(directory: Path, minute: tuple[int, int]) -> float:
+    """By how many seconds the clock of the file system is ahead of this machine's: by the time of a file just written.
+
+    0 where nothing can be written.
+    """
     probe = temporary_path(directory / "owner" / "time")
-    try:
-        probe.write_bytes(b"")
-        return probe.stat().st_mtime
-    finally:
-        with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):
+        try:
+            probe.write_bytes(b"")
+            return probe.stat().st_mtime - time.time()
+        finally:
             probe.unlink()
+    return 0.0
 
 
 def _succeeds(directory: Path, ownership: Ownership, before: dict[str, Any] | None) -> bool:

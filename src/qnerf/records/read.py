@@ -13,6 +13,7 @@ from qnerf.config.identity import plain
 from qnerf.metrics import quality_metrics
 from qnerf.records import owner
 from qnerf.records.files import StoreError, one_line, read_bytes, read_json, reporting
+from qnerf.records.location import RUN_ID
 from qnerf.records.parquet import read_table, reading, require_columns
 from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, checked_summary, result_kind
 
@@ -48,13 +49,22 @@ def read_status(run_dir: str | Path) -> dict[str, Any]:
             return {}
 
 
-def check_status(record: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The record of a status.json, if the values that readers use have their types; ValueError otherwise."""
+def checked_status(path: Path) -> dict[str, Any]:
+    """A status.json whose values have the types that readers need.
+
+    Raises:
+        StoreError: it is damaged, or the folder is a copy of another run, which would count as a further seed.
+    """
+    with reporting(path, "read"):
+        record = read_json(path)
     for name, (kind, words) in _STATUS_TYPES.items():
         value = record.get(name)
         fits = isinstance(value, kind) and not isinstance(value, bool) and (kind is str or 0 <= value < 2**63)
         if value is not None and not fits:
-            raise ValueError(f"{name}: expected {words}, got {value!r:.60}")
+            raise StoreError(f"{path}: damaged: {name}: expected {words}, got {value!r:.60}")
+    folder, original = path.parent, str(record.get("run_id"))
+    if RUN_ID.fullmatch(original) and original != folder.name and (folder.parent / original / path.name).exists():
+        raise StoreError(f"{folder}: is a copy of {original}, which is in this store, too")
     return record
 
 
@@ -68,7 +78,7 @@ def state(run_dir: str | Path, status: Mapping[str, Any] | None = None) -> str:
     stored = status.get("state")
     if stored != "running":
         return stored if stored in STATES else "interrupted"
-    if owner.is_alive(dict(status), owner.unix_time(status.get("heartbeat"))) and owner.is_owned(directory):
+    if owner.is_alive(directory, status) and owner.is_owned(directory):
         return "running"
     # The owner was killed, or it has finished since status.json was read.
     now = read_status(directory).get("state")
@@ -77,31 +87,42 @@ def state(run_dir: str | Path, status: Mapping[str, Any] | None = None) -> str:
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
     """The configuration. YAML aliases and everything but plain values are refused."""
+    data = check_config(run_dir)
+    try:
+        return plain(yaml.load(data, Loader=_Loader))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise StoreError(f"{Path(run_dir) / 'config.yaml'}: not readable as YAML: {one_line(error)}") from error
+
+
+def check_config(run_dir: str | Path) -> bytes:
+    """config.yaml, if it is YAML with keys and values; StoreError otherwise. Takes a tenth of reading the values.
+
+    Aliases are refused: a few nested ones can expand to more than fits in memory.
+    """
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
         data = read_bytes(path, MAX_CONFIG_BYTES)
     try:
-        config = yaml.load(data, Loader=_Loader)
-        if not isinstance(config, dict):
-            raise ValueError(f"expected keys and values, got {type(config).__name__}")
-        return plain(config)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        events = list(yaml.parse(data, Loader=_Loader))
+    except (yaml.YAMLError, ValueError) as error:
         raise StoreError(f"{path}: not readable as YAML: {one_line(error)}") from error
+    if not any(isinstance(event, yaml.MappingStartEvent) for event in events[2:3]):
+        raise StoreError(f"{path}: not readable as YAML: expected keys and values")
+    if any(isinstance(event, yaml.AliasEvent) for event in events):
+        raise StoreError(f"{path}: not readable as YAML: an alias is not allowed")
+    return data
 
 
-class _Loader(yaml.SafeLoader):
-    """Plain values only, dates as text, and no aliases: a few nested aliases can expand to more than fits in memory."""
+_Safe: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # PyYAML can be built without its C library
+
+
+class _Loader(_Safe):
+    """Plain values only, dates as text."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012
         first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()
-            raise yaml.composer.ComposerError(None, None, f"alias *{event.anchor} is not allowed", event.start_mark)
-        return super().compose_node(parent, index)
 
 
 def read_summary(run_dir: str | Path) -> dict[str, Any]:

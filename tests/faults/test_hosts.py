@@ -1,0 +1,53 @@
+"""The same sweep on several machines over one folder: they share its runs, also those of a machine that dies."""
+
+import os
+import signal
+import time
+from functools import partial
+from pathlib import Path
+
+from qnerf import records
+from tests.helpers.configs import TINY
+from tests.helpers.hosts import other_machine
+from tests.helpers.processes import Forked
+from tests.helpers.scenes import write_scene
+
+SMALL = [
+    *TINY, "scene=nerfstudio", "hash=C7", "train.rays=8", "train.log_every=1", "train.eval_every=0", "device=cpu",
+    "train.checkpoint_every=0.02", "visibility.resolution=16", "threads=1", "run.progress=false",
+]  # fmt: skip
+
+
+def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path: Path) -> None:
+    """One of three is killed while it trains, and the clock of another one is an hour ahead."""
+    store = tmp_path / "runs"
+    scene = write_scene(tmp_path / "scene")
+    sweep = ["run", "-m", *SMALL, f"scene.path={scene}", f"store={store}", "train.steps=150", "seed=0,1,2"]
+    start = partial(Forked, *sweep, cwd=tmp_path)
+    killed = start(before=partial(other_machine, "killed"))
+    others = []
+    try:
+        while not any(records.read_status(run).get("step", 0) > 3 for run in records.runs(store)):
+            time.sleep(0.02)
+        os.kill(killed.pid, signal.SIGSTOP)  # so that the others begin while its heartbeat is new
+        (dead,) = [run for run in records.runs(store) if records.read_status(run)["host"] == "killed"]
+        others = [
+            start(before=partial(other_machine, "right")),
+            start(before=partial(other_machine, "ahead", 3600.0)),
+        ]
+        while len(records.runs(store)) < 3:
+            time.sleep(0.02)
+        os.kill(killed.pid, signal.SIGKILL)
+        outputs = [other.communicate(timeout=200) for other in others]
+    finally:
+        for process in (killed, *others):
+            process.close()
+    assert [other.returncode for other in others] == [0, 0], outputs
+    runs = records.runs(store)
+    assert [records.state(run) for run in runs] == ["finished"] * 3
+    hosts = [records.read_status(run)["host"] for run in runs]
+    assert set(hosts) <= {"right", "ahead"}
+    assert any(f"waiting for runs that other processes train: {dead.name} (process" in out for out, _ in outputs)
+    for run in runs:
+        steps = records.read_metrics(run).query("key == 'train/loss'")["step"]
+        assert steps.tolist() == list(range(1, 151))
