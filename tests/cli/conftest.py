@@ -49,7 +49,7 @@ def qnerf(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     # Hydra would disable the loggers of all tests.
-    monkeypatch.setattr("hydra._internal.logging_config.configure_logging", lambda _: None)
+    monkeypatch.setattr("hydra._internal.logging_config.configure_logging", lambda *_: None)
     yield call
     GlobalHydra.instance().clear()
 

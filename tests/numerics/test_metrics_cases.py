@@ -64,21 +64,3 @@ def test_hue_of_grey(value: int) -> None:
     assert pixels["hue"].isna().all()
     assert (pixels["saturation"] == 0).all()
     assert pixels["value"].to_numpy() == pytest.approx(value / 255)
-
-
-@given(
-    first=st.floats(0, 1), second=st.floats(0, 1), counts=st.tuples(st.integers(1, 60), st.integers(1, 60)),
-    channel=st.sampled_from(hsv.CHANNELS),
-)  # fmt: skip
-def test_ks_of_constant_channels(first: float, second: float, counts: tuple[int, int], channel: str) -> None:
-    """The same constant differs in nothing; two constants in everything, but for hue by the shorter arc."""
-    a, b = np.full(counts[0], first), np.full(counts[1], second)
-    same, other = hsv.compare(a, np.full(counts[1], first), channel), hsv.compare(a, b, channel)
-    assert (same["ks"], same["wasserstein"]) == (0, 0)
-    assert other["ks"] == (first != second)
-    if channel == "hue":
-        arc = abs(first - second) % 1
-        assert other["wasserstein"] == pytest.approx(min(arc, 1 - arc), abs=1e-12)
-    else:
-        assert other["wasserstein"] == pytest.approx(abs(first - second))
-        assert other["cliffs_delta"] == np.sign(second - first)
