@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     frame = command.chosen(options)
     unfinished = int((frame["state"] != "finished").sum())
     if unfinished == len(frame):
-        raise ValueError(f"{options.store}: none of {unfinished} runs is finished")
+        raise ValueError(f"{options.store}: no run of {unfinished} is finished")
     if options.add and packed.is_packed(options.folder):
         frame = with_earlier(frame, options.folder)
     output.make_folder(options.folder, store=False)

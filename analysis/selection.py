@@ -82,9 +82,7 @@ def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, in
     if usable.empty:
         reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
         why = f" ({reasons.iloc[0]})" if len(reasons) else ""
-        raise ValueError(
-            f"none of {len(finished)} finished runs has {metric}{why}; have: {', '.join(measured(finished))}"
-        )
+        raise ValueError(f"no finished run of {len(finished)} has {metric}{why}; have: {', '.join(measured(finished))}")
     left_out = states.drop("finished").to_dict()
     left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
     return usable, left_out

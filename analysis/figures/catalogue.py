@@ -54,7 +54,7 @@ class Entry:
         if baseline is not None and self.function is forest:
             options["baseline"] = baseline
         if not self.benchmark and runs["scene_name"].isna().all():
-            raise ValueError(f"none of {len(runs)} runs has a scene")
+            raise ValueError(f"no run of {len(runs)} has a scene")
         runs = runs[runs["scene_name"].notna()]  # a tracked run may have none
         source = [] if self.benchmark else [best_of(runs, self.probe) if self.probe else runs]
         return self.function(*source, **self.options, **options)

@@ -19,7 +19,7 @@ def having(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     """The runs that have a readable `<name>.parquet`. Raises ValueError with the command that writes it if none has."""
     tables, damaged = packed.probe_tables(frame["path"], name)
     if not tables:
-        raise ValueError(damaged or f"none of {len(frame)} runs has {name}.parquet; {command(name)} writes it")
+        raise ValueError(damaged or f"no run of {len(frame)} has {name}.parquet; {command(name)} writes it")
     return frame[frame["path"].isin(list(tables))]
 
 

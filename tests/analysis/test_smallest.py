@@ -52,7 +52,7 @@ def test_mistakes_are_named(store):
         smallest(frame, ["scene_name"])
     with pytest.raises(ValueError, match=r"params.total does not tell how good a run is; expected psnr"):
         smallest(frame, ["field"], metric="params.total")
-    with pytest.raises(ValueError, match="none of 8 finished runs has lpips"):
+    with pytest.raises(ValueError, match="no finished run of 8 has lpips"):
         smallest(frame, ["field"], size="lpips")
 
 

@@ -149,7 +149,7 @@ def test_mistakes_are_named(store, tmp_path):
     for message, call in {
         r"no run has a column 'colour'; did you mean color": lambda: over_seeds(frame, ["colour"]),
         r"no finished runs among 6: \{'failed': 6\}": lambda: over_seeds(frame.assign(state="failed"), ["field"]),
-        r"none of 6 finished runs has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
+        r"no finished run of 6 has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
         r"no metric 'beauty'; the runs have .*psnr": lambda: ablation(frame, ["field"], values=["beauty"]),
         r"no metric 'color'": lambda: ablation(frame, ["field"], metric="color"),
         r"none of 2 rows has field=qubit; there are field: classical, qcolor": lambda: ablation(

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
-from qnerf.analysis import images, load, packed
+from qnerf.analysis import hsv, images, load, packed
 from qnerf.analysis.figures.files import draw
 from qnerf.analysis.report import content, pictures
 from qnerf.analysis.tables import ablation
@@ -65,11 +65,6 @@ DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
     "nested": (lambda run: change_summary(run, more=pa.array([[1]])), "damaged"),
     "created": (lambda run: change_status(run, created="now"), "created: expected a Unix time"),
     "step": (lambda run: change_status(run, step=-5), "step: expected a whole number"),
-    "config": (lambda run: (run / "config.yaml").write_text("seed: [0\n") and None, "config.yaml: not readable"),
-    "copy": (
-        lambda run: change_status(run, run_id="poster-qcolor-s0"),
-        "is a copy of poster-qcolor-s0, which is in this store",
-    ),
     "no object": (lambda run: (run / "status.json").write_text("[1]") and None, "expected an object"),
 }
 
@@ -129,6 +124,9 @@ def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes)
     frame = load.runs(store)
     gathered = pictures.gather(frame, range(4), 100, advance=lambda: None)
     assert (gathered.views, len(gathered.problems)) == (7, 1)
+    problems: list[str] = []
+    assert set(hsv.samples(frame, problems=problems)["image"]) == {"1"}
+    assert len(problems) == 1
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "large"])
@@ -171,7 +169,7 @@ def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
         draw(load.runs(store), ["speed", "time"], tmp_path / "out", ["png"])
 
 
-@pytest.mark.parametrize("command", [["reproduce", "x", "--tolerance"], ["watch", "--every"]])
+@pytest.mark.parametrize("command", [["reproduce", "x", "--tolerance"], ["hsv", "x", "--grey"]])
 @pytest.mark.parametrize("text", ["nan", "inf", "-1", "1e400"])
 def test_numbers_on_the_command_line_are_finite(command: list[str], text: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as end:

@@ -126,10 +126,10 @@ def test_what_is_chosen(condition: str | dict, chosen: str) -> None:
 @pytest.mark.parametrize(
     ("condition", "told"),
     [
-        ("field=qboth", "none of 4 runs has field=qboth; there are field: classical, qcolor"),
+        ("field=qboth", "no run of 4 has field=qboth; there are field: classical, qcolor"),
         ("psnr>30 seed=1", "psnr: 20.0, 21.5, 25.0; seed: 0, 1, 2, 3"),
         ({"field": "qboth", "seed": 1}, "has field=qboth, seed=1; there are field: classical, qcolor; seed: 0, 1"),
-        ({"seed": []}, r"none of 4 runs has seed=\[\]"),
+        ({"seed": []}, r"no run of 4 has seed=\[\]"),
         ({"tags": "bad"}, "tags: good, old"),
         ("fild=a", "no run has a column 'fild'; did you mean field"),
         ("layers=1", "no run has a column 'layers'; did you mean qiren.layers"),

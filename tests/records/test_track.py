@@ -59,7 +59,7 @@ def test_tracked_runs_stand_in_tables_beside_others(tmp_path: Path, capsys: pyte
         ablation(frame, ["scene_name", "field"])
     assert ablation(frame, ["scene_name", "field", "train.rate"]).markdown().count("| square | descent |") == 2
     run = records.runs(tmp_path)[0]
-    for command in (["show", str(run)], ["runs", "--store", str(tmp_path)], ["watch", str(run)]):
+    for command in (["show", str(run)], ["runs", "--store", str(tmp_path)]):
         assert main.dispatch(command[0], command[1:]) == 0
     assert main.dispatch("export", [str(run), "--to", "csv", "--out", str(tmp_path / "out")]) == 0
     assert "descent" in capsys.readouterr().out

@@ -8,7 +8,6 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from qnerf.cli.text import duration, measured
 from qnerf.config.checks import is_number
@@ -133,20 +132,21 @@ def print_outcome(console: Console, outcome: Outcome, prefix: str = "", brief: b
     ]:
         console.print(f"no number for {', '.join(missing)} in its summary", highlight=False, markup=False)
         return
-    table = Table(show_header=False, box=None, padding=(0, 2))
     fitted = "head" in summary  # a signal
     views = "the whole picture" if fitted else f"{summary['eval_views']:.0f} held-out views"
-    for item in quality_metrics():
-        if (value := summary.get(item.key)) is not None:
-            table.add_row(item.label, item.with_unit(value), views if item.key == "psnr" else item.explanation)
+    rows = [
+        (item.label, item.with_unit(value), views if item.key == "psnr" else item.explanation)
+        for item in quality_metrics()
+        if (value := summary.get(item.key)) is not None
+    ]
     counts = {key.removeprefix("params."): value for key, value in summary.items() if key.startswith("params.")}
     parts = {name: int(value) for name, value in counts.items() if value is not None}
     listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
-    table.add_row("parameters", f"{parts['total']:,}", listed)
+    rows.append(("parameters", f"{parts['total']:,}", listed))
     step = f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median"
-    table.add_row("training", f"{summary['train_s']:.1f} s", step)
-    console.print(table)
+    rows.append(("training", f"{summary['train_s']:.1f} s", step))
     panels = "truth | fit | error" if fitted else "truth | render | error | depth"
-    for name, path, content in (("run", "", ""), ("pictures", "images", panels)):
-        line = f"  {name:<13} {outcome.path / path}  {content}".rstrip()
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    rows += [("run", str(outcome.path), ""), ("pictures", str(outcome.path / "images"), panels)]
+    first, second = max(len(row[0]) for row in rows), max(len(row[1]) for row in rows[:-2])
+    for title, value, more in rows:
+        console.print(f"  {title:<{first}}  {value:<{second}}  {more}".rstrip(), soft_wrap=True)

@@ -115,7 +115,7 @@ def require(frame: pd.DataFrame, conditions: str | Mapping[str, Any], rows: str 
     if chosen.empty:
         text = conditions if isinstance(conditions, str) else ", ".join(f"{key}={v}" for key, v in conditions.items())
         known = "; ".join(f"{key}: {known_values(frame[key])}" for key in dict.fromkeys(item.key for item in filters))
-        raise ValueError(f"none of {len(frame):,} {rows} has {text}; there are {known}")
+        raise ValueError(f"no {rows.removesuffix('s')} of {len(frame):,} has {text}; there are {known}")
     return chosen
 
 

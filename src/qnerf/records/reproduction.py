@@ -67,7 +67,7 @@ def environment_differences(before: Path, after: Path) -> dict[str, tuple[str, s
     first, second = environments(before), environments(after)
     if not first or not second:
         raise StoreError(f"{before if not first else after}: has no environment.json")
-    return {name: (_shortened(a), _shortened(b)) for name, (a, b) in differences(first[0], second[0]).items()}
+    return {name: (_shortened(a), _shortened(b)) for name, (a, b) in differences(first[0], second[0]).items() if a or b}
 
 
 def recorded_threads(run: Path) -> int | None:

@@ -78,7 +78,7 @@ def poison(run: Path) -> None:
 
 COMMANDS = (
     "show aaaa", "show aaaa --config", "show aaaa --json", "diff aaaa bbbb", "diff aaaa bbbb --json", "tag aaaa",
-    "note aaaa", "tag aaaa --remove x", "runs", "runs --json", "runs --columns scene.path", "watch aaaa --once",
+    "tag aaaa --remove x", "runs", "runs --json", "runs --columns scene.path",
 )  # fmt: skip
 
 
@@ -91,7 +91,7 @@ def test_commands_show_hostile_text_and_do_not_obey(store, qnerf, terminal, widt
     for line in COMMANDS:
         done = qnerf(*line.split())
         assert harmless(done.out + done.err), line
-        if line in ("show aaaa", "note aaaa", "tag aaaa"):
+        if line in ("show aaaa", "tag aaaa"):
             assert "[red]red[/red]" in done.out, line
 
 
@@ -99,7 +99,7 @@ def test_a_run_with_a_hostile_name(store, qnerf):
     name = HOSTILE.replace("/", "-")[:100]
     (run,) = store.glob("*-aaaaaaaaaa")
     run.rename(store / name)
-    for arguments in (["runs"], ["runs", "--json"], ["runs", "--ids"], ["show", store / name], ["watch", "--once"]):
+    for arguments in (["runs"], ["runs", "--json"], ["runs", "--ids"], ["show", store / name]):
         done = qnerf(*arguments)
         assert done.code == 0, done.err
         assert harmless(done.out)

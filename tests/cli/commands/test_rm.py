@@ -159,7 +159,6 @@ def test_a_foreign_folder_in_the_working_directory_stays(make, qnerf, tmp_path, 
     assert qnerf("tag", "proj", "good").out == "good\n"
     assert qnerf("rm", "./proj", "--yes").code == 2
     assert qnerf("tag", "./proj", "good").code == 2
-    assert qnerf("note", "./proj", "good").code == 2
     assert qnerf("rm", "proj", "--yes").code == 0
     assert not run.exists()
     assert sorted(path.name for path in mine.iterdir()) == ["config.yaml", "status.json"]

@@ -3,7 +3,7 @@ import json
 
 def test_everything_about_a_run(store, qnerf):
     qnerf("tag", "aaaa", "good")
-    qnerf("note", "aaaa", "look at the edges")
+    qnerf("tag", "aaaa", "--note", "look at the edges")
     done = qnerf("show", "aaaa")
     assert done.code == 0
     lines = done.out.splitlines()
@@ -68,7 +68,7 @@ def test_what_is_damaged_is_told_and_the_rest_is_shown(store, qnerf):
 
 
 def test_no_line_is_wider_than_the_terminal(store, qnerf, terminal):
-    qnerf("note", "aaaa", "word " * 40)
+    qnerf("tag", "aaaa", "--note", "word " * 40)
     terminal(60)
     out = qnerf("show", "aaaa").out
     assert sum("word" in line for line in out.splitlines()) > 2

@@ -85,3 +85,12 @@ def test_a_tag_that_is_accepted_is_one_visible_word(tag):
     except ValueError:
         fits = False
     assert fits == (tag.isprintable() and tag.split() == [tag] and "," not in tag and "=" not in tag)
+
+
+def test_a_note_is_written_shown_and_removed_beside_the_tags(store, qnerf):
+    qnerf("tag", "aaaa", "kept", "--note", "one\n\x1b[2Jtwo\u202e\rthree")
+    shown = qnerf("show", "aaaa").out
+    assert "note       one\n\\x1b[2Jtwo\\u202e\\rthree\n" in shown
+    assert qnerf("tag", "aaaa", "--note", "").out == "kept\n"
+    assert "note " not in qnerf("show", "aaaa").out
+    assert "expected a note of at most 10,000 characters" in qnerf("tag", "aaaa", "--note", "x" * 20_000).err

@@ -21,15 +21,13 @@ GROUPS = {
         "runs": "list the runs of a store",
         "show": "everything about one run",
         "diff": "what differs between two runs: configuration, environment, metrics",
-        "watch": "a run, or the whole store, refreshed while it trains",
     },
     "look at a trained model": {
         "render": "a video along a path of the camera",
         "view": "look around in the browser, also while it trains",
     },
     "organise runs": {
-        "tag": "add or remove a run's tags",
-        "note": "read or write a run's note",
+        "tag": "add or remove a run's tags, write its note",
         "rm": "delete runs",
         "export": "copy runs to MLflow, TensorBoard or CSV; points or a mesh of a model",
     },
@@ -43,9 +41,6 @@ GROUPS = {
         "figures": "figures as PNG, SVG and PDF",
         "pack": "the runs as a few small tables, to keep beside a paper",
         "results": "one page about several packed folders",
-    },
-    "set up": {
-        "completion": "the script with which bash, zsh or fish completes commands, options and runs",
     },
 }
 """Title -> command -> purpose, in the order of `qnerf --help`."""

@@ -73,12 +73,12 @@ def show(out: Console, a: Details, b: Details, compared: Mapping[str, Any]) -> N
             out.print(Text(f"   {printable(problem)}", "red"), soft_wrap=True)
     for name in ("configuration", "environment"):
         if compared[name]:
-            _section(out, name, compared[name], ("a", "b"))
+            _section(out, name, compared[name], ("A", "B"))
         else:
             out.print(f"\nno differences in {name}")
     if not compared["configuration"] and a.run_id != b.run_id and not (a.problems or b.problems):
         out.print("the ids differ, so the scene's files differ")
-    _section(out, "results", compared["results"], ("a", "b", "b - a"), numbers=True)
+    _section(out, "results", compared["results"], ("A", "B", "change"), numbers=True)
 
 
 def _section(
@@ -91,7 +91,7 @@ def _section(
     rows = [
         {
             "key": key,
-            **{title: _text(value, "+" * (title == "b - a")) for title, value in zip(titles, values, strict=True)},
+            **{title: _text(value, "+" * (title == "change")) for title, value in zip(titles, values, strict=True)},
         }
         for key, values in compared.items()
     ]

@@ -87,6 +87,7 @@ def report(run: Path, compared: "Sequence[Compared]", different: Mapping[str, tu
         how = f"within {limit:g}; the largest relative difference is {largest:.3g}" if largest else "bit for bit"
         print(f"{printable(run.name)}: reproduced, {numbers:,} numbers agree {how}")
     if different:
+        print("the environment differs:")
         rows = [{"name": name, "then": then, "now": now} for name, (then, now) in different.items()]
         print_table(out, [Column(title, itemgetter(title), limit=60) for title in ("name", "then", "now")], rows)
     elif wrong:

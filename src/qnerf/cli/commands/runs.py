@@ -48,6 +48,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(options: argparse.Namespace) -> None:
     conditions = filters.parse(options.filters)
+    if store := next((condition for condition in conditions if condition.key == "store"), None):
+        raise ValueError(f"{store}: the folder of runs is an option, --store {','.join(store.values)}")
     extra = [filters.column(name) for name in options.columns.split(",") if name]
     sort = filters.column(options.sort)
     everything = load(options.store, [*(condition.key for condition in conditions), sort, *extra], options.all_columns)
@@ -62,8 +64,8 @@ def main(options: argparse.Namespace) -> None:
             else:  # `xargs` would take it for several names or for an option
                 print(f"left out: {printable(name)!r} is no run's id; name the folder", file=sys.stderr)
     elif frame.empty:
-        where = printable(options.store)
-        print(f"none of {len(everything):,} runs in {where} matches" if len(everything) else f"no runs in {where}")
+        where, wanted = printable(options.store), printable(" ".join(options.filters))
+        print(f"no run of {len(everything):,} in {where} has {wanted}" if len(everything) else f"no runs in {where}")
     else:
         extra = [name for name in frame.columns if name not in NEEDED] if options.all_columns else extra
         print_runs(out, frame, screen(out) if options.limit is None else options.limit, extra)
