@@ -152,7 +152,7 @@ def test_mistakes_are_named(store, tmp_path):
         r"no finished run of 6 has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
         r"no metric 'beauty'; the runs have .*psnr": lambda: ablation(frame, ["field"], values=["beauty"]),
         r"no metric 'color'": lambda: ablation(frame, ["field"], metric="color"),
-        r"none of 2 rows has field=qubit; there are field: classical, qcolor": lambda: ablation(
+        r"no row of 2 has field=qubit; there are field: classical, qcolor": lambda: ablation(
             frame, ["field"], baseline={"field": "qubit"}
         ),
         r"'seed' is not a row key; the rows are field": lambda: ablation(frame, ["field"], baseline={"seed": 0}),

@@ -124,9 +124,7 @@ def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes)
     frame = load.runs(store)
     gathered = pictures.gather(frame, range(4), 100, advance=lambda: None)
     assert (gathered.views, len(gathered.problems)) == (7, 1)
-    problems: list[str] = []
-    assert set(hsv.samples(frame, problems=problems)["image"]) == {"1"}
-    assert len(problems) == 1
+    assert set(hsv.samples(frame)["image"]) == {"1"}
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "large"])
@@ -169,11 +167,10 @@ def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
         draw(load.runs(store), ["speed", "time"], tmp_path / "out", ["png"])
 
 
-@pytest.mark.parametrize("command", [["reproduce", "x", "--tolerance"], ["hsv", "x", "--grey"]])
 @pytest.mark.parametrize("text", ["nan", "inf", "-1", "1e400"])
-def test_numbers_on_the_command_line_are_finite(command: list[str], text: str, capsys: pytest.CaptureFixture) -> None:
+def test_numbers_on_the_command_line_are_finite(text: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as end:
-        main.dispatch(command[0], [*command[1:-1], f"{command[-1]}={text}"])
+        main.dispatch("reproduce", ["x", f"--tolerance={text}"])
     assert end.value.code == 2
     assert "expected a number" in capsys.readouterr().err
 
