@@ -319,7 +319,7 @@ def test_the_catalogue_draws_what_each_function_draws(frame):
         drawn, _ = marks(entry.draw(frame).axes[0])
         expected, _ = marks(figures.capacity_vs_psnr(frame, **options).axes[0])
         np.testing.assert_array_equal(drawn, expected)
-    with pytest.raises(ValueError, match=r"none of 12 runs has rays\.parquet"):
+    with pytest.raises(ValueError, match=r"no run of 12 has rays\.parquet"):
         figures.FIGURES["sampling"].draw(frame)
     assert figures.FIGURES["ladder"].draw(frame).axes[0].get_title()
 

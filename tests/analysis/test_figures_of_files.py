@@ -194,7 +194,7 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
 
 def test_what_is_missing_says_how_to_make_it(frame):
     classical = frame[frame["field"] == "classical"]
-    with pytest.raises(ValueError, match=r"none of 2 runs has rays.parquet; `qnerf probe RUN rays` writes it"):
+    with pytest.raises(ValueError, match=r"no run of 2 has rays.parquet; `qnerf probe RUN rays` writes it"):
         figures.best_of(classical, "rays")
     with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf probe .* spectrum` writes it"):
         figures.fourier_spectrum(classical["path"].iloc[0])

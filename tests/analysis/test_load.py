@@ -44,7 +44,7 @@ def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
 def test_runs_of_a_filter(store: Path) -> None:
     assert load.runs(store, "field=qcolor seed>1")["run_id"].tolist() == ["r2"]
     assert load.runs(store, {"scene_name": "fox", "seed": [0, 1]})["run_id"].tolist() == ["r1"]
-    with pytest.raises(ValueError, match="none of 3 runs has field=qboth; there are field: classical, qcolor"):
+    with pytest.raises(ValueError, match="no run of 3 has field=qboth; there are field: classical, qcolor"):
         load.runs(store, "field=qboth")
 
 

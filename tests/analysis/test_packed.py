@@ -103,7 +103,7 @@ def test_a_store_is_not_packed_into_itself(store):
 
 
 def test_nothing_finished_is_one_line(store, tmp_path):
-    with pytest.raises(ValueError, match="none of 1 runs is finished"):
+    with pytest.raises(ValueError, match="no run of 1 is finished"):
         main([str(store), str(tmp_path / "packed"), "--filter", "state=failed"])
 
 

@@ -39,10 +39,10 @@ def test_conditions_choose_by_value(text, seeds):
 def test_mistakes_are_named():
     for message, call in {
         "no run has a column 'feild'; did you mean field": lambda: check_keys(FRAME, ["feild"]),
-        "none of 3 rows has train.lr=small; there are train.lr: 0.001, 0.01": lambda: filters.require(
+        "no row of 3 has train.lr=small; there are train.lr: 0.001, 0.01": lambda: filters.require(
             FRAME, {"train.lr": "small"}, "rows"
         ),
-        r"none of 2 finished runs has lpips \(no weights\); have: psnr": lambda: select(FRAME, "lpips"),
+        r"no finished run of 2 has lpips \(no weights\); have: psnr": lambda: select(FRAME, "lpips"),
     }.items():
         with pytest.raises(ValueError, match=message):
             call()
