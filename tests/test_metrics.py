@@ -65,7 +65,7 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     data = content.data(content.prepared(frame), Pictures(), {})
     assert "toy_error" in data["shown"]
     assert "toy_error" in data["quality"]
-    assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4, "sign": -1}
+    assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4}
     logged = curves.gather(frame, [0], advance=lambda: None)[0]
     assert logged["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
     assert data["curve_names"]["eval/toy_error"] == "evaluation mean absolute error"
