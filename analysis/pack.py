@@ -15,6 +15,7 @@ from . import command, load, output, packed
 from .figures import FIGURES
 from .figures.files import check_names, draw, file_name
 from .paper import PAPER_TABLES
+from .predictions import write_predictions
 
 DESCRIPTION = """\
 Packs the runs of a store into small tables: runs.parquet, views.parquet, and for probed runs units.parquet,
@@ -30,6 +31,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--add", action="store_true", help="keep the other runs that FOLDER has")
     parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"draw as PNG: {', '.join(FIGURES)}")
     parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
+    parser.add_argument(
+        "--predictions",
+        action="store_true",
+        help="also held-out views as nerfbaselines evaluates them, predictions/RUN",
+    )
     options = parser.parse_args(arguments)
     check_names(options.figures)
     if resolved(options.folder) == resolved(store_folder(options.store)):
@@ -48,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{finished} runs{f' finished, {unfinished} not' if unfinished else ''}, in {options.folder}")
     if options.figures:
         draw(frame, options.figures, options.folder, ["png"])
+    if options.predictions:
+        print(*write_predictions(frame[frame["state"] == "finished"], options.folder / "predictions"))
     if options.paper:
         heading, table = PAPER_TABLES[options.paper]
         text = f"**{heading}**\n\n{table(frame).markdown()}\n"

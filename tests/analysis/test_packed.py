@@ -1,8 +1,13 @@
+import json
 import shutil
+from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
-from qnerf.analysis import load
+from PIL import Image
+from qnerf.analysis import load, packed
+from qnerf.analysis.images import pictures
 from qnerf.analysis.pack import main
 from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.tables import ablation
@@ -82,16 +87,34 @@ def test_nothing_is_packed_into_another_store(store, tmp_path):
     write_run(tmp_path / "other")
     with pytest.raises(ValueError, match="expected a folder of its own"):
         main([str(store), str(tmp_path / "other")])
-    with pytest.raises(ValueError, match="expected a folder of its own"):
-        main([str(store), str(store)])
 
 
 def test_what_needs_pictures_and_curves_is_drawn_of_the_store(trained, tmp_path):
     folder = tmp_path / "results" / "scenes"
-    main([str(trained), str(folder), "--figures", "loss", "hsv", "--paper", "hsv", "--filter", "state=finished"])
+    main(
+        [
+            str(trained),
+            str(folder),
+            "--figures",
+            "loss",
+            "hsv",
+            "--paper",
+            "hsv",
+            "--filter",
+            "state=finished",
+            "--predictions",
+        ]
+    )
     assert {file.name for file in folder.iterdir()} == {
-        "runs.parquet", "views.parquet", "loss.png", "hsv.png", "hsv.md",
+        "runs.parquet", "views.parquet", "loss.png", "hsv.png", "hsv.md", "predictions",
     }  # fmt: skip
+    for run in load.runs(trained, "state=finished")["path"].map(Path):
+        views = packed.views(run).set_index("image")["psnr"]
+        own = folder / "predictions" / run.name
+        assert json.loads((own / "info.json").read_text())["evaluation_protocol"] == "default"
+        for view, psnr in zip(sorted(pictures(run)), views.sort_index(), strict=True):
+            color, truth = (np.asarray(Image.open(own / kind / f"{view}.png")) / 255 for kind in ("color", "gt-color"))
+            assert -10 * np.log10(np.mean((color - truth) ** 2)) == pytest.approx(psnr, abs=0.02)
     assert (folder / "hsv.md").read_text().startswith("**HSV Output Analysis")
     with pytest.raises(ValueError, match="unknown figure 'nonsense'"):
         main([str(trained), str(folder), "--figures", "nonsense"])
