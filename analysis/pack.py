@@ -1,19 +1,17 @@
 """`qnerf pack STORE FOLDER`: see `--help`."""
 
-import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from qnerf.records import StoreError
 from qnerf.records.location import resolved, store_folder
 from qnerf.records.printable import printable
 
 from . import command, load, output, packed
 from .figures import FIGURES
-from .figures.files import check_names, draw, file_name
+from .figures.files import check_names, draw
 from .paper import PAPER_TABLES
 from .predictions import write_predictions
 
@@ -47,7 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.add and packed.is_packed(options.folder):
         frame = with_earlier(frame, options.folder)
     output.make_folder(options.folder, store=False)
-    remove_earlier(options.folder)
     finished, problems = packed.pack(frame, options.folder)
     for problem in problems:
         print(f"left out: {printable(problem)}", file=sys.stderr)
@@ -70,18 +67,6 @@ def with_earlier(frame: pd.DataFrame, folder: Path) -> pd.DataFrame:
     empty = frame.columns.union(earlier.columns, sort=False).difference(joined.columns, sort=False)
     # pandas refuses to guess the kind of empty columns in `concat`.
     return pd.concat([joined, pd.DataFrame(None, joined.index, empty, dtype=object)], axis=1)
-
-
-def remove_earlier(folder: Path) -> None:
-    """Removes the figures and tables that were made from the runs packed in this folder, if it is a packed one."""
-    if not packed.is_packed(folder):
-        return
-    scenes: list[object] = []
-    with contextlib.suppress(StoreError):
-        scenes = list(packed.load(folder).get("scene_name", pd.Series()).unique())
-    figures = [file_name(f"{name}{part}") for name in FIGURES for part in ("", *(f"_{scene}" for scene in scenes))]
-    for file in [*(f"{name}.png" for name in figures), *(f"{name}.md" for name in PAPER_TABLES)]:
-        (folder / file).unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

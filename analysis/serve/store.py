@@ -52,14 +52,13 @@ class WatchedStore:
             raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
         self._lock = threading.Lock()
         self._stamps: Stamps = index.scan(self.folder)
-        self._frame = index.load(self.folder, progress=progress)
-        self._pending: list[pd.DataFrame] = []  # newer rows that are not in the frame yet
+        frame = index.load(self.folder, progress=progress)
         self._rows: dict[str, dict[str, Any]] = {}
         self._changed: dict[str, int] = {}  # run -> version in which its row changed last
         self._removed: dict[str, int] = {}
         self._version = 0
         self._looked = time.monotonic()
-        self._alive = set(self._frame.loc[self._frame["state"] == "running", "run_id"]) if len(self._frame) else set()
+        self._alive = set(frame.loc[frame["state"] == "running", "run_id"]) if len(frame) else set()
 
     def changes(self, since: int) -> Changes:
         """What changed after a version."""
@@ -78,26 +77,17 @@ class WatchedStore:
         """
         with self._lock:
             self._look()
-            frame = self._raw()
             version = self._version
+        frame = index.load(self.folder)
         if frame.empty:
             return version, frame
-        return version, content.named(content.described(completed(frame.copy())))
+        return version, content.named(content.described(completed(frame)))
 
     def path(self, run: str) -> Path:
         """The folder of a run. ValueError for a name that is none of the store's."""
         if run not in self._stamps:
             raise ValueError(f"{run:.100}: no such run")
         return self.folder / run
-
-    def _raw(self) -> pd.DataFrame:
-        if self._pending or self._removed.keys() & set(self._frame.get("run_id", ())):
-            newest = pd.concat([self._frame, *self._pending], ignore_index=True) if len(self._frame) else None
-            newest = pd.concat(self._pending, ignore_index=True) if newest is None else newest
-            newest = newest[~newest["run_id"].isin(self._removed)]
-            self._frame = newest.drop_duplicates("run_id", keep="last").sort_values("run_id", ignore_index=True)
-            self._pending = []
-        return self._frame
 
     def _look(self) -> None:
         """Reads what has changed, unless somebody did so within `FRESH` seconds."""
@@ -109,15 +99,13 @@ class WatchedStore:
         gone = self._stamps.keys() - stamps.keys()
         self._stamps = stamps
         self._looked = time.monotonic()
-        rows, frame = self._read(sorted(changed))
+        rows = self._read(sorted(changed))
         different = {run: row for run, row in rows.items() if self._rows.get(run) != row}
         if not different and not gone:
             return
         self._version += 1
         self._rows |= different
         self._changed |= dict.fromkeys(different, self._version)
-        if different:
-            self._pending.append(frame[frame["run_id"].isin(different)])
         for run in different:
             self._removed.pop(run, None)
             self._alive.discard(run)
@@ -129,13 +117,12 @@ class WatchedStore:
                 known.pop(run, None)
             self._alive.discard(run)
 
-    def _read(self, runs: list[str]) -> tuple[dict[str, dict[str, Any]], pd.DataFrame]:
+    def _read(self, runs: list[str]) -> dict[str, dict[str, Any]]:
         if not runs:
-            return {}, pd.DataFrame()
-        frame = index.load_runs(self.folder, runs)
-        shown = content.described(completed(frame.copy()))
+            return {}
+        shown = content.described(completed(index.load_runs(self.folder, runs)))
         rows = {}
         for record in shown.drop(columns=["store", "scene"], errors="ignore").to_dict("records"):
             row = {str(name): plain(value) for name, value in record.items()}
             rows[record["run_id"]] = {name: value for name, value in row.items() if value is not None}
-        return rows, frame
+        return rows

@@ -3,9 +3,8 @@
 pandas' Styler escapes neither `[` and `*` after the end of a LaTeX row nor `|` in Markdown, so cells are escaped here.
 """
 
-import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import pandas as pd
@@ -68,23 +67,20 @@ class Table:
         first = self.text.columns[0]
         shown = [name for name in self.text.columns if name == first or (self.text[name] != "").any()]
         table = Table(self.title, self.text[shown], self.data, self.bold[shown], self.notes)
-        numbers = [_is_numeric(table.text[name]) for name in shown]
-        lines = [
-            r"\begin{table}",
-            r"\centering",
-            rf"\caption{{{latex_escape(self.title)}}}",
-            rf"\label{{tab:{_slug(self.title)}}}",
-            rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numbers)}}}",
-            r"\toprule",
-            *_latex_heads(shown),
-            r"\midrule",
-            *(" & ".join(row) + r" \\" for row in table._rows(_latex_cell, r"\textbf{{{}}}")),
-            r"\bottomrule",
-            r"\end{tabular}",
-            *(rf"\par\footnotesize {latex_escape(note)}" for note in self.notes),
-            r"\end{table}",
+        groups = [str(name).rpartition(": ")[0] for name in shown]
+        heads = [
+            (group, name.removeprefix(f"{group}: ")) if group and groups.count(group) > 1 else ("", name)
+            for group, name in zip(groups, shown, strict=True)
         ]
-        return "\n".join(lines)
+        cells = pd.DataFrame(table._rows(_latex_cell, r"\textbf{{{}}}"))
+        escaped = pd.MultiIndex.from_tuples([tuple(map(latex_escape, head)) for head in heads])
+        cells.columns = escaped if any(group for group, _ in heads) else escaped.get_level_values(1)
+        text = cells.style.hide(axis="index").to_latex(
+            caption=latex_escape(self.title), label=f"tab:{_slug(self.title)}", position_float="centering", hrules=True,
+            column_format="".join("r" if _is_numeric(table.text[name]) else "l" for name in shown), multicol_align="c",
+        )  # fmt: skip
+        notes = "".join(f"\\par\\footnotesize {latex_escape(note)}\n" for note in self.notes)
+        return text.removesuffix("\\end{table}\n") + notes + r"\end{table}"
 
     def csv(self) -> str:
         """The numbers in full, one column each (`psnr_mean`, `psnr_std`, `psnr_n`), without title and notes."""
@@ -98,23 +94,6 @@ class Table:
             [emphasis.format(escape(cell)) if bold else escape(cell) for cell, bold in zip(cells, marks, strict=True)]
             for cells, marks in zip(self.text.to_numpy(), self.bold.to_numpy(), strict=True)
         ]
-
-
-def _latex_heads(names: Sequence[str]) -> list[str]:
-    """The lines of headings: one, or two where some have a part before a colon in common."""
-    groups = [(key, list(own)) for key, own in itertools.groupby(names, lambda name: name.rpartition(": ")[0])]
-    groups = [
-        part for key, own in groups for part in ([(key, own)] if key and own[1:] else [("", [one]) for one in own])
-    ]
-    if not any(key for key, _ in groups):
-        return [" & ".join(map(latex_escape, names)) + r" \\"]
-    above, rules, below, column = [], [], [], 1
-    for key, own in groups:
-        above.append(rf"\multicolumn{{{len(own)}}}{{c}}{{{latex_escape(key)}}}" if key else "")
-        rules += [rf"\cmidrule(lr){{{column}-{column + len(own) - 1}}}"] if key else []
-        below += [latex_escape(name.rpartition(": ")[2] if key else name) for name in own]
-        column += len(own)
-    return [" & ".join(above) + r" \\", " ".join(rules), " & ".join(below) + r" \\"]
 
 
 def _latex_cell(text: str) -> str:

@@ -131,6 +131,8 @@ for _metric in (
     Metric("cost.depth", "depth", kind="size", on_request=True, explanation="of the deepest circuit"),
     Metric("cost.view_hours", "device time of a view", "h", kind="size", on_request=True),
     Metric("cost.train_hours", "device time of the training", "h", kind="size", on_request=True),
+    Metric("dead", "dead units", "", 2, on_request=True, explanation="share that is 0 on all samples"),
+    Metric("spread", "spread", on_request=True, explanation="of raw outputs over samples"),
     Metric("peak_memory_mb", "peak memory", "MB", 0, "lower", on_request=True),
     Metric("loss", "loss", "", 5, "lower", "loss", on_request=True),
     Metric("mse", "mean squared colour error", "", 5, "lower", "loss", on_request=True),

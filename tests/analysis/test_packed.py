@@ -65,15 +65,6 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     assert load.runs(packed)["run_id"].nunique() == len(frame)
 
 
-def test_figures_of_other_runs_go_and_files_of_others_stay(store, tmp_path):
-    packed = tmp_path / "packed"
-    main([str(store), str(packed)])
-    for name in ("loss.png", "capacity_density.png", "spectrum_poster.png", "rgb.md", "notes.md", "photo.png"):
-        (packed / name).write_text("")
-    main([str(store), str(packed)])
-    assert sorted(path.name for path in packed.iterdir() if path.suffix != ".parquet") == ["notes.md", "photo.png"]
-
-
 def test_nothing_is_packed_into_a_run(store):
     run = next(store.glob("poster-*"))
     (run / "units.parquet").write_text("measured")

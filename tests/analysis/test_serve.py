@@ -174,6 +174,6 @@ def test_what_changes_among_many_is_found_without_reading_the_others(many, monke
     watched = WatchedStore(many)
     monkeypatch.setattr(serve_store, "FRESH", 0.0)
     read = []
-    monkeypatch.setattr(watched, "_read", lambda runs: (read.extend(runs), ({}, None))[1])
+    monkeypatch.setattr(watched, "_read", lambda runs: (read.extend(runs), {})[1])
     watched.changes(0)
     assert read == []

@@ -214,7 +214,6 @@ def test_latex_has_minus_signs_grouped_heads_and_no_empty_columns():
     head = lines[lines.index(r"\toprule") + 1 : lines.index(r"\bottomrule")]
     assert head == [
         r" & \multicolumn{2}{c}{PSNR, dB} &  \\",
-        r"\cmidrule(lr){2-3}",
         r"row & paper & ours & note: one \\",
         r"\midrule",
         r"2020-01-02 & $-$1.5 & $-$0.52 {[}$-$1.00, $-$.04{]} & a-1 \\",

@@ -32,11 +32,11 @@ def store(tmp_path):
 
 def test_dead_units_and_spread_are_means_over_layers_and_seeds(store):
     table = units(load.runs(store), ["field"])
-    (row,) = table.data.reset_index().to_dict("records")
-    assert row["dead, start"] == pytest.approx(0.5 * 12 / 16)
-    assert row["dead, end"] == pytest.approx(12 / 16)
-    assert (row["spread, start"], row["spread, end"], row["n"]) == (pytest.approx(0.001), pytest.approx(1.0), 2)
-    assert "| classical | 24.50 ± 0.71 | 38% | 75% | 0.001 | 1 | 2 |" in table.markdown()
+    row = table.data.xs("mean", axis=1, level=1).loc["classical"]
+    assert row["dead @ start"] == pytest.approx(0.5 * 12 / 16)
+    assert row["dead @ end"] == pytest.approx(12 / 16)
+    assert (row["spread @ start"], row["spread @ end"]) == (pytest.approx(0.001), pytest.approx(1.0))
+    assert "| classical | 24.50 ± 0.71 | 0.38 ± 0.00 | 0.75 ± 0.00 | 0.001 ± 0 | 1 ± 0.7071 | 2 |" in table.markdown()
     assert "left out: 1 not probed" in table.markdown()
 
 
