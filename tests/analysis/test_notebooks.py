@@ -17,7 +17,6 @@ def test_a_notebook_runs_and_draws_its_pictures(name, mixed_store, monkeypatch):
     monkeypatch.setenv("QNERF_STORE", str(mixed_store))
     monkeypatch.setenv("QNERF_STEPS", "3")
     book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-    assert not any(cell.get("outputs") for cell in book.cells)  # a repository keeps what a person wrote
     nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(FOLDER)}}).execute()
     shown = [output.get("data", {}) for cell in book.cells for output in cell.get("outputs", [])]
     assert sum("image/png" in data for data in shown) == DRAWN[name]

@@ -5,6 +5,9 @@ not in it, nor is a group such as `qiren`, whose values the heads have copied, n
 
 An option has a declared default, in a component's signature or in `config/settings.py`. The hash leaves out options at
 their default. So a new option whose default does what was done before changes no id.
+
+The hash also leaves out what is only recorded (`RECORDED`), such as where the scene lies or how often views are
+evaluated. A run keeps these options, and another value of them is the same run.
 """
 
 import dataclasses
