@@ -8,7 +8,7 @@ from qnerf.records import Run, RunStore
 CONFIG = {
     "seed": 0,
     "train": {"lr": 1e-6, "steps": 10, "eval_views": None},
-    "scene": {"name": "poster", "path": None, "label": "1e-2"},
+    "scene": {"name": "poster", "path": None, "label": "fox"},
     "odd": ["a", 1],
     "hydra": {"x": 1},
 }

@@ -135,7 +135,7 @@ def test_only_what_changed_is_read_again(tmp_path: Path, reads: list[str]) -> No
     assert frame["state"].tolist() == ["failed", "finished", "finished"]
     assert frame["error"].tolist()[0] == "why"
     assert frame["tags"].tolist() == [(), ("x",), ()]
-    (store / ".index" / f"runs-{index.FORMAT}.parquet").write_bytes(b"damaged")
+    (store / index.INDEX).write_bytes(b"damaged")
     pd.testing.assert_frame_equal(index.load(store), frame)
 
 

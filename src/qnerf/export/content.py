@@ -8,7 +8,7 @@ import pandas as pd
 from qnerf.records import StoreError, details, pictures, read_metrics
 from qnerf.records.details import Details
 
-FILES = ("config.yaml", "overrides.txt", "environment*.json", "dirty*.diff", "eval.parquet", "summary.parquet")
+FILES = ("config.yaml", "overrides.txt", "environment.json", "dirty.diff", "eval.parquet", "summary.parquet")
 
 
 @dataclass(frozen=True)

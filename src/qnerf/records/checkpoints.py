@@ -43,13 +43,11 @@ class Checkpoints:
         self._check_owner()
         preserve(self.current, self.previous)
 
-    def load(
-        self, check: Callable[[dict[str, Any]], None] = lambda content: None, max_bytes: int | None = None
-    ) -> dict[str, Any] | None:
+    def load(self, check: Callable[[dict[str, Any]], None]) -> dict[str, Any] | None:
         """The newest checkpoint that can be read and that passes `check`; None if no checkpoint can be read.
 
-        check: raises ValueError if the content does not belong to the run. max_bytes: of a checkpoint's file, at most.
-        A checkpoint that is not used is renamed, with a warning.
+        check: raises ValueError if the content does not belong to the run. A checkpoint that is not used is renamed,
+        with a warning.
 
         Raises:
             StoreError: a checkpoint can be read, but it does not belong to the run. All files stay as they are.
@@ -59,7 +57,7 @@ class Checkpoints:
         content = None
         for path in (self.current, self.previous):
             try:
-                loaded = load_archive(path, max_bytes)
+                loaded = load_archive(path)
             except FileNotFoundError:
                 continue
             except OSError as error:
@@ -87,17 +85,17 @@ class Checkpoints:
         return content
 
 
-def load_archive(path: Path, max_bytes: int | None = None) -> dict[str, Any]:
+def load_archive(path: Path) -> dict[str, Any]:
     """The dict that `torch.save` wrote, with tensors on the CPU. Nothing in the file is executed.
 
     The archive's checksums are compared. Shapes and values of the tensors are for the caller to check.
 
     Raises:
-        Exception: of any kind, if the file is damaged, larger than `max_bytes`, or something else.
+        Exception: of any kind, if the file is damaged or something else.
     """
     import torch
 
-    with open_regular(path, max_bytes) as file:
+    with open_regular(path) as file:
         with zipfile.ZipFile(file) as archive:
             if (name := archive.testzip()) is not None:  # torch.load does not compare checksums
                 raise zipfile.BadZipFile(f"wrong checksum of {name}")

@@ -4,7 +4,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,16 +20,7 @@ VARIABLES = (
     "CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "SLURM_JOB_ID",
 )  # fmt: skip
 DIFF_LIMIT = 4_000_000  # characters of a saved diff, about
-MAX_FILE_BYTES = 2**26  # of environment.json and dirty.diff, when they are read
 SOURCES = (".py", ".yaml", ".yml", ".toml")  # untracked files that a diff includes whole; others are only named
-
-
-def environment_files(run_dir: Path) -> Iterator[tuple[Path, Path]]:
-    """Where a run's environments and their diffs lie: environment.json and dirty.diff for the first start, then
-    environment-2.json and dirty-2.diff for the next one that differed, and so on."""
-    for number in range(1, 10_000):
-        suffix = "" if number == 1 else f"-{number}"
-        yield run_dir / f"environment{suffix}.json", run_dir / f"dirty{suffix}.diff"
 
 
 def checkout() -> Path | None:

@@ -1,17 +1,16 @@
 """One table of all runs of a store. It reads only the runs that changed since the last time.
 
 A run's row comes from its summary.parquet, status.json, annotations.json and a check of config.yaml. The index on disk,
-`.index/runs-FORMAT.parquet`, holds the rows and a stamp of the files from which each was read: modification time,
+`.index/runs-2.parquet`, holds the rows and a stamp of the files from which each was read: modification time,
 change time, size and inode. A run is read again unless its stamp is still the same. Stamps are taken before reading. A
 file that changed in the last `SETTLED` seconds gives no stamp, because a coarse clock could give the next version the
 same time. Whether a run that says "running" is alive is found out every time.
 
-Several processes may refresh the index at once. Each writes a correct one, and the last one stays. If the store cannot
-be written, the index lies in the user's cache folder.
+Several processes may refresh the index at once. Each writes a correct one, and the last one stays. A store that cannot
+be written has no index: all runs are read each time.
 """
 
 import contextlib
-import hashlib
 import json
 import os
 import time
@@ -23,9 +22,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from qnerf.config.cache import cache_folder
 from qnerf.records import annotations, read
-from qnerf.records.files import StoreError, replace, reporting
+from qnerf.records.files import StoreError, refuse_links, replace, reporting
 from qnerf.records.location import existing_store
 from qnerf.records.owner import unix_time
 from qnerf.records.parquet import TYPES, encode, kind_of, read_table
@@ -40,7 +38,7 @@ RUN_COLUMNS = {
 """Columns that do not come from the summary, even if it has values with these names."""
 
 FILES = ("summary.parquet", "status.json", "config.yaml", "annotations.json")
-FORMAT = 2  # of the index; one in another format is not read
+INDEX = Path(".index", "runs-2.parquet")  # below a store; the number is that of the format
 SETTLED = 10.0  # seconds; file systems count in steps of up to 2 s, and the clock of a server may be a little behind
 UNSETTLED = ""
 """Stamp of a run that changed more recently; it equals no stamp."""
@@ -237,31 +235,20 @@ def _true_state(path: str) -> str:
     return now if now == "interrupted" else "running"
 
 
-def _index_file(root: Path) -> Path | None:
-    name = f"runs-{FORMAT}.parquet"
-    if os.access(root, os.W_OK) and not (root / ".index").is_symlink():
-        return root / ".index" / name
-    cache = cache_folder()
-    digest = hashlib.sha256(os.fsencode(root.absolute())).hexdigest()[:20]
-    return None if cache is None else cache / "index" / digest / name
-
-
 def _stored(root: Path) -> pa.Table:
     """The index on disk; empty if there is no undamaged one."""
-    file = _index_file(root)
-    if file is not None:
-        with contextlib.suppress(StoreError):
-            table = read_table(file)
-            if {_STAMP, *RUN_COLUMNS} - {"path"} <= set(table.schema.names):
-                return table
+    with contextlib.suppress(StoreError):
+        table = read_table(root / INDEX)
+        if {_STAMP, *RUN_COLUMNS} - {"path"} <= set(table.schema.names):
+            return table
     return pa.table({"run_id": pa.array([], pa.string()), _STAMP: pa.array([], pa.string())})
 
 
 def _save(root: Path, table: pa.Table) -> None:
     """Writes the index, if it can be written, without the runs that are read again in any case."""
     settled = table.filter(pc.and_(pc.not_equal(table[_STAMP], UNSETTLED), pc.not_equal(table["state"], "damaged")))
-    file = _index_file(root)
-    if file is not None:
-        with contextlib.suppress(OSError, StoreError):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            replace(file, encode(settled), durable=False)
+    file = root / INDEX
+    with contextlib.suppress(OSError, StoreError):
+        refuse_links(file.parent)
+        file.parent.mkdir(exist_ok=True)
+        replace(file, encode(settled), durable=False)

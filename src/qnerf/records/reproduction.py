@@ -1,19 +1,14 @@
-"""Compares two runs: their numbers, and the environments in which they were computed."""
+"""Compares the numbers of two runs."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from qnerf.config.checks import is_number
-from qnerf.records import StoreError, read_config, read_metrics, read_summary
-from qnerf.records.environment import MAX_FILE_BYTES, differences, environment_files
-from qnerf.records.files import read_bytes, read_json
-from qnerf.records.read import read_evaluation
+from qnerf.records.read import read_config, read_evaluation, read_metrics, read_summary
 from qnerf.records.schemas import results
 
 CLOCKS = ("time/", "time.", "eval/eval_s", "eval_s", "train_s", "step_ms", "step_cpu_ms", "peak_memory_mb")
@@ -40,70 +35,28 @@ class Compared:
         return not self.missing and self.largest <= tolerance
 
 
-def compare(before: Path, after: Path) -> list[Compared]:
+def compare(before: Path, after: Path) -> Iterator[Compared]:
     """Every logged metric, evaluated image and result of two runs, except `CLOCKS`."""
-    return [
-        *_compare_tables("metrics", _metrics(before), _metrics(after)),
-        *_compare_tables("eval", _evaluation(before), _evaluation(after)),
-        *_compare_tables("summary", _summary(before), _summary(after)),
-    ]
-
-
-def environments(run: Path) -> list[dict[str, Any]]:
-    """The environments in which the run started and was resumed; the text of each diff is under `git.diff`."""
-    result = []
-    for path, patch in environment_files(run):
-        if not path.exists():
-            break
-        environment = read_json(path)
-        text = read_bytes(patch, MAX_FILE_BYTES).decode(errors="replace") if patch.exists() else ""
-        git = environment.get("git")
-        result.append(environment | {"git": {**(git if isinstance(git, dict) else {}), "diff": text}})
-    return result
-
-
-def environment_differences(before: Path, after: Path) -> dict[str, tuple[str, str]]:
-    """Name -> its two values as short text, where the environments of the runs' starts differ."""
-    first, second = environments(before), environments(after)
-    if not first or not second:
-        raise StoreError(f"{before if not first else after}: has no environment.json")
-    return {name: (_shortened(a), _shortened(b)) for name, (a, b) in differences(first[0], second[0]).items() if a or b}
-
-
-def recorded_threads(run: Path) -> int | None:
-    """CPU threads that PyTorch used; None if that was not recorded."""
-    threads = next((environment.get("threads") for environment in environments(run)), None)
-    count = threads.get("torch") if isinstance(threads, dict) else None
-    return count if isinstance(count, int) else None
-
-
-def _metrics(run: Path) -> pd.DataFrame:
-    rows = read_metrics(run)
-    return pd.DataFrame({"name": rows["key"], "position": "step=" + rows["step"].astype(str), "value": rows["value"]})
-
-
-def _evaluation(run: Path) -> pd.DataFrame:
-    rows = read_evaluation(run)
-    numbers = rows.set_index("image").select_dtypes("number").drop(columns="step")
-    return numbers.melt(ignore_index=False, var_name="name").rename_axis("position").reset_index()
-
-
-def _summary(run: Path) -> pd.DataFrame:
-    summary = results(read_summary(run), read_config(run))
-    numbers = {k: float(v) for k, v in summary.items() if is_number(v)}
-    return pd.DataFrame({"name": list(numbers), "position": "end", "value": list(numbers.values())})
-
-
-def _compare_tables(table: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Compared]:
-    keys = ["name", "position"]
-    both = before.merge(after, how="outer", on=keys, suffixes=("", "_after"), indicator=True, sort=False)
-    both = both[~both["name"].str.startswith(CLOCKS)]
-    for name, rows in both.groupby("name", sort=False):
+    keys = ["table", "name", "position"]
+    both = _numbers(before).merge(_numbers(after), "outer", keys, suffixes=("", "_after"), indicator=True)
+    for (table, name), rows in both[~both["name"].str.startswith(CLOCKS)].groupby(keys[:2]):
         missing = (rows["_merge"] != "both").to_numpy()
         relative = np.where(missing, 0.0, relative_difference(rows["value"].to_numpy(), rows["value_after"].to_numpy()))
-        differs = missing | (relative > 0)
-        first = str(rows["position"].iloc[int(differs.argmax())]) if differs.any() else ""
-        yield Compared(table, str(name), len(rows), int(missing.sum()), float(relative.max()), first)
+        different = rows["position"].to_numpy()[missing | (relative > 0)]
+        first = str(different[0]) if len(different) else ""
+        yield Compared(str(table), str(name), len(rows), int(missing.sum()), float(relative.max()), first)
+
+
+def _numbers(run: Path) -> pd.DataFrame:
+    """Columns table, name, position (a step or an image) and value."""
+    logged = read_metrics(run)
+    logged = logged.assign(name=logged["key"], position="step=" + logged["step"].astype(str))
+    images = read_evaluation(run).set_index("image").select_dtypes("number").drop(columns="step")
+    measured = images.melt(ignore_index=False, var_name="name").rename_axis("position").reset_index()
+    final = {name: value for name, value in results(read_summary(run), read_config(run)).items() if is_number(value)}
+    ends = pd.DataFrame({"name": list(final), "value": list(final.values()), "position": "end"})
+    tables = {"metrics": logged[["name", "position", "value"]], "eval": measured, "summary": ends}
+    return pd.concat([rows.assign(table=table) for table, rows in tables.items()])
 
 
 def relative_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -113,10 +66,3 @@ def relative_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         relative = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
     relative = np.where(np.isfinite(relative), relative, np.inf)
     return np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, relative)
-
-
-def _shortened(value: Any, limit: int = 60) -> str:
-    if isinstance(value, str) and "\n" in value:
-        return f"{len(value.splitlines())} lines, {value.splitlines()[0][:limit]} ..."
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= limit else f"{text[:limit]}..."

@@ -246,21 +246,6 @@ def _is_readable(reader: Callable[[Path], Any], path: Path) -> bool:
     return True
 
 
-class _Dumper(yaml.SafeDumper):
-    """Quotes text that other parsers take for a number, such as 1e-2, and text with unusual characters."""
-
-
-def _text(dumper: yaml.SafeDumper, text: str) -> Any:
-    style = None if text.isprintable() else '"'
-    with contextlib.suppress(ValueError):
-        float(text)
-        style = style or "'"
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
-
-
-_Dumper.add_representer(str, _text)
-
-
 def to_yaml(config: Mapping[str, Any]) -> str:
-    text: str = yaml.dump(plain(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    text: str = yaml.safe_dump(plain(config), sort_keys=False, allow_unicode=True, width=120)
     return text

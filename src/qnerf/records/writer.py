@@ -24,8 +24,8 @@ import pyarrow.compute as pc
 from qnerf.config.identity import plain
 from qnerf.records import schemas
 from qnerf.records.checkpoints import Checkpoints
-from qnerf.records.environment import MAX_FILE_BYTES, environment_files
-from qnerf.records.files import StoreError, json_bytes, preserve, read_bytes, replace, reporting
+from qnerf.records.environment import differences
+from qnerf.records.files import StoreError, json_bytes, preserve, read_json, replace, reporting
 from qnerf.records.owner import HEARTBEAT_INTERVAL, Ownership, Process
 from qnerf.records.parquet import encode
 from qnerf.records.read import metric_parts, part_name, read_config, read_part, read_status, read_summary
@@ -178,18 +178,18 @@ class Run:
     def write_environment(self, environment: Mapping[str, Any], diff: str = "") -> None:
         """environment.json and, if the code differs from its commit, dirty.diff.
 
-        A resumed run keeps the first ones. If its environment differs, it adds environment-2.json and so on.
+        A resumed run keeps the first ones. What is different now is a line of log.txt.
         """
-        data = json_bytes(plain(environment, "environment"))
-        for path, patch in environment_files(self.dir):
-            if not path.exists():
-                if diff:
-                    self._write(patch.name, diff.encode())
-                self._write(path.name, data)
-                return
-            known_diff = read_bytes(patch, MAX_FILE_BYTES) if patch.exists() else b""
-            if read_bytes(path, MAX_FILE_BYTES) == data and known_diff == diff.encode():
-                return
+        try:
+            before = read_json(self.dir / "environment.json")
+        except (OSError, StoreError):  # absent or damaged
+            if diff:
+                self._write("dirty.diff", diff.encode())
+            self._write("environment.json", json_bytes(plain(environment, "environment")))
+        else:
+            if changed := differences(before, environment):
+                now = ", ".join(f"{name}={value}" for name, (_, value) in changed.items())
+                self.text_log(f"goes on in another environment: {now}")
 
     def write_transform(self, similarity: np.ndarray) -> None:
         """dataparser_transforms.json, as nerfstudio writes it: how the source's world became the normalised one.
@@ -239,12 +239,10 @@ class Run:
             self._ownership.check()
             self._checkpoints.save(dict(content))
 
-    def load_checkpoint(
-        self, check: Callable[[dict[str, Any]], None] = lambda content: None, max_bytes: int | None = None
-    ) -> dict[str, Any] | None:
+    def load_checkpoint(self, check: Callable[[dict[str, Any]], None] = lambda content: None) -> dict[str, Any] | None:
         """The last checkpoint that can be read, with its tensors on the CPU; see `Checkpoints.load`."""
         with self._io:
-            return self._checkpoints.load(check, max_bytes)
+            return self._checkpoints.load(check)
 
     def go_on(self, check: Callable[[dict[str, Any]], None]) -> dict[str, Any] | None:
         """The last checkpoint, as `load_checkpoint`; rows of metrics after its `step` go."""

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from qnerf.cli.commands import add_overrides, add_run
 from qnerf.cli.ends import FAILED, stoppable, stopped_code
@@ -16,7 +16,9 @@ from qnerf.cli.numbers import tolerance
 from qnerf.cli.stored import run_stored, stored
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
-from qnerf.records import find, state
+from qnerf.config.identity import flatten
+from qnerf.records import details, find, state
+from qnerf.records.environment import differences
 from qnerf.records.location import resolved, store_folder
 from qnerf.records.printable import printable
 
@@ -60,9 +62,10 @@ def main(options: argparse.Namespace) -> int:
         raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
     config = stored(run, options.overrides)
 
-    from qnerf.records.reproduction import compare, environment_differences, recorded_threads
+    from qnerf.records.reproduction import compare
 
-    config["threads"] = config.get("threads") or recorded_threads(run)
+    then = details.read(run).environment
+    config["threads"] = config.get("threads") or flatten(then).get("threads.torch")
     config["run"] = config.get("run", {}) | {"force": True}  # the folder of --keep may contain an earlier one
     with contextlib.nullcontext(keep) if keep else tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = str(store)
@@ -70,12 +73,13 @@ def main(options: argparse.Namespace) -> int:
         if outcome.state != "finished":
             print(f"{printable(run.name)}: not compared, the second run is {outcome.state}", file=sys.stderr)
             return stopped_code() if outcome.state == "interrupted" else FAILED
-        compared = compare(run, outcome.path)
-        different = environment_differences(run, outcome.path)
+        compared = list(compare(run, outcome.path))
+        changed = differences(then, details.read(outcome.path).environment)
+        different = {name: values for name, values in changed.items() if any(values)}
     return report(run, compared, different, options.tolerance)
 
 
-def report(run: Path, compared: "Sequence[Compared]", different: Mapping[str, tuple[str, str]], limit: float) -> int:
+def report(run: Path, compared: "Sequence[Compared]", different: Mapping[str, tuple[Any, Any]], limit: float) -> int:
     """Prints which numbers agree, which differ, and how the environments differ; returns the exit code."""
     out = console()
     wrong = [item for item in compared if not item.agrees(limit)]
@@ -88,7 +92,7 @@ def report(run: Path, compared: "Sequence[Compared]", different: Mapping[str, tu
         print(f"{printable(run.name)}: reproduced, {numbers:,} numbers agree {how}")
     if different:
         print("the environment differs:")
-        rows = [{"name": name, "then": then, "now": now} for name, (then, now) in different.items()]
+        rows = [{"name": name, "then": str(then), "now": str(now)} for name, (then, now) in different.items()]
         print_table(out, [Column(title, itemgetter(title), limit=60) for title in ("name", "then", "now")], rows)
     elif wrong:
         print("the recorded environments are the same")
