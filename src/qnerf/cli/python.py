@@ -217,7 +217,7 @@ def _train(config: dict[str, Any], overrides: Sequence[str], usual: Any = None, 
     notebook = "ipykernel" in sys.modules
     progress = config["run"]["progress"]
     kind: Callable[..., LiveDisplay] = NotebookDisplay if notebook and progress else LiveDisplay
-    console = Console(force_jupyter=False)
+    console = Console(force_jupyter=False, force_terminal=False if notebook else None)  # the bar is the display's
     outcome = train(config, overrides, kind(console, progress, usual))
     print_outcome(console, outcome, brief=brief or notebook)
     same = tuple(override for override in overrides if override.lstrip("+").startswith("plugins="))
