@@ -134,12 +134,10 @@ class StoredRun:
 
 
 def run(*overrides: str) -> StoredRun:
-    """Trains and evaluates one configuration, as `qnerf run` with the same options does.
+    """Trains and evaluates one configuration, such as `qnerf.run("field=qcolor", "train.steps=500")`.
 
     A finished run is not trained again, and an interrupted one is continued. Interrupting the cell, or Ctrl-C, stops
     the training with a checkpoint.
-
-    >>> qnerf.run("field=qcolor", "train.steps=500").summary["psnr"]
 
     Raises:
         ValueError: a mistake in the options or the scene, in one line.
@@ -152,11 +150,9 @@ def run(*overrides: str) -> StoredRun:
 
 
 def sweep(*overrides: str) -> list[StoredRun]:
-    """Trains every combination of the values, as `qnerf run -m` does, one after the other in this process.
+    """Trains every combination of the values, `qnerf.sweep("field=classical,qcolor", "seed=0,1")`, one after the other.
 
     A job that fails is reported on standard error, and its run is left out.
-
-    >>> qnerf.sweep("field=classical,qcolor", "seed=0,1")
 
     Raises:
         ValueError: a mistake in the options, before anything is trained.

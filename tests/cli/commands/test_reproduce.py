@@ -106,19 +106,6 @@ def test_the_threads_are_those_of_the_run(tiny, reproduce, monkeypatch):
     assert threads[0] == 1  # steps then switch between that and PyTorch's own
 
 
-def test_the_second_run_can_be_kept(run, reproduce, tmp_path):
-    code, output = reproduce(run, "--keep", tmp_path / "again")
-    assert code == 0, output
-    (again,) = records.runs(tmp_path / "again")
-    assert again.name == run.name
-    assert records.state(again) == "finished"
-    change_metrics(again, lambda rows: scaled(rows, "train/loss", 3, 1.001))
-    assert reproduce(run, "--keep", tmp_path / "again")[0] == 0, "what was kept before is no second run"
-    code, output = reproduce(run, "--keep", run.parent)
-    assert code == 2
-    assert "is the store of the run itself" in output
-
-
 def test_only_what_is_finished(tiny, reproduce):
     config = tiny(*STEPS)
     claim = records.RunStore(config["store"]).claim("a", config)
@@ -151,11 +138,3 @@ def test_the_relative_difference(a, b):
         assert forth <= 2
     elif forth:
         assert forth == np.inf
-
-
-@pytest.mark.parametrize("keep", ["", "s3://bucket/runs"])
-def test_the_second_run_needs_a_folder(make, qnerf, keep):
-    make("a")
-    done = qnerf("reproduce", "a", "--keep", keep)
-    assert done.code == 2
-    assert "store: expected a folder" in done.err

@@ -148,42 +148,6 @@ def test_what_cannot_be_renamed_stays_and_is_free_again(make, monkeypatch):
     assert isinstance(owner.acquire(run), owner.Ownership)
 
 
-def test_a_foreign_folder_in_the_working_directory_stays(make, qnerf, tmp_path, monkeypatch):
-    """`proj` is the run of that name, whatever lies in the working directory."""
-    run = make("proj")
-    mine = tmp_path / "here" / "proj"
-    mine.mkdir(parents=True)
-    for name in ("status.json", "config.yaml"):
-        (mine / name).write_text("{}")
-    monkeypatch.chdir(mine.parent)
-    assert qnerf("tag", "proj", "good").out == "good\n"
-    assert qnerf("rm", "./proj", "--yes").code == 2
-    assert qnerf("tag", "./proj", "good").code == 2
-    assert qnerf("rm", "proj", "--yes").code == 0
-    assert not run.exists()
-    assert sorted(path.name for path in mine.iterdir()) == ["config.yaml", "status.json"]
-
-
-def test_nothing_is_deleted_through_links(make, qnerf, tmp_path):
-    run = make("a")
-    outside = tmp_path / "outside"
-    (outside / "old-x-12345678").mkdir(parents=True)
-    (run.parent / ".tmp").rmdir()
-    (run.parent / ".tmp").symlink_to(outside)
-    done = qnerf("rm", "a", "--yes")
-    assert done.code == 2
-    assert ".tmp: is a link" in done.err
-    assert (outside / "old-x-12345678").is_dir()
-    (run.parent / ".tmp").unlink()
-    (run / "owner").rename(outside / "owner")
-    (run / "owner").symlink_to(outside / "owner")
-    before = sorted(outside.rglob("*"))
-    done = qnerf("rm", "a", "--yes")
-    assert done.code == 2
-    assert "owner: is a link" in done.err
-    assert sorted(outside.rglob("*")) == before
-
-
 def test_an_empty_name_does_not_delete_a_linked_store(make, qnerf, tmp_path):
     store = make("a").parent
     store.rename(tmp_path / "scratch")

@@ -169,13 +169,3 @@ def test_durations_ages_and_sizes_as_text(monkeypatch):
 
 def test_counts():
     assert (count(1234567), count(None), count(3.0)) == ("1,234,567", "-", "3")
-
-
-def test_ids_alone_leave_out_what_xargs_would_misread(make, qnerf):
-    for name in ("x poster-qcolor-s0-aaaaaaaaaa", "-y", "--store=elsewhere", "a'b", "two\nlines", "é"):
-        run = make("a")
-        run.rename(run.parent / name)
-    make("b")
-    done = qnerf("runs", "--ids")
-    assert done.out == "b\n"
-    assert done.err.count("is no run's id; name the folder") == 6

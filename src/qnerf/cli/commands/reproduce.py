@@ -1,7 +1,6 @@
-"""`qnerf reproduce RUN [--keep DIR] [--tolerance 1e-6]`."""
+"""`qnerf reproduce RUN [--tolerance 1e-6]`."""
 
 import argparse
-import contextlib
 import dataclasses
 import sys
 import tempfile
@@ -19,7 +18,7 @@ from qnerf.cli.text import console
 from qnerf.config.identity import flatten
 from qnerf.records import details, find, state
 from qnerf.records.environment import differences
-from qnerf.records.location import resolved, store_folder
+from qnerf.records.location import resolved
 from qnerf.records.printable import printable
 
 if TYPE_CHECKING:
@@ -42,7 +41,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_run(parser)
     add_overrides(parser)
-    parser.add_argument("--keep", metavar="DIR", help="store for the second run (default: it is deleted)")
     parser.add_argument(
         "--tolerance",
         metavar="X",
@@ -57,18 +55,14 @@ def main(options: argparse.Namespace) -> int:
     run = resolved(find(options.run, options.store))
     if (now := state(run)) != "finished":
         raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
-    keep = None if options.keep is None else store_folder(options.keep)
-    if keep is not None and resolved(keep) == run.parent:
-        raise ValueError(f"--keep {options.keep}: is the store of the run itself; expected another folder")
     config = stored(run, options.overrides)
 
     from qnerf.records.reproduction import compare
 
     then = details.read(run).environment
     config["threads"] = config.get("threads") or flatten(then).get("threads.torch")
-    config["run"] = config.get("run", {}) | {"force": True}  # the folder of --keep may contain an earlier one
-    with contextlib.nullcontext(keep) if keep else tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
-        config["store"] = str(store)
+    with tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
+        config["store"] = store
         outcome = run_stored(run, config)
         if outcome.state != "finished":
             print(f"{printable(run.name)}: not compared, the second run is {outcome.state}", file=sys.stderr)

@@ -1,7 +1,6 @@
 """`qnerf runs [FILTER ...]`: the runs of a store, newest first."""
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,7 +13,6 @@ from qnerf.cli.table import Column, Row, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, missing
 from qnerf.metrics import HEAD_PARAMETERS, METRICS
 from qnerf.records import filters, index
-from qnerf.records.location import RUN_ID
 from qnerf.records.printable import ELLIPSIS, printable
 
 EPILOG = """filters (a run must match all of them):
@@ -59,10 +57,7 @@ def main(options: argparse.Namespace) -> None:
         print(as_json(records(limited(frame, options.limit))))
     elif options.ids:
         for name in limited(frame, options.limit).get("run_id", ()):
-            if RUN_ID.fullmatch(name):
-                print(name)
-            else:  # `xargs` would take it for several names or for an option
-                print(f"left out: {printable(name)!r} is no run's id; name the folder", file=sys.stderr)
+            print(printable(name))
     elif frame.empty:
         where, wanted = printable(options.store), printable(" ".join(options.filters))
         print(f"no run of {len(everything):,} in {where} has {wanted}" if len(everything) else f"no runs in {where}")

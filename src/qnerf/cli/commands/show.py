@@ -1,7 +1,6 @@
 """`qnerf show RUN`: everything about one run."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -11,7 +10,7 @@ from rich.text import Text
 
 from qnerf.cli.commands import add_run
 from qnerf.cli.table import Column, metric_column, print_table
-from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, size, styled
+from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, styled
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
@@ -20,7 +19,7 @@ from qnerf.records.printable import printable
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Everything about one run: state, results, held-out views, environment, tags, note, files."
+    parser.description = "Everything about one run: state, results, held-out views, environment, tags, note."
     add_run(parser)
     parser.add_argument("--config", action="store_true", help="the whole configuration too")
     parser.add_argument("--json", action="store_true", help="all of it as one object")
@@ -35,7 +34,7 @@ def main(options: argparse.Namespace) -> None:
 
 
 def as_object(run: Details) -> dict[str, Any]:
-    """The run as plain values; `evaluation` is a list of rows, `files` holds bytes."""
+    """The run as plain values; `evaluation` is a list of rows."""
     return {
         "run_id": run.run_id,
         "path": str(run.path),
@@ -51,7 +50,6 @@ def as_object(run: Details) -> dict[str, Any]:
         "config": run.config,
         "environment": run.environment,
         "status": run.status,
-        "files": files(run.path),
     }
 
 
@@ -63,9 +61,8 @@ def show(out: Console, run: Details, config: bool = False) -> None:
         _section(out, "configuration")
         out.print(yaml.safe_dump(run.config, sort_keys=False).rstrip(), soft_wrap=True)
     _environment(out, run)
-    _section(out, "files", str(run.path))
-    for name, length in files(run.path).items():
-        out.print(Text(f"  {printable(name, 60):<28} {size(length):>9}"))
+    out.print()
+    _pair(out, "folder", str(run.path))
 
 
 def _head(out: Console, run: Details) -> None:
@@ -141,18 +138,6 @@ def _environment(out: Console, run: Details) -> None:
     packages = _dict(environment.get("packages"))
     versions = "  ".join(f"{name} {version}" for name, version in packages.items() if version)
     _pair(out, "versions", f"python {environment.get('python')}  {versions}")
-
-
-def files(run: Path) -> dict[str, int]:
-    """Name -> bytes of each file in the run's folder, and of each folder in it. Hidden ones are left out."""
-    lengths = {}
-    for path in sorted(run.glob("[!.]*")):
-        if path.is_dir():
-            inside = [item.lstat().st_size for item in path.iterdir()]
-            lengths[f"{path.name}/ ({len(inside)})"] = sum(inside)
-        else:
-            lengths[path.name] = path.lstat().st_size
-    return lengths
 
 
 def _section(out: Console, title: str, more: str = "") -> None:
