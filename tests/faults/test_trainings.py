@@ -221,19 +221,6 @@ def test_a_disk_that_turns_read_only(training: dict[str, Any], whole: Path, disk
     assert_equal_runs(experiment.run(config).path, whole)
 
 
-def test_a_damaged_checkpoint_falls_back_and_the_numbers_stay(
-    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    run = interrupted(config, 5)
-    data = (run / "checkpoint.pt").read_bytes()
-    (run / "checkpoint.pt").write_bytes(data[: len(data) // 2])
-    with caplog.at_level(logging.WARNING):
-        resumed = experiment.run(config)
-    (message,) = caplog.messages
-    assert "going on from the checkpoint before" in message
-    assert_equal_runs(resumed.path, whole)
-
-
 def zero_moment(content: dict[str, Any]) -> None:
     content["optimiser"][0]["exp_avg"] = torch.zeros(3)
 
@@ -271,35 +258,3 @@ def test_two_foreign_checkpoints_are_one_line_and_stay(config: dict[str, Any], w
     assert "\n" not in str(error.value)
     assert [path.read_bytes() for path in paths] == before
     assert_equal_runs(experiment.run(config | {"run": config["run"] | {"force": True}}).path, whole)
-
-
-def test_a_forged_end_is_one_line(config: dict[str, Any]) -> None:
-    run = interrupted(config, 5)
-    status = json.loads((run / "status.json").read_text())
-    (run / "status.json").write_text(json.dumps(status | {"state": "finished"}))
-    with pytest.raises(StoreError, match=r"says finished, summary\.parquet says interrupted; run\.force=true") as error:
-        experiment.run(config)
-    assert "\n" not in str(error.value)
-
-
-def test_a_truncated_part_costs_its_own_rows_only(
-    config: dict[str, Any], whole: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(records.writer, "PART_ROWS", 30)
-    run = interrupted(config, 6)
-    parts = sorted((run / "metrics").iterdir())
-    assert len(parts) > 2
-    part = parts[1]
-    lost = {(row.step, row.key) for row in pd.read_parquet(part).itertuples()}
-    part.write_bytes(part.read_bytes()[:-20])
-    with pytest.raises(StoreError, match=r"part-00001\.parquet: damaged") as error:
-        records.read_metrics(run)
-    assert "\n" not in str(error.value)
-    with caplog.at_level(logging.WARNING):
-        resumed = experiment.run(config)
-    assert "part-00001.parquet: damaged" in caplog.messages[0]
-    assert "its rows are missing from now on" in caplog.messages[0]
-    expected = numbers(whole)
-    remaining = [row not in lost for row in zip(expected["step"], expected["key"], strict=True)]
-    assert 0 < sum(remaining) < len(remaining)
-    pd.testing.assert_frame_equal(numbers(resumed.path), expected[remaining].reset_index(drop=True), check_exact=True)

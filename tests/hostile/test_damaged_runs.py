@@ -18,7 +18,7 @@ from qnerf.analysis.figures.files import draw
 from qnerf.analysis.report import content, pictures
 from qnerf.analysis.tables import ablation
 
-from qnerf.cli import ends, main, numbers
+from qnerf.cli import ends, main
 from qnerf.export import to_csv
 from qnerf.records import StoreError, details, index
 from tests.helpers.packed_stores import picture, write_run
@@ -173,13 +173,6 @@ def test_numbers_on_the_command_line_are_finite(text: str, capsys: pytest.Captur
         main.dispatch("reproduce", ["x", f"--tolerance={text}"])
     assert end.value.code == 2
     assert "expected a number" in capsys.readouterr().err
-
-
-def test_counts_are_bounded() -> None:
-    assert numbers.count("7") == 7
-    for text in ("-1", "1e3", "9" * 30):
-        with pytest.raises(numbers.argparse.ArgumentTypeError):
-            numbers.count(text)
 
 
 def test_output_does_not_fail_for_a_character(monkeypatch: pytest.MonkeyPatch) -> None:

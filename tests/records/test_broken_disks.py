@@ -4,17 +4,13 @@ import errno
 import os
 import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import torch
 
 from qnerf import records
 from qnerf.records import RunStore, StoreError
-from tests.helpers.disks import small_disk
 from tests.helpers.stores import CONFIG, claimed
 
 
@@ -83,48 +79,3 @@ def test_a_store_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="cannot create the run's folder"):
         RunStore(tmp_path).claim("a", CONFIG)
     assert list((tmp_path / ".tmp").iterdir()) == []
-
-
-@pytest.fixture
-def disk(tmp_path: Path) -> Iterator[Path]:
-    with small_disk(tmp_path / "disk", "1m") as folder:
-        yield folder
-
-
-def snapshot(folder: Path) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "log.txt"}
-
-
-def test_full_disk(disk: Path) -> None:
-    def train() -> None:
-        claim = RunStore(disk / "runs", every=0.01).claim("a", {"seed": 0})
-        assert claim.run is not None
-        random = np.random.default_rng(0)
-        with claim.run as run:
-            for step in range(100_000):
-                run.log(step, float(step), {f"k{i}": v for i, v in enumerate(random.standard_normal(50))})
-                if step % 100 == 99:
-                    run.save_checkpoint({"step": step})
-
-    with pytest.raises(StoreError, match=r"cannot write: No space left on device$"):
-        train()
-    directory = disk / "runs" / "a"
-    metrics = records.read_metrics(directory)
-    steps = metrics["step"].unique()
-    assert len(metrics) == 50 * len(steps)
-    assert steps.tolist() == list(range(len(steps)))
-    assert torch.load(directory / "checkpoint.pt", weights_only=True)["step"] <= steps[-1]
-    assert not list(directory.rglob(".*.tmp"))
-    assert records.state(directory) in ("failed", "interrupted")
-
-
-def test_checkpoint_larger_than_the_disk(disk: Path) -> None:
-    claim = RunStore(disk / "runs", every=60).claim("a", {"seed": 0})
-    assert claim.run is not None
-    with claim.run as run:
-        run.save_checkpoint({"step": 1, "weights": torch.zeros(1000)})
-        before = snapshot(run.dir)
-        with pytest.raises(StoreError, match=r"checkpoint\.pt: cannot write: No space left on device$"):
-            run.save_checkpoint({"step": 2, "weights": torch.zeros(1_000_000)})
-        assert snapshot(run.dir) == before
-        run.finish()

@@ -73,22 +73,9 @@ def test_diff_makes_the_checkout_again(repository: Path, tmp_path: Path) -> None
     assert (other / "nëw file.py").read_text() == "b = 3\n"
 
 
-def test_diff_before_the_first_commit(tmp_path: Path) -> None:
-    git(tmp_path, "init")
-    (tmp_path / "code.py").write_text("a = 1\n")
-    assert "+a = 1" in environment.dirty_diff(tmp_path)
-    assert environment.capture(root=tmp_path)["git"] == {"commit": None, "branch": "main", "dirty": True}
-
-
 def test_large_changes_are_named_not_saved(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "DIFF_LIMIT", 50)
     (repository / "code.py").write_text("a = 1\n" * 50)
     diff = environment.dirty_diff(repository)
     assert diff.startswith("# changes of tracked files left out: ")
     assert len(diff.splitlines()) == 1
-
-
-def test_what_pytorch_was_built_with_is_known() -> None:
-    seen = environment.capture()["torch"]
-    assert seen["commit"] == torch.version.git_version
-    assert any("C++" in line or "GCC" in line or "MSVC" in line for line in seen["build"])

@@ -149,21 +149,6 @@ def test_what_has_just_changed_is_read_every_time(tmp_path: Path, reads: list[st
     assert reads == ["a"] * 4
 
 
-@pytest.mark.usefixtures("settled")
-def test_older_copy_put_back_with_its_times_is_seen(tmp_path: Path) -> None:
-    store = tmp_path / "runs"
-    path = write(store, "a", psnr=1.0) / SUMMARY
-    shutil.copy2(path, tmp_path / "copy.parquet")
-    before = path.stat()
-    write(store, "a", psnr=2.0)
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-    assert index.load(store)["psnr"].tolist() == [2.0]
-    with open(path, "r+b") as file:
-        file.write((tmp_path / "copy.parquet").read_bytes())
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-    assert index.load(store)["psnr"].tolist() == [1.0]
-
-
 operations = st.lists(
     st.tuples(
         st.sampled_from(["write", "write", "write", "remove", "damage", "strip", "tag", "status"]),
@@ -217,17 +202,6 @@ def test_columns_that_are_asked_for(tmp_path: Path) -> None:
     assert list(frame.columns) == ["psnr", "run_id", "state", "train.lr", "tags"]
     pd.testing.assert_frame_equal(frame, index.load(store)[list(frame.columns)])
     assert frame["state"].tolist() == ["finished", "damaged"]
-
-
-@pytest.mark.usefixtures("settled")
-def test_progress_is_told_of_what_is_read(tmp_path: Path) -> None:
-    store = tmp_path / "runs"
-    for name in "abc":
-        write(store, name)
-    calls: list[tuple[str, int, int]] = []
-    index.load(store, progress=lambda *step: calls.append(step))
-    index.load(store, progress=lambda *step: calls.append(step))
-    assert calls == [("runs", done, 3) for done in range(3)]
 
 
 def test_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
