@@ -7,6 +7,7 @@ exclude_patterns = [".venv", "site", "docs/results/hsv/hsv.md"]
 external_toc_path = "docs/toc.yml"
 myst_heading_anchors = 3
 nb_execution_mode = "off"
+nb_merge_streams = True
 suppress_warnings = ["myst.xref_missing"]  # folders; tests/test_documents.py checks links
 default_role = "code"
 autodoc_typehints = "none"
