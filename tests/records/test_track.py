@@ -58,6 +58,8 @@ def test_tracked_runs_stand_in_tables_beside_others(tmp_path: Path, capsys: pyte
     with pytest.raises(ValueError, match=r"mixes runs of different train\.rate"):
         ablation(frame, ["scene_name", "field"])
     assert ablation(frame, ["scene_name", "field", "train.rate"]).markdown().count("| square | descent |") == 2
+    table = ablation(frame, ["train.rate"], baseline={"train.rate": 0.1}).markdown()
+    assert "worse" in table or "better" in table
     run = records.runs(tmp_path)[0]
     for command in (["show", str(run)], ["runs", "--store", str(tmp_path)]):
         assert main.dispatch(command[0], command[1:]) == 0

@@ -6,11 +6,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from qnerf.config.checks import is_number
 from qnerf.config.identity import clean, digest, flatten
+from qnerf.metrics import metric_of
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.environment import capture, dirty_diff
 from qnerf.records.files import StoreError
 from qnerf.records.location import DEFAULT
+from qnerf.records.read import read_evaluation
 from qnerf.records.store import RunStore
 from qnerf.records.writer import Run
 
@@ -95,15 +98,26 @@ class Tracked:
         self._writer().save_checkpoint({"step": self._step, "seconds": self.seconds, "state": state})
 
     def finish(self, results: Mapping[str, Any] | None = None, /, **more: Any) -> None:
-        """The results of the run, columns of every table. Nothing if the run was finished before."""
-        if self.record is not None:
-            times = {"steps": self._step, "train_s": self.seconds}
-            self.record.finish({**times, **(results or {}), **more})
+        """The results of the run, columns of every table. Nothing if the run was finished before.
+
+        Verdicts compare eval.parquet, one row a held-out image. If `record.write_eval` was not called, it gets one row.
+        """
+        if self.record is None:
+            return
+        measured = {**(results or {}), **more}
+        if read_evaluation(self.path).empty:
+            numbers = {key: value for key, value in measured.items() if is_number(value) and _is_quality(key)}
+            self.record.write_eval([{"image": "all", **numbers}])
+        self.record.finish({"steps": self._step, "train_s": self.seconds, **measured})
 
     def _writer(self) -> Run:
         if self.record is None:
             raise StoreError(f"{self.path}: finished already; force=True does it over")
         return self.record
+
+
+def _is_quality(key: str) -> bool:
+    return metric_of(key).kind not in ("size", "time")
 
 
 def _grouped(config: Mapping[str, Any]) -> dict[str, Any]:
