@@ -1,5 +1,6 @@
 """Which runs a table or figure uses, which are left out and why, and which must not be averaged together."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "samp
 """Columns that name a run's choices; a label that does not act in a run is absent."""
 QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head": ("quantum",)}
 """Head -> the fields in which it is a circuit."""
+CIRCUITS = frozenset(itertools.chain(*QUANTUM.values()))
+"""Fields with a circuit; a tracked run has a field of its own name."""
 
 _SCALARS = ("experiment", "geo_features", "appearance")
 _RESULTS = ("params", "time", "run", "cost")  # first parts of dotted names that are no configuration

@@ -162,6 +162,11 @@ def series(number: int) -> dict[str, Any]:
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
 
 
+def look_of(field: str) -> tuple[str, str]:
+    """Colour and marker of a field; a tracked run's has none of its own."""
+    return FIELDS.get(field, (PALETTE[-1], MARKERS[0]))
+
+
 def looks(fields: Iterable[str]) -> list[dict[str, Any]]:
     """Colour and marker of each configuration: the colour of its field, in another shade where a field comes again.
 
@@ -170,7 +175,7 @@ def looks(fields: Iterable[str]) -> list[dict[str, Any]]:
     seen: Counter[str] = Counter()
     result = []
     for field in fields:
-        color, first = FIELDS.get(field, (PALETTE[-1], MARKERS[0]))
+        color, first = look_of(field)
         markers = [first, *(marker for marker in MARKERS if marker != first)]
         other, part = SHADES[seen[field] % len(SHADES)]
         result.append({"color": mixed(color, other, part), "marker": markers[seen[field] % len(markers)]})

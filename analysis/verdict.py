@@ -198,10 +198,12 @@ def compare(
 ) -> tuple[Verdict, float]:
     """The verdict on two groups of `evaluations`, and how far other views would move the difference.
 
-    Views that only some of the runs have count nowhere. The second number is the half width of Student's interval over
-    the views' mean differences: 0 for one view.
+    Views that only some of the runs have count nowhere; without common views the difference is NaN. The second number
+    is the half width of Student's interval over the views' mean differences: 0 for one view.
     """
     together = pd.concat([baseline, other], join="inner").dropna(axis=1)
+    if together.columns.empty:
+        return Verdict("undecided", np.nan, np.inf, np.nan, 0.0, within), 0.0
     one, two = (group[list(together)] for group in (baseline, other))
     found = verdict(one.mean(axis=1), two.mean(axis=1), within, metric=metric, comparisons=comparisons)
     return found, other_views(one.mean(), two.mean())

@@ -31,7 +31,7 @@ def loss_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
         Columns step (the last of its span), n, mse (geometric mean over seeds), mse_low and mse_high (one standard
         deviation of its logarithm; NaN for one seed), split (train | eval), scene_name, name.
     """
-    return _of_best(frame, most, _losses)
+    return _of_best(frame, most, "train/mse", _losses)
 
 
 def time_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
@@ -39,7 +39,7 @@ def time_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
 
     Columns step, n, psnr (dB), psnr_std, time_s (mean seconds of training so far), scene_name, name.
     """
-    return _of_best(frame, most, _times)
+    return _of_best(frame, most, "eval/psnr", _times)
 
 
 @style.styled
@@ -52,7 +52,7 @@ def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
             ax.plot(part["step"], part["mse"], color=color, ms=3.5, **look)
             ax.fill_between(part["step"], part["mse_low"], part["mse_high"], color=color, alpha=0.18, lw=0)
 
-    figure, axes, note = _panels(frame, loss_points(frame, most), most, draw, "bands", sharey=True)
+    figure, axes, note = _panels(frame, loss_points(frame, most), most, "train/mse", draw, "bands", sharey=True)
     for ax in axes:
         ax.set(xlabel="optimisation step", yscale="log")
         ax.xaxis.set_major_locator(MaxNLocator(4))
@@ -70,7 +70,7 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
     def draw(ax: Axes, name: str, curve: pd.DataFrame, **look: Any) -> None:
         ax.errorbar(curve["time_s"], curve["psnr"], curve["psnr_std"], elinewidth=0.7, label=name, **look)
 
-    figure, axes, note = _panels(frame, time_points(frame, most), most, draw, "bars")
+    figure, axes, note = _panels(frame, time_points(frame, most), most, "eval/psnr", draw, "bars")
     for ax in axes:
         ax.set_xlabel(metric_of("train_s").heading)
     axes[0].set_ylabel(metric_of("eval/psnr").heading)
@@ -78,29 +78,30 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
     return figure
 
 
-def _of_best(frame: pd.DataFrame, most: int, curve: Callable[[Sequence[str]], pd.DataFrame]) -> pd.DataFrame:
+def _of_best(frame: pd.DataFrame, most: int, key: str, curve: Callable[[Sequence[str]], pd.DataFrame]) -> pd.DataFrame:
     """`curve` of the runs of each of the best configurations, with the columns scene_name and name."""
-    table, _ = points.best(_with_metrics(select(frame).runs), ["psnr"], most)
+    table, _ = points.best(_having(select(frame).runs, key), ["psnr"], most)
     curves = [curve(frame["path"][row["runs"]]).assign(**row[["scene_name", "name"]]) for _, row in table.iterrows()]
     return pd.concat(curves, ignore_index=True)
 
 
-def _with_metrics(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs whose logged metrics can be read. Raises ValueError with the reason if none can."""
+def _having(runs: pd.DataFrame, key: str) -> pd.DataFrame:
+    """The runs that have logged this key, readably. Raises ValueError with the reason if none has."""
     problems: list[str] = []
-    readable = [_has_metrics(path, problems) for path in runs["path"]]
+    readable = [_has(path, key, problems) for path in runs["path"]]
     if not any(readable):
         raise ValueError(problems[0])
     return runs[readable]
 
 
-def _has_metrics(path: str, problems: list[str]) -> bool:
+def _has(path: str, key: str, problems: list[str]) -> bool:
     try:
-        metrics(path)
+        if len(metrics(path, key)):
+            return True
+        problems.append(f"{path}: has not logged {key}")
     except ValueError as error:
         problems.append(str(error))
-        return False
-    return True
+    return False
 
 
 def _losses(paths: Sequence[str]) -> pd.DataFrame:
@@ -146,6 +147,7 @@ def _panels(
     frame: pd.DataFrame,
     curves: pd.DataFrame,
     most: int,
+    key: str,
     draw: Callable[..., None],
     spread: str,
     *,
@@ -153,7 +155,7 @@ def _panels(
 ) -> tuple[Figure, np.ndarray, str]:
     """A panel per scene, in which `draw` draws each configuration in a look of its own; the figure's last footnote."""
     runs = select(frame).runs
-    readable = _with_metrics(runs)
+    readable = _having(runs, key)
     left = len(runs) - len(readable)
     damaged = f"left out: {left} with missing or damaged metrics" if left else ""
     table, rest = points.best(readable, ["psnr"], most)

@@ -37,7 +37,7 @@ def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr
     """
     if time not in COSTS:
         raise ValueError(f"unknown cost {time!r}; known: {', '.join(COSTS)}")
-    runs = select(frame, metric).runs
+    runs = select(select(frame, metric).runs, time).runs
     table = points.points(runs, [metric, time])
     if doubt(runs, time):
         return table.assign(front=False)
@@ -47,8 +47,8 @@ def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr
 @style.styled
 def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> Figure:
     """An image metric against a time, a panel per scene. A line marks the Pareto front, whose marks have names."""
-    finished = select(frame, metric)
-    table = speed_points(frame, time, metric)
+    table = speed_points(frame, time, metric)  # refuses an unknown cost
+    finished = select(select(frame, metric).runs, time)
     table["mark"], key = points.marked(
         table, finished.runs, [head for head in style.HEADS if table[head].nunique() > 1]
     )
@@ -58,7 +58,7 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
     for ax, scene in zip(axes, scenes, strict=True):
         shown = table[table["scene_name"] == scene]
         for field, group in shown.groupby("field"):
-            color, marker = style.FIELDS[str(field)]
+            color, marker = style.look_of(str(field))
             ax.errorbar(group[time], group[metric], xerr=group[f"{time}_std"], fmt="none", ecolor=color, elinewidth=0.7)
             ax.plot([], [], ls="", marker=marker, color=color, label=field)
             names = group["mark"].where(group["front"], "")

@@ -7,7 +7,7 @@ from string import ascii_lowercase
 
 import pandas as pd
 
-from ..selection import LABELS, QUANTUM, settings
+from ..selection import CIRCUITS, LABELS, QUANTUM, settings
 
 _NAME_LABELS = ("field", "encoder", "hash", "density", "color", "head", "sampler", "cameras", "train", "steps")
 _NOTATIONS = {
@@ -145,7 +145,7 @@ def seeds(table: pd.DataFrame, drawn: str = "bars") -> str:
 
 def kind(field: str, head: str | None = None) -> str:
     """`quantum` if the field has a circuit (as its `color` or `density` head, if one is named), else `classical`."""
-    quantum = field in QUANTUM[head] if head in QUANTUM else field != "classical"
+    quantum = field in QUANTUM.get(str(head), CIRCUITS)
     return "quantum" if quantum else "classical"
 
 

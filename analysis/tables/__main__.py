@@ -114,7 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif options.units:
         table = units(frame, rows)
     elif options.resources:
-        table = resources(frame, rows, baseline=options.baseline, within=options.within, rate=options.rate)
+        table = resources(
+            frame, rows, metric=options.metric, baseline=options.baseline, within=options.within, rate=options.rate
+        )
     else:
         values = options.values.split(",") if options.values else None
         table = ablation(

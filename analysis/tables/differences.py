@@ -30,6 +30,11 @@ def against(
     views = evaluations(runs, metric)
     numbers = runs.set_index("path").groupby(list(rows), dropna=False).ngroup()
     groups = {number: views[views.index.map(numbers) == number] for number in range(len(keys))}
+    values = runs.set_index("path")[[metric]]
+    without = len(runs) - len(views)
+    for number in [number for number, group in groups.items() if group.empty]:  # tracked runs have no table of views
+        groups[number] = values[numbers == number]
+        without -= len(groups[number])
     pairs = {number: base for number, base in enumerate(reference) if base not in (None, number)}
     found = {
         number: compare(groups[base], groups[number], within, metric=metric, comparisons=len(pairs))
@@ -42,7 +47,7 @@ def against(
     if len(unmatched):
         scenes = dict.fromkeys(label(tuple(scene)) for scene in unmatched[_scene_keys(rows)].to_numpy())
         notes.append(f"no baseline in {', '.join(scenes)}")
-    if without := len(runs) - len(views):
+    if without:
         notes.append(f"{without} runs have no readable {metric} in eval.parquet and take no part in the differences")
     return [found[number][0] if number in found else None for number in range(len(keys))], notes
 

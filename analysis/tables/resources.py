@@ -8,7 +8,7 @@ import pandas as pd
 from qnerf.metrics import HEAD_PARAMETERS, quality_metrics
 
 from .. import packed
-from ..selection import select
+from ..selection import CIRCUITS, select
 from .ablation import ablation
 from .table import Table
 
@@ -23,6 +23,7 @@ def resources(
     frame: pd.DataFrame,
     rows: Sequence[str],
     *,
+    metric: str = "psnr",
     baseline: str | Mapping[str, object] | None = None,
     within: float | None = None,
     rate: float = RATE,
@@ -34,9 +35,9 @@ def resources(
     noise=...` the PSNR under each condition. Runs that were not probed have no value there. Raises ValueError as
     `ablation` does.
     """
-    paths = select(frame).runs["path"]
-    costs, damaged = packed.probe_tables(paths, "cost")
-    measured, also_damaged = packed.probe_tables(paths, HARDWARE)
+    runs = select(frame, metric).runs
+    costs, damaged = packed.probe_tables(runs["path"], "cost")
+    measured, also_damaged = packed.probe_tables(runs["path"], HARDWARE)
     steps = frame.set_index("path")["train.steps"]
     found = {path: cost_of(table, float(steps[path]), rate) for path, table in costs.items()}
     for condition, column in _ordered(measured).items():
@@ -47,9 +48,9 @@ def resources(
     probed = pd.DataFrame.from_dict(found, orient="index")
     probed = probed[[*(name for name in probed if name.startswith("cost.")), *_ordered(measured).values()]]
     quality = [item.key for item in quality_metrics()]
-    values = [name for name in (*quality, *GIVEN) if name in frame and frame[name].notna().any()]
+    values = [name for name in dict.fromkeys((metric, *quality, *GIVEN)) if name in runs and runs[name].notna().any()]
     own = frame.join(probed, on="path")
-    made = ablation(own, rows, values=[*values, *probed], baseline=baseline, within=within, title=title)
+    made = ablation(own, rows, metric=metric, values=[*values, *probed], baseline=baseline, within=within, title=title)
     return replace(made, notes=(*made.notes, *_notes(frame, rate, len(costs), len(measured), damaged, also_damaged)))
 
 
@@ -96,7 +97,7 @@ def _ordered(measured: Mapping[str, pd.DataFrame]) -> dict[tuple[int, str, float
 
 
 def _notes(frame: pd.DataFrame, rate: float, costs: int, measured: int, *damaged: str) -> list[str]:
-    circuits = int((frame["state"].eq("finished") & frame["field"].notna() & frame["field"].ne("classical")).sum())
+    circuits = int((frame["state"].eq("finished") & frame["field"].isin(CIRCUITS)).sum())
     notes = [f"device hours: {SHOTS:,} shots an evaluation, {rate:,.0f} shots a second"] if costs else []
     for count, probe in ((costs, "cost"), (measured, "shots=100,1000")):
         if count < circuits:

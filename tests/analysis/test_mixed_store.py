@@ -1,5 +1,7 @@
 """Fields, photographs and distances in one store go through every table, figure, page and command."""
 
+import shutil
+
 import pytest
 from qnerf.analysis import figures, hsv, load
 from qnerf.analysis.figures.__main__ import main as draw
@@ -11,6 +13,8 @@ from qnerf.analysis.selection import row_keys
 from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
 from qnerf.analysis.tables.__main__ import main as tables
+
+import qnerf
 
 
 def test_every_table(mixed_store, capsys):
@@ -52,3 +56,18 @@ def test_every_page(mixed_store, tmp_path):
 def test_colours_of_a_scene_without_a_circuit_field(mixed_store):
     frame = load.runs(mixed_store, {"scene_name": "ring"})
     assert len(hsv.samples(frame))
+
+
+def test_tracked_runs_stand_beside_the_others(mixed_store, tmp_path, capsys):
+    store = shutil.copytree(mixed_store, tmp_path / "runs")
+    for name, psnr in (("mine", 20.0), ("other", 25.0)):
+        for seed in range(3):
+            with qnerf.track({"scene": "digits", "seed": seed, "own": name}, name=name, store=str(store)) as run:
+                run.log(1, loss=0.5)
+                run.finish(psnr=psnr + 0.1 * seed, accuracy=0.9)
+    tables([str(store), "--rows", "scene_name,field", "--filter", "scene_name=digits", "--baseline", "field=mine"])
+    assert "better *" in capsys.readouterr().out
+    tables([str(store), "--rows", "scene_name,field", "--metric", "accuracy", "--resources"])
+    draw([str(store), "--out", str(tmp_path / "figures"), "--formats", "png"])
+    assert "Error" not in capsys.readouterr().out
+    report([str(store), "--out", str(tmp_path / "page.html"), "--filter", "scene_name=digits"])
