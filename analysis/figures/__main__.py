@@ -21,7 +21,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: %(default)s)")
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
     parser.add_argument("--theme", default="light", choices=["light", "dark"])
-    command.add_baseline(parser, "what forest compares with; default: the classical configuration")
+    command.add_baseline(
+        parser,
+        "what forest compares with (default: the classical configuration) and stand_ins (default: the QIREN head)",
+    )
     options = parser.parse_intermixed_args(arguments)
     check_names(options.names)
     look = {"theme": options.theme, "baseline": options.baseline}

@@ -23,6 +23,7 @@ from .sampling import sampling_strategies
 from .shape import psnr_vs_depth, psnr_vs_width
 from .shots_and_noise import psnr_vs_noise, psnr_vs_shots
 from .spectrum import fourier_spectrum
+from .stand_ins import stand_ins
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,9 @@ class Entry:
     def draw(self, runs: pd.DataFrame, baseline: str | None = None, **options: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
 
-        baseline: what the forest plot compares with; other figures compare with nothing.
+        baseline: what `forest` and `stand_ins` compare with; other figures compare with nothing.
         """
-        if baseline is not None and self.function is forest:
+        if baseline is not None and self.function in (forest, stand_ins):
             options["baseline"] = baseline
         if not self.benchmark and runs["scene_name"].isna().all():
             raise ValueError(f"no run of {len(runs)} has a scene")
@@ -96,6 +97,9 @@ FIGURES = {
     "time": Entry("PSNR against wall time", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest),
+    "stand_ins": Entry(
+        "A circuit head and its stand-ins, with verdicts", stand_ins, hint="`qnerf run --sweep ladder` trains some"
+    ),
     "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, benchmark=True),
     "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, benchmark=True),
     "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, benchmark=True),

@@ -41,6 +41,9 @@ def test_every_figure(mixed_store, tmp_path, capsys):
     assert {"capacity", "loss", "speed", "qualitative", "time"} <= {name.split("_")[0] for name in drawn}, said
     assert {"forest", "hsv_ring", "hsv_astronaut"} <= drawn
     assert len(figures.capacity_points(load.runs(mixed_store))) == 4
+    rungs, part = figures.stand_in_points(load.runs(mixed_store))
+    assert (part, set(rungs["scene_name"])) == ("head", {"astronaut"})
+    assert dict(zip(rungs["rung"], rungs["verdict"], strict=True)).get("1L1S", "circuit") == "circuit"
 
 
 def test_every_page(mixed_store, tmp_path):

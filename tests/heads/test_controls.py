@@ -1,10 +1,12 @@
 """Controls of circuit heads, and QIREN beside a linear map."""
 
+import itertools
 import math
 
 import torch
 
 from qnerf.heads import HEADS
+from qnerf.quantum import QuantumLayer
 from tests.helpers.configs import composed
 
 
@@ -30,6 +32,63 @@ def test_surrogate_has_the_frequencies_of_its_circuit_and_no_others():
     assert float(powers[1:4].min()) > 1e-3
     assert float(powers[4:].max()) < 1e-9
     assert float(head(torch.zeros(1, 2, dtype=torch.float64)).detach().abs()) < 1e-5
+
+
+def test_surrogate_bias_before_its_normalisation_stays_where_it_is():
+    head = HEADS.build("surrogate", 3, 2, qubits=2)
+    head(torch.randn(16, 3)).square().sum().backward()
+    assert float(head.linear.bias.grad.abs().max()) == 0
+    assert float(head.linear.weight.grad.abs().max()) > 0
+
+
+def test_qrun_layer_is_a_fourier_series_of_each_unit():
+    layer = HEADS.build("qrun", 3, 2, width=4, spectral=3).double().hidden[0]
+    x = torch.randn(5, 3, dtype=torch.float64)
+    h = layer.linear(x)
+    expected = layer.constant + sum(
+        a * torch.cos(s * h) + b * torch.sin(s * h)
+        for s, (a, b) in enumerate(zip(layer.cosines.T, layer.sines.T, strict=True), 1)
+    )
+    torch.testing.assert_close(layer(x), expected)
+
+
+def test_qrun_layer_holds_what_a_wire_that_encodes_a_unit_measures():
+    """<Z> of one wire with S encodings is fitted without error: the circuit is one choice of the coefficients."""
+    torch.manual_seed(0)
+    wire = QuantumLayer(1, 2).double()
+    x = torch.linspace(-3, 3, 40, dtype=torch.float64)[:, None]
+    basis = torch.cat([torch.ones_like(x), *(part(s * x) for s in (1, 2) for part in (torch.cos, torch.sin))], 1)
+    values = wire(x).detach()
+    torch.testing.assert_close(basis @ torch.linalg.lstsq(basis, values).solution, values)
+
+
+def test_tensor_train_is_multilinear_in_cosines_and_sines_of_its_angles():
+    """So it is a sum over all 2^n choices of a cosine or a sine, each with a product of matrices as coefficient."""
+    torch.manual_seed(0)
+    head = HEADS.build("tensor_train", 2, 2, sites=3, rank=2, input_scale=0.7).double()
+    x = torch.randn(4, 2, dtype=torch.float64)
+    angles = 0.7 * head.linear(x)
+    state = torch.zeros(4, 2, dtype=torch.float64)
+    for choice in itertools.product((0, 1), repeat=3):
+        factor, row = torch.ones(4, dtype=torch.float64), head.first
+        for site, sine in enumerate(choice):
+            factor = factor * (angles[:, site].sin() if sine else angles[:, site].cos())
+            row = row @ (head.sines if sine else head.cosines)[site]
+        state = state + factor[:, None] * row
+    torch.testing.assert_close(head(x), head.readout(state))
+
+
+def test_qiren_controls_take_out_entanglers_and_training():
+    torch.manual_seed(0)
+    local = HEADS.build("qiren", 3, 2, qubits=3, unitary="local").double().hybrid[0].circuit
+    x = torch.randn(1, 3, dtype=torch.float64)
+    jacobian = torch.autograd.functional.jacobian(local, x)[0, :, 0]
+    torch.testing.assert_close(jacobian, torch.diag(torch.diag(jacobian)), atol=1e-12, rtol=0)
+    head = HEADS.build("qiren", 3, 2, qubits=3, unitary="random")
+    head(torch.randn(8, 3)).square().sum().backward()
+    assert {name for name, p in head.named_parameters() if p.grad is None} == {
+        f"hybrid.{index}.circuit.weights{number}" for index in (0, 1) for number in (1, 2)
+    }
 
 
 def test_bypass_is_all_there_is_at_the_start():
@@ -62,9 +121,10 @@ def test_wire_per_feature_and_pairs_of_observables():
 
 
 def test_controls_have_right_gradients():
-    for name in ("siren", "surrogate", "qiren_bypass"):
+    small = {"siren": {"width": 4}, "qrun": {"width": 4}, "tensor_train": {"sites": 3}}
+    for name in ("siren", "surrogate", "qiren_bypass", "qrun", "tensor_train"):
         torch.manual_seed(0)
-        head = HEADS.build(name, 3, 2, **({"qubits": 2} if name != "siren" else {"width": 4})).double().eval()
+        head = HEADS.build(name, 3, 2, **small.get(name, {"qubits": 2})).double().eval()
         if name == "qiren_bypass":
             torch.nn.init.normal_(head.readout.weight)
         x = torch.randn(2, 3, dtype=torch.float64, requires_grad=True)

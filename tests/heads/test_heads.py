@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from qnerf.heads import HEADS
-from qnerf.quantum.circuit import ANSATZE
+from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, feature
 
 
 def test_heads_map_features_to_values_and_learn():
@@ -66,6 +66,7 @@ MISTAKES = [
     ("qiren", {"ansatz": "nope"}, "nope"),
     ("qiren", {"init": "nope"}, "nope"),
     ("qfgn", {"features": 3}, "even"),
+    ("qiren", {"ansatz": "with_gates", "unitary": "local"}, "with_gates has other gates: register a variant"),
     ("amplitude", {"registers": [6, 6]}, "at most 10 qubits together"),
     ("amplitude", {"registers": [0]}, r"registers\[0\]"),
     ("amplitude", {"registers": []}, "registers"),
@@ -76,7 +77,13 @@ MISTAKES = [
 ]
 
 
-def test_bad_options_are_one_line():
+def with_gates(wires, spectral):
+    gates = Gate("RX", (0,), (feature(0),)), Gate("CNOT", (0, 1))
+    return Circuit("with_gates", wires, operations=gates, observables=(((0, "Z"),),), features=1)
+
+
+def test_bad_options_are_one_line(monkeypatch):
+    monkeypatch.setitem(ANSATZE._components, "with_gates", with_gates)
     for name, options, message in MISTAKES:
         with pytest.raises(ValueError, match=message) as caught:
             HEADS.build(name, 5, 2, **options)

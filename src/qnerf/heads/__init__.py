@@ -6,10 +6,12 @@ from qnerf.heads.mlp import MLPHead
 from qnerf.heads.qfgn import QFGNHead
 from qnerf.heads.qiren import HybridLayer, QirenHead
 from qnerf.heads.qiren_bypass import QirenBypassHead
+from qnerf.heads.qrun import QRunHead
 from qnerf.heads.siren import SirenHead
 from qnerf.heads.surrogate import SurrogateHead
+from qnerf.heads.tensor_train import TensorTrainHead
 
 __all__ = [
-    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "MLPHead", "QFGNHead", "QirenBypassHead", "QirenHead",
-    "SirenHead", "SurrogateHead", "chosen", "head_options",
+    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "MLPHead", "QFGNHead", "QRunHead", "QirenBypassHead",
+    "QirenHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen", "head_options",
 ]  # fmt: skip

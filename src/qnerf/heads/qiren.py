@@ -1,6 +1,7 @@
 """The quantum head: hybrid layers of a linear map, a normalisation and a re-uploading circuit (QIREN)."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Factor, NonNegativeFactor, PositiveInt, Share
 from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer, hardware_conditions
-from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, Wires
+from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, Spectral, Wires
 from qnerf.quantum.layer import Method
 from qnerf.quantum.noise import Field
 
@@ -75,6 +76,18 @@ class Normalisation(nn.BatchNorm1d):
         return (x - self.running_mean) * scale + self.bias
 
 
+def without_drift(linear: nn.Linear, features: Tensor, normalised: bool) -> Tensor:
+    """`linear(features)`, (N, wires); where they are `normalised` over the batch next, its bias does not train.
+
+    Batch normalisation cancels the bias, so its gradient is pure rounding error. Adam would turn that into full steps:
+    the bias would drift at random, and the running statistics that evaluation uses would lag behind it.
+    """
+    bias: Tensor = linear.bias
+    if normalised:
+        bias = bias.detach() + 0 * bias  # a gradient of exactly 0
+    return nn.functional.linear(features, linear.weight, bias)
+
+
 class HybridLayer(nn.Module):
     """Linear -> normalisation -> circuit: (N, in_dim) -> (N, outputs of the circuit), values in [-1, 1].
 
@@ -100,15 +113,22 @@ class HybridLayer(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         if self.training and not self.norm.known:
             check_samples(len(features))
-        # Batch normalisation cancels the bias, so its gradient is pure rounding error. Adam would turn that into full
-        # steps: the bias would drift at random, and the running statistics that evaluation uses would lag behind it.
-        bias: Tensor = self.linear.bias
-        if self.training and self.norm.statistics == "batch":
-            bias = bias.detach() + 0 * bias  # a gradient of exactly 0
-        angles = self.norm(nn.functional.linear(features, self.linear.weight, bias))
+        angles = self.norm(without_drift(self.linear, features, self.training and self.norm.statistics == "batch"))
         if self.input_scale != 1.0:
             angles = angles * self.input_scale
         return self.circuit(angles)
+
+
+def without_entanglers(circuit: Circuit) -> Circuit:
+    """The circuit with its rotations and encodings alone. ValueError for a circuit of other gates."""
+    parts = (Rotations, Encoding, Entangler)
+    if not all(isinstance(operation, parts) for operation in circuit.operations):
+        raise ValueError(
+            f"unitary=local expects a circuit of rotations, encodings and entanglers; {circuit.name} has other gates: "
+            "register a variant without them as an ansatz of its own"
+        )
+    kept = tuple(operation for operation in circuit.operations if not isinstance(operation, Entangler))
+    return replace(circuit, operations=kept)
 
 
 @HEADS.register("qiren")
@@ -131,6 +151,8 @@ class QirenHead(Head):
         statistics: `batch` or `first`, see `Normalisation`.
         shots, noise, patterns: of each circuit, in training and in rendering, see `QuantumLayer`. Noise without any
             error and shots of None are exact.
+        unitary: `circuit`: the circuit that is described; `local`: the same without entanglers; `random`: its angles
+            are drawn at the start and kept. The last two are controls.
         center: start the last bias so that angles of 0 give 0. Measured values lie around a constant, which the gain
             multiplies too: without this, a density head starts as fog or empty, and a colour head saturated.
     """
@@ -140,8 +162,9 @@ class QirenHead(Head):
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:
-        """`1L2S`: hidden layers and re-uploadings."""
-        return f"{options['layers']}L{options['spectral']}S"
+        """`1L2S`: hidden layers and re-uploadings; `1L2S-local`: a control."""
+        control = "" if options["unitary"] == "circuit" else f"-{options['unitary']}"
+        return f"{options['layers']}L{options['spectral']}S{control}"
 
     @classmethod
     def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
@@ -165,6 +188,7 @@ class QirenHead(Head):
         input_scale: Factor = 1.0,
         statistics: Statistics = "batch",
         center: bool = False,
+        unitary: Literal["circuit", "local", "random"] = "circuit",
         shots: PositiveInt | None = None,
         noise: dict[Field, NonNegativeFactor | list[Share] | None] | None = None,
         patterns: PositiveInt = 4,
@@ -177,8 +201,11 @@ class QirenHead(Head):
         self.hybrid = nn.ModuleList()
         own = (ansatz_options or {}).get(ansatz)
         described = self.described(ANSATZE.build(ansatz, qubits, spectral, **(own or {})))
+        if unitary == "local":
+            described = without_entanglers(described)
         for index in range(layers + 1):
             circuit = QuantumLayer(described, method=method, init=init, shots=shots, noise=noise, patterns=patterns)
+            circuit.requires_grad_(unitary != "random")
             layer_in = in_dim if index == 0 else circuit.outputs
             self.hybrid.append(self.hybrid_layer(index, layer_in, qubits, circuit, input_scale, statistics))
         self.readout = nn.Linear(circuit.outputs, out_dim)

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, Factor
 from qnerf.heads.base import HEADS, Head
-from qnerf.heads.qiren import Normalisation, Statistics, check_samples
+from qnerf.heads.qiren import Normalisation, Statistics, check_samples, without_drift
 from qnerf.quantum.circuit import Spectral, Wires
 
 
@@ -66,5 +66,6 @@ class SurrogateHead(Head):
         """(N, in_dim) -> (N, out_dim)."""
         if self.training and not self.norm.known:
             check_samples(len(features))
-        phases = (self.norm(self.linear(features)) * self.input_scale) @ self.frequencies.T
+        angles = self.norm(without_drift(self.linear, features, self.training and self.norm.statistics == "batch"))
+        phases = (angles * self.input_scale) @ self.frequencies.T
         return self.readout(torch.cat([phases.cos(), phases.sin()], -1))
