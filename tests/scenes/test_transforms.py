@@ -300,7 +300,7 @@ def test_a_split_in_error_is_refused(tiny_scene):
 
 def test_files_that_are_no_scene(tmp_path, tiny_scene):
     refused(tmp_path / "nowhere", "nowhere", "does not exist")
-    refused(tiny_scene / "transforms.json", "is not a folder")
+    refused(tiny_scene / "transforms.json", "is not a folder", f"scene.path={tiny_scene}")
     refused(tiny_scene / "images", "no transforms.json", "it has 6 images without poses: `qnerf capture ")
     file = tiny_scene / "transforms.json"
     for text in ("", "{", "nope", "\x00", "[" * 100_000, '{"frames": [1,]}', "\udcff", '{"frames": [' + "9" * 5000):

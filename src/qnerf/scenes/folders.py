@@ -34,7 +34,8 @@ class SceneFolder:
             raise ValueError(f"scene.path={str(path)!r} is a video; {capture_hint(self.path)}")
         if not self.path.is_dir():
             state = "is not a folder" if self.path.exists() else "does not exist"
-            raise ValueError(f"scene.path={str(path)!r} {state}; expected a folder with posed images")
+            parent = f": scene.path={self.path.parent}" if self.path.is_file() else ""
+            raise ValueError(f"scene.path={str(path)!r} {state}; expected a folder with posed images{parent}")
 
     def file(self, name: str) -> Path:
         """The file `name` of a format; ValueError says what the folder holds instead, and how to go on."""
