@@ -8,7 +8,7 @@ from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from qnerf.cli import sweep as sweeps
@@ -42,7 +42,7 @@ class SweepStart(Callback):
         sweeps.started.append(sweep)
         # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
         quoted = str(sweep.folder).replace("'", "\\'")
-        with open_dict(config):
+        with read_write(config), open_dict(config):  # Hydra 1.4 gives it read-only
             config.hydra.sweep.dir = str(sweep.folder)
             config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
             if sweeper == "basic":
