@@ -125,7 +125,7 @@ class Grid(BasicSweeper):
                 for result in self.launcher.launch(jobs, initial_job_idx=number):
                     _ = result.return_value
                 number += len(jobs)
-            if waiting := sweep.busy_runs():
+            if waiting := [run for run in sweep.busy_runs() if state(run) == "running"]:
                 if not told:
                     names = ", ".join(f"{run.name} ({owner.describe(run)})" for run in waiting)
                     print(f"waiting for runs that other processes train: {names}", flush=True)
