@@ -150,3 +150,16 @@ def test_parameters_are_those_of_the_docs():
     for wires, count in ((6, 988), (4, 290)):
         head = HEADS.build("amplitude", 12, 6, registers=[wires])
         assert sum(p.numel() for p in head.parameters()) == count
+
+
+def test_options_that_are_not_read_change_nothing():
+    others = {
+        "amplitudes": "complex", "hidden": 4, "bias": 0.7, "branch": "bloch", "direction_features": 2, "layers": 3,
+        "rotations": "Rot", "entangler": "CNOT", "frequencies": "ternary",
+    }  # fmt: skip
+    defaults = {name: parameter.default for name, parameter in HEADS.options("amplitude").items()}
+    for options in VARIANTS:
+        expected = (head := built(options))[0](head[1])
+        for name in HEADS.get("amplitude").unread(defaults | options):
+            head, x = built(options | {name: others[name]})
+            assert torch.equal(head(x), expected), (options, name)

@@ -11,7 +11,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
-from torch.func import hessian, jacfwd, jacrev, vmap
 
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import (
@@ -180,24 +179,6 @@ def test_second_derivatives_are_those_of_differences() -> None:
         return torch.func.functional_call(layer, dict(zip(names, weights, strict=True)), (x,))
 
     assert torch.autograd.gradgradcheck(function, (x, *layer.parameters()))
-
-
-@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")
-def test_torch_func_and_torch_compile() -> None:
-    fast, plain = layers(MIXED)
-    x = torch.randn(3, FEATURES, dtype=torch.float64)
-    transforms: list[Callable[[QuantumLayer], Tensor]] = [
-        lambda layer: vmap(layer)(x),
-        lambda layer: vmap(jacrev(layer))(x),
-        lambda layer: jacfwd(layer)(x[0]),
-        lambda layer: hessian(lambda one: layer(one).sum())(x[0]),
-    ]
-    for transform in transforms:
-        torch.testing.assert_close(transform(fast), transform(plain), rtol=0, atol=1e-12)
-    for layer in (fast, plain):
-        torch.compiler.reset()
-        compiled: Any = torch.compile(layer, backend="aot_eager", fullgraph=True)
-        assert all(map(torch.equal, results(compiled, 20), results(layer, 20)))
 
 
 def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> None:

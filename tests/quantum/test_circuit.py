@@ -19,11 +19,10 @@ def test_qiren_is_strongly_entangling_layers_with_cz() -> None:
     assert circuit.weight_shapes == ((2, 2, 8, 3), (2, 8, 3))
 
 
-def test_drawings_in_docstrings_are_those_of_pennylane() -> None:
-    for name in ANSATZE.names():
-        documented = [line.strip() for line in (ANSATZE.get(name).__doc__ or "").splitlines()]
-        first = next(index for index, line in enumerate(documented) if line.startswith("0: "))
-        assert documented[first : first + 3] == draw(ANSATZE.build(name, 3, 1)).splitlines()
+def test_drawing_in_the_docstring_is_that_of_pennylane() -> None:
+    documented = [line.strip() for line in (ANSATZE.get("qiren").__doc__ or "").splitlines()]
+    first = next(index for index, line in enumerate(documented) if line.startswith("0: "))
+    assert documented[first : first + 3] == draw(ANSATZE.build("qiren", 3, 1)).splitlines()
 
 
 def test_normal_form_drops_what_does_not_matter() -> None:

@@ -67,7 +67,7 @@ def test_auto_picks_by_cost() -> None:
     assert QuantumLayer(1, 3).cost(6144).method == "lightcone"
     cost = QuantumLayer(8, 2).cost(6144)
     assert cost.method == "statevector"
-    assert "depends on 8 inputs" in cost.others["lightcone"]
+    assert "depends on 8 inputs" in cost.reason
     assert "statevector (compiled) for 6144 samples" in str(cost)
     assert cost.operations > QuantumLayer(8, 1).cost(6144).operations
     assert QuantumLayer(8, 2, backend="torch").cost().backend == "torch"
@@ -78,7 +78,7 @@ def test_cost_of_a_grid_too_large_to_interpolate_on_is_one_line() -> None:
     options = {"ranges": (1, 1), "observable": "X"}
     cost = QuantumLayer(9, 1, ansatz_options=options).cost(100)
     assert cost.method == "statevector"
-    assert "interpolation grid of 19,683 points" in cost.others["lightcone"]
+    assert "interpolation grid of 19,683 points" in cost.reason
     with pytest.raises(ValueError, match="choose method=statevector or auto"):
         QuantumLayer(9, 1, method="lightcone", ansatz_options=options)
 

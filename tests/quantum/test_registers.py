@@ -23,7 +23,7 @@ from qnerf.quantum.circuit import (
 )
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.registers import block_registers, gate_registers, is_split
+from qnerf.quantum.registers import is_split, registers
 from qnerf.quantum.simulator import Simulator
 from tests.quantum import test_any_circuit, test_engines
 
@@ -58,7 +58,7 @@ def test_registers_of_a_reuploading_circuit_give_what_the_whole_gives(circuit: C
 @settings(max_examples=20)
 @given(circuit=test_any_circuit.circuits())
 def test_registers_of_any_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
-    assume(gate_registers(circuit))  # not all outputs are constants
+    assume(registers(circuit))  # not all outputs are constants
     simulator = Simulator(circuit)
     assert_same(results(simulator.of_registers, *inputs(circuit)), results(simulator, *inputs(circuit)))
 
@@ -79,8 +79,7 @@ def test_polynomials_of_a_wide_circuit_are_those_of_its_registers() -> None:
 def test_output_of_64_wires_sees_what_a_smaller_ring_sees() -> None:
     """Output 30 of 64 wires depends on wires 26..34 alone. A ring of 12 wires looks the same to it."""
     wide, small = ANSATZE.build("qiren", 64, 1), ANSATZE.build("qiren", 12, 1)
-    (part,) = {part.circuit for part in block_registers(wide)}
-    assert part.wires == 9
+    assert {part.circuit.wires for part in registers(wide)} == {9}
     layer = QuantumLayer(wide)
     x, weights = inputs(wide, batch=200)
     near = slice(24, 36)
@@ -117,7 +116,7 @@ def test_wide_circuit_of_gates_equals_its_closed_form() -> None:
     assert_same(results(Simulator(circuit, backend="torch"), x, weights), expected)
     layer = QuantumLayer(circuit)
     assert layer(x.float()).dtype == torch.float32
-    assert layer.cost(3).reason == f"{len(gate_registers(circuit))} registers of at most 6 wires"
+    assert layer.cost(3).reason.endswith(f", {len(registers(circuit))} registers of at most 6 wires")
 
 
 def test_amplitudes_and_unused_wires_stay_whole() -> None:

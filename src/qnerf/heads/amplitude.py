@@ -212,8 +212,8 @@ class AmplitudeHead(Head):
         controls = {"local": ["entangler"], "identity": ["layers", "rotations", "entangler"]}
         unread = [] if options["unitary"] == "circuit" else controls.get(options["unitary"], ["layers", "entangler"])
         if options["encoding"] == "none":
-            unread = [*unread, "amplitudes", "hidden", "bias"]
-        if options["branch"] == "joint":
+            unread = [*unread, "amplitudes", "hidden", "bias", "branch", "direction_features"]
+        elif options["branch"] == "joint":
             unread = [*unread, "direction_features"]
         if not options["uploads"]:
             unread = [*unread, "frequencies"]
@@ -251,7 +251,7 @@ class AmplitudeHead(Head):
             raise ValueError("encoding=none expects uploads of at least 1: else the state holds no features")
         self.gain = gain
         self.out_dim = out_dim
-        self.direction_features = direction_features if branch != "joint" else 0
+        self.direction_features = direction_features if branch != "joint" and encoding != "none" else 0
         if self.direction_features >= in_dim or (self.direction_features and len(registers) < 2):
             raise ValueError(
                 f"branch={branch} expects two registers and more than {direction_features} features, "

@@ -33,8 +33,8 @@ class Unitaries(nn.Module):
         self.kind = kind
         self.count = count
         self.is_complex = rotations == "Rot"
-        groups = (1,) * wires if kind == "local" else None
-        self.circuit: Circuit = layered(wires, layers, uploads=count - 1, entangler=entangler, groups=groups)
+        entangled = kind != "local"
+        self.circuit: Circuit = layered(wires, layers, uploads=count - 1, entangler=entangler, entangled=entangled)
         size = 2**wires
         if kind in ("circuit", "local"):
             self.angles = nn.Parameter(torch.rand(count * layers, wires, 3 if self.is_complex else 1) * (2 * torch.pi))

@@ -162,5 +162,6 @@ def evaluate_hardware(
 
 def _text(condition: Condition) -> str:
     shots = f"{condition.shots} shots" if condition.shots else "exact"
-    others = "".join(f" {name}={value:g}" for name, value in condition.others)
-    return f"{shots}, noise {condition.noise} {condition.p:g}{others}"
+    channel = [(condition.noise, condition.p)] if condition.p else []
+    noise = " ".join(f"{name}={value:g}" for name, value in [*channel, *condition.others])
+    return f"{shots}, {noise or 'without noise'}"

@@ -1,7 +1,7 @@
 """Circuits of qubits, evaluated exactly and in batches: `QuantumLayer`, and `from_qnode` for circuits of PennyLane.
 
 The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
-`description`, and `circuit`, which has circuits by name.
+`circuit` (what a circuit is, and circuits by name).
 
 `simulator` runs a circuit: it takes the cheapest engine, and splits wide circuits into `registers` of few wires. What
 differs between the two families of circuits is in `families`; either takes its weights flat.

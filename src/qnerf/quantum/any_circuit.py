@@ -2,7 +2,6 @@
 
 from functools import cached_property
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,13 +14,10 @@ from qnerf.quantum.cones import find_cones
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.pauli_form import PauliForm, pauli_form
 from qnerf.quantum.pauli_statevector import PauliCircuit, gate_by_gate
-from qnerf.quantum.registers import Register, as_registers, gate_registers, is_split, measured
 
 
 class AnyCircuit:
     """A circuit of any gates; see `families.Family`."""
-
-    reads_all_wires = False
 
     def __init__(self, circuit: Circuit, method: str = "auto") -> None:
         self.circuit = circuit
@@ -36,19 +32,10 @@ class AnyCircuit:
         return work_bytes(pauli_form(self.circuit), 1)
 
     def cost(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
-        split = is_split(self.circuit)
-        circuits = [part.circuit for part in self.registers()] if split else [self.circuit]
-        forms = [pauli_form(circuit) for circuit in circuits]
-        itemsize = torch.finfo(dtype).bits // 8
-        memory = max(work_bytes(form, batch, itemsize) for form in forms) if compiled else statevector.CHUNK_BYTES
-        if split:
-            memory += 2 * batch * measured(self.circuit).values * itemsize
-        reason = as_registers(self.circuit) if split else f"{len(forms[0].rotations)} rotations about Pauli words"
-        backend = "compiled" if compiled else "torch"
-        return Cost("statevector", backend, batch, sum(map(operations, forms)), 0, memory, reason)
-
-    def registers(self) -> tuple[Register, ...]:
-        return gate_registers(self.circuit)
+        form = pauli_form(self.circuit)
+        memory = work_bytes(form, batch, dtype.itemsize) if compiled else statevector.CHUNK_BYTES
+        reason = f"{len(form.rotations)} rotations about Pauli words"
+        return Cost("statevector", "compiled" if compiled else "torch", batch, operations(form), 0, memory, reason)
 
     def evaluate(self, x: Tensor, weights: Tensor, cost: Cost) -> Tensor:
         if cost.backend == "compiled":
@@ -61,9 +48,6 @@ class AnyCircuit:
     def bit_probabilities(self, x: Tensor, weights: Tensor) -> Tensor:
         state = self.states(x, weights)
         return state.real.square() + state.imag.square()
-
-    def bit_signs(self) -> np.ndarray:
-        raise NotImplementedError("its outputs are read one by one")
 
 
 def operations(form: PauliForm) -> int:

@@ -134,11 +134,7 @@ def signed(circuit: Circuit, as_features: bool) -> Circuit:
     weights = circuit.size
 
     def own(expression: Expression | float, factor: Expression | float = 1.0) -> Expression:
-        total = Expression()
-        for coefficient, names, indices in Expression.of(expression).terms:
-            places = tuple(sorted(("weights", first[name] + index) for name, index in names))
-            total = total + Expression(((coefficient, places, indices),)) * factor
-        return total
+        return Expression.of(expression).with_flat_weights("weights", first) * factor
 
     operations: list[Operation] = []
     sign = 0

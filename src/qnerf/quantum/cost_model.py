@@ -2,7 +2,7 @@
 
 Operations are multiply-adds on one sample, counted from the normal form of the circuit. A light-cone polynomial needs
 few operations a sample, but its circuit has to be evaluated on a grid once a step. It is cheaper from some batch size
-on; with large cones it never is.
+on; with large cones it never is. Both engines work on whole vectors, so the choice does not depend on their width.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> for spectral in (1, 2):
@@ -12,8 +12,7 @@ lightcone
 statevector
 """
 
-from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
@@ -23,9 +22,8 @@ from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import Circuit, readable_bytes
 from qnerf.quantum.cones import TooLarge
-from qnerf.quantum.lightcone import interpolation, pieces, polynomial_form
+from qnerf.quantum.lightcone import interpolation, polynomial_form
 from qnerf.quantum.normal_form import CNOTs, Diagonal, NormalForm, normal_form
-from qnerf.quantum.registers import as_registers, is_split
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,7 @@ class Cost:
         operations: multiply-adds for each sample.
         operations_once: multiply-adds for each step, whatever the batch.
         memory: bytes of work space beside inputs and outputs.
-        reason: why this engine was taken.
-        others: the methods that were not taken -> why not.
+        reason: why this engine was taken, and not another one.
     """
 
     method: str
@@ -50,7 +47,6 @@ class Cost:
     operations_once: int
     memory: int
     reason: str
-    others: dict[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return (
@@ -59,6 +55,7 @@ class Cost:
         )
 
 
+@lru_cache(maxsize=256)
 def statevector_operations(form: NormalForm) -> int:
     """Multiply-adds for each sample, forward and backward, of the compiled state-vector engine."""
     n = form.wires
@@ -74,9 +71,8 @@ def statevector_operations(form: NormalForm) -> int:
             forward += size
             backward += 2 * size
         else:
-            each = 4 if step.angles.scales is not None else 2
-            forward += each * n * size
-            backward += (each + 2) * n * size
+            forward += 2 * n * size
+            backward += 4 * n * size
     measurement = (n + 5) * size if form.measures_last_layer else (len(form.measured) + 2) * size
     backward += (2 * n + 4) * size if form.measures_last_layer else (2 * len(form.measured) + 2) * size
     return 2 * forward + measurement + backward  # the backward pass runs the forward pass again
@@ -90,11 +86,6 @@ def statevector_memory(form: NormalForm, batch: int, itemsize: int = 4) -> int:
     return blocks_at_once * vectors * 2**form.wires * VECTOR_BYTES + itemsize * batch * 4 * form.wires
 
 
-def forms_of(circuit: Circuit) -> Counter[NormalForm]:
-    """The normal forms that a re-uploading circuit is evaluated as, and how often each."""
-    return Counter({normal_form(own): count for own, count in Counter(p.circuit for p in pieces(circuit)).items()})
-
-
 @lru_cache(maxsize=256)
 def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
     """Multiply-adds for each sample, and once a step for the coefficients, forward and backward.
@@ -102,11 +93,7 @@ def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
     The error is returned, not raised, so that it is cached too.
     """
     try:
-        polynomials = polynomial_form(circuit)
-        once = sum(
-            count * len(interpolation(form.circuit).points) * statevector_operations(form)
-            for form, count in forms_of(circuit).items()
-        )
+        polynomials, points = polynomial_form(circuit), len(interpolation(circuit).points)
     except TooLarge as error:
         return error
     forward = backward = 0
@@ -116,6 +103,7 @@ def lightcone_operations(circuit: Circuit) -> tuple[int, int] | TooLarge:
             forward += terms
             backward += 4 * terms
             terms //= 2 * degree + 1
+    once = points * statevector_operations(normal_form(circuit))
     return 2 * (forward + 8 * polynomials.highest_degree * circuit.wires) + backward, once
 
 
@@ -125,31 +113,22 @@ def choose_engine(circuit: Circuit, method: str, batch: int, dtype: torch.dtype,
     Raises:
         TooLarge: `method` is lightcone and the circuit has no small light cones.
     """
-    forms = forms_of(circuit)
+    form = normal_form(circuit)
     itemsize = torch.finfo(dtype).bits // 8
     backend = "compiled" if compiled else "torch"
-    split = f", {as_registers(circuit)}" if is_split(circuit) else ""
-
-    state = sum(count * statevector_operations(form) for form, count in forms.items())
-    counted = lightcone_operations(circuit)
+    state, counted = statevector_operations(form), lightcone_operations(circuit)
     if isinstance(counted, TooLarge):
         if method == "lightcone":
             raise TooLarge(str(counted))
         why_not = str(counted)
     else:
         cone, once = counted
-        if method == "lightcone" or (
-            method == "auto" and cone * batch * itemsize + once * 8 < state * batch * itemsize
-        ):
-            others = {"statevector": f"{state:,} operations a sample, 0 once a step"}
-            matrices = sum(interpolation(form.circuit).matrix.size for form in forms)
+        is_cheaper = cone * batch * itemsize + once * 8 < state * batch * itemsize
+        if method == "lightcone" or (method == "auto" and is_cheaper):
             degree = polynomial_form(circuit).highest_degree
-            memory = 8 * matrices + itemsize * batch * 2 * (2 * degree + 1) * circuit.wires
-            if split:
-                memory += sum(count * statevector_memory(form, 1, 8) for form, count in forms.items())
+            memory = 8 * interpolation(circuit).matrix.size + itemsize * batch * 2 * (2 * degree + 1) * circuit.wires
             reason = "asked for" if method == "lightcone" else f"{cone:,} operations a sample instead of {state:,}"
-            return Cost("lightcone", backend, batch, cone, once, memory, reason + split, others)
-        why_not = f"{cone:,} operations a sample, but {once:,} once a step"
-    memory = max(statevector_memory(form, batch, itemsize) for form in forms) if compiled else statevector.CHUNK_BYTES
-    reason = "asked for" if method == "statevector" else why_not
-    return Cost("statevector", backend, batch, state, 0, memory, reason + split, {"lightcone": why_not})
+            return Cost("lightcone", backend, batch, cone, once, memory, reason)
+        why_not = f"a polynomial takes {cone:,} operations a sample, but {once:,} once a step"
+    memory = statevector_memory(form, batch, itemsize) if compiled else statevector.CHUNK_BYTES
+    return Cost("statevector", backend, batch, state, 0, memory, "asked for" if method == "statevector" else why_not)

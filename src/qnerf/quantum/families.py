@@ -6,14 +6,12 @@ Data re-uploading circuits (`reuploading`) have a normal form, light cones and t
 
 from typing import Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from qnerf.quantum.any_circuit import AnyCircuit
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.cost_model import Cost
-from qnerf.quantum.registers import Register
 from qnerf.quantum.reuploading import Reuploading
 
 
@@ -24,17 +22,11 @@ class Family(Protocol):
         TooLarge: method=lightcone for a circuit without small light cones.
     """
 
-    reads_all_wires: bool
-    """Whether all that is measured can be read in the same shot."""
-
     def sample_bytes(self) -> int:
         """Bytes of work space for one sample, as one state of all wires."""
 
     def cost(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
         """The engine for a batch, and what a step costs."""
-
-    def registers(self) -> tuple[Register, ...]:
-        """The parts that a wide circuit runs as."""
 
     def evaluate(self, x: Tensor, weights: Tensor, cost: Cost) -> Tensor:
         """Outputs (B, outputs) for inputs x (B, features) and flat weights, by the engine that `cost` names."""
@@ -45,9 +37,6 @@ class Family(Protocol):
     def bit_probabilities(self, x: Tensor, weights: Tensor) -> Tensor:
         """Probabilities (B, 2^n) of the bit strings that are read: of a re-uploading circuit in the basis that it
         measures each wire in, of any other in the computational basis."""
-
-    def bit_signs(self) -> np.ndarray:
-        """(outputs, 2^n): +1 or -1, what a bit string counts for in each output, if `reads_all_wires`."""
 
 
 def family_of(circuit: Circuit, method: str = "auto") -> Family:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
-from qnerf.quantum import measurement, operator, pennylane
+from qnerf.quantum import measurement, pennylane
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check_wires
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.initial_angles import INITS
@@ -54,7 +54,7 @@ class QuantumLayer(nn.Module):
         init: a name in `qnerf.quantum.initial_angles.INITS`. Angles are drawn from torch's global generator.
         backend: compiled is CPU code with its own backward pass; torch is plain PyTorch, for any device; auto takes
             compiled wherever it can run. Second and higher derivatives (`create_graph=True`), `torch.func` and forward
-            derivatives go through plain PyTorch. `torch.compile` sees the layer as one operator.
+            derivatives go through plain PyTorch. `torch.compile` leaves the layer as it is and calls it.
         shots: measurements of each value; None for exact expectation values. Each output is drawn by itself.
         noise: a `Noise`, its fields, or a depolarizing probability. Training with shots and noise has the derivatives
             that `qnerf.quantum.measurement.Conditions` says with gradients=True.
@@ -123,7 +123,6 @@ class QuantumLayer(nn.Module):
             if hasattr(self, name):
                 raise ValueError(f"weights cannot be called {name}, which is an attribute of a layer")
             self.register_parameter(name, nn.Parameter(values))
-        self._number = operator.register(self)
 
     @property
     def wires(self) -> int:
@@ -159,9 +158,14 @@ class QuantumLayer(nn.Module):
         super().__setstate__(state)
         if self.method == "pennylane":
             self._node = pennylane.make_node(self.circuit, **self._node_options)
-        self._number = operator.register(self)  # a copy is another layer
 
     def forward(self, x: Tensor | None = None) -> Tensor:
+        if torch.compiler.is_compiling():  # the engines are loops over NumPy arrays, which dynamo cannot follow
+            out: Tensor = torch.compiler.disable(self._outputs)(x)
+            return out
+        return self._outputs(x)
+
+    def _outputs(self, x: Tensor | None) -> Tensor:
         if torch.jit.is_tracing():
             raise ValueError("torch.jit.trace would keep the outputs of one input; torch.compile takes a QuantumLayer")
         features = self.circuit.features
@@ -179,10 +183,7 @@ class QuantumLayer(nn.Module):
         angles = (x if x.ndim == 2 else x.reshape(prod(x.shape[:-1]), features)).resolve_neg().to(dtype)
         with torch.autocast(x.device.type, enabled=False):
             weights = torch.cat([angles.new_zeros(0), *(parameter.flatten().to(dtype) for parameter in parameters)])
-            if torch.compiler.is_compiling():
-                out = operator.evaluate(angles, weights, self._number)
-            else:
-                out = self.evaluate(angles, weights)
+            out = self.evaluate(angles, weights)
         return out if x.ndim == 2 else out.reshape(*x.shape[:-1], out.shape[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:

@@ -4,14 +4,14 @@ With S = 1 an output of QIREN depends on three inputs, whatever the number of wi
 step. They come from interpolation. The circuit is evaluated exactly on a grid of equispaced angles, and a discrete
 Fourier transform of those values gives the coefficients without error. Wires that share no cone can take the same grid
 angle. They are found by colouring the wires, so that 8 wires need 81 evaluations, not 216. Any circuit with small cones
-will do. A wide one is evaluated register by register (`registers`), so no state is larger than a cone.
+will do. A wide one is several smaller ones (`registers`).
 """
 
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import chain
 from math import pi, prod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,9 +33,8 @@ from qnerf.quantum.compiled.engine import (
     parts_of,
     to_blocks,
 )
-from qnerf.quantum.cones import Cone, Cones, TooLarge, find_cones
+from qnerf.quantum.cones import Cones, TooLarge, find_cones
 from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.registers import block_registers, is_split, measured
 
 MAX_ENTRIES = 2**22  # of the interpolation matrix: 32 MiB
 
@@ -47,7 +46,8 @@ class PolynomialForm:
     Attributes:
         cones: of the circuit; the coefficients of output k are ordered as `cones.cones[k]` is.
         highest_degree: of any wire.
-        wires: (outputs, most wires) of each cone.
+        used: the wires that are in any cone.
+        wires: (outputs, most wires) of each cone, as places in `used`.
         basis_sizes: (outputs, most wires) number of basis functions 1, cos, sin, ... of each of these wires.
         wire_counts: (outputs,) wires in each cone.
         base_frequencies: (n,).
@@ -55,6 +55,7 @@ class PolynomialForm:
 
     cones: Cones
     highest_degree: int
+    used: np.ndarray
     wires: np.ndarray
     basis_sizes: np.ndarray
     wire_counts: np.ndarray
@@ -78,34 +79,6 @@ class Interpolation:
     matrix: np.ndarray
 
 
-class Piece(NamedTuple):
-    """A part of a re-uploading circuit with an interpolation grid of its own: a register, or the whole circuit.
-
-    Attributes:
-        circuit: of the part.
-        wires: of the whole circuit.
-        outputs: of the whole circuit: those that each output of the part is.
-    """
-
-    circuit: Circuit
-    wires: list[int]
-    outputs: list[list[int]]
-
-
-@lru_cache(maxsize=64)
-def pieces(circuit: Circuit) -> tuple[Piece, ...]:
-    """The parts of a re-uploading circuit."""
-    if not is_split(circuit):
-        return (Piece(circuit, list(range(circuit.wires)), [[output] for output in range(circuit.outputs)]),)
-    found = measured(circuit)
-    columns = np.eye(found.values) if found.combination is None else found.combination
-    outputs = [np.flatnonzero(column).tolist() for column in columns.T]
-    return tuple(
-        Piece(part.circuit, list(part.wires), [outputs[value] for value in part.values])
-        for part in block_registers(circuit)
-    )
-
-
 @lru_cache(maxsize=64)
 def polynomial_form(circuit: Circuit) -> PolynomialForm:
     """The polynomials of a circuit.
@@ -113,35 +86,23 @@ def polynomial_form(circuit: Circuit) -> PolynomialForm:
     Raises:
         TooLarge: the cones are too large.
     """
-    cones = _cones(circuit)
+    cones = find_cones(circuit)
     most_wires = max(len(cone.wires) for cone in cones.cones)
+    used = sorted({wire for cone in cones.cones for wire in cone.wires})
     wires = np.zeros((len(cones.cones), max(most_wires, 1)), dtype=np.int64)
     basis_sizes = np.ones_like(wires)
     for output, cone in enumerate(cones.cones):
         for position, (wire, highest) in enumerate(zip(cone.wires, cone.degrees, strict=True)):
-            wires[output, position], basis_sizes[output, position] = wire, 2 * highest + 1
+            wires[output, position], basis_sizes[output, position] = used.index(wire), 2 * highest + 1
     wire_counts = np.array([len(cone.wires) for cone in cones.cones])
     base = np.array([frequency or 1.0 for frequency in cones.base_frequencies])
-    return PolynomialForm(cones, int(basis_sizes.max()) // 2, wires, basis_sizes, wire_counts, base)
-
-
-def _cones(circuit: Circuit) -> Cones:
-    """The cones of all outputs, found piece by piece."""
-    cones: list[Cone] = [Cone((), ())] * circuit.outputs
-    base = [0.0] * circuit.wires
-    for piece in pieces(circuit):
-        own = find_cones(piece.circuit)
-        for wire, frequency in zip(piece.wires, own.base_frequencies, strict=True):
-            base[wire] = frequency
-        for outputs, cone in zip(piece.outputs, own.cones, strict=True):
-            for output in outputs:
-                cones[output] = Cone(tuple(piece.wires[wire] for wire in cone.wires), cone.degrees)
-    return Cones(tuple(cones), tuple(base))
+    highest = int(basis_sizes.max()) // 2
+    return PolynomialForm(cones, highest, np.array(used, dtype=np.int64), wires, basis_sizes, wire_counts, base)
 
 
 @lru_cache(maxsize=64)
 def interpolation(circuit: Circuit) -> Interpolation:
-    """The interpolation grid of a circuit, as one whole.
+    """The interpolation grid of a circuit.
 
     Raises:
         TooLarge: the cones or the grid are too large.
@@ -205,36 +166,6 @@ def _extend_colouring(conflicts: list[set[int]], colours: int, chosen: list[int]
     return None
 
 
-class _Grid:
-    """A circuit, and the engine that evaluates it on its grid."""
-
-    def __init__(self, circuit: Circuit) -> None:
-        self.grid, self.engine = interpolation(circuit), StatevectorEngine(normal_form(circuit))
-        self.points = cos_sin_of_half(to_blocks(self.grid.points, lanes(8)), self.engine.arrays.encoding_scales)
-
-
-class _BoundGrid:
-    """A grid with its weights, (rows, n, 3) float64 in radians."""
-
-    def __init__(self, grid: _Grid, weights: np.ndarray) -> None:
-        self.grid, self.bound = grid, grid.engine.bind(weights, np.float64)
-
-    def coefficients(self) -> np.ndarray:
-        """(outputs, most coefficients)."""
-        values, self.expectations = self.bound.forward(self.grid.points)
-        values = values.transpose(1, 0, 2).reshape(values.shape[1], -1, 1)[:, : len(self.grid.grid.points)]
-        out: np.ndarray = np.matmul(self.grid.grid.matrix, values)[..., 0]
-        return out
-
-    def backward(self, gradient: np.ndarray) -> np.ndarray:
-        """Gradient of the weights from that of the coefficients."""
-        grid, points = self.grid.grid, self.grid.points
-        to_values = np.zeros((len(gradient), points.shape[0] * points.shape[-1]))
-        to_values[:, : len(grid.points)] = np.matmul(gradient[:, None], grid.matrix)[:, 0]
-        to_values = to_values.reshape(len(to_values), -1, points.shape[-1]).transpose(1, 0, 2)
-        return self.bound.backward(points, self.expectations, np.ascontiguousarray(to_values))[1]
-
-
 class LightConeEngine:
     """A circuit with small light cones, ready to run on the CPU.
 
@@ -243,26 +174,38 @@ class LightConeEngine:
     """
 
     def __init__(self, circuit: Circuit) -> None:
-        self.circuit, self.form = circuit, polynomial_form(circuit)
-        grids = {own: _Grid(own) for own in dict.fromkeys(piece.circuit for piece in pieces(circuit))}
-        self.parts = [(piece, grids[piece.circuit]) for piece in pieces(circuit)]
+        self.circuit, self.form, self.grid = circuit, polynomial_form(circuit), interpolation(circuit)
+        self.engine = StatevectorEngine(normal_form(circuit))
+        self.points = cos_sin_of_half(to_blocks(self.grid.points, lanes(8)), self.engine.arrays.encoding_scales)
+
+
+class _BoundGrid:
+    """A circuit on its grid with its weights, (rows, n, 3) float64 in radians."""
+
+    def __init__(self, cone: LightConeEngine, weights: np.ndarray) -> None:
+        self.grid, self.points, self.bound = cone.grid, cone.points, cone.engine.bind(weights, np.float64)
+
+    def coefficients(self) -> np.ndarray:
+        """(outputs, most coefficients)."""
+        values, self.expectations = self.bound.forward(self.points)
+        values = values.transpose(1, 0, 2).reshape(values.shape[1], -1, 1)[:, : len(self.grid.points)]
+        out: np.ndarray = np.matmul(self.grid.matrix, values)[..., 0]
+        return out
+
+    def backward(self, gradient: np.ndarray) -> np.ndarray:
+        """Gradient of the weights from that of the coefficients."""
+        blocks, width = self.points.shape[0], self.points.shape[-1]
+        to_values = np.zeros((len(gradient), blocks * width))
+        to_values[:, : len(self.grid.points)] = np.matmul(gradient[:, None], self.grid.matrix)[:, 0]
+        to_values = to_values.reshape(len(to_values), blocks, width).transpose(1, 0, 2)
+        return self.bound.backward(self.points, self.expectations, np.ascontiguousarray(to_values))[1]
 
 
 def coefficients(circuit: Circuit, weights: Tensor) -> Tensor:
     """Coefficients (outputs, most coefficients) for flat weights, differentiable; plain PyTorch."""
-    most = polynomial_form(circuit).most_coefficients
-    weights = weights.reshape(circuit.rows, circuit.wires, 3)
-    constants = torch.from_numpy(measured(circuit).constants).to(weights)  # outputs that no piece has
-    rows = list(torch.nn.functional.pad(constants[:, None], (0, most - 1)))
-    for piece in pieces(circuit):
-        grid = interpolation(piece.circuit)
-        points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
-        own = torch.stack([weights[:, wire] for wire in piece.wires], dim=1)
-        values = statevector.evaluate(normal_form(piece.circuit), points, own)
-        for outputs, row in zip(piece.outputs, coefficients_of(grid, values), strict=True):
-            for output in outputs:
-                rows[output] = torch.nn.functional.pad(row, (0, most - len(row)))
-    return torch.stack(rows)
+    grid = interpolation(circuit)
+    points = torch.from_numpy(grid.points).to(weights.device, weights.dtype)
+    return coefficients_of(grid, statevector.evaluate(normal_form(circuit), points, weights))
 
 
 def coefficients_of(grid: Interpolation, values: Tensor) -> Tensor:
@@ -293,19 +236,12 @@ class _Polynomials(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, cone: LightConeEngine, x: Tensor, weights: Tensor) -> Tensor:
-        form, angles_by_row = cone.form, by_row(weights, cone.circuit)
+        form, bound = cone.form, _BoundGrid(cone, by_row(weights, cone.circuit))
         dtype = numpy_dtype(x.dtype)
-        table = np.zeros((len(form.wire_counts), form.most_coefficients), dtype)
-        table[:, 0] = measured(cone.circuit).constants  # outputs that no piece has
-        bound = []
-        for piece, grid in cone.parts:
-            own = _BoundGrid(grid, angles_by_row[:, piece.wires])
-            for outputs, row in zip(piece.outputs, own.coefficients(), strict=True):
-                table[outputs, : len(row)] = row
-            bound.append(own)
-        angles = to_blocks(x.detach().numpy(), lanes(table.itemsize))
+        table = bound.coefficients().astype(dtype)
+        angles = to_blocks(x.detach().numpy()[:, form.used], lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), dtype)
-        cos_sin(angles, form.base_frequencies, trig.swapaxes(0, 1))
+        cos_sin(angles, form.base_frequencies[form.used], trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(form.wire_counts), trig.shape[3]), dtype)
         parts = parts_of(trig)
         found = polynomial.Polynomials(form.highest_degree, table, form.wires, form.basis_sizes, form.wire_counts)
@@ -328,13 +264,10 @@ class _Polynomials(torch.autograd.Function):
         sums = np.empty((parts, *table.shape))
         upstream = to_blocks(gradient.detach().resolve_neg().numpy(), width)
         run(polynomial.gradients, parts, parts, *arguments, upstream, inputs, sums)
-        total, to_weights = sums.sum(0), np.zeros((cone.circuit.rows, cone.circuit.wires, 3))
-        for (piece, _), own in zip(cone.parts, bound, strict=True):
-            most = own.grid.grid.matrix.shape[1]
-            gradients = np.stack([total[outputs, :most].sum(0) for outputs in piece.outputs])
-            to_weights[:, piece.wires] += own.backward(gradients)
-        inputs *= cone.form.base_frequencies[:, None].astype(table.dtype)
-        dx = from_blocks(inputs, batch)
+        to_weights = bound.backward(sums.sum(0))
+        inputs *= cone.form.base_frequencies[cone.form.used][:, None].astype(table.dtype)
+        dx = gradient.new_zeros(batch, cone.circuit.wires)
+        dx[:, torch.from_numpy(cone.form.used)] = from_blocks(inputs, batch)
         return None, dx, torch.from_numpy(to_weights).to(dtype).reshape(shape)
 
 

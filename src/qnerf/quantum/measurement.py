@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import is_transformed
-from qnerf.quantum import density, pauli_errors
+from qnerf.quantum import density, pauli_errors, statevector
 from qnerf.quantum.circuit import Circuit, Probabilities, values_of
-from qnerf.quantum.families import family_of
 from qnerf.quantum.folded_errors import Exact
 from qnerf.quantum.noise import Noise
+from qnerf.quantum.normal_form import normal_form, z_eigenvalues
 from qnerf.quantum.pennylane import check_shots
 from qnerf.quantum.readout import Readout
 from qnerf.quantum.registers import Measured, measured
@@ -126,7 +126,7 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Exact, conditio
 
 def _reads_all_wires(circuit: Circuit, conditions: Conditions) -> bool:
     """Whether every shot reads all wires."""
-    return conditions.joint and not conditions.noisy and family_of(circuit).reads_all_wires
+    return conditions.joint and not conditions.noisy and circuit.reuploading
 
 
 def _without_gradient(out: Tensor, x: Tensor, weights: Tensor) -> Tensor:
@@ -189,13 +189,13 @@ def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
 
 
 def _measure_all_wires(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:
-    family = family_of(circuit)
+    form = normal_form(circuit)
     assert conditions.shots is not None
-    probabilities = family.bit_probabilities(x.double(), weights.double()).cpu().numpy()
+    probabilities = statevector.probabilities(form, x.double(), weights.double()).cpu().numpy()
     if not len(probabilities):
         return x.new_zeros(0, circuit.outputs)
     counts = multinomial(conditions.shots, np.nan_to_num(probabilities), conditions.random)
-    means = counts @ family.bit_signs().T / conditions.shots
+    means = counts @ z_eigenvalues(form.measured, form.wires).T / conditions.shots
     means[np.isnan(probabilities).any(1)] = np.nan
     return torch.from_numpy(means).to(x)
 

@@ -3,8 +3,8 @@
 Every gate is a product of rotations about Z (a diagonal: one phase for each amplitude), rotations about Y (real) and
 permutations of the basis states (CNOTs). In the normal form neighbouring diagonals are one `Diagonal` and neighbouring
 Y rotations one `RYLayer`. RZ angles before and after an RZ encoding add to the encoding's angle, and CZ rings are signs
-of the same diagonal. Phases on |0...0> and phases just before a Z measurement have no effect and are dropped. X and Y
-are measured as Z after a fixed rotation.
+of the same diagonal. Encodings about X and Y are RZ encodings between fixed rotations. Phases on |0...0> and before a Z
+measurement have no effect and are dropped. X and Y are measured as Z after a fixed rotation.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> form = normal_form(ANSATZE.build("qiren", 4, 1))
@@ -53,7 +53,7 @@ class Diagonal:
 
 @dataclass(frozen=True)
 class RYLayer:
-    """RY(angle_j) on every wire j."""
+    """RY(angle_j) on every wire j. No angle depends on the input."""
 
     angles: Angles
 
@@ -84,7 +84,7 @@ class NormalForm:
     def fixed_steps(self) -> int:
         """Number of leading steps that do not depend on the input. They run once for a whole batch."""
         for index, step in enumerate(self.steps):
-            if not isinstance(step, CNOTs) and step.angles.scales is not None:
+            if isinstance(step, Diagonal) and step.angles.scales is not None:
                 return index
         return len(self.steps)
 
@@ -93,13 +93,12 @@ class NormalForm:
         """Whether the last RY layer can be part of the measurement.
 
         <Z> after RY(a) is cos(a) <Z> - sin(a) <X> before it. This needs outputs of one wire each, and a last layer
-        that comes after the first encoding and holds no encoding itself.
+        that comes after the first encoding.
         """
         last = self.steps[-1] if self.steps else None
         return (
             isinstance(last, RYLayer)
             and all(len(wires) == 1 for wires in self.measured)
-            and last.angles.scales is None
             and self.fixed_steps < len(self.steps) - 1
         )
 
@@ -161,15 +160,20 @@ def _append(steps: list[Step], step: Step) -> None:
 
 
 def _append_encoding(steps: list[Step], encoding: Encoding, wires: int) -> None:
-    angles = Angles(scales=encoding.scales)
-    if encoding.axis == "Z":
-        _append(steps, Diagonal(angles))
-    elif encoding.axis == "Y":
-        _append(steps, RYLayer(angles))
-    else:  # RX(a) = RZ(-pi/2) RY(a) RZ(pi/2)
-        _append(steps, Diagonal(Angles(constant=(pi / 2,) * wires)))
-        _append(steps, RYLayer(angles))
-        _append(steps, Diagonal(Angles(constant=(-pi / 2,) * wires)))
+    """RX(a) = RY(pi/2) RZ(a) RY(-pi/2), and RY(a) = RZ(pi/2) RX(a) RZ(-pi/2)."""
+
+    def quarter(sign: int) -> Angles:
+        return Angles(constant=(sign * pi / 2,) * wires)
+
+    if encoding.axis == "Y":
+        _append(steps, Diagonal(quarter(-1)))
+    if encoding.axis != "Z":
+        _append(steps, RYLayer(quarter(-1)))
+    _append(steps, Diagonal(Angles(scales=encoding.scales)))
+    if encoding.axis != "Z":
+        _append(steps, RYLayer(quarter(1)))
+    if encoding.axis == "Y":
+        _append(steps, Diagonal(quarter(1)))
 
 
 def _before_cnots(cnots: CNOTs, wires: frozenset[int]) -> frozenset[int]:

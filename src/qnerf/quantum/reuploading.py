@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cached_property
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,14 +10,11 @@ from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.compiled import engine
 from qnerf.quantum.cost_model import Cost, choose_engine, statevector_memory
-from qnerf.quantum.normal_form import normal_form, z_eigenvalues
-from qnerf.quantum.registers import Register, block_registers
+from qnerf.quantum.normal_form import normal_form
 
 
 class Reuploading:
     """A data re-uploading circuit; see `families.Family`."""
-
-    reads_all_wires = True
 
     def __init__(self, circuit: Circuit, method: str = "auto") -> None:
         self.circuit, self.method = circuit, method
@@ -39,9 +35,6 @@ class Reuploading:
     def cost(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
         return choose_engine(self.circuit, self.method, batch, dtype, compiled)
 
-    def registers(self) -> tuple[Register, ...]:
-        return block_registers(self.circuit)
-
     def evaluate(self, x: Tensor, weights: Tensor, cost: Cost) -> Tensor:
         compiled = cost.backend == "compiled"
         if cost.method == "lightcone":
@@ -60,7 +53,3 @@ class Reuploading:
 
     def bit_probabilities(self, x: Tensor, weights: Tensor) -> Tensor:
         return statevector.probabilities(normal_form(self.circuit), x, weights)
-
-    def bit_signs(self) -> np.ndarray:
-        form = normal_form(self.circuit)
-        return z_eigenvalues(form.measured, form.wires)

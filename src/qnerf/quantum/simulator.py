@@ -13,7 +13,7 @@ from qnerf.kernels.jit import loop_threads
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.families import family_of
-from qnerf.quantum.registers import Register, is_split, measured
+from qnerf.quantum.registers import Register, is_split, measured, registers
 
 Backend = Literal["auto", "compiled", "torch"]
 
@@ -32,28 +32,41 @@ class Simulator:
 
     def __init__(self, circuit: Circuit, method: str = "auto", backend: Backend = "auto") -> None:
         self.circuit, self.method, self.backend = circuit, method, backend
-        self.family = family_of(circuit, method)
         self._costs: dict[tuple[object, ...], Cost] = {}
         self._is_split = is_split(circuit)
-        if not self._is_split:
+        if self._is_split:
+            _ = self.parts if method == "lightcone" else None  # an error now, not at the first batch
+        else:
+            self.family = family_of(circuit, method)
             memory.require(f"one sample of a circuit of {circuit.wires} wires", self.family.sample_bytes())
 
     @cached_property
     def parts(self) -> "list[tuple[Register, Simulator]]":
         """The registers of a wide circuit, each with its simulator."""
-        found = self.family.registers()
-        method = "auto" if self.method == "lightcone" else self.method
-        own = {c: Simulator(c, method, self.backend) for c in dict.fromkeys(part.circuit for part in found)}
+        found = registers(self.circuit)
+        own = {c: Simulator(c, self.method, self.backend) for c in dict.fromkeys(part.circuit for part in found)}
         return [(part, own[part.circuit]) for part in found]
 
     def cost(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
-        """The engine for a batch, and what a step costs. compiled: whether the compiled engines serve it."""
+        """The engine for a batch, and what a step costs. compiled: whether the compiled engines serve it.
+
+        Of a wide circuit, the method is that of its largest register.
+        """
         key = batch, dtype, compiled, loop_threads()
         if key not in self._costs:
             if len(self._costs) > 1000:
                 self._costs.clear()
-            self._costs[key] = self.family.cost(batch, dtype, compiled)
+            costs = self._cost_of_registers if self._is_split else self.family.cost
+            self._costs[key] = costs(batch, dtype, compiled)
         return self._costs[key]
+
+    def _cost_of_registers(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
+        costs = [own.cost(batch, dtype, compiled) for _, own in self.parts]
+        work = max(cost.memory for cost in costs) + 2 * batch * measured(self.circuit).values * dtype.itemsize
+        largest = self.parts[0][0].circuit.wires
+        reason = f"{costs[0].reason}, {len(costs)} registers of at most {largest} wires"
+        operations = sum(cost.operations for cost in costs), sum(cost.operations_once for cost in costs)
+        return Cost(costs[0].method, costs[0].backend, batch, *operations, work, reason)
 
     def is_compiled(self, *tensors: Tensor) -> bool:
         """Whether the compiled engines serve these tensors.
@@ -68,21 +81,21 @@ class Simulator:
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs (B, features) in radians and flat weights."""
-        cost = self.cost(x.shape[0], x.dtype, self.is_compiled(x, weights))
-        if cost.method == "statevector" and self._is_split:
+        if self._is_split:
             return self.of_registers(x, weights)
+        cost = self.cost(x.shape[0], x.dtype, self.is_compiled(x, weights))
         if cost.method == "statevector" and cost.backend == "compiled" and cost.memory > memory.LARGE:
             memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.circuit.wires} wires", cost.memory)
         return self.family.evaluate(x, weights, cost)
 
     def of_registers(self, x: Tensor, weights: Tensor) -> Tensor:
         """The outputs, register by register."""
-        values: list[Tensor] = []
-        order: list[int] = []
-        for part, own in self.parts:
-            values.append(own(x[:, list(part.features)], weights[..., list(part.weights)]))
-            order += part.values
-        places = np.argsort(order).tolist()
+        parts = [part for part, _ in self.parts]
+        # All registers are fed at once: gradients of slices taken one by one would each be as large as x.
+        inputs = x[:, [k for part in parts for k in part.features]].split([len(part.features) for part in parts], 1)
+        angles = weights[[k for part in parts for k in part.weights]].split([len(part.weights) for part in parts])
+        values = [own(*given) for (_, own), *given in zip(self.parts, inputs, angles, strict=True)]
+        places = np.argsort([value for part in parts for value in part.values]).tolist()
         return measured(self.circuit).outputs(torch.cat([x[:, :0], *values], 1)[:, places])
 
 

@@ -73,7 +73,7 @@ def final_state(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
         elif isinstance(step, RYLayer):
             state = _apply_ry(state, *_cos_sin_of_half(step.angles, x, angles))
         else:
-            state = state[_table(cnot_permutation, step.pairs, form.wires, x.device, None)]
+            state = state[table(cnot_permutation, step.pairs, form.wires, x.device, None)]
     return state.expand(-1, x.shape[0])
 
 
@@ -82,7 +82,7 @@ def _squared(state: Tensor) -> Tensor:
 
 
 def _expectations(form: NormalForm, x: Tensor, weights: Tensor) -> Tensor:
-    eigenvalues = _table(z_eigenvalues, form.measured, form.wires, x.device, x.dtype)
+    eigenvalues = table(z_eigenvalues, form.measured, form.wires, x.device, x.dtype)
     return clipped((eigenvalues @ _squared(final_state(form, x, weights))).T)
 
 
@@ -122,7 +122,7 @@ def _cos_sin_of_half(angles: Angles, x: Tensor, weights: Tensor) -> tuple[Tensor
 
 
 def _diagonal(step: Diagonal, x: Tensor, weights: Tensor) -> Tensor:
-    sign = _table(cz_signs, step.pairs, x.shape[1], x.device, x.dtype)[:, None]
+    sign = table(cz_signs, step.pairs, x.shape[1], x.device, x.dtype)[:, None]
     if step.angles == Angles():
         return sign
     cosine, sine = _cos_sin_of_half(step.angles, x, weights)
@@ -134,8 +134,6 @@ def _diagonal(step: Diagonal, x: Tensor, weights: Tensor) -> Tensor:
 
 
 def _apply_ry(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
-    if cosine.shape[1] != 1:
-        return _apply_ry_per_sample(state, cosine, sine)
     pairs = torch.view_as_real(state.contiguous())
     for first in range(0, len(cosine), GROUP):
         group = range(first, min(first + GROUP, len(cosine)))
@@ -148,21 +146,9 @@ def _apply_ry(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     return torch.view_as_complex(pairs)
 
 
-def _apply_ry_per_sample(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
-    """RY with another angle for each sample."""
-    state = state.expand(-1, cosine.shape[1])
-    shape = state.shape
-    for wire in range(len(cosine)):
-        view = state.reshape(2**wire, 2, shape[0] >> wire + 1, shape[1])
-        zero, one = view[:, 0], view[:, 1]
-        c, s = cosine[wire], sine[wire]
-        state = torch.stack([c * zero - s * one, s * zero + c * one], dim=1).reshape(shape)
-    return state
-
-
 @lru_cache(maxsize=1024)
 @torch.inference_mode(False)  # it is kept for training, too
-def _table(
+def table(
     build: Callable[[Any, int], np.ndarray], gates: Any, wires: int, device: torch.device, dtype: torch.dtype | None
 ) -> Tensor:
     """`build(gates, wires)` on a device; `dtype` None keeps its own."""

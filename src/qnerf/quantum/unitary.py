@@ -3,36 +3,28 @@
 It is plain PyTorch, for any device, with derivatives of any order. PennyLane is its reference.
 """
 
-from functools import lru_cache
-
 import torch
 from torch import Tensor
 
 from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations, ring
 from qnerf.quantum.normal_form import cnot_permutation, cz_signs
+from qnerf.quantum.statevector import table
 
 
-def layered(
-    wires: int, layers: int, *, uploads: int = 0, entangler: str = "CZ", groups: tuple[int, ...] | None = None
-) -> Circuit:
+def layered(wires: int, layers: int, *, uploads: int = 0, entangler: str = "CZ", entangled: bool = True) -> Circuit:
     """Blocks of `layers` rotations on every wire, each followed by a ring; between the blocks RZ encodings.
 
-    uploads: encodings; the circuit has uploads + 1 blocks. groups: sizes of neighbouring groups of wires, each with a
-    ring of its own; None: one ring of all wires; groups of one wire: no entangler. Rows are numbered block by block.
+    uploads: encodings; the circuit has uploads + 1 blocks. entangled=False: without the rings. Rows are numbered block
+    by block.
 
-    >>> layered(3, 1, groups=(2, 1)).operations[1]
+    >>> layered(2, 1).operations[1]
     Entangler(gate='CZ', pairs=((0, 1),))
     """
-    pairs: list[tuple[int, int]] = []
-    first = 0
-    for size in groups or (wires,):
-        own = ring(size, 1)[: 1 if size == 2 else None]  # two wires: CZ twice would cancel
-        pairs += [(first + a, first + b) for a, b in own]
-        first += size
+    pairs = ring(wires, 1)[: 1 if wires == 2 else None] if entangled else ()  # two wires: CZ twice would cancel
     operations: list[Operation] = []
     for block in range(uploads + 1):
         for layer in range(layers):
-            operations += [Rotations(block * layers + layer), Entangler(entangler, tuple(pairs))]
+            operations += [Rotations(block * layers + layer), Entangler(entangler, pairs)]
         if block < uploads:
             operations.append(Encoding("Z", (1.0,) * wires))
     observables = tuple(((wire, "Z"),) for wire in range(wires))
@@ -94,14 +86,6 @@ def _entangled(states: Tensor, operation: Entangler, wires: int) -> Tensor:
     """The entangler on states (2^n, ...)."""
     if not operation.pairs:
         return states
-    table = _table(operation, wires, states.real.dtype, states.device)
-    return table * states if operation.gate == "CZ" else states[table]
-
-
-@lru_cache(maxsize=256)
-@torch.inference_mode(False)  # it is kept for training, too
-def _table(operation: Entangler, wires: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """The signs (2^n, 1) of CZs, or the permutation (2^n,) of CNOTs."""
     if operation.gate == "CZ":
-        return torch.from_numpy(cz_signs(operation.pairs, wires)).to(device, dtype)[:, None]
-    return torch.from_numpy(cnot_permutation(operation.pairs, wires)).to(device)
+        return table(cz_signs, operation.pairs, wires, states.device, states.real.dtype)[:, None] * states
+    return states[table(cnot_permutation, operation.pairs, wires, states.device, None)]

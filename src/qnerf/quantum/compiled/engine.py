@@ -57,7 +57,7 @@ class BoundEngine:
         steps, n = arrays.steps.constants.shape
         self.n, self.width = n, lanes(self.dtype.itemsize)
         tables = Tables(
-            np.zeros((steps, 2, n)), np.zeros((steps, 2, 2**n)), np.zeros(steps, np.int64), np.zeros((steps, n)),
+            np.zeros((steps, n)), np.zeros((steps, 2, 2**n)), np.zeros(steps, np.int64), np.zeros((steps, n)),
             arrays.permutations,
         )  # fmt: skip
         last_layer, flipped = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)

@@ -53,27 +53,6 @@ def ry_layer(x: Any, source: int, target: int, n: int, width: int, tangents: Any
 
 
 @inner
-def ry_layer_per_sample(x: Any, source: int, target: int, n: int, width: int, half_angles: int, forward: bool) -> None:
-    """RY on every wire with another angle for each sample, from n vectors of cos and n of sin of half the angle."""
-    keep_apart()
-    size = width << n
-    sign = splat(x.dtype.type(1 if forward else -1))
-    # One wire at a time: with an angle for each sample, cosine and sine are vectors. The vectors of four wires
-    # would leave no registers for the amplitudes.
-    for part in range(2):
-        read, write = source + part * size, target + part * size
-        for j in range(n):
-            c, s = load(x, half_angles + j * width), sign * load(x, half_angles + (n + j) * width)
-            d = width << (n - j - 1)
-            for h in range(1 << j):
-                for i in range(h * 2 * d, h * 2 * d + d, width):
-                    a, b = load(x, read + i), load(x, read + i + d)
-                    store(x, write + i, c * a - s * b)
-                    store(x, write + i + d, s * a + c * b)
-            read = write
-
-
-@inner
 def input_phases(x: Any, out: int, n: int, width: int, trig: int) -> None:
     """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0: real, then imaginary parts at `out`.
 

@@ -18,14 +18,12 @@ from qnerf.quantum.compiled.tables import (
     DIAGONAL,
     PERMUTATION,
     RY,
-    RY_PER_SAMPLE,
     START,
     Measurement,
     Tables,
 )
 
-# Numba compiles a function once more for every True and False of Python's that it is called with. `ry_layer_per_sample`
-# keeps those: with a sign that is known only at run time, LLVM fuses other multiplications and the last bits change.
+# Numba compiles a function once more for every True and False of Python's that it is called with.
 FORWARD = STORED = np.bool_(True)
 BACK = NOT_STORED = np.bool_(False)
 
@@ -39,7 +37,6 @@ class Layout(NamedTuple):
     first_adjoint: int  # the adjoint of the state that all samples start from
     phases: int  # encodings x 2^n vectors: the input's phases of the basis states
     trig: int  # encodings x 2 n vectors: cos and sin of half the encoding angles
-    half_angles: int  # 2 n vectors: cos and sin of half an RY_PER_SAMPLE's angles
     sums: int  # steps x n vectors: gradients of the angles, summed over blocks
     inputs: int  # n vectors: gradients of the inputs
     gradients: int  # 2 n vectors: of the step at hand
@@ -55,34 +52,18 @@ def _layout(start: int, n: int, width: int, states: int, encodings: int, steps: 
     first_adjoint = scratch + size + width
     phases = first_adjoint + 2 * size
     trig = phases + encodings * size
-    half_angles = trig + 2 * encodings * n * width
-    sums = half_angles + 2 * n * width
+    sums = trig + 2 * encodings * n * width
     inputs = sums + steps * n * width
     gradients = inputs + n * width
     factors = gradients + 2 * n * width
     end = factors + 2 * n * width
-    return Layout(
-        start, adjoint, scratch, first_adjoint, phases, trig, half_angles, sums, inputs, gradients, factors, end
-    )
+    return Layout(start, adjoint, scratch, first_adjoint, phases, trig, sums, inputs, gradients, factors, end)
 
 
 @inner
 def _size(n: int, width: int, states: int, encodings: int, steps: int) -> int:
     """Elements of the work array; 64 more than the layout, because it starts at a cache line."""
     return _layout(0, n, width, states, encodings, steps).end + 64
-
-
-@inner
-def _add_angles(x: Any, at: Layout, n: int, width: int, encoding: int, fixed: Any, signs: Any) -> None:
-    """`half_angles` = cos and sin of half of (the input's angle + the fixed angle)."""
-    keep_apart()
-    trig, out = at.trig + 2 * encoding * n * width, at.half_angles
-    # Cosine and sine of a sum: a large input plus a small weight would round the weight away.
-    for j in range(n):
-        c, s = load(x, trig + j * width), splat(signs[j]) * load(x, trig + (n + j) * width)
-        u, v = splat(fixed[0, j]), splat(fixed[1, j])
-        store(x, out + j * width, u * c - v * s)
-        store(x, out + (n + j) * width, u * s + v * c)
 
 
 @jit
@@ -94,7 +75,7 @@ def _forward(
     With `store_states` the state before each operation but diagonals stays in the work array.
     """
     keep_apart()
-    tangents, diagonals, flip_masks, angle_signs, permutations = tables
+    tangents, diagonals, flip_masks, _, permutations = tables
     pair = 2 * (width << n)
     here = at.state
     # Diagonals work in place. With `store_states` every other operation writes the state behind the one that it reads,
@@ -108,11 +89,7 @@ def _forward(
         elif code == DIAGONAL:
             forward_passes.diagonal(x, here, n, width, diagonals[step], p, flip_masks[step])
         elif code == RY:
-            forward_passes.ry_layer(x, here, after, n, width, tangents[step, 0], FORWARD)
-            here = after
-        elif code == RY_PER_SAMPLE:
-            _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
-            forward_passes.ry_layer_per_sample(x, here, after, n, width, at.half_angles, True)
+            forward_passes.ry_layer(x, here, after, n, width, tangents[step], FORWARD)
             here = after
         else:
             # A permutation cannot work in place: two states take turns.
@@ -141,12 +118,7 @@ def _backward(
         code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
         p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
         if code == RY:
-            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[step, 0], BACK)
-            here -= pair
-            backward_passes.ry_gradients(x, here, adjoint, n, width, d)
-        elif code == RY_PER_SAMPLE:
-            _add_angles(x, at, n, width, encoding, tangents[step], angle_signs[step])
-            forward_passes.ry_layer_per_sample(x, adjoint, adjoint, n, width, at.half_angles, False)
+            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[step], BACK)
             here -= pair
             backward_passes.ry_gradients(x, here, adjoint, n, width, d)
         elif code == PERMUTATION:

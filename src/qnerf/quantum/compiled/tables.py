@@ -27,7 +27,7 @@ from qnerf.quantum.normal_form import (
     z_eigenvalues,
 )
 
-DIAGONAL, RY, RY_PER_SAMPLE, PERMUTATION, START = range(5)
+DIAGONAL, RY, PERMUTATION, START = range(4)
 
 Operation = tuple[int, int, int, int]
 """Code, step, row of `encoding_scales` or -1, permutation or -1."""
@@ -36,7 +36,7 @@ Operation = tuple[int, int, int, int]
 class Steps(NamedTuple):
     """The steps of a normal form, without the weights. Compiled loops take it as it is."""
 
-    codes: Any  # (steps,) DIAGONAL, RY, RY_PER_SAMPLE or PERMUTATION
+    codes: Any  # (steps,) DIAGONAL, RY or PERMUTATION
     weight_ranges: Any  # (steps + 1,) where the weights of each step begin in `weights`
     weights: Any  # (uses, 2) row and kind of each weight: weights[row, :, kind] is added to the angles of the step
     constants: Any  # (steps, n) radians
@@ -47,7 +47,7 @@ class Steps(NamedTuple):
 class Tables(NamedTuple):
     """What a step needs of the weights. Compiled loops take it as it is."""
 
-    tangents: Any  # (steps, 2, n) RY: tangents of half angles; RY_PER_SAMPLE: cos and sin of half the fixed angles
+    tangents: Any  # (steps, n) of half the angles of RY layers
     diagonals: Any  # (steps, 2, 2^n) real and imaginary parts, times the cosines of the RY layer that follows
     flip_masks: Any  # (steps,) bits that the Pauli frame flips
     angle_signs: Any  # (steps, n) signs that the Pauli frame gives the angles
@@ -116,27 +116,21 @@ class _Builder:
             self.codes.append(RY)
 
     def add_step(self, index: int, step: Step) -> None:
-        first = index == self.form.fixed_steps
         operations = self.once if index < self.form.fixed_steps else self.per_sample
-        encoding = self.encoding(step)
-        if first and not isinstance(step, Diagonal):
-            self.per_sample.append((START, -1, -1, -1))
         if isinstance(step, CNOTs):
             self.cnots.extend((len(self.steps), control, target) for control, target in step.pairs)
             self.permutations.append(cnot_permutation(step.pairs, self.form.wires))
             self.add(operations, PERMUTATION, step, permutation=len(self.permutations) - 1)
         elif isinstance(step, Diagonal):
-            self.add(operations, START if first else DIAGONAL, step, encoding)
-        elif encoding >= 0:
-            self.add(operations, RY_PER_SAMPLE, step, encoding)
+            self.add(operations, START if index == self.form.fixed_steps else DIAGONAL, step, self.encoding(step))
         else:
             if operations[-1][0] not in (START, DIAGONAL):
                 self.add(operations, DIAGONAL, Diagonal())  # it takes the cosines
             self.add(operations, RY, step)
 
-    def encoding(self, step: Step) -> int:
+    def encoding(self, step: Diagonal) -> int:
         """The row of the step's scales in `encoding_scales`; -1 where it holds no input."""
-        if isinstance(step, CNOTs) or step.angles.scales is None:
+        if step.angles.scales is None:
             return -1
         if step.angles.scales not in self.encoding_scales:
             self.encoding_scales.append(step.angles.scales)
@@ -235,19 +229,9 @@ def _bind_ry(step: int, angle: Any, x: Any, z: Any, tables: Tables) -> float:
         if abs(s) > abs(c):  # k is odd; no digit of a large angle is lost to multiples of pi
             c, s = s, -c
             x[j], z[j] = not x[j], not z[j]
-        tables.tangents[step, 0, j] = sign * s / c
+        tables.tangents[step, j] = sign * s / c
         scale *= abs(c)
     return scale
-
-
-@inner
-def _bind_ry_per_sample(step: int, angle: Any, x: Any, z: Any, tables: Tables) -> None:
-    """Cosines and sines of half the fixed angles; the input's part is added for each sample."""
-    for j in range(len(angle)):
-        sign = -1.0 if x[j] != z[j] else 1.0
-        tables.angle_signs[step, j] = sign
-        tables.tangents[step, 0, j] = cos(angle[j] / 2)
-        tables.tangents[step, 1, j] = sign * sin(angle[j] / 2)
 
 
 @inner
@@ -300,8 +284,6 @@ def bind_weights(steps: Steps, weights: Any, measurement: Measurement, tables: T
                     tables.diagonals[step - 1, 1, b] *= scale
             else:
                 amplitude *= scale
-        elif steps.codes[step] == RY_PER_SAMPLE:
-            _bind_ry_per_sample(step, angle, x, z, tables)
         else:
             _carry_frame(step, steps.cnots, x, z)
     # What is left of the frame at the end flips bits of what is measured.
