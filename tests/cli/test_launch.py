@@ -300,6 +300,17 @@ def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, 
         assert steps(run) == list(range(1, 401))
 
 
+@pytest.fixture
+def handlers_of_a_terminal():
+    """As a command in a terminal has them, also where the tests run under nohup or in the background."""
+    usual = {signal.SIGHUP: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
+    before = {kind: signal.signal(kind, handler) for kind, handler in usual.items()}
+    yield
+    for kind, handler in before.items():
+        signal.signal(kind, handler)
+
+
+@pytest.mark.usefixtures("handlers_of_a_terminal")
 def test_a_second_request_ends_at_once_and_the_handlers_are_restored():
     before = sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM)
     with stoppable(), stop_requests() as stops:
