@@ -30,13 +30,13 @@ def write_predictions(runs: pd.DataFrame, folder: Path) -> list[Path]:
                 make_folder(folder / name / kind)
                 write(folder / name / kind / f"{view}.png", _png(pixels))
         if stored:
-            scene = {"color_space": "srgb", "id": "qnerf", "scene": scene, "background_color": None}
-            info = {"method": "qnerf", "evaluation_protocol": "default", "render_dataset_metadata": scene}
+            metadata = {"color_space": "srgb", "id": "qnerf", "scene": scene, "background_color": None}
+            info = {"method": "qnerf", "evaluation_protocol": "default", "render_dataset_metadata": metadata}
             text = json.dumps({"method_version": qnerf.__version__, **info}, indent=2)
             write(folder / name / "info.json", text.encode())
             written.append(folder / name)
     if not written:
-        raise ValueError(f"none of {len(runs)} runs has pictures of held-out views")
+        raise ValueError(f"no run of {len(runs)} has pictures of held-out views")
     return written
 
 
