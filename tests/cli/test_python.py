@@ -2,6 +2,7 @@
 
 import base64
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from qnerf.cli import python
 
 def test_run_trains_and_gives_a_run_that_shows_itself(small, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "exit", pytest.fail)
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)  # a script that imports it is no notebook
     trained = package.run(*small)
     assert "changed" in capsys.readouterr().out
     assert trained.state == "finished"
@@ -77,7 +79,7 @@ def test_notebook_bar_is_replaced_not_repeated(small, monkeypatch):
             shown.append(data)
 
     monkeypatch.setattr(display, "display", lambda *_, **__: Handle())
-    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    monkeypatch.setattr("IPython.get_ipython", lambda: SimpleNamespace(kernel=None))
     monkeypatch.setattr(python, "REFRESH", 0.0)
     package.run(*small)
     assert [data["text/html"].partition(">")[0] for data in shown] == [

@@ -210,7 +210,7 @@ def _without_several_values(overrides: Sequence[str]) -> Sequence[str]:
 
 def _train(config: dict[str, Any], overrides: Sequence[str], usual: Any = None, brief: bool = False) -> StoredRun:
     """usual: the configuration from which the start names what differs."""
-    notebook = "ipykernel" in sys.modules
+    notebook = _in_notebook()
     progress = config["run"]["progress"]
     kind: Callable[..., LiveDisplay] = NotebookDisplay if notebook and progress else LiveDisplay
     console = Console(force_jupyter=False, force_terminal=False if notebook else None)  # the bar is the display's
@@ -218,6 +218,12 @@ def _train(config: dict[str, Any], overrides: Sequence[str], usual: Any = None, 
     print_outcome(console, outcome, brief=brief or notebook)
     same = tuple(override for override in overrides if override.lstrip("+").startswith("plugins="))
     return StoredRun(outcome.path, same)
+
+
+def _in_notebook() -> bool:
+    """Whether this code runs in a notebook's kernel; a script that imports ipykernel has none."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return hasattr(shell, "kernel")
 
 
 class NotebookDisplay(LiveDisplay):
