@@ -44,26 +44,10 @@ def split(picture: str | Path, names: Sequence[str]) -> list[np.ndarray]:
     return np.split(pixels[::factor, ::factor], len(names), axis=1)
 
 
-def named_panels(picture: str | Path) -> dict[str, np.ndarray]:
-    """The panels by name: those of `Panels`, or without depth for a signal, whose pictures are truth | fit | error.
-
-    Where three and four panels would fit, there are four unless only as one of three the third panel is the error of
-    the first two.
-
-    Raises:
-        ValueError: the file is not such a picture.
-    """
-    pixels = read_png(Path(picture))
-    fitting = [count for count in (4, 3) if pixels.shape[1] % count == 0]
-    exact = [count for count in fitting if _error_deviation(np.split(pixels, count, axis=1)) < 2]
-    names = Panels._fields[: (exact or fitting or [4])[0]]
+def named_panels(picture: str | Path, *, signal: bool) -> dict[str, np.ndarray]:
+    """The panels by name. A signal's picture is truth | fit | error. ValueError as `panels`."""
+    names = Panels._fields[: 3 if signal else 4]
     return dict(zip(names, split(picture, names), strict=True))
-
-
-def _error_deviation(parts: list[np.ndarray]) -> float:
-    """How far the third panel is from four times the mean absolute error of the channels, in levels of 256."""
-    truth, render, error = (part.astype(float) for part in parts[:3])
-    return float(np.abs(np.clip(4 * np.abs(render - truth).mean(-1, keepdims=True), 0, 255) - error).mean())
 
 
 def enlargement(pixels: np.ndarray, count: int = len(Panels._fields)) -> int:

@@ -10,15 +10,12 @@ from qnerf.records.location import resolved, store_folder
 from qnerf.records.printable import printable
 
 from . import command, load, output, packed
-from .figures import FIGURES
-from .figures.files import check_names, draw
-from .paper import PAPER_TABLES
 from .predictions import write_predictions
 
 DESCRIPTION = """\
 Packs the runs of a store into small tables: runs.parquet, views.parquet, and for probed runs units.parquet,
 cost.parquet and eval_hardware.parquet. `qnerf tables FOLDER` and most figures read the folder like a store. Pictures,
-curves and other probes are not packed: --figures draws what needs them now, --paper writes a table of the paper.
+curves and other probes are not packed: `qnerf figures STORE loss --out FOLDER` draws what needs them.
 """
 
 
@@ -27,15 +24,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command.add_runs(parser)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the tables go; earlier ones are replaced")
     parser.add_argument("--add", action="store_true", help="keep the other runs that FOLDER has")
-    parser.add_argument("--figures", nargs="+", default=[], metavar="NAME", help=f"draw as PNG: {', '.join(FIGURES)}")
-    parser.add_argument("--paper", choices=PAPER_TABLES, help="write a table of the paper beside ours as Markdown")
     parser.add_argument(
         "--predictions",
         action="store_true",
         help="also held-out views as nerfbaselines evaluates them, predictions/RUN",
     )
     options = parser.parse_args(arguments)
-    check_names(options.figures)
     if resolved(options.folder) == resolved(store_folder(options.store)):
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = command.chosen(options)
@@ -49,14 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for problem in problems:
         print(f"left out: {printable(problem)}", file=sys.stderr)
     print(f"{finished} runs{f' finished, {unfinished} not' if unfinished else ''}, in {options.folder}")
-    if options.figures:
-        draw(frame, options.figures, options.folder, ["png"])
     if options.predictions:
         print(*write_predictions(frame[frame["state"] == "finished"], options.folder / "predictions"))
-    if options.paper:
-        heading, table = PAPER_TABLES[options.paper]
-        text = f"**{heading}**\n\n{table(frame).markdown()}\n"
-        output.write(options.folder / f"{options.paper}.md", text.encode())
 
 
 def with_earlier(frame: pd.DataFrame, folder: Path) -> pd.DataFrame:

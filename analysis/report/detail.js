@@ -46,8 +46,7 @@ async function fillDetail(run) {
 
 /** Selects the runs of a run's configuration: its seeds. */
 function showOnly(run) {
-  const quoted = `'${String(value("configuration", run)).replaceAll("'", "?")}'`;
-  $("filter").value = `configuration=${quoted.replaceAll(",", "?")}`;
+  $("filter").value = `configuration="${value("configuration", run)}"`;
   $("filter").dispatchEvent(new Event("input"));
   $("runs-section").scrollIntoView();
 }

@@ -18,7 +18,7 @@ from .tables import ShownTable
 
 HERE = Path(__file__).parent
 SHARED = (
-    "address", "filter", "selection", "colours", "table", "plots", "curves", "compare", "explore", "detail",
+    "address", "selection", "colours", "table", "plots", "curves", "compare", "explore", "detail",
 )  # fmt: skip
 """Scripts of this page and of the live one."""
 SCRIPTS = ("data", "static", *SHARED, "start")

@@ -66,13 +66,13 @@ def gather(
     """
     result = Pictures()
     for row in order:
-        stored = pictures(frame["path"].iloc[row])
+        stored, signal = pictures(frame["path"].iloc[row]), pd.notna(frame["head"].iloc[row])
         if stored and (result.views + len(stored) > max_views or result.bytes >= budget):
             result.left_out += 1
             stored = {}
         for view, path in stored.items():
             try:
-                result.add(row, view, named_panels(path))
+                result.add(row, view, named_panels(path, signal=signal))
             except ValueError as error:
                 result.problems.append(str(error))
         advance()

@@ -2,6 +2,27 @@
 
 const selection = { runs: [], key: null, descending: true, listeners: [] };
 
+/** A predicate on runs. Words between spaces: parts of ids, or a column with `=` or `!=` and values between commas, or
+ * with `<` or `>` and a number. Values with spaces are quoted. */
+function parseFilter(text) {
+  const conditions = (text.match(/(?:"[^"]*"|\S)+/g) ?? []).map((word) => conditionOf(word.replaceAll('"', "")));
+  return (run) => conditions.every((meets) => meets(run));
+}
+
+const ALIASES = { id: "run_id", tag: "tags" };
+
+function conditionOf(word) {
+  const [, name, operator, wanted] = /^([^=<>!]+)(!=|[=<>])(.*)$/s.exec(word) ?? [];
+  const key = ALIASES[name] ?? name;
+  if (!key) return (run) => value("run_id", run).includes(word);
+  if (!columns.has(key)) throw new Error(`no run has a column ${key}`);
+  if (operator === "<") return (run) => typeof value(key, run) === "number" && value(key, run) < Number(wanted);
+  if (operator === ">") return (run) => typeof value(key, run) === "number" && value(key, run) > Number(wanted);
+  const values = [wanted, ...wanted.split(",")];
+  const has = (run) => [value(key, run) ?? "none"].flat().some((v) => values.includes(String(v)));
+  return operator === "=" ? has : (run) => !has(run);
+}
+
 function select() {
   const state = $("state").value;
   const scene = $("scene").value;

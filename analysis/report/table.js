@@ -101,12 +101,10 @@ function tableAsCsv() {
   return csv([shownColumns, ...rows]);
 }
 
-/** Rows of values as CSV that a spreadsheet opens without running anything in it, as qnerf/records/spreadsheets.py. */
+/** Rows of values as CSV. */
 function csv(rows) {
   const cell = (v) => {
-    const plain = v === null ? "" : text(v);
-    const formula = typeof plain === "string" && /^[=+\-@\t\r\n＝＋－＠]/.test(plain) && Number.isNaN(number(plain));
-    const written = formula ? `'${plain}` : String(plain);
+    const written = v === null ? "" : String(text(v));
     return /[",\r\n]/.test(written) ? `"${written.replaceAll('"', '""')}"` : written;
   };
   return rows.map((row) => `${row.map(cell).join(",")}\n`).join("");

@@ -14,8 +14,9 @@ from PIL import Image
 
 import qnerf
 from qnerf.metrics import metric_of, quality_metrics
-from qnerf.records import filters
-from qnerf.records.pictures import read_png_bytes
+from qnerf.records import filters, read_config
+from qnerf.records.files import read_bytes
+from qnerf.records.pictures import MAX_BYTES
 
 from ..images import named_panels, pictures
 from ..load import metrics
@@ -101,7 +102,7 @@ class Answers:
         """One panel of a held-out view as WebP; or the whole `preview.png` of a run that trains, as panel `preview`."""
         folder = self.store.path(run)
         if panel == "preview":
-            return read_png_bytes(folder / PREVIEW)[0], "image/png"
+            return read_bytes(folder / PREVIEW, MAX_BYTES), "image/png"
         path = pictures(folder).get(view)
         panels = {} if path is None else _panels(path, _stamp(path))
         if panel not in panels:
@@ -162,7 +163,7 @@ def _curves(folder: Path, _stamp: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def _panels(path: Path, _stamp: str | None) -> dict[str, np.ndarray]:
-    return named_panels(path)
+    return named_panels(path, signal="head" in read_config(path.parents[1]))
 
 
 def _stamp(path: Path) -> str | None:

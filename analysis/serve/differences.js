@@ -5,10 +5,10 @@ function offerDifferences() {
   $("column-names").replaceChildren(...telling().map((name) => element("option", { value: name })));
 }
 
-/** The selection in the language of filters. */
+/** The selection as the server's filter, whose language has that of the page in it. */
 function selectionText() {
-  const quoted = (name) => $(name).value.replaceAll("'", "?").replaceAll(",", "?");
-  return [$("filter").value, $("state").value && `'state=${quoted("state")}'`, $("scene").value && `'scene_name=${quoted("scene")}'`].filter(Boolean).join(" ");
+  const choices = [["state", "state"], ["scene", "scene_name"]].filter(([id]) => $(id).value);
+  return [$("filter").value, ...choices.map(([id, key]) => `${key}="${$(id).value}"`)].join(" ");
 }
 
 async function showDifferences(event) {

@@ -40,7 +40,7 @@ def test_what_is_no_such_picture_is_named(tmp_path):
     ):
         panels(pictures(run)["narrow"])
     (run / "images" / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    with pytest.raises(ValueError, match=r"broken.png: not readable as a picture"):
+    with pytest.raises(ValueError, match=r"broken.png: damaged"):
         panels(pictures(run)["broken"])
 
 

@@ -61,8 +61,6 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     assert frame["run_id"].nunique() == len(frame) == 6
     assert frame["more"].count() == 1
     assert evaluations(frame[frame["state"] == "finished"]).size == 10
-    main([str(store), str(packed), "--add", "--figures", "capacity"])
-    assert load.runs(packed)["run_id"].nunique() == len(frame)
 
 
 def test_nothing_is_packed_into_a_run(store):
@@ -80,35 +78,16 @@ def test_nothing_is_packed_into_another_store(store, tmp_path):
         main([str(store), str(tmp_path / "other")])
 
 
-def test_what_needs_pictures_and_curves_is_drawn_of_the_store(trained, tmp_path):
-    folder = tmp_path / "results" / "scenes"
-    main(
-        [
-            str(trained),
-            str(folder),
-            "--figures",
-            "loss",
-            "hsv",
-            "--paper",
-            "hsv",
-            "--filter",
-            "state=finished",
-            "--predictions",
-        ]
-    )
-    assert {file.name for file in folder.iterdir()} == {
-        "runs.parquet", "views.parquet", "loss.png", "hsv.png", "hsv.md", "predictions",
-    }  # fmt: skip
+def test_predictions_have_the_stored_psnr(trained, tmp_path):
+    main([str(trained), str(tmp_path), "--filter", "state=finished", "--predictions"])
+    assert {file.name for file in tmp_path.iterdir()} == {"runs.parquet", "views.parquet", "predictions"}
     for run in load.runs(trained, "state=finished")["path"].map(Path):
         views = packed.views(run).set_index("image")["psnr"]
-        own = folder / "predictions" / run.name
+        own = tmp_path / "predictions" / run.name
         assert json.loads((own / "info.json").read_text())["evaluation_protocol"] == "default"
         for view, psnr in zip(sorted(pictures(run)), views.sort_index(), strict=True):
             color, truth = (np.asarray(Image.open(own / kind / f"{view}.png")) / 255 for kind in ("color", "gt-color"))
             assert -10 * np.log10(np.mean((color - truth) ** 2)) == pytest.approx(psnr, abs=0.02)
-    assert (folder / "hsv.md").read_text().startswith("**HSV Output Analysis")
-    with pytest.raises(ValueError, match="unknown figure 'nonsense'"):
-        main([str(trained), str(folder), "--figures", "nonsense"])
 
 
 def test_a_store_is_not_packed_into_itself(store):

@@ -220,7 +220,7 @@ def test_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.usefixtures("settled")
-@pytest.mark.parametrize("moment", ["_status", "read_summary_table", "_frame"])
+@pytest.mark.parametrize("moment", ["_status", "read_summary", "_frame"])
 def test_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
@@ -229,7 +229,7 @@ def test_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     run = store.claim("a", CONFIG).run
     assert run is not None
     run.write_summary({"psnr": 1.0})
-    module = records.read if moment == "read_summary_table" else index
+    module = records.read if moment == "read_summary" else index
     original = getattr(module, moment)
 
     def ending(*arguments: Any) -> Any:

@@ -7,7 +7,7 @@ key<number     and <=, >, >=
 text           a part of the id
 
 A run must meet every condition. They are separated by spaces, or by a comma before the next `key=`:
-`field=classical,color=3x64` is two. `analysis/report/filter.js` is the same language on the report's page.
+`field=classical,color=3x64` is two.
 """
 
 import difflib

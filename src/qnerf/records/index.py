@@ -1,10 +1,10 @@
 """One table of all runs of a store. It reads only the runs that changed since the last time.
 
 A run's row comes from its summary.parquet, status.json, annotations.json and a check of config.yaml. The index on disk,
-`.index/runs-2.parquet`, holds the rows and a stamp of the files from which each was read: modification time,
-change time, size and inode. A run is read again unless its stamp is still the same. Stamps are taken before reading. A
-file that changed in the last `SETTLED` seconds gives no stamp, because a coarse clock could give the next version the
-same time. Whether a run that says "running" is alive is found out every time.
+`.index/runs.json`, holds for each run a stamp of the files from which it was read (modification time, change time, size
+and inode) and its row. A run is read again unless its stamp is still the same. Stamps are taken before reading. A file
+that changed in the last `SETTLED` seconds gives no stamp, because a coarse clock could give the next version the same
+time. Whether a run that says "running" is alive is found out every time.
 
 Several processes may refresh the index at once. Each writes a correct one, and the last one stays. A store that cannot
 be written has no index: all runs are read each time.
@@ -19,34 +19,36 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.compute as pc
+from pandas.api.types import infer_dtype
 
 from qnerf.records import annotations, read
-from qnerf.records.files import StoreError, refuse_links, replace, reporting
+from qnerf.records.files import (
+    MAX_TABLE_BYTES,
+    StoreError,
+    parse_json,
+    read_bytes,
+    refuse_links,
+    replace,
+    reporting,
+)
 from qnerf.records.location import existing_store
 from qnerf.records.owner import unix_time
-from qnerf.records.parquet import TYPES, encode, kind_of, read_table
 
 Progress = Callable[[str, int, int], None]
 """Called with what is read, how many of them were read, and how many there are to read."""
 
-RUN_COLUMNS = {
-    "run_id": "text", "state": "text", "error": "text", "path": "text", "step": "int", "created": "float",
-    "heartbeat": "float", "tags": "text", "note": "text",
-}  # fmt: skip
+RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
 """Columns that do not come from the summary, even if it has values with these names."""
 
 FILES = ("summary.parquet", "status.json", "config.yaml", "annotations.json")
-INDEX = Path(".index", "runs-2.parquet")  # below a store; the number is that of the format
+INDEX = Path(".index", "runs.json")  # below a store
 SETTLED = 10.0  # seconds; file systems count in steps of up to 2 s, and the clock of a server may be a little behind
 UNSETTLED = ""
 """Stamp of a run that changed more recently; it equals no stamp."""
 
-_STAMP = ".stamp"
-_BATCH = 500  # rows that become a table at once
 _CHANGES_WORTH_SAVING = 0.01  # share of the runs; below it, reading them again takes less time than writing the index
 
+Row = dict[str, Any]
 Stamps = dict[str, str]
 """Run -> stamp of its files."""
 
@@ -70,23 +72,23 @@ def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: P
     root = existing_store(store)
     stamps = scan(root)
     stored = _stored(root)
-    current = [
-        row
-        for row, (run, stamp) in enumerate(zip(*(stored[name].to_pylist() for name in ("run_id", _STAMP)), strict=True))
-        if stamps.get(run) == stamp != UNSETTLED
-    ]
-    kept = stored.take(pa.array(current, pa.int64()))
-    stale = sorted(stamps.keys() - set(kept["run_id"].to_pylist()))
-    table = _joined([kept, *_read(root, {run: stamps[run] for run in stale}, progress)]).sort_by("run_id")
-    if len(stale) + len(stored) - len(kept) > _CHANGES_WORTH_SAVING * len(stamps):
-        _save(root, table)
-    return _frame(root, table, columns)
+    kept = {run for run, stamp in stamps.items() if run in stored and stored[run][0] == stamp != UNSETTLED}
+    rows: dict[str, Row] = {}
+    for number, run in enumerate(stamps):
+        if progress is not None:
+            progress("runs", number, len(stamps))
+        row = stored[run][1] if run in kept else _row(root / run)
+        if row is not None:
+            rows[run] = row
+    if len(stamps) + len(stored) - 2 * len(kept) > _CHANGES_WORTH_SAVING * len(stamps):
+        _save(root, {run: (stamps[run], row) for run, row in rows.items()})
+    return _frame(root, list(rows.values()), columns)
 
 
 def load_runs(store: str | Path, runs: Iterable[str]) -> pd.DataFrame:
     """The rows of `load` for these runs alone, read anew: for a reader that knows which ones changed."""
     root = Path(store)
-    return _frame(root, _joined([*_read(root, dict.fromkeys(sorted(runs), UNSETTLED), None)]), None)
+    return _frame(root, [row for run in sorted(runs) if (row := _row(root / run)) is not None], None)
 
 
 def scan(root: Path) -> Stamps:
@@ -124,31 +126,15 @@ def _is_unicode(name: str) -> bool:
     return not any("\ud800" <= character <= "\udfff" for character in name)
 
 
-def _read(root: Path, stamps: Mapping[str, str], progress: Progress | None) -> Iterable[pa.Table]:
-    """Tables of up to `_BATCH` rows, a row a run; without the runs that are gone."""
-    rows: list[pa.Table] = []
-    for number, (run, stamp) in enumerate(stamps.items()):
-        if progress is not None:
-            progress("runs", number, len(stamps))
-        row = _row(root / run)
-        if row is not None:
-            rows.append(row.append_column(_STAMP, pa.array([stamp])))
-        if len(rows) == _BATCH:
-            yield _joined(rows)
-            rows = []
-    if rows:
-        yield _joined(rows)
-
-
-def _row(folder: Path) -> pa.Table | None:
+def _row(folder: Path) -> Row | None:
     """The row of a run; None if its folder is gone."""
-    values: dict[str, Any] = {"run_id": folder.name, "tags": "[]"}
-    summary = pa.table({})
+    values: Row = {}
+    summary: Row = {}
     try:
         # A run writes its summary before its last state: a summary read after the state is complete.
         values |= _status(folder / "status.json")
         if (folder / "summary.parquet").exists():
-            summary = read.read_summary_table(folder)
+            summary = read.read_summary(folder)
         if (folder / "config.yaml").exists():
             read.check_config(folder)
     except (OSError, StoreError) as error:
@@ -157,12 +143,15 @@ def _row(folder: Path) -> pa.Table | None:
         return None
     with contextlib.suppress(StoreError):
         annotated = annotations.read(folder)
-        values |= {"tags": json.dumps(annotated.tags), "note": annotated.note or None}
-    values["error"] = values.get("error") or (summary["error"][0].as_py() if "error" in summary.schema.names else None)
-    own = {name: _cell(values.get(name), kind) for name, kind in RUN_COLUMNS.items() if name != "path"}
-    others = {name: summary[name] for name in summary.schema.names if name not in RUN_COLUMNS and name != _STAMP}
-    leading = {name: own.pop(name) for name in ("run_id", "state", "error")}
-    return pa.table({**leading, **others, **own})
+        values |= {"tags": annotated.tags, "note": annotated.note or None}
+    values |= {"run_id": folder.name, "error": values.get("error") or summary.get("error")}
+    others = {name: value for name, value in summary.items() if name not in RUN_COLUMNS}
+    return {name: _encodable(values.get(name)) for name in RUN_COLUMNS} | others
+
+
+def _encodable(value: Any) -> Any:
+    """The value; of a text what UTF-8 can hold, because JSON may contain halves of characters."""
+    return value.encode(errors="replace").decode() if isinstance(value, str) else value
 
 
 def _status(path: Path) -> dict[str, Any]:
@@ -183,49 +172,18 @@ def _status(path: Path) -> dict[str, Any]:
     }
 
 
-def _cell(value: Any, kind: str) -> pa.Array:
-    if isinstance(value, str):  # JSON may contain halves of characters
-        value = value.encode(errors="replace").decode()
-    return pa.array([value], TYPES[kind])
-
-
-def _joined(tables: Sequence[pa.Table]) -> pa.Table:
-    """The rows of all tables, with all their columns. Columns of different kinds become float64 or text."""
-    groups: dict[pa.Schema, list[pa.Table]] = {}
-    for table in tables:
-        groups.setdefault(table.schema, []).append(table)
-    kinds: dict[str, set[str]] = {name: {"text"} for name in ("run_id", _STAMP)}
-    for schema in groups:
-        for field in schema:
-            kinds[field.name] = kinds.get(field.name, set()) | {kind_of(field.type)}
-    types = {name: _common(found - {"none"}) for name, found in kinds.items()}
-    parts = [pa.schema(list(types.items())).empty_table()]
-    for schema, group in groups.items():
-        target = pa.schema([(name, types[name]) for name in schema.names])
-        parts.append(pa.concat_tables(group).cast(target, safe=False))
-    return pa.concat_tables(parts, promote_options="default").combine_chunks()
-
-
-def _common(kinds: set[str]) -> pa.DataType:
-    if not kinds:
-        return pa.null()
-    if len(kinds) > 1:
-        return TYPES["float" if kinds == {"int", "float"} else "text"]
-    return TYPES[next(iter(kinds))]
-
-
-def _frame(root: Path, table: pa.Table, columns: Sequence[str] | None) -> pd.DataFrame:
-    names = table["run_id"].to_pylist()
-    paths = [os.path.join(root, name) for name in names]
-    stored = table["state"].to_pylist() if "state" in table.schema.names else []
+def _frame(root: Path, rows: Sequence[Row], columns: Sequence[str] | None) -> pd.DataFrame:
+    """A table of the rows. A column with text in some runs and other values in others is text."""
+    names = dict.fromkeys([*RUN_COLUMNS, *(name for row in rows for name in row)])
+    frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names})
+    for name in frame.columns[[infer_dtype(frame[name], skipna=True).startswith("mixed") for name in frame]]:
+        frame[name] = [value if value is None or isinstance(value, str) else json.dumps(value) for value in frame[name]]
+    paths = [os.path.join(root, row["run_id"]) for row in rows]
+    stored = [row["state"] for row in rows]
     states = [_true_state(path) if state == "running" else state for path, state in zip(paths, stored, strict=True)]
-    frame = table.drop_columns([_STAMP]).to_pandas()
-    own = {"state": states, "path": paths, "tags": [tuple(json.loads(tags)) for tags in frame.get("tags", [])]}
+    own = {"state": states, "path": paths, "tags": [tuple(row["tags"] or ()) for row in rows]}
     for name, values in own.items():
         frame[name] = pd.Series(values, index=frame.index, dtype=object)
-    for name in RUN_COLUMNS:  # an empty store has them, too
-        if name not in frame:
-            frame[name] = pd.Series(dtype=object)
     return frame if columns is None else frame[[name for name in columns if name in frame.columns]]
 
 
@@ -235,20 +193,19 @@ def _true_state(path: str) -> str:
     return now if now == "interrupted" else "running"
 
 
-def _stored(root: Path) -> pa.Table:
-    """The index on disk; empty if there is no undamaged one."""
-    with contextlib.suppress(StoreError):
-        table = read_table(root / INDEX)
-        if {_STAMP, *RUN_COLUMNS} - {"path"} <= set(table.schema.names):
-            return table
-    return pa.table({"run_id": pa.array([], pa.string()), _STAMP: pa.array([], pa.string())})
+def _stored(root: Path) -> dict[str, tuple[str, Row]]:
+    """Run -> stamp and row, from the index on disk; empty if there is no undamaged one."""
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        stored = parse_json(read_bytes(root / INDEX, MAX_TABLE_BYTES))
+        return {run: (str(stamp), {**row}) for run, (stamp, row) in stored.items()}
+    return {}
 
 
-def _save(root: Path, table: pa.Table) -> None:
+def _save(root: Path, rows: Mapping[str, tuple[str, Row]]) -> None:
     """Writes the index, if it can be written, without the runs that are read again in any case."""
-    settled = table.filter(pc.and_(pc.not_equal(table[_STAMP], UNSETTLED), pc.not_equal(table["state"], "damaged")))
+    settled = {run: own for run, own in rows.items() if own[0] != UNSETTLED and own[1]["state"] != "damaged"}
     file = root / INDEX
     with contextlib.suppress(OSError, StoreError):
         refuse_links(file.parent)
         file.parent.mkdir(exist_ok=True)
-        replace(file, encode(settled), durable=False)
+        replace(file, json.dumps(settled).encode(), durable=False)

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache
 from pathlib import Path
 
 import pyarrow as pa
@@ -12,8 +11,6 @@ from qnerf.records.files import MAX_TABLE_BYTES, StoreError, one_line, read_byte
 
 TYPES = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
 """Kind of a column -> its Arrow type in every file of a store."""
-
-_NAMES = {"int": "whole numbers", "float": "numbers", "bool": "true or false", "text": "text"}
 
 
 @contextlib.contextmanager
@@ -54,9 +51,9 @@ def typed(table: pa.Table, kinds: Kinds) -> pa.Table:
     """The table with the types of `TYPES`: of the declared kind, else of the column's own. Others become text.
 
     Raises:
-        ValueError: a column occurs twice, or its values are of another kind.
+        ValueError: values do not fit their kind.
     """
-    target = _target(table.schema, kinds)
+    target = pa.schema([(field.name, _type(field, kinds(field.name))) for field in table.schema])
     result = table if table.schema.equals(target) else table.cast(target)
     result.validate(full=True)  # text is UTF-8
     return result
@@ -70,32 +67,11 @@ def require_columns(table: pa.Table, kinds: Mapping[str, str], label: object) ->
         return typed(table, kinds.get)
 
 
-def kind_of(kind: pa.DataType) -> str:
-    """The kind that holds values of an Arrow type; `none` for the type of nulls."""
-    if pa.types.is_null(kind):
-        return "none"
-    if pa.types.is_boolean(kind):
-        return "bool"
-    if pa.types.is_integer(kind):
-        return "int"
-    return "float" if pa.types.is_floating(kind) else "text"
-
-
-@lru_cache(maxsize=256)
-def _target(schema: pa.Schema, kinds: Kinds) -> pa.Schema:
-    """The schema after `typed`. Runs with the same columns, of which a store has many, need it once."""
-    names = schema.names
-    if len(set(names)) < len(names):
-        doubled = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"expected one column {doubled}, got {names.count(doubled)}")
-    return pa.schema([(field.name, _type(field, kinds(field.name))) for field in schema])
-
-
-def _type(field: pa.Field, wanted: str | None) -> pa.DataType:
-    kind = kind_of(field.type)
-    wanted = wanted or kind
-    if wanted == "none":
+def _type(field: pa.Field, kind: str | None) -> pa.DataType:
+    if kind is not None:
+        return TYPES[kind]
+    if pa.types.is_null(field.type) or pa.types.is_boolean(field.type):
         return field.type
-    if kind not in ("none", wanted) and wanted != "text" and {kind, wanted} != {"int", "float"}:
-        raise ValueError(f"{field.name}: expected {_NAMES[wanted]}, got {field.type}")
-    return TYPES[wanted]
+    if pa.types.is_integer(field.type):
+        return TYPES["int"]
+    return TYPES["float" if pa.types.is_floating(field.type) else "text"]

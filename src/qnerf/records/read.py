@@ -14,8 +14,8 @@ from qnerf.metrics import quality_metrics
 from qnerf.records import owner
 from qnerf.records.files import StoreError, one_line, read_bytes, read_json, reporting
 from qnerf.records.location import RUN_ID
-from qnerf.records.parquet import read_table, reading, require_columns
-from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, checked_summary, result_kind
+from qnerf.records.parquet import read_table, require_columns
+from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, known_kind
 
 STATES = ("running", "finished", "interrupted", "failed")
 RUN_MARKERS = ("summary.parquet", "status.json", "config.yaml")
@@ -127,18 +127,12 @@ class _Loader(_Safe):
 
 def read_summary(run_dir: str | Path) -> dict[str, Any]:
     """summary.parquet as plain values. Its `state` is the one last written; `state(run_dir)` is the true one."""
-    row: dict[str, Any] = read_summary_table(run_dir).to_pylist()[0]
-    return row
-
-
-def read_summary_table(run_dir: str | Path) -> pa.Table:
-    """The one row of summary.parquet, with results in their declared types."""
     path = Path(run_dir) / "summary.parquet"
-    table = read_table(path, result_kind)
-    with reading(path):
-        if table.num_rows != 1:
-            raise ValueError(f"expected one row, got {table.num_rows:,}")
-        return checked_summary(table)
+    rows = read_table(path, known_kind).to_pylist()
+    if len(rows) != 1:
+        raise StoreError(f"{path}: damaged: expected one row, got {len(rows):,}")
+    row: dict[str, Any] = rows[0]
+    return row
 
 
 def metric_parts(run_dir: str | Path) -> dict[int, Path]:

@@ -52,16 +52,7 @@ def result_kind(name: str) -> str | None:
 
 def known_kind(name: str) -> str | None:
     """The kind of a summary's column that tables and figures compute with; None for any other column."""
-    return "float" if name in NUMBERS else result_kind(name)
-
-
-def checked_summary(table: pa.Table) -> pa.Table:
-    """The table if the columns that tables and figures compute with are of their kind; ValueError otherwise."""
-    for name in set(NUMBERS) & set(table.schema.names):
-        kind = table.schema.field(name).type
-        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
-            raise ValueError(f"{name}: expected numbers, got {kind}")
-    return table
+    return "int" if name in NUMBERS else result_kind(name)
 
 
 def evaluation(rows: Iterable[Mapping[str, Any]], step: int) -> pa.Table:
