@@ -112,12 +112,18 @@ def row_keys(runs: pd.DataFrame) -> list[str]:
 
 
 def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, object]:
-    """The classical configuration as a baseline; ValueError where no scene has one, or a scene has several."""
-    keys = runs[list(rows)].drop_duplicates()
-    classical = keys[keys["field"] == "classical"] if "field" in keys else keys[:0]
-    if classical.empty or classical["scene_name"].duplicated().any():
+    """The classical configuration as a baseline; of several that differ in their steps alone, the one with most runs.
+
+    `qnerf decide --equal time` trains a first run to measure a step, and then all runs with more steps.
+    ValueError where no scene has one, or a scene has several.
+    """
+    classical = runs[runs["field"] == "classical"] if "field" in rows else runs[:0]
+    counts = classical.groupby(list(rows), dropna=False).size().rename("runs").reset_index()
+    most = counts[counts["runs"] == counts.groupby("scene_name", dropna=False)["runs"].transform("max")]
+    differing = [key for key in rows if key not in SCENES and counts[key].nunique(dropna=False) > 1]
+    if most.empty or most["scene_name"].duplicated().any() or set(differing) - {"train.steps"}:
         raise ValueError("expected one classical configuration in a scene: give --baseline, such as color=3x64")
-    return {"field": "classical"}
+    return {"field": "classical"} | {key: list(most[key].unique()) for key in differing}
 
 
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -97,9 +98,16 @@ def _rows(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def train(overrides: Sequence[str], seeds: Sequence[int]) -> None:
-    """Trains the seeds that are not finished yet, by any launcher. KeyboardInterrupt if that was stopped."""
+    """Trains the seeds that are not finished yet, by any launcher. KeyboardInterrupt if that was stopped.
+
+    Of what the trainings print, a line each stays: the run's folder; with Slurm, where its output is.
+    """
     command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"seed={','.join(map(str, seeds))}"]
-    code = subprocess.run(command, check=False).returncode
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        for line in process.stdout or ():
+            if re.match(r"(\d+ \| )?run |jobs go to ", line):
+                print(line, end="", flush=True)
+    code = process.returncode
     if code in (130, -2):
         raise KeyboardInterrupt
     if code not in (0, 1):  # 1: a job failed, which `results` says

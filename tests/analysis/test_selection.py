@@ -1,6 +1,6 @@
 import pandas as pd
 import pytest
-from qnerf.analysis.selection import check_keys, measured, select, settings
+from qnerf.analysis.selection import check_keys, classical_baseline, measured, select, settings
 
 from qnerf.records import filters
 
@@ -66,3 +66,15 @@ def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():
         {"color.mlp.width": "64.0", "head.qiren.layers": ""},
         {"color.mlp.width": "", "head.qiren.layers": "1.0"},
     ]
+
+
+def test_the_baseline_of_an_equal_time_study_is_what_was_trained_most():
+    runs = pd.DataFrame(
+        {"scene_name": "fox", "field": ["classical"] * 4 + ["qcolor"] * 3, "train.steps": [100] + [200] * 6}
+    )
+    rows = ["scene_name", "field", "train.steps"]
+    assert classical_baseline(runs, rows) == {"field": "classical", "train.steps": [200]}
+    assert classical_baseline(runs[1:], rows[:2]) == {"field": "classical"}
+    for refused in (runs[:2], runs[4:], runs.assign(color=["2x64", "3x64", *["3x64"] * 5])):
+        with pytest.raises(ValueError, match="give --baseline"):
+            classical_baseline(refused, [*rows, *(["color"] if "color" in refused else [])])
