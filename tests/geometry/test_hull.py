@@ -32,14 +32,6 @@ def inside_of(centre, radius, count=4000) -> torch.Tensor:
     return torch.from_numpy(np.array(centre) + directions * distances)
 
 
-@pytest.mark.parametrize("resolution", RESOLUTIONS)
-@pytest.mark.parametrize("name", CONTRACTIONS.names())
-def test_every_point_of_the_object_stays(world, name, resolution):
-    contraction = CONTRACTIONS.build(name)
-    mask = SpaceMask(visual_hull(contraction, world, resolution))
-    assert bool(mask(contraction(inside_of((0, 0, 0), BALL))).all())
-
-
 @pytest.mark.parametrize("name", CONTRACTIONS.names())
 def test_what_a_view_clearly_sees_through_goes(name):
     world, contraction, n = ball(size=96, focal=50.0), CONTRACTIONS.build(name), 60

@@ -12,10 +12,10 @@ import qnerf.geometry.rays
 from qnerf.config import memory
 from qnerf.geometry import rays
 from qnerf.geometry.pose_refinement import CAMERAS
-from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project, rays_from
+from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
 from qnerf.scenes import Cameras, Scene
 from qnerf.scenes.base import composite
-from qnerf.scenes.lens import _distort, distort, invertible, undistort
+from qnerf.scenes.lens import _distort, distort, invertible
 from tests.helpers import worlds
 
 IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
@@ -75,16 +75,6 @@ def test_axes_are_those_of_opengl():
 
 coefficients = st.tuples(st.floats(-0.15, 0.3), st.floats(-0.02, 0.1), st.floats(-0.02, 0.02), st.floats(-0.02, 0.02))
 points = st.lists(st.tuples(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9)), min_size=1, max_size=8)
-
-
-@given(points, coefficients)
-@settings(deadline=None)
-def test_undistort_inverts_distort(ideal, lens):
-    ideal, lens = torch.tensor(ideal, dtype=torch.float64), torch.tensor(lens, dtype=torch.float64)
-    seen = distort(ideal, lens)
-    good = invertible(seen, lens)
-    assert bool(good.all())
-    torch.testing.assert_close(undistort(seen, lens), ideal, atol=1e-8, rtol=0)
 
 
 @given(points, coefficients)
@@ -242,14 +232,6 @@ def test_poses_are_refined_and_differentiated_through_the_rays(name):
     torch.testing.assert_close(torch.linalg.vector_norm(moved.directions, dim=1), torch.ones(40, dtype=torch.float64))
     held_out = table.view(4, refinement)
     torch.testing.assert_close(held_out.directions, table.view(4).directions)
-
-
-def test_rays_from_is_the_rotation_of_the_camera():
-    cams = cameras()
-    directions = torch.nn.functional.normalize(torch.randn(5, 3, dtype=torch.float64), dim=1)
-    rays = rays_from(directions, cams.poses, torch.arange(5), 0.1, 2.0)
-    expected = torch.einsum("rij,rj->ri", cams.poses[:, :, :3], directions)
-    torch.testing.assert_close(rays.directions, expected)
 
 
 def test_a_scene_s_own_bounds_win():

@@ -2,8 +2,7 @@ import pytest
 import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS
-from qnerf.geometry.rays import project
-from qnerf.geometry.visibility import SpaceMask, count_cameras, visible_cells
+from qnerf.geometry.visibility import SpaceMask, visible_cells
 from qnerf.scenes import SCENES
 from tests.helpers.scenes import write_scene
 
@@ -11,17 +10,6 @@ from tests.helpers.scenes import write_scene
 @pytest.fixture
 def scene(tmp_path):
     return SCENES.build("nerfstudio", path=str(write_scene(tmp_path / "ring", views=8, width=16, height=12)))
-
-
-def test_counting_agrees_with_projecting_each_point_into_each_view(scene):
-    points = 3 * torch.randn(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    expected = torch.zeros(200, dtype=torch.int64)
-    for view in scene.train:
-        pixels, depth = project(scene.cameras, torch.full((200,), view), points)
-        inside = (pixels >= 0).all(1) & (pixels[:, 0] <= 16) & (pixels[:, 1] <= 12)
-        expected += inside & (depth > 0)
-    assert expected.max() >= 4
-    assert torch.equal(count_cameras(points, scene.cameras, scene.train), expected)
 
 
 @pytest.mark.parametrize("name", CONTRACTIONS.names())

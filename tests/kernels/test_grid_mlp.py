@@ -4,7 +4,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch.autograd import gradcheck, gradgradcheck
 
 from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp, grid_mlp_reference
 
@@ -62,17 +61,6 @@ def test_values_and_gradients_are_those_of_the_reference(dtype, **options):
     expected = torch.autograd.grad(slow, parameters(*layers), upstream.nan_to_num())
     for ours, theirs in zip(found, expected, strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=200 * eps * max(len(points), 1))
-
-
-def test_derivatives_of_first_and_second_order_are_those_of_finite_differences():
-    points, inside, grid, hidden, out = case(40, 0.7, 2, 2, 5, 2, False, 3, torch.float64)
-
-    def values(table, *layers):
-        raw = grid_mlp(points, inside, Grid(table, *grid[1:]), Layer(*layers[:2]), Layer(*layers[2:]))
-        return torch.where(inside[:, None], raw, 0.0)
-
-    assert gradcheck(values, parameters(grid, hidden, out))
-    assert gradgradcheck(values, parameters(grid, hidden, out))
 
 
 def test_the_number_of_threads_does_not_change_a_bit():

@@ -6,7 +6,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch.autograd import gradcheck
 
 from qnerf.encoders import level_resolutions
 from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
@@ -24,15 +23,6 @@ def case(points, resolutions, log2_size, features, dtype=torch.float32, seed=0):
         x[::3] = (x[::3] * cells[0]).round() / cells[0]
     table = torch.rand(len(resolutions), 2**log2_size, features, generator=generator, dtype=torch.float64) * 2 - 1
     return x.to(dtype), table.to(dtype), cells
-
-
-def off_borders(count, cells):
-    """Points where the derivative is not one-sided."""
-    x = torch.rand(100, 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    across = (x[:, None] * cells[:, None]) % 1
-    inside = ((across > 0.02) & (across < 0.98)).all(-1).all(-1)
-    assert inside.sum() >= count
-    return x[inside][:count].requires_grad_()
 
 
 def gradients(encode, points, table, cells, dense=True):
@@ -79,13 +69,6 @@ def test_gradients_are_those_of_the_reference(dtype, points, resolutions, log2_s
 
 
 @BOTH
-def test_derivatives_against_finite_differences(encode):
-    _, table, cells = case(0, [2, 5, 40], 5, 2, torch.float64)
-    x = off_borders(6, cells)
-    assert gradcheck(lambda p, t: encode(p, t, cells), (x, table.requires_grad_()))
-
-
-@BOTH
 @pytest.mark.parametrize("features", [1, 2, 4])
 def test_a_full_grid_interpolates_its_vertices_exactly(encode, features):
     """A trilinear function lies in the span of the grid: it is reproduced everywhere."""
@@ -116,28 +99,6 @@ def test_levels_that_fit_are_indexed_without_collisions(encode):
     x, table, _ = case(100, [3], 6, 1)
     assert not torch.equal(encode(x, table, fits, True), encode(x, table, fits, False))
     assert torch.equal(encode(x, table, hashed, True), encode(x, table, hashed, False))
-
-
-@BOTH
-@pytest.mark.parametrize("dense", [True, False])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@settings(max_examples=30, deadline=None)
-@given(
-    resolution=st.integers(1, 2048),
-    border=st.integers(0, 2048),
-    axis=st.integers(0, 2),
-    other=st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1)),
-)
-def test_continuous_across_cell_borders(encode, dense, dtype, resolution, border, axis, other):
-    """One ulp to either side of a border moves a feature by at most resolution x range x 2 ulp."""
-    x = torch.tensor([other] * 3, dtype=dtype)
-    at = torch.tensor(min(border, resolution) / resolution, dtype=dtype)
-    x[:, axis] = torch.stack((at.nextafter(-torch.ones_like(at)), at, at.nextafter(2 * torch.ones_like(at))))
-    _, table, cells = case(0, [resolution], 8, 2, dtype)
-    below, on, above = encode(x, table, cells, dense)
-    bound = (4 * resolution + 16) * torch.finfo(dtype).eps
-    assert (below - on).abs().max() <= bound
-    assert (above - on).abs().max() <= bound
 
 
 @BOTH

@@ -1,17 +1,14 @@
 """Occupancy learnt in training: what it closes, what it opens again, and that a resumed run repeats it."""
 
-import pandas as pd
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qnerf.experiment import run
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.visibility import cell_centres
 from qnerf.heads.qiren import QirenHead
 from qnerf.model.occupancy import CHUNK, Occupancy, reachable, shortest_sides
-from qnerf.records import read_metrics
 from qnerf.training.trainer import Trainer
 from tests.helpers.trainer import trainer
 
@@ -168,29 +165,3 @@ def test_a_look_leaves_the_heads_running_statistics_and_their_mode_alone(tiny):
     after = field.density_head.state_dict()
     assert all(torch.equal(before[name], after[name]) for name in before)
     assert all(module.training for module in field.modules())
-
-
-def logged(path) -> pd.DataFrame:
-    rows = read_metrics(path)
-    kept = rows[~rows["key"].str.startswith("time/") & (rows["key"] != "eval/eval_s")]
-    return kept[["step", "key", "value"]].reset_index(drop=True)
-
-
-def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, run_until):
-    """Killed just after a look, so that only the checkpoint is left."""
-    options = ["field=classical", "train.steps=9", "visibility.resolution=8", "visibility.cameras=1"]
-    options += ["occupancy.every=2", "occupancy.after=3", "occupancy.min_opacity=0.9", "density.initial=0.2"]
-    whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
-    parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    run_until(5, parts)
-    torch.rand(3)
-    resumed = run(parts)
-    mine, others = (
-        torch.load(outcome.path / "checkpoint.pt", weights_only=True)["model"] for outcome in (resumed, whole)
-    )
-    assert {"field.mask.grid", "field.mask.opacity"} <= mine.keys()
-    assert float(others["field.mask.opacity"].max()) > 0
-    assert not bool(others["field.mask.grid"].all())
-    assert mine.keys() == others.keys()
-    assert all(torch.equal(mine[name], others[name]) for name in mine)
-    pd.testing.assert_frame_equal(logged(resumed.path), logged(whole.path))

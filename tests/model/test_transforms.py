@@ -7,14 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
-from torch.func import functional_call, hessian, jacfwd, jvp, vmap
+from torch.func import functional_call, jvp
 
 from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
-from qnerf.encoders.hash import HashEncoder
 from qnerf.geometry.contraction import CONTRACTIONS, Box
 from qnerf.geometry.unit_points import unit_points
-from qnerf.heads.activations import trunc_exp
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Samples
@@ -76,17 +74,3 @@ def test_points_keep_their_tangents(contraction: Any) -> None:
     assert found is not None
     jacobian = torch.autograd.functional.jacobian(points, origins)
     torch.testing.assert_close(found, (jacobian * tangent).sum((-1, -2)))
-
-
-def test_the_hash_grid_and_the_activation_under_vmap_and_twice_differentiated() -> None:
-    encoder = HashEncoder(3, levels=3, min_resolution=2, max_resolution=8, log2_table_size=6, features=2).double()
-    points = torch.rand(2, 4, 3, dtype=torch.float64)
-    torch.testing.assert_close(vmap(encoder)(points), torch.stack([encoder(some) for some in points]))
-
-    def density(one: Tensor) -> Tensor:
-        return trunc_exp(encoder(one[None]).sum())
-
-    one = points[0, 0]
-    torch.testing.assert_close(jacfwd(density)(one), torch.autograd.functional.jacobian(density, one))
-    torch.testing.assert_close(hessian(density)(one), torch.autograd.functional.hessian(density, one))
-    assert float(hessian(density)(one).detach().abs().max()) > 0

@@ -4,8 +4,6 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
 from qnerf.geometry.contraction import CONTRACTIONS
@@ -48,10 +46,6 @@ def shell(points: Tensor) -> Tensor:
     """Density of an opaque shell of radius 2 to 2.5."""
     radius = points.norm(dim=-1)
     return ((radius > 2) & (radius < 2.5)).to(points.dtype) * 30
-
-
-def test_known_names() -> None:
-    assert NAMES == ["disparity", "geometric", "piecewise", "proposal", "uniform", "vanilla"]
 
 
 COUNTS = {"proposal": 8, "vanilla": 20}
@@ -166,13 +160,6 @@ def test_all_networks_get_gradients() -> None:
         assert bool((parameter.grad != 0).any()), name
 
 
-def test_annealing() -> None:
-    sampler = make("proposal", anneal_steps=1000, anneal_slope=10.0)
-    assert [sampler.anneal(step) for step in (0, 1000, 5000)] == [0.0, 1.0, 1.0]
-    assert sampler.anneal(100) == pytest.approx(10 * 0.1 / (9 * 0.1 + 1))
-    assert make("proposal", anneal_steps=0).anneal(0) == 1.0
-
-
 def test_a_fully_annealed_first_step_samples_evenly() -> None:
     """Exponent 0 makes every weight 1, whatever the networks say: the intervals of each level are of equal length."""
     found = make("proposal", torch.float64)(make_rays(dtype=torch.float64), shell, step=0)
@@ -219,34 +206,6 @@ def test_bad_options_are_refused() -> None:
 
 Draw = Callable[..., Tensor]
 DRAWS = pytest.mark.parametrize("draw", [sample_edges, sample_edges_reference])
-
-
-def check_edges(found: Tensor, s: Tensor, count: int) -> None:
-    assert found.shape == (s.shape[0], count)
-    assert found.dtype == s.dtype
-    assert bool(torch.isfinite(found).all())
-    assert bool((found.diff() >= 0).all())
-    assert bool((found >= s[:, :1]).all())
-    assert bool((found <= s[:, -1:]).all())
-
-
-@settings(deadline=None)
-@given(
-    s=st.lists(st.floats(0, 1, width=32), min_size=2, max_size=20),
-    weights=st.lists(st.sampled_from([0.0, 1e-38, 1e-6, 0.3, 1.0, 1e6]), min_size=19, max_size=19),
-    count=st.integers(1, 30),
-    padding=st.sampled_from([0.0, 1e-4, 0.01]),
-    jitter=st.none() | st.floats(0, 1, exclude_max=True, width=32),
-    dtype=st.sampled_from(DTYPES),
-)
-def test_drawn_edges_are_always_ordered(
-    s: list[float], weights: list[float], count: int, padding: float, jitter: float | None, dtype: torch.dtype
-) -> None:
-    edges = torch.tensor([sorted(s)], dtype=dtype)
-    w = torch.tensor([weights[: len(s) - 1]], dtype=dtype)
-    offset = None if jitter is None else torch.tensor([[jitter]], dtype=dtype)
-    for draw in (sample_edges, sample_edges_reference):
-        check_edges(draw(edges, w, count, padding=padding, jitter=offset), edges, count)
 
 
 @DRAWS

@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from qnerf.analysis.figures import cpu_ladder_points, psnr_vs_cpu_seconds
 
 from benchmarks import cpu_ladder
 from benchmarks.peers.serve import Remote
@@ -73,31 +72,12 @@ def test_a_training_plans_the_steps_of_its_budget(ladder):
     assert "train.steps=60 " in Model.started[1]
 
 
-def test_a_model_that_slows_down_stops_within_a_block_of_the_budget(ladder, monkeypatch):
-    monkeypatch.setattr(cpu_ladder.Ladder, "step_seconds", lambda *_: A_STEP)
-    Model.slow = True
-    (row,) = ladder("--budgets", "15", "--cases", "qnerf classical").to_dict("records")
-    assert row["planned"] == 60
-    assert 15 <= row["seconds"] < 15 + cpu_ladder.BLOCK * 2 * A_STEP
-    assert row["steps"] == row["seconds"] / (2 * A_STEP)
-
-
 def test_a_stopped_benchmark_measures_what_is_missing(ladder):
     ladder("--budgets", "15", "--cases", "qnerf classical")
     before = len(Model.started)
     rows = ladder("--budgets", "15", "30", "--cases", "qnerf classical")
     assert len(Model.started) - before == 2  # timed, and trained for 30 s
     assert rows["budget_s"].tolist() == [15.0, 30.0]
-
-
-def test_what_cannot_be_trained_is_named_and_the_rest_is_drawn(ladder, capsys):
-    rows = ladder("--budgets", "15", "30", "--cases", "Nerfacto", "qnerf classical")
-    said = capsys.readouterr().out
-    assert "poster 64 px, Nerfacto: not trained: ModuleNotFoundError: No module named 'nerfstudio'" in said
-    assert cpu_ladder_points(rows)["case"].tolist() == ["qnerf classical"] * 2
-    (ax,) = psnr_vs_cpu_seconds(rows).axes
-    (line,) = ax.containers
-    assert line.lines[0].get_xydata().tolist() == [[15.0, 21.0], [30.0, 21.0]]
 
 
 SEED = 3

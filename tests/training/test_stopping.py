@@ -37,19 +37,8 @@ def test_small_gains_add_up(start, step, checks):
     assert not fed(values, patience=2, least=step).reached
 
 
-@given(st.floats(0, 50), st.integers(1, 6))
-def test_a_level_psnr_ends_it(value, patience):
-    assert not fed([value] * patience, patience).reached
-    assert fed([value] * (patience + 1), patience).reached
-
-
 def test_a_psnr_that_is_no_number_is_no_gain():
     assert fed([20.0, math.nan, math.nan, math.nan]).reached
-
-
-@given(st.integers(1, 1000), st.integers(1, 10_000))
-def test_checks_are_due_every_so_many_steps(every, step):
-    assert Plateau(every, 1, 0.0).due(step) == (step % every == 0)
 
 
 @given(psnrs)

@@ -10,15 +10,7 @@ from qnerf.experiment import run
 from qnerf.records import read_metrics
 from qnerf.timing import STAGES
 from qnerf.training.threads import few_products
-from qnerf.training.trainer import learning_rate
 from tests.helpers.trainer import same, trainer
-
-
-def test_the_learning_rate_decays_exponentially_from_first_to_last(tiny):
-    train = settings_of(tiny("train=paper", "train.steps=30000")).train
-    assert learning_rate(0, train) == pytest.approx(1e-2)
-    assert learning_rate(15000, train) == pytest.approx(1e-3)
-    assert learning_rate(30000, train) == pytest.approx(1e-4)
 
 
 def test_the_paper_recipe_is_the_papers(config):
@@ -97,12 +89,6 @@ def test_kept_pixels_are_not_the_same_columns_of_each_image(tiny):
     assert trainer(tiny("field=classical")).table.validation_stride == 0
 
 
-def test_a_share_that_keeps_no_pixel_is_one_line(tiny):
-    with pytest.raises(ValueError, match=r"stop\.share holds out one training pixel in \d+") as caught:
-        trainer(tiny(*STOP, "stop.share=1e-6"))
-    assert "\n" not in str(caught.value)
-
-
 def test_a_run_that_no_longer_gains_stops_and_says_so(tiny):
     outcome = run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.min_gain_db=50"))
     assert outcome.state == "finished"
@@ -111,10 +97,6 @@ def test_a_run_that_no_longer_gains_stops_and_says_so(tiny):
     rows = read_metrics(outcome.path)
     assert rows[rows["key"] == "validation/psnr"]["step"].tolist() == [2, 4, 6]
     assert "finished already" in run(tiny(*STOP, "train.steps=40", "stop.patience=2", "stop.min_gain_db=50")).message
-
-
-def test_a_run_that_is_not_stopped_says_nothing(tiny):
-    assert run(tiny(*STOP, "train.steps=4")).summary["stopped"] is None
 
 
 def test_a_run_goes_on_on_another_kind_of_device(tiny):
@@ -127,24 +109,6 @@ def test_a_run_goes_on_on_another_kind_of_device(tiny):
     other.take_step(measure=False)
     assert other.step == 2
     assert all(bool(torch.isfinite(p).all()) for p in other.model.parameters())
-
-
-@pytest.mark.parametrize("stop_at", [2, 5])
-def test_a_run_resumed_across_a_check_stops_at_the_same_step_with_the_same_bits(tiny, tmp_path, run_until, stop_at):
-    options = [*STOP, "train.steps=12", "stop.patience=2", "stop.min_gain_db=50"]
-    whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
-    parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    run_until(stop_at, parts)
-    resumed = run(parts)
-    assert (resumed.summary["steps"], resumed.summary["stopped"]) == (6, "plateau")
-    mine, others = (torch.load(found.path / "checkpoint.pt", weights_only=True) for found in (resumed, whole))
-    assert mine["plateau"] == others["plateau"]
-    assert all(torch.equal(mine["model"][name], others["model"][name]) for name in others["model"])
-    logged = [
-        read_metrics(found.path).query("key == 'validation/psnr'")["value"].tolist() for found in (resumed, whole)
-    ]
-    assert logged[0] == logged[1]
-    assert len(logged[0]) == 3
 
 
 def test_a_part_learns_at_its_own_rate(tiny):
@@ -163,13 +127,6 @@ def test_a_loaded_state_is_the_saved_one_also_after_the_last_step(tiny):
         one.take_step(measure=False)
         again.load(copy.deepcopy(one.state()))
         assert same(again.state(), one.state())
-
-
-def test_a_bad_rate_is_one_line(tiny):
-    for override in ("+train.rates.nonsense=1", "train.rates.color=fast", "train.rates.color=-1"):
-        with pytest.raises(ValueError, match=r"train\.rates") as caught:
-            settings_of(tiny(override))
-        assert "\n" not in str(caught.value)
 
 
 def test_fine_levels_are_released_while_training_goes_on(tiny):
