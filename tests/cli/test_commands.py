@@ -1,5 +1,6 @@
 """The commands as a newcomer meets them: the help, mistakes without a traceback, and how they end."""
 
+import io
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from qnerf import __version__
+from qnerf.cli import main
 from qnerf.cli.commands import COMMANDS
 from qnerf.cli.errors import check_process, exit_code, is_shortage, one_line
 from tests.helpers.configs import ROOT
@@ -120,6 +122,16 @@ def test_a_closed_pipe_ends_a_command_quietly(tmp_path: Path) -> None:
         process.stdout.close()  # before the command writes
         _, told = process.communicate("", timeout=100)
         assert (process.returncode, told) == (141, "")
+
+
+def test_output_that_knows_only_ascii_gets_the_rest_escaped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "täst").mkdir()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written := io.BytesIO(), "ascii"))
+    monkeypatch.setattr(sys, "argv", ["qnerf", "runs", "--store", str(tmp_path / "täst")])
+    with pytest.raises(SystemExit):
+        main.main()
+    sys.stdout.flush()
+    assert b"t\\xe4st" in written.getvalue()
 
 
 def test_errors_are_one_line_and_escaped():

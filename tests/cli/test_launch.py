@@ -82,14 +82,14 @@ def test_cfg_job_prints_the_configuration_that_acts(qnerf, small):
 
 
 def test_a_sweep_says_how_many_different_runs_it_trains_and_a_failure_stops_none(qnerf, small, tmp_path):
-    options = ["train.steps=1", "field=classical,qcolor", "qiren.layers=1,0,2", "qiren.qubits=3", "qfgn.scale=2"]
+    options = ["train.steps=1", "field=classical,qcolor", "qiren.layers=1,0", "qiren.qubits=3", "qfgn.scale=2"]
     done = qnerf("run", "-m", *[item for item in small if not item.startswith("field")], *options)
-    assert done.out.startswith("6 jobs, 4 different runs\n")
+    assert done.out.startswith("4 jobs, 3 different runs\n")
     assert done.err.startswith("note: no effect in any job: qfgn.scale\n")
     assert done.code == 1
     assert "1 failed" in done.err
     assert "layers must be between 1 and 64, got 0" in " ".join(done.err.split())
-    assert states(tmp_path / "runs") == ["finished"] * 3
+    assert states(tmp_path / "runs") == ["finished"] * 2
 
 
 @pytest.mark.filterwarnings("ignore")  # Hydra's about schemas, which the command itself leaves out
@@ -100,18 +100,6 @@ def test_a_missing_launcher_or_search_is_one_line(qnerf, monkeypatch):
     for option, extra in (("hydra/launcher=joblib", "parallel"), ("hydra/sweeper=qnerf_optuna", "search")):
         done = qnerf("run", "-m", "seed=0,1", option)
         assert (done.code, f'pip install "qnerf[{extra}]"' in done.err, done.err.count("\n")) == (2, True, 1)
-
-
-def test_umlauts_are_escaped_where_the_output_knows_only_ascii(small, tmp_path):
-    store = tmp_path / "täst"
-    done = subprocess.run(
-        [sys.executable, "-m", "qnerf", "run", *small, f"store='{store}'"],
-        env=os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"}, cwd=tmp_path,
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    (run,) = runs(store)
-    assert f"t\\xe4st/{run.name}" in done.stdout
 
 
 # Runs that another process trains
@@ -215,8 +203,10 @@ def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
     sweep = ("train.steps=3,200", "seed=0,1", "train.lr=1e-2")
     process = parallel(*sweep)
     wait(lambda: states(store).count("finished") == 2 and "running" in states(store))
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+    process.kill()
+    process.communicate()  # returns when no job holds the pipe any more: they have seen that the sweep is gone
+    assert set(states(store)) <= {"finished", "interrupted"}
+    assert all((path / "checkpoint.pt").exists() for path in runs(store))
     finished = {path: written(path) for path in runs(store) if state(path) == "finished"}
     again = parallel(*sweep, "train.eps=1e-15,-1")
     stdout, stderr = again.communicate(timeout=200)
@@ -236,20 +226,15 @@ def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
 
 @posix
 @pytest.mark.usefixtures("signals")
-@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
-def test_jobs_side_by_side_stop_with_checkpoints(parallel, tmp_path, how):
+def test_jobs_side_by_side_stop_with_checkpoints(parallel, tmp_path):
     store = tmp_path / "runs"
     process = parallel(ENDLESS, "seed=0,1,2")
     wait(training(store, 2))
-    if how == "Ctrl-C":  # in a terminal it reaches everybody
-        os.killpg(process.pid, signal.SIGINT)
-    else:
-        process.kill()
-    stdout, stderr = process.communicate(timeout=300)  # returns when no job holds the pipe any more
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does in a terminal
+    stdout, stderr = process.communicate(timeout=300)
     assert "Traceback" not in stdout + stderr
-    if how != "kill":
-        assert process.returncode == 130, stderr
-        assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
+    assert process.returncode == 130, stderr
+    assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
     assert states(store) == ["interrupted"] * 2, "the third job was not begun"
     assert all((path / "checkpoint.pt").exists() for path in runs(store))
 
@@ -283,7 +268,7 @@ def start() -> Iterator[Callable[..., Forked]]:
 @pytest.mark.usefixtures("signals")
 @pytest.mark.parametrize("how", ["SIGINT", "stdout"])
 def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, small, tmp_path, how):
-    arguments = [*small, "train.steps=400", "train.eval_every=4", "train.eval_views=1", "threads=1"]
+    arguments = [*small, "train.steps=400", "train.eval_every=20", "train.eval_views=1", "threads=1"]
     process = start(*arguments)
     wait(training(tmp_path / "runs"))
     process.stdout.close() if how == "stdout" else process.send_signal(getattr(signal, how))
@@ -300,17 +285,7 @@ def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, 
         assert steps(run) == list(range(1, 401))
 
 
-@pytest.fixture
-def handlers_of_a_terminal():
-    """As a command in a terminal has them, also where the tests run under nohup or in the background."""
-    usual = {signal.SIGHUP: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
-    before = {kind: signal.signal(kind, handler) for kind, handler in usual.items()}
-    yield
-    for kind, handler in before.items():
-        signal.signal(kind, handler)
-
-
-@pytest.mark.usefixtures("handlers_of_a_terminal")
+@pytest.mark.usefixtures("signals")
 def test_a_second_request_ends_at_once_and_the_handlers_are_restored():
     before = sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM)
     with stoppable(), stop_requests() as stops:

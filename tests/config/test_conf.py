@@ -142,15 +142,14 @@ def test_groups_of_conf_are_all_tried():
 
 
 def test_jobs_of_every_sweep_are_configurations():
-    """The first and the last job of each, as `--sweep NAME` composes them."""
+    """The last job of each, as `--sweep NAME` composes it."""
     for name in sorted(path.stem for path in SWEEPS.glob("*.yaml")):
-        several = {}
+        job = []
         for key, values in swept(name).items():
             parsed = OverridesParser.create().parse_override(f"{key}={values}")
-            several[key] = list(parsed.sweep_string_iterator()) if parsed.is_sweep_override() else [values]
-        for number in (0, -1):
-            job = [f"{key}={named[number]}" for key, named in several.items()]
-            assert decisive(composed(*job, "budget=smoke", sweep=name))["train.steps"] == 100
+            last = list(parsed.sweep_string_iterator())[-1] if parsed.is_sweep_override() else values
+            job.append(f"{key}={last}")
+        assert decisive(composed(*job, "budget=smoke", sweep=name))["train.steps"] == 100
 
 
 def test_an_ansatz_gets_its_options(tiny):

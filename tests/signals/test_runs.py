@@ -15,6 +15,7 @@ from qnerf.building.scene import prepare
 from qnerf.cli.commands import runs, show
 from qnerf.cli.display import print_outcome
 from qnerf.cli.stored import stored
+from qnerf.encoders import ENCODERS
 from qnerf.experiment import SignalTask, run
 from qnerf.probes import load as load_trained
 from qnerf.records import details
@@ -26,8 +27,7 @@ from tests.helpers.scenes import write_scene
 SCENES = {"scene=photograph": ("psnr", "ssim"), "scene=distance": ("distance_error", "iou", "eikonal_error")}
 
 
-@pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("head", ["mlp", "qfgn", "qiren"])
+@pytest.mark.parametrize(("scene", "head"), [("scene=photograph", "mlp"), ("scene=distance", "qiren")])
 def test_a_head_fits_a_signal(fit, scene, head):
     config = fit(scene, f"head={head}")
     outcome = run(config)
@@ -43,10 +43,13 @@ def test_a_head_fits_a_signal(fit, scene, head):
     assert run(config).message  # skipped
 
 
-@pytest.mark.parametrize("encoder", ["hash", "pe", "none", "rff", "signed"])
-def test_every_encoder_takes_pixels_and_points(fit, encoder):
-    for scene in SCENES:
-        assert run(fit(scene, f"encoder={encoder}")).state == "finished"
+def test_every_encoder_takes_pixels_and_points_and_gives_their_gradient(fit):
+    for encoder in ENCODERS.names():
+        for scene in SCENES:
+            task = SignalTask(prepare(fit(scene, f"encoder={encoder}")))
+            points = task.scene.points[:4].float().requires_grad_()
+            task.model(points).sum().backward()
+            assert bool(points.grad.isfinite().all()), (scene, encoder)
 
 
 def test_the_hash_grid_of_pixels_is_the_plane_z_0_of_one_of_points():

@@ -1,6 +1,5 @@
 """`qnerf resume`: goes on with what was interrupted, from what is stored, and refuses what would be another run."""
 
-import contextlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -85,17 +84,6 @@ def test_from_any_folder_and_although_it_was_started_with_force(config, tmp_path
     assert resume(run)[0] == 0
     assert state(run) == "finished"
     assert read_status(run)["created"] == created  # gone on with, not done over
-
-
-def test_stopped_again_after_an_evaluation_on_the_way(tiny, monkeypatch, resume):
-    run = stopped(tiny("train.steps=6", "train.checkpoint_every=0", "train.eval_every=2"))
-    assert records.read_summary(run)["psnr"] is not None
-    with monkeypatch.context() as patch:
-        patch.setattr(experiment, "stop_requests", lambda: contextlib.nullcontext([2]))
-        code, said = resume(run)
-    assert code == 130
-    assert "stopped at step 3 of 6" in " ".join(said.split())
-    assert resume(run)[0] == 0
 
 
 def test_a_finished_run_is_left_alone(config, resume):
