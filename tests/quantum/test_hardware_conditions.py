@@ -10,40 +10,26 @@ import pytest
 import torch
 
 from qnerf.quantum import hardware_conditions
-from qnerf.quantum.diagnostics import weights_of
-from qnerf.quantum.families import family_of
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.noise import Noise
 from tests.quantum.test_any_circuit import MIXED
 
 
-def exact_correlation(layer: QuantumLayer, x: torch.Tensor) -> np.ndarray:
-    """Correlation of the signs read on all wires, from the exact probabilities."""
-    probabilities = family_of(layer.circuit).bit_probabilities(x, weights_of(layer))[0].numpy()
-    signs = 1 - 2 * ((np.arange(8)[:, None] >> np.arange(2, -1, -1)) & 1)
-    mean = probabilities @ signs
-    covariance = (signs - mean).T @ ((signs - mean) * probabilities[:, None])
-    return covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-
-
-def test_finite_shots_have_the_statistics_of_measuring_all_wires() -> None:
+def test_finite_shots_have_the_statistics_of_independent_draws() -> None:
     torch.manual_seed(2)
     layer = QuantumLayer(3, 1).double()
     x = torch.randn(1, 3, dtype=torch.float64)
     exact = layer(x)[0].detach()
     shots, repeats = 100, 4000
-    for joint in (True, False):
-        with hardware_conditions.conditions(layer, shots=shots, joint=joint, seed=1):
-            y = layer(x.expand(repeats, 3))
-        with pytest.raises(ValueError, match="carry no gradients"):
-            y.sum().backward()
-        y = y.detach()
-        deviation = ((1 - exact.square()) / shots).sqrt()
-        assert ((y.mean(0) - exact).abs() < 5 * deviation / repeats**0.5).all()
-        assert torch.allclose(y.std(0), deviation, rtol=0.06)
-        expected = exact_correlation(layer, x) if joint else np.eye(3)
-        assert np.abs(np.corrcoef(y.T.numpy()) - expected).max() < 0.08
-    assert np.abs(exact_correlation(layer, x) - np.eye(3)).max() > 0.2  # joint sampling is not independent sampling
+    with hardware_conditions.conditions(layer, shots=shots, seed=1):
+        y = layer(x.expand(repeats, 3))
+    with pytest.raises(ValueError, match="carry no gradients"):
+        y.sum().backward()
+    y = y.detach()
+    deviation = ((1 - exact.square()) / shots).sqrt()
+    assert ((y.mean(0) - exact).abs() < 5 * deviation / repeats**0.5).all()
+    assert torch.allclose(y.std(0), deviation, rtol=0.06)
+    assert np.abs(np.corrcoef(y.T.numpy()) - np.eye(3)).max() < 0.08
     assert torch.equal(layer(x)[0].detach(), exact)  # the conditions end with the block
 
 
@@ -59,7 +45,7 @@ def test_shots_follow_the_seed_and_keep_nan_and_empty_batches() -> None:
     assert torch.equal(outputs[0].nan_to_num(9), outputs[1].nan_to_num(9))
     assert not torch.equal(outputs[0].nan_to_num(9), outputs[2].nan_to_num(9))
     assert outputs[0].isnan().all(1).nonzero().flatten().tolist() == [1]
-    for options in ({"shots": 10}, {"shots": 10, "joint": False}, {"noise": Noise(depolarizing=0.1)}):
+    for options in ({"shots": 10}, {"noise": Noise(depolarizing=0.1)}):
         with hardware_conditions.conditions(layer, **options):
             assert layer(torch.zeros(0, 2)).shape == (0, 2)
 
@@ -76,7 +62,7 @@ def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
     probabilities = drawn[:, -4:]
     torch.testing.assert_close(probabilities.sum(1), torch.ones(400, dtype=torch.float64))
     torch.testing.assert_close((probabilities * 1000).round(), probabilities * 1000)
-    trained = QuantumLayer(MIXED, shots=100, noise={"two_qubit": 0.1, "readout": 0.02}, patterns=3).double()
+    trained = QuantumLayer(MIXED, shots=100, noise={"readout": 0.02}).double()
     trained(x).sum().backward()
     assert trained.w.grad is not None
     assert trained.w.grad.abs().max() > 0
@@ -96,6 +82,8 @@ def test_noise_shrinks_signals_and_zero_noise_does_nothing() -> None:
 
 
 def test_wrong_conditions_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"circuit mixed is not; evaluate with conditions\(..., method='density'\)"):
+        QuantumLayer(MIXED, noise={"two_qubit": 0.1})
     layer = QuantumLayer(2, 1)
     for options in ({"shots": 0}, {"shots": 2.5}, {"noise": 1.5}, {"noise": Noise}, {"method": "x"}, {"patterns": 0}):
         with pytest.raises(ValueError), hardware_conditions.conditions(layer, **options):  # noqa: PT011

@@ -24,7 +24,7 @@ from qnerf.quantum.circuit import (
     Weights,
     weight,
 )
-from qnerf.quantum.cones import gates_of
+from qnerf.quantum.pauli_form import only_gates
 
 SHOTS = 1000  # of each circuit
 RATE = 10_000.0  # shots a second
@@ -104,13 +104,10 @@ def shifts(circuit: Circuit) -> int:
     A gate that is several rotations, such as CRX, takes two for each of them (arXiv:1811.11184). Prepared amplitudes
     are differentiated through the 2^k - 1 angles of their preparation, complex ones through twice as many.
     """
-    varying = 0
-    for _, gate in gates_of(circuit):
-        if isinstance(gate, Amplitudes):
-            if any(_varies(value) for value in gate.angles):
-                varying += (2 ** len(gate.wires) - 1) * (2 if gate.imaginary else 1)
-        else:
-            varying += sum(_varies(gate.angle_of(part)) for part in gate.rotations)
+    varying = sum(_varies(gate.angle_of(part)) for gate in only_gates(circuit) for part in gate.rotations)
+    for operation in circuit.operations:
+        if isinstance(operation, Amplitudes) and any(map(_varies, operation.angles)):
+            varying += (2 ** len(operation.wires) - 1) * (2 if operation.imaginary else 1)
     return 1 + 2 * varying
 
 

@@ -3,7 +3,7 @@
 The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
 `circuit` (what a circuit is, and circuits by name).
 
-`simulator` runs a circuit: it takes the cheapest engine, and splits wide circuits into `registers` of few wires. What
+`simulator` runs a circuit: it takes the cheapest engine, and splits wide re-uploading circuits into `registers`. What
 differs between the two families of circuits is in `families`; either takes its weights flat.
 
 Data re-uploading circuits (`reuploading`): `initial_angles`, `normal_form` (what is left after merging gates), `cones`
@@ -13,8 +13,8 @@ the CPU), `statevector` (the plain PyTorch reference).
 Any other circuit (`any_circuit`): `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and
 `pauli_statevector` (the engine and its reference).
 
-Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled: errors become angles, `folded_errors`,
-or signs of angles, `carried_errors`), `readout`, `measurement`.
+Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled: errors become angles, `folded_errors`),
+`readout`, `measurement`.
 
 PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
 `pennylane_device` bring its circuits here. `diagnostics` says what a circuit can express and how it learns.

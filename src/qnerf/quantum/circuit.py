@@ -337,7 +337,7 @@ def check_state(wires: int, what: str) -> None:
         size = readable_bytes(16 * 2.0**wires)
         raise ValueError(
             f"{what}: one state of {wires} wires takes {size} of memory in float64; a state has at most"
-            f" {MAX_STATE_WIRES} wires, a wider circuit expects outputs that depend on few of its wires"
+            f" {MAX_STATE_WIRES} wires; a wider circuit re-uploads data, and its outputs depend on few wires"
         )
 
 

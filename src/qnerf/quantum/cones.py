@@ -3,7 +3,7 @@
 An output is a trigonometric polynomial of the inputs in its cone (arXiv:2008.08605): an encoding with scale s adds
 {-s, 0, s} to the frequencies of its wire. The cone is found by carrying the observable back through the circuit
 (Heisenberg picture). Two bits for each wire are tracked: may the observable act there as X or Y, and as Z or Y? A cone
-may therefore come out too large, never too small. The gates and wires that the observable never meets can be left out
+may therefore come out too large, never too small. The wires that the observable never meets can be left out
 (`registers`).
 
 >>> from qnerf.quantum.circuit import ANSATZE
@@ -12,15 +12,13 @@ may therefore come out too large, never too small. The gates and wires that the 
 ((0, 1, 2), 27)
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import gcd, lcm, prod
 from typing import NamedTuple
 
-from qnerf.quantum.circuit import Amplitudes, Circuit, Encoding, Gate, PauliWord
-from qnerf.quantum.pauli_form import Word, as_gates, clifford_frame
+from qnerf.quantum.circuit import Circuit, Encoding, Entangler, PauliWord, Rotations
 
 MAX_COEFFICIENTS = 1024  # of one output: beyond that a state vector is cheaper
 
@@ -60,7 +58,7 @@ def find_cones(circuit: Circuit) -> Cones:
     """
     if not circuit.reuploading:
         raise TooLarge(f"lightcone: ansatz {circuit.name} does not re-upload data; choose method=auto")
-    met = [_encodings_met(circuit, word) for word in circuit.words]
+    met = [trace(circuit, word).scales for word in circuit.words]
     base = tuple(_base_frequency(circuit, wire) for wire in range(circuit.wires))
     cones = []
     for output, scales in enumerate(met):
@@ -80,85 +78,40 @@ def find_cones(circuit: Circuit) -> Cones:
     return Cones(tuple(cones), base)
 
 
-def _encodings_met(circuit: Circuit, word: PauliWord) -> dict[int, list[float]]:
-    """For each wire, the scales of the encodings that do not commute with the observable on its way back."""
-    met: dict[int, list[float]] = {}
-    gates = gates_of(circuit)
-    for place, gate in (gates[index] for index in sorted(trace(circuit, word).gates)):
-        operation = circuit.operations[place]
-        if isinstance(operation, Encoding):
-            met.setdefault(gate.wires[0], []).append(operation.scales[gate.wires[0]])
-    return met
-
-
 class Trace(NamedTuple):
     """What an observable meets on its way back to the start of a circuit.
 
     Attributes:
         wires: that it may act on at some time; no others have an effect on its expectation value.
-        gates: places in `gates_of` of the gates that may change it. It is unchanged by the others.
+        scales: wire -> those of the encodings that do not commute with it.
     """
 
     wires: frozenset[int]
-    gates: frozenset[int]
+    scales: dict[int, list[float]]
 
 
-def trace(circuit: Circuit, letters: Iterable[tuple[int, str]]) -> Trace:
-    """The light cone of a product of Pauli letters, (wire, letter) each. A wire may be given several letters."""
-    x, z = set[int](), set[int]()
-    for wire, letter in letters:
-        if letter in "XY":
-            x.add(wire)
-        if letter in "ZY":
-            z.add(wire)
-    wires, gates = x | z, set()
-    for place, (_, gate) in reversed(list(enumerate(gates_of(circuit)))):
-        if x.isdisjoint(gate.wires) and z.isdisjoint(gate.wires):
-            continue
-        if isinstance(gate, Amplitudes):  # the state of these wires is one whole
-            wires.update(gate.wires)
-        elif not _carry_back(gate, x, z):
-            continue
-        gates.add(place)
-        wires |= {*gate.wires, *x, *z}
-    return Trace(frozenset(wires), frozenset(gates))
-
-
-@lru_cache(maxsize=64)
-def gates_of(circuit: Circuit) -> tuple[tuple[int, Gate | Amplitudes], ...]:
-    """All gates in order, each with the place of its operation in the circuit."""
-    return tuple(
-        (place, gate)
-        for place, operation in enumerate(circuit.operations)
-        for gate in ([operation] if isinstance(operation, Amplitudes) else as_gates(operation, circuit))
-    )
-
-
-def _carry_back(gate: Gate, x: set[int], z: set[int]) -> bool:
-    """Changes x and z, the wires where the observable may act as X or Y and as Z or Y, to those before the gate.
-
-    False if the gate does nothing to the observable.
-    """
-    clifford = clifford_frame(gate)
-    if clifford is not None:
-        bits = {wire: 1 << place for place, wire in enumerate(reversed(gate.wires))}
-        before = [Word(bit, 0, 0) for wire, bit in bits.items() if wire in x]
-        before += [Word(0, bit, 0) for wire, bit in bits.items() if wire in z]
-        after = [clifford(word) for word in before]
-        if after == before:
-            return False
-        for wire, bit in bits.items():
-            for letters, present in ((x, any(word.x & bit for word in after)), (z, any(w.z & bit for w in after))):
-                (letters.add if present else letters.discard)(wire)
-        return True
-    changed = False
-    for rotation in reversed(gate.rotations):
-        word = list(zip(gate.wires, rotation.letters, strict=True))
-        if any((wire in x and letter in "ZY") or (wire in z and letter in "XY") for wire, letter in word):
-            x.update(wire for wire, letter in word if letter in "XY")
-            z.update(wire for wire, letter in word if letter in "ZY")
-            changed = True
-    return changed
+def trace(circuit: Circuit, word: PauliWord) -> Trace:
+    """The light cone of a Pauli word in a re-uploading circuit."""
+    x = {wire for wire, letter in word if letter in "XY"}  # where the observable may act as X or Y
+    z = {wire for wire, letter in word if letter in "ZY"}  # where it may act as Z or Y
+    scales: dict[int, list[float]] = {}
+    for operation in reversed(circuit.operations):
+        if isinstance(operation, Rotations):
+            x, z = x | z, x | z
+        elif isinstance(operation, Entangler):
+            for a, b in reversed(operation.pairs):
+                if operation.gate == "CZ":  # X_a becomes X_a Z_b, X_b becomes Z_a X_b
+                    z |= {wire for wire, other in ((b, a), (a, b)) if other in x}
+                else:  # X_a becomes X_a X_b, Z_b becomes Z_a Z_b
+                    x |= {b} if a in x else set()
+                    z |= {a} if b in z else set()
+        elif isinstance(operation, Encoding):
+            turned = {"X": z, "Y": x | z, "Z": x}[operation.axis]
+            met = [wire for wire in sorted(turned) if operation.scales[wire]]
+            for wire in met:
+                scales.setdefault(wire, []).append(operation.scales[wire])
+            x, z = x | set(met if operation.axis != "Z" else ()), z | set(met if operation.axis != "X" else ())
+    return Trace(frozenset(x | z), scales)
 
 
 def _base_frequency(circuit: Circuit, wire: int) -> float:

@@ -11,14 +11,13 @@ are drawn anew for every state or point: every angle uniform in [0, 2 pi]. Input
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log, pi, prod, sqrt
+from math import log, pi, sqrt
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
-from qnerf.quantum.circuit import Circuit, Expression, Gate
-from qnerf.quantum.cones import gates_of
+from qnerf.quantum.circuit import Circuit, Encoding
 from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.families import family_of
 from qnerf.quantum.hardware_conditions import conditions
@@ -216,7 +215,7 @@ def surrogate(layer: QuantumLayer, fitted: Tensor, tested: Tensor, waves: int) -
     whole spectrum has more than `waves` vectors, as many are drawn, each encoding's part being the difference of two of
     its eigenvalues (random Fourier features, arXiv:2210.13200).
     """
-    frequencies, covered = _frequencies(_encodings(layer), waves)
+    frequencies, covered = _frequencies(_encodings(layer.circuit), waves)
     with torch.no_grad():
         targets, expected = (_exact(layer, x) for x in (fitted, tested))
     features = [_waves(x.double().cpu(), frequencies) for x in (fitted, tested)]
@@ -260,28 +259,17 @@ def _frequencies(encodings: Tensor, count: int) -> tuple[Tensor, bool]:
     return found, False
 
 
-def _encodings(layer: QuantumLayer) -> Tensor:
-    """(encodings, features): the factor of each feature in the angle of each rotation that takes in some.
+def _encodings(circuit: Circuit) -> Tensor:
+    """(encodings, features): what each rotation that takes in a feature multiplies it by.
 
     Raises:
-        ValueError: an angle or an amplitude is not linear in the features, so the spectrum is not known.
+        ValueError: not a re-uploading circuit, so the spectrum is not known.
     """
-    circuit, values = layer.circuit, weights_of(layer).tolist()
-    first = offsets(circuit.parameters)
-    rows = []
-    for _, gate in gates_of(circuit):
-        is_gate = isinstance(gate, Gate)
-        for angle in [gate.angle_of(part) for part in gate.rotations] if isinstance(gate, Gate) else gate.angles:
-            row = [0.0] * (circuit.features or 0)
-            for coefficient, weights, features in Expression.of(angle).terms:
-                if len(features) > 1 or (features and not is_gate):
-                    what = gate.name if isinstance(gate, Gate) else "amplitudes"
-                    raise ValueError(f"surrogate expects angles that are linear in the features, got {angle} in {what}")
-                for index in features:
-                    row[index] += coefficient * prod(values[first[name] + place] for name, place in weights)
-            if any(row):
-                rows.append(row)
-    return torch.tensor(rows, dtype=torch.float64).reshape(len(rows), circuit.features or 0)
+    if not circuit.reuploading:
+        raise ValueError(f"surrogate expects a re-uploading circuit, whose spectrum is known, got {circuit.name}")
+    scales = [operation.scales for operation in circuit.operations if isinstance(operation, Encoding)]
+    rows = torch.tensor(scales, dtype=torch.float64).reshape(-1, circuit.wires).diag_embed().flatten(0, 1)
+    return rows[rows.any(1)]
 
 
 def _distinct(vectors: Tensor) -> Tensor:

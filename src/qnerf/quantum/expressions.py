@@ -55,15 +55,6 @@ class Expression:
             return None
         return sum(coefficient for coefficient, _, _ in self.terms)
 
-    def with_flat_weights(self, name: str, first: dict[str, int]) -> "Expression":
-        """The expression with entry first[w] + i of one tensor, `name`, for entry i of each of its weights w."""
-        return Expression(
-            tuple(
-                (coefficient, tuple(sorted((name, first[own] + index) for own, index in weights)), features)
-                for coefficient, weights, features in self.terms
-            )
-        )
-
     def __bool__(self) -> bool:
         return self != 0
 

@@ -33,8 +33,18 @@ def of_patterns(
 
 
 def folds(circuit: Circuit) -> bool:
-    """Whether the errors of a circuit can become part of its angles; `carried_errors` takes any other circuit."""
+    """Whether the errors of a circuit can become part of its angles."""
     return _gates(circuit) is not None
+
+
+def check_folds(circuit: Circuit) -> None:
+    """ValueError unless errors in this circuit can be sampled."""
+    if not folds(circuit):
+        raise ValueError(
+            f"noise: errors are sampled in re-uploading circuits with a trainable rotation beside each gate, which "
+            f"circuit {circuit.name} is not; evaluate with conditions(..., method='density') or train a layer with "
+            "method='pennylane' and device='default.mixed'"
+        )
 
 
 class NoisyGate(NamedTuple):
@@ -67,7 +77,7 @@ def fold(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> tuple[
         x[:], z[:] = False, False
 
     gates = _gates(circuit)
-    assert gates is not None, "a circuit that folds"
+    assert gates is not None, "see check_folds"
     for gate in gates:
         if isinstance(gate.operation, Rotations):
             absorb(gate.operation.row, PHI)

@@ -32,7 +32,7 @@ def conditions(
     Args:
         model: any module.
         noise: errors of the gates and of the readout: a `Noise`, its fields, or a depolarizing probability.
-        options: `shots`, `joint`, `seed`, `method`, `patterns` and `gradients` of `Conditions`.
+        options: `shots`, `seed`, `method`, `patterns` and `gradients` of `Conditions`.
 
     Raises:
         ValueError: no positive number of shots, no probability, or an unknown field.

@@ -12,6 +12,7 @@ from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
 from qnerf.quantum import measurement, pennylane
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check_wires
 from qnerf.quantum.cost_model import Cost
+from qnerf.quantum.folded_errors import check_folds
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.simulator import Backend, Simulator
@@ -115,7 +116,9 @@ class QuantumLayer(nn.Module):
             for name, value in of_device.items():
                 if value != defaults[name].default:
                     raise ValueError(f"{name} expects method=pennylane, got method={method}")
-            own = measurement.Conditions(**measured, joint=False, patterns=patterns, gradients=True)
+            own = measurement.Conditions(**measured, patterns=patterns, gradients=True)
+            if own.noise is not None and own.noise.gates:
+                check_folds(self.circuit)
             if own.shots is not None or own.noisy:
                 self.conditions = own
         self._simulator = None if method == "pennylane" else Simulator(self.circuit, method, backend)

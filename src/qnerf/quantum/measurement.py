@@ -8,17 +8,13 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import is_transformed
-from qnerf.quantum import density, pauli_errors, statevector
+from qnerf.quantum import density, folded_errors, pauli_errors
 from qnerf.quantum.circuit import Circuit, Probabilities, values_of
 from qnerf.quantum.folded_errors import Exact
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.normal_form import normal_form, z_eigenvalues
 from qnerf.quantum.pennylane import check_shots
-from qnerf.quantum.readout import Readout
-from qnerf.quantum.registers import Measured, measured
+from qnerf.quantum.readout import Measured, Readout, measured
 from qnerf.quantum.simulator import simulator_of
-
-CHUNK = 4096  # samples whose probabilities are computed at once
 
 NoiseMethod = Literal["auto", "density", "sampled"]
 
@@ -28,15 +24,13 @@ class Conditions:
     """How a circuit is measured.
 
     Args:
-        shots: measurements of each circuit; None for exact expectation values.
+        shots: measurements of each Pauli word and of each of the `Probabilities`, independent of the others; None for
+            exact expectation values.
         noise: errors of the gates and of the readout; None: no errors.
-        joint: True reads all wires in every shot, as a device does. False draws each output from its own binomial,
-            which is faster. Every single output has the same distribution either way; only the correlations between
-            the outputs of one sample differ. Noisy shots are always drawn independently. Circuits that are no data
-            re-uploading circuits take `shots` for each Pauli word and for each of the `Probabilities`, either way.
         seed: of the shots and of sampled noise; None draws from torch's global generator.
         method: of noisy gates. density is exact, by density matrices; sampled draws `patterns` of Pauli errors, with a
-            standard error; auto takes density where it is quick (`density.is_quick`).
+            standard error; auto takes density where it is quick (`density.is_quick`) or errors cannot be sampled
+            (`folded_errors.folds`).
         patterns: drawn for each call of a circuit. All its samples share them.
         gradients: False makes a backward pass through the outputs a ValueError. With True they have the derivatives of
             the exact values, or with noise those of the drawn patterns (never density matrices). Values of shots are
@@ -49,7 +43,6 @@ class Conditions:
 
     shots: int | None = None
     noise: Noise | None = None
-    joint: bool = True
     seed: int | None = 0
     method: NoiseMethod = "auto"
     patterns: int = 100
@@ -86,7 +79,8 @@ class Conditions:
         """Whether the gate noise of this circuit is sampled rather than exact."""
         if self.noise is None or not self.noise.gates:
             return False
-        return self.gradients or self.method == "sampled" or (self.method == "auto" and not density.is_quick(circuit))
+        slow = folded_errors.folds(circuit) and not density.is_quick(circuit)
+        return self.gradients or self.method == "sampled" or (self.method == "auto" and slow)
 
 
 class _WithoutGradient(torch.autograd.Function):
@@ -115,18 +109,12 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Exact, conditio
     if conditions.gradients:
         values = _expected(circuit, found, x, weights, exact, conditions)
         with torch.no_grad():
-            drawn = _drawn(circuit, found, x, weights, values, conditions)
+            drawn = _drawn(found, values, conditions)
         return found.outputs(values if drawn is values else values + (drawn - values).detach())
     with torch.no_grad():
-        from_states = _reads_all_wires(circuit, conditions)  # needs no exact values
-        values = x if from_states else _expected(circuit, found, x, weights, exact, conditions)
-        drawn = _drawn(circuit, found, x, weights, values, conditions)
+        values = _expected(circuit, found, x, weights, exact, conditions)
+        drawn = _drawn(found, values, conditions)
     return _without_gradient(found.outputs(drawn), x, weights)
-
-
-def _reads_all_wires(circuit: Circuit, conditions: Conditions) -> bool:
-    """Whether every shot reads all wires."""
-    return conditions.joint and not conditions.noisy and circuit.reuploading
 
 
 def _without_gradient(out: Tensor, x: Tensor, weights: Tensor) -> Tensor:
@@ -158,16 +146,11 @@ def _expected(
     return read(values)
 
 
-def _drawn(
-    circuit: Circuit, found: Measured, x: Tensor, weights: Tensor, expected: Tensor, conditions: Conditions
-) -> Tensor:
+def _drawn(found: Measured, expected: Tensor, conditions: Conditions) -> Tensor:
     """Values that are means of finitely many shots; `expected` itself without a number of shots."""
     shots = conditions.shots
     if shots is None:
         return expected
-    if _reads_all_wires(circuit, conditions):
-        own = replace(circuit, observables=found.observables)
-        return torch.cat([_measure_all_wires(own, part, weights, conditions) for part in x.split(CHUNK)])
     drawn = torch.empty_like(expected)
     words = [k for k, observable in zip(found.places, found.observables, strict=True) if isinstance(observable, tuple)]
     drawn[:, words] = binomial(expected[:, words], shots, conditions.random)
@@ -175,8 +158,9 @@ def _drawn(
         if isinstance(observable, Probabilities):
             table = slice(first, first + values_of(observable))
             exact = expected[:, table].detach()
-            counts = multinomial(shots, np.nan_to_num(exact.double().cpu().numpy()), conditions.random)
-            drawn[:, table] = torch.from_numpy(counts / shots).to(x).where(exact == exact, torch.nan)
+            chances = np.clip(np.nan_to_num(exact.double().cpu().numpy()), 0, 1)
+            counts = conditions.random.multinomial(shots, chances / np.maximum(chances.sum(1, keepdims=True), 1))
+            drawn[:, table] = torch.from_numpy(counts / shots).to(expected).where(exact == exact, torch.nan)
     return drawn
 
 
@@ -186,34 +170,3 @@ def binomial(exact: Tensor, shots: int, random: np.random.Generator) -> Tensor:
     up = random.binomial(shots, np.clip(np.nan_to_num((1 + values) / 2), 0, 1))
     means = np.where(np.isnan(values), np.nan, 2 * up / shots - 1)
     return torch.from_numpy(means).to(exact)
-
-
-def _measure_all_wires(circuit: Circuit, x: Tensor, weights: Tensor, conditions: Conditions) -> Tensor:
-    form = normal_form(circuit)
-    assert conditions.shots is not None
-    probabilities = statevector.probabilities(form, x.double(), weights.double()).cpu().numpy()
-    if not len(probabilities):
-        return x.new_zeros(0, circuit.outputs)
-    counts = multinomial(conditions.shots, np.nan_to_num(probabilities), conditions.random)
-    means = counts @ z_eigenvalues(form.measured, form.wires).T / conditions.shots
-    means[np.isnan(probabilities).any(1)] = np.nan
-    return torch.from_numpy(means).to(x)
-
-
-def multinomial(shots: int, probabilities: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Counts (B, 2^n) of `shots` bit strings for each row of probabilities.
-
-    Wire after wire, a binomial splits the shots that agree so far. NumPy's `Generator.multinomial` would draw other
-    counts from the same seed, and stored results name their seeds.
-    """
-    batch, size = probabilities.shape
-    if not batch:
-        return np.zeros((0, size), dtype=np.int64)
-    counts = np.full((batch, 1), shots, dtype=np.int64)
-    while counts.shape[1] < size:
-        halves = probabilities.reshape(batch, counts.shape[1] * 2, -1).sum(-1).reshape(batch, -1, 2)
-        total = halves.sum(-1)
-        zero = np.divide(halves[..., 0], total, out=np.zeros_like(total), where=total > 0)
-        first = random.binomial(counts, np.clip(zero, 0, 1))
-        counts = np.stack([first, counts - first], -1).reshape(batch, -1)
-    return counts

@@ -2,9 +2,9 @@
 
 A channel that mixes Pauli errors is a lottery: after each gate an X, Y or Z happens on the wire, or nothing. A
 draw for all gates is a pattern, and the noisy expectation value is the mean over patterns. Each pattern is the same
-circuit with other angles: the errors become part of the trainable rotations (`folded_errors`) or signs of angles
-(`carried_errors`). The share of runs without any error, P0, is counted exactly: only patterns with an error are drawn,
-and the result is P0 exact + (1 - P0) mean. It has the derivatives of what was drawn.
+circuit with other angles: the errors become part of the trainable rotations (`folded_errors`). The share of runs
+without any error, P0, is counted exactly: only patterns with an error are drawn, and the result is
+P0 exact + (1 - P0) mean. It has the derivatives of what was drawn.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.quantum import carried_errors, folded_errors
+from qnerf.quantum import folded_errors
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.folded_errors import Exact
 from qnerf.quantum.noise import Noise
@@ -38,12 +38,13 @@ def evaluate(
         patterns: drawn; all samples share them.
         random: their source.
         final: an affine function of the outputs.
+
+    Raises:
+        ValueError: a circuit whose errors cannot be sampled.
     """
+    folded_errors.check_folds(circuit)
     clean, *errors = draw(spots(circuit), noise, patterns, random)
-    if folded_errors.folds(circuit):
-        of_patterns = folded_errors.of_patterns(exact, circuit, x, weights, *errors)
-    else:
-        of_patterns = carried_errors.of_patterns(circuit, x, weights, *errors)
+    of_patterns = folded_errors.of_patterns(exact, circuit, x, weights, *errors)
     return mean_of(clean, exact(x, weights), of_patterns, final)
 
 

@@ -102,26 +102,6 @@ class _Frame:
                 other ^= bit
 
 
-def clifford_frame(gate: Gate) -> _Frame | None:
-    """The frame of a gate on its own wires; None if it is not a Clifford operation."""
-    angles = tuple(Expression.of(angle).constant for angle in gate.angles)
-    if any(angle is None for angle in angles):
-        return None
-    return _fixed_frame(gate.name, gate.word, len(gate.wires), angles)
-
-
-@lru_cache(maxsize=1024)
-def _fixed_frame(name: str, word: str, n: int, angles: tuple[float, ...]) -> _Frame | None:
-    gate, frame = Gate(name, tuple(range(n)), angles, word), _Frame(n)
-    for part in gate.rotations:
-        turned = quarters(gate.angle_of(part))
-        if turned is None:
-            return None
-        if turned:
-            frame.append(Word.of(part.letters, gate.wires, n), turned)
-    return frame
-
-
 class Rotation(NamedTuple):
     """exp(-i angle/2 word)."""
 

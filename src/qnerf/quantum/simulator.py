@@ -13,7 +13,7 @@ from qnerf.kernels.jit import loop_threads
 from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.families import family_of
-from qnerf.quantum.registers import Register, is_split, measured, registers
+from qnerf.quantum.registers import Register, is_split, registers
 
 Backend = Literal["auto", "compiled", "torch"]
 
@@ -62,7 +62,7 @@ class Simulator:
 
     def _cost_of_registers(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
         costs = [own.cost(batch, dtype, compiled) for _, own in self.parts]
-        work = max(cost.memory for cost in costs) + 2 * batch * measured(self.circuit).values * dtype.itemsize
+        work = max(cost.memory for cost in costs) + 2 * batch * self.circuit.outputs * dtype.itemsize
         largest = self.parts[0][0].circuit.wires
         reason = f"{costs[0].reason}, {len(costs)} registers of at most {largest} wires"
         operations = sum(cost.operations for cost in costs), sum(cost.operations_once for cost in costs)
@@ -90,13 +90,14 @@ class Simulator:
 
     def of_registers(self, x: Tensor, weights: Tensor) -> Tensor:
         """The outputs, register by register."""
-        parts = [part for part, _ in self.parts]
+        sizes = [len(part.wires) for part, _ in self.parts]
         # All registers are fed at once: gradients of slices taken one by one would each be as large as x.
-        inputs = x[:, [k for part in parts for k in part.features]].split([len(part.features) for part in parts], 1)
-        angles = weights[[k for part in parts for k in part.weights]].split([len(part.weights) for part in parts])
-        values = [own(*given) for (_, own), *given in zip(self.parts, inputs, angles, strict=True)]
-        places = np.argsort([value for part in parts for value in part.values]).tolist()
-        return measured(self.circuit).outputs(torch.cat([x[:, :0], *values], 1)[:, places])
+        wires = [wire for part, _ in self.parts for wire in part.wires]
+        inputs = x[:, wires].split(sizes, 1)
+        angles = weights.reshape(self.circuit.rows, -1, 3)[:, wires].split(sizes, 1)
+        values = [own(x, w.flatten()) for (_, own), x, w in zip(self.parts, inputs, angles, strict=True)]
+        places = np.argsort([output for part, _ in self.parts for output in part.outputs]).tolist()
+        return torch.cat(values, 1)[:, places]
 
 
 @lru_cache(maxsize=64)
