@@ -10,12 +10,13 @@ from pathlib import Path
 import pandas as pd
 
 from qnerf.records import StoreError
+from qnerf.records.files import replace
 from qnerf.records.location import RUN_ID
 from qnerf.records.parquet import require_columns
 from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
 from qnerf.records.schemas import known_kind
 
-from .output import make_folder, write
+from .output import make_folder
 
 RUNS, VIEWS = "runs.parquet", "views.parquet"
 PROBES = ("units", "cost", "eval_hardware")
@@ -33,7 +34,6 @@ def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
     chosen = runs.sort_values("run_id", ignore_index=True)
     finished = chosen[chosen["state"] == "finished"]
     parts: list[pd.DataFrame] = []
-    probed: dict[str, list[pd.DataFrame]] = {probe: [] for probe in PROBES}
     problems = []
     for number, name, path in zip(finished.index, finished["run_id"], finished["path"], strict=True):
         try:
@@ -43,25 +43,22 @@ def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
             chosen.loc[number, "state"] = "damaged"
             continue
         parts.append(rows[["image", *rows.select_dtypes("number")]].assign(run_id=name))
-        for probe, tables in probed.items():
-            try:
-                own = probe_table(path, probe)
-            except StoreError as error:
-                problems.append(str(error))
-                continue
-            if own is not None:
-                tables.append(own.assign(run_id=name))
     if not parts:
         raise StoreError(problems[0])
     portable = chosen.drop(columns=[name for name in _HERE if name in chosen])
-    tables = {probe: pd.concat(own, ignore_index=True) for probe, own in probed.items() if own}
-    tables |= {"views": pd.concat(parts, ignore_index=True), "runs": portable}
+    tables = {"views": pd.concat(parts, ignore_index=True), "runs": portable}
+    for probe in PROBES:
+        own, damaged = probe_tables(finished["path"], probe)
+        problems += filter(None, [damaged])
+        if own:
+            named = [table.assign(run_id=Path(path).name) for path, table in own.items()]
+            tables[probe] = pd.concat(named, ignore_index=True)
     make_folder(folder, store=False)
     for probe in PROBES if is_packed(folder) else ():
         if probe not in tables:
             (folder / f"{probe}.parquet").unlink(missing_ok=True)
     for name, frame in tables.items():
-        write(folder / f"{name}.parquet", frame.to_parquet(index=False))
+        replace(folder / f"{name}.parquet", frame.to_parquet(index=False), durable=False)
     return len(parts), problems
 
 
@@ -98,23 +95,13 @@ def views(path: str | Path) -> pd.DataFrame:
     return own
 
 
-def has(path: str | Path, probe: str) -> bool:
-    """Whether a run, in a store or packed, has a table of that name from `qnerf probe`, even a damaged one."""
+def probe_table(path: str | Path, probe: str) -> pd.DataFrame | None:
+    """The table of a probe of a run, in a store or packed; None if it was not probed. StoreError if it is damaged."""
     path = Path(path)
     if not is_packed(path.parent):
-        return (path / f"{probe}.parquet").is_file()
+        return read_probe(path, probe) if (path / f"{probe}.parquet").is_file() else None
     file = path.parent / f"{probe}.parquet"
-    return file.is_file() and path.name in _of_runs(file, probe)
-
-
-def probe_table(path: str | Path, probe: str) -> pd.DataFrame | None:
-    """The table of a probe; None if the run was not probed. StoreError if it is damaged."""
-    path = Path(path)
-    if not has(path, probe):
-        return None
-    if is_packed(path.parent):
-        return _of_runs(path.parent / f"{probe}.parquet", probe)[path.name]
-    return read_probe(path, probe)
+    return _of_runs(file, probe).get(path.name) if file.is_file() else None
 
 
 def probe_tables(paths: Iterable[str], probe: str) -> tuple[dict[str, pd.DataFrame], str]:

@@ -1,17 +1,15 @@
 """Held-out views of runs in the form that nerfbaselines evaluates, so that another program can check the metrics."""
 
-import io
 import json
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 from PIL import Image
 
 import qnerf
 
 from .images import panels, pictures
-from .output import make_folder, write
+from .output import make_folder
 
 
 def write_predictions(runs: pd.DataFrame, folder: Path) -> list[Path]:
@@ -28,19 +26,13 @@ def write_predictions(runs: pd.DataFrame, folder: Path) -> list[Path]:
             shown = panels(picture)
             for kind, pixels in (("color", shown.render), ("gt-color", shown.truth)):
                 make_folder(folder / name / kind)
-                write(folder / name / kind / f"{view}.png", _png(pixels))
+                Image.fromarray(pixels).save(folder / name / kind / f"{view}.png")
         if stored:
             metadata = {"color_space": "srgb", "id": "qnerf", "scene": scene, "background_color": None}
             info = {"method": "qnerf", "evaluation_protocol": "default", "render_dataset_metadata": metadata}
             text = json.dumps({"method_version": qnerf.__version__, **info}, indent=2)
-            write(folder / name / "info.json", text.encode())
+            (folder / name / "info.json").write_text(text)
             written.append(folder / name)
     if not written:
         raise ValueError(f"no run of {len(runs)} has pictures of held-out views")
     return written
-
-
-def _png(pixels: np.ndarray) -> bytes:
-    data = io.BytesIO()
-    Image.fromarray(pixels).save(data, "PNG")
-    return data.getvalue()

@@ -11,10 +11,10 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
 from qnerf.metrics import metric_of, quality_metrics
-from qnerf.records.files import one_line
+from qnerf.records.files import one_line, replace
 from qnerf.records.printable import printable
 
-from . import command, load, output
+from . import command, load
 from .figures.files import title
 from .question import Question
 from .selection import SCENES, label
@@ -218,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of folders that `qnerf pack` wrote")
     options = parser.parse_args(arguments)
     for file, text in pages(options.folder).items():
-        output.write(file, text.encode())
+        replace(file, text.encode(), durable=False)
 
 
 if __name__ == "__main__":

@@ -119,8 +119,9 @@ def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, obj
     """
     classical = runs[runs["field"] == "classical"] if "field" in rows else runs[:0]
     counts = classical.groupby(list(rows), dropna=False).size().rename("runs").reset_index()
-    most = counts[counts["runs"] == counts.groupby("scene_name", dropna=False)["runs"].transform("max")]
-    differing = [key for key in rows if key not in SCENES and counts[key].nunique(dropna=False) > 1]
+    scenes = counts.groupby("scene_name", dropna=False)
+    most = counts[counts["runs"] == scenes["runs"].transform("max")]
+    differing = [key for key in rows if key not in SCENES and (scenes[key].nunique(dropna=False) > 1).any()]
     if most.empty or most["scene_name"].duplicated().any() or set(differing) - {"train.steps"}:
         raise ValueError("expected one classical configuration in a scene: give --baseline, such as color=3x64")
     return {"field": "classical"} | {key: list(most[key].unique()) for key in differing}

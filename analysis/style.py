@@ -23,9 +23,8 @@ from matplotlib.text import Text
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from qnerf.records.files import replace
 from qnerf.records.printable import printable
-
-from . import output
 
 COLUMN, PAGE = 3.3, 6.9  # inches
 NOTE, MARK = 6.5, 7.0  # points: footnotes, names of marks; everything else is larger
@@ -263,25 +262,22 @@ def footnote(figure: Figure, *parts: str) -> None:
 def save(figure: Figure, path: str | Path, formats: Iterable[str] = FORMATS) -> list[Path]:
     """Writes path.png, path.svg and path.pdf and returns their paths.
 
-    Text stays text and no date is written, so the same figure gives the same bytes.
-
     Raises:
-        ValueError: matplotlib does not know a format, or there is a link at one of the paths.
-        OSError: a file cannot be written.
+        ValueError: matplotlib does not know a format, or a file cannot be written.
     """
-    written = []
-    for kind in formats:
-        target = Path(f"{path}.{kind}")
-        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}
-        with mpl.rc_context(
-            {key: _BASE[key] for key in ("svg.fonttype", "svg.hashsalt", "pdf.fonttype", "savefig.dpi")}
-        ):
-            options = {"format": kind, "metadata": dates.get(kind), "facecolor": figure.get_facecolor()}
-            data = io.BytesIO()
-            figure.savefig(data, **options)
-            output.write(target, data.getvalue())
-        written.append(target)
-    return written
+    written = {Path(f"{path}.{kind}"): rendered(figure, kind) for kind in formats}
+    for target, data in written.items():
+        replace(target, data, durable=False)
+    return list(written)
+
+
+def rendered(figure: Figure, kind: str) -> bytes:
+    """The figure as png, svg or pdf. Text stays text and no date is written: the same figure gives the same bytes."""
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}
+    data = io.BytesIO()
+    with mpl.rc_context({key: _BASE[key] for key in ("svg.fonttype", "svg.hashsalt", "pdf.fonttype", "savefig.dpi")}):
+        figure.savefig(data, format=kind, metadata=dates.get(kind), facecolor=figure.get_facecolor())
+    return data.getvalue()
 
 
 def check_formats(formats: Iterable[str]) -> None:

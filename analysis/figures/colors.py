@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
@@ -20,7 +19,6 @@ EDGES = {
     "value": (np.arange(0, 257, 4) - 0.5) / 255,
 }
 """Bins: 6 degrees of hue; four 8-bit levels of the others, so that each bin holds equally many levels."""
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _COLORS = {"classical": style.FIELDS["classical"][0], "quantum": style.FIELDS["qcolor"][0]}
 
 
@@ -69,23 +67,6 @@ def hsv_histograms(samples: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def hsv_boxes(samples: pd.DataFrame) -> pd.DataFrame:
-    """Columns channel, source, `QUANTILES` and pixels, over all seeds together.
-
-    The circle of hues is cut open opposite to `hue_center`, m. Quantiles of hue are of m plus the signed shorter way
-    from m, in turns, so they may lie outside [0, 1].
-    """
-    center = hue_center(samples)
-    rows = []
-    for channel in hsv.CHANNELS:
-        for source, own in samples.groupby("source", observed=True):
-            values = own[channel].dropna().to_numpy()
-            if channel == "hue":
-                values = center + turn(center, values)
-            rows.append((channel, str(source), *np.quantile(values, QUANTILES), len(values)))
-    return pd.DataFrame(rows, columns=["channel", "source", *QUANTILES, "pixels"])
-
-
 def turn(center: float, hues: np.ndarray) -> np.ndarray:
     """The signed shorter way around the circle from `center` to each hue, turns in [-0.5, 0.5)."""
     return (hues - center + 0.5) % 1 - 0.5
@@ -103,67 +84,48 @@ def hue_center(samples: pd.DataFrame) -> float:
 def hsv_study(
     frame: pd.DataFrame, classical: Mapping[str, object] | None = None, quantum: Mapping[str, object] | None = None
 ) -> Figure:
-    """Distributions (above) and box plots (below) of hue, saturation and value: truth, classical, quantum.
+    """Distributions of hue, saturation and value: truth, classical, quantum.
 
     classical, quantum: columns and values that choose the runs; None: the configuration of highest PSNR.
     """
     runs = chosen(frame, classical, quantum)
     samples = hsv_samples(runs)
-    histograms, boxes = hsv_histograms(samples), hsv_boxes(samples)
-    figure = style.new(style.PAGE, 3.4)
-    axes = figure.subplots(2, 3, height_ratios=[1.5, 1], sharex="col")
+    histograms, center = hsv_histograms(samples), hue_center(samples)
+    figure = style.new(style.PAGE, 2.4)
+    axes = figure.subplots(1, 3)
     colors = {"truth": style.ink(), **_COLORS}
-    center = hue_center(samples)
-    for top, bottom, channel in zip(*axes, hsv.CHANNELS, strict=True):
+    for ax, channel in zip(axes, hsv.CHANNELS, strict=True):
         unit = 360 if channel == "hue" else 1
         for source, dashes in zip(hsv.SOURCES, ("-", "-.", "--"), strict=True):
             curve = histograms[(histograms["channel"] == channel) & (histograms["source"] == source)]
             middle = (curve["left"] + curve["right"]) / 2
-            if channel == "hue":  # cut open where the boxes are
+            if channel == "hue":
                 curve = curve.assign(middle=center + turn(center, middle.to_numpy())).sort_values("middle")
                 middle = curve["middle"]
             density, spread = curve["density"] / unit, curve["density_std"] / unit
-            top.plot(middle * unit, density, dashes, color=colors[source], label=source)
+            ax.plot(middle * unit, density, dashes, color=colors[source], label=source)
             if curve["n"].iloc[0] > 1:
                 between = (density - spread, density + spread)
-                top.fill_between(middle * unit, *between, color=colors[source], alpha=0.2, lw=0)
-        _boxes(bottom, boxes[boxes["channel"] == channel], unit, colors)
-        bottom.set_xlim(*((center - 0.5) * unit, (center + 0.5) * unit) if channel == "hue" else (0, 1))
-        bottom.set_xlabel("hue, degrees" if channel == "hue" else f"{channel}, of 1")
-        top.set_ylim(0, None)
-        top.set_ylabel("density per degree" if channel == "hue" else "density")
-        if channel == "hue":
-            bottom.xaxis.set_major_locator(MultipleLocator(90))
-            bottom.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:.0f}"))
-        else:
-            bottom.tick_params(labelleft=False)
+                ax.fill_between(middle * unit, *between, color=colors[source], alpha=0.2, lw=0)
+        hue = channel == "hue"
+        ax.set_xlim(*((center - 0.5) * unit, (center + 0.5) * unit) if hue else (0, 1))
+        ax.set_ylim(0, None)
+        ax.set_xlabel("hue, degrees" if hue else f"{channel}, of 1")
+        ax.set_ylabel("density per degree" if hue else "density")
+    axes[0].xaxis.set_major_locator(MultipleLocator(90))
+    axes[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:.0f}"))
     style.legend(figure)
     style.footnote(
         figure,
         *(f"{kind}: {_described(own)}" for kind, own in runs.items()),
         points.notation([" ".join(map(_described, runs.values()))]),
         "bands: ± standard deviation over seeds" if histograms["n"].max() > 1 else "n = 1 seed: no bands",
-        "boxes: quartiles, whiskers 5 to 95 %; the circle of hues is cut open opposite to the truth's mean",
+        "the circle of hues is cut open opposite to the truth's mean",
         "grey pixels have no hue: "
         + ", ".join(f"{source} {share:.0%}" for source, share in hsv.greys(samples).items()),
         select(frame).note,
     )
     return figure
-
-
-def _boxes(ax: Axes, boxes: pd.DataFrame, unit: float, colors: Mapping[str, str]) -> None:
-    parts = ("whislo", "q1", "med", "q3", "whishi")  # matplotlib's names of `QUANTILES`
-    stats = [
-        dict(zip(parts, row[list(QUANTILES)] * unit, strict=True)) | {"label": row["source"]}
-        for _, row in boxes.iterrows()
-    ]
-    drawn = ax.bxp(stats, orientation="horizontal", showfliers=False, patch_artist=True, widths=0.55)
-    for patch, median, source in zip(drawn["boxes"], drawn["medians"], boxes["source"], strict=True):
-        patch.set(facecolor=style.mixed(colors[source], "axes.facecolor", 0.65), edgecolor=colors[source])
-        median.set(color=style.ink(), linewidth=1.2)
-    for line in (*drawn["whiskers"], *drawn["caps"]):
-        line.set(color=style.ink(), linewidth=0.6)
-    ax.invert_yaxis()
 
 
 def _described(runs: pd.DataFrame) -> str:

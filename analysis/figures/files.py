@@ -27,8 +27,8 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
     Prints the files that it wrote, and a line for each figure that cannot be drawn; the others are drawn.
 
     Raises:
-        ValueError: a format is unknown, or a figure that was named cannot be drawn for any scene.
-        OSError: a file cannot be written.
+        ValueError: a format is unknown, a figure that was named cannot be drawn for any scene, or a file cannot be
+            written.
     """
     check_formats(formats)
     make_folder(out)
@@ -37,8 +37,11 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
         errors: dict[str, str] = {}
         scenes = FIGURES[name].scenes(name, frame)
         for file, runs in scenes.items():
+            figure = None
             with collecting(errors, file):
-                print(*save(FIGURES[name].draw(runs, **options), out / file_name(file), formats))
+                figure = FIGURES[name].draw(runs, **options)
+            if figure is not None:
+                print(*save(figure, out / file_name(file), formats))
         if name in names and len(errors) == len(scenes):
             failed.append(next(iter(errors.values())))
         else:

@@ -35,7 +35,7 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
     """The pictures to draw: the first `views` held-out views that all runs of a scene have pictures of.
 
     Columns scene_name, name, signal (the picture has no depth), seed, image, psnr (dB, of that image alone), picture (a
-    path). Raises ValueError if the runs of a scene have no picture in common.
+    path). A scene whose runs have no picture in common is left out; ValueError if none is left.
     """
     rows = []
     measured = {path: row.dropna() for path, row in evaluations(chosen).iterrows()}
@@ -44,13 +44,13 @@ def qualitative_panels(chosen: pd.DataFrame, views: int = 1) -> pd.DataFrame:
         names, pictures = common_pictures(runs["path"])
         readable = (name for name in names if _are_readable(own[name] for own in pictures.values()))
         common = list(islice(readable, views))
-        if not common:
-            raise ValueError(f"{scene}: no picture that all {len(runs)} chosen runs have")
         for _, run in runs.iterrows():
             for image in common:
                 quality = psnr.get(run["path"], {}).get(image, float("nan"))
                 signal, picture = pd.notna(run["head"]), pictures[run["path"]][image]
                 rows.append((scene, run["name"], signal, run["seed"], image, quality, picture))
+    if not rows:
+        raise ValueError(f"no picture that all {len(chosen)} chosen runs of a scene have")
     return pd.DataFrame(rows, columns=["scene_name", "name", "signal", "seed", "image", "psnr", "picture"])
 
 

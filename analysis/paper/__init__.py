@@ -6,6 +6,5 @@ from .tables import (
     hash_encoding_configurations,
     hsv_tests,
     quantum_density_and_rgb,
-    quoted_numbers,
     rgb_predictors,
 )

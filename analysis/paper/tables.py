@@ -71,21 +71,6 @@ def hash_encoding_configurations(frame: pd.DataFrame) -> Table:
     return side_by_side(PAPER_TABLES["hash"][0], table, columns, (erratum, *notes))
 
 
-def quoted_numbers(frame: pd.DataFrame) -> Table:
-    """Numbers that only the paper's text and figures give, with ours if the printed counts fit one architecture."""
-    keys = {
-        "true_field": "field",
-        "true_encoder": "encoder",
-        "true_density": "density",
-        "density_params": "params.density",
-        "encoder_params": "params.encoder",
-    }
-    table, notes = joined(printed("quoted").rename(columns=keys), frame, list(keys.values()))
-    remark = "rows without an architecture: the paper prints no parameter count that determines it"
-    columns = {"what": "what", "where": "where", "density": "density head", "params.density": "density parameters"}
-    return side_by_side(PAPER_TABLES["quoted"][0], table, columns, (remark, *notes))
-
-
 def hsv_tests(frame: pd.DataFrame) -> Table:
     """Kolmogorov-Smirnov statistics of hue, saturation and value: the paper's, and ours for the same two fields."""
     selection = select(frame)
@@ -131,7 +116,6 @@ PAPER_TABLES: dict[str, tuple[str, Callable[[pd.DataFrame], Table]]] = {
     ),
     "hash": ("Hash encoding configurations used in the ablation study", hash_encoding_configurations),
     "hsv": ("HSV Output Analysis: Kolmogorov-Smirnov tests", hsv_tests),
-    "quoted": ("Numbers quoted in the paper's figures and text", quoted_numbers),
 }
 """Name -> the paper's title, and the function that makes the table from the DataFrame of `load.runs`."""
 

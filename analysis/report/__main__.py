@@ -12,6 +12,7 @@ from rich.progress import Progress
 
 import qnerf
 from qnerf.cli.numbers import count
+from qnerf.records.files import replace
 
 from .. import command, output
 from ..load import runs
@@ -113,7 +114,7 @@ def write(html: str, out: str) -> Path:
     path = Path(out)
     path = path if path.suffix == ".html" else path / "index.html"
     output.make_folder(path.parent)
-    output.write(path, html.encode(errors="backslashreplace"))
+    replace(path, html.encode(errors="backslashreplace"), durable=False)
     return path
 
 

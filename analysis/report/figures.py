@@ -1,16 +1,14 @@
 """Matplotlib's figures as data URIs; one that cannot be drawn is a line that says why."""
 
 import base64
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ..figures import FIGURES, save
+from ..figures import FIGURES
 from ..figures.files import collecting
-from ..style import settings
+from ..style import rendered, settings
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
 MAX_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
@@ -50,12 +48,8 @@ def embedded(title: str, figure: Figure) -> Drawn:
 
 def encoded(figure: Figure) -> tuple[str, bytes]:
     """As SVG, or as PNG where that would be too large."""
-    with tempfile.TemporaryDirectory() as folder:
-        (svg,) = save(figure, Path(folder) / "figure", ["svg"])
-        if svg.stat().st_size <= MAX_SVG:
-            return "svg", svg.read_bytes()
-        (png,) = save(figure, Path(folder) / "figure", ["png"])
-        return "png", png.read_bytes()
+    svg = rendered(figure, "svg")
+    return ("svg", svg) if len(svg) <= MAX_SVG else ("png", rendered(figure, "png"))
 
 
 def dark_colors() -> dict[str, str]:

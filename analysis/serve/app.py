@@ -6,7 +6,7 @@ ask anything. On this machine it must also name the machine as its host, and the
 """
 
 import hmac
-from collections.abc import Awaitable, Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -86,9 +86,9 @@ def application(answers: Answers, token: str, hosts: Collection[str] | None = LO
         seconds = 3600 if query["panel"] == "preview" else 10  # the address of a preview tells its version
         return Response(data, media_type=kind, headers={"Cache-Control": f"private, max-age={seconds}"})
 
-    async def differences(request: Request) -> Response:
+    def differences(request: Request) -> Response:
         asked = (request.query_params.get(name, "") for name in ("filter", "rows", "baseline", "metric", "within"))
-        return HTMLResponse(page.table(await run_in_threadpool(answers.differences, *asked)))
+        return HTMLResponse(page.table(answers.differences(*asked)))
 
     async def annotate(request: Request) -> Response:
         wanted = parse_json(await _body(request))
@@ -97,13 +97,13 @@ def application(answers: Answers, token: str, hosts: Collection[str] | None = LO
         return JSONResponse({"tags": written.tags, "note": written.note})
 
     routes = [
-        Route("/", _answering(home)),
+        Route("/", home),
         *(Route(f"/{name}", file) for name in files),
-        *(Route(f"/{make.__name__}", _answering(make)) for make in (changes, curves, keys, views, picture)),
-        Route("/differences", _answering_later(differences)),
-        Route("/annotate", _answering_later(annotate), methods=["POST"]),
+        *(Route(f"/{make.__name__}", make) for make in (changes, curves, keys, views, picture, differences)),
+        Route("/annotate", annotate, methods=["POST"]),
     ]
-    return Guard(GZipMiddleware(Starlette(routes=routes), minimum_size=2000, compresslevel=1), token, hosts)
+    app = Starlette(routes=routes, exception_handlers=dict.fromkeys((KeyError, ValueError, OSError), _refusal))
+    return Guard(GZipMiddleware(app, minimum_size=2000, compresslevel=1), token, hosts)
 
 
 class Guard:
@@ -142,29 +142,8 @@ class Guard:
         return "expected the token: open the address that qnerf serve printed"
 
 
-def _answering(make: Callable[[Request], Response]) -> Callable[[Request], Response]:
-    """The same with one line for what was asked wrongly, or what a run from elsewhere lacks."""
-
-    def answer(request: Request) -> Response:
-        try:
-            return make(request)
-        except (KeyError, ValueError, OSError) as error:
-            return _refusal(error)
-
-    return answer
-
-
-def _answering_later(make: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
-    async def answer(request: Request) -> Response:
-        try:
-            return await make(request)
-        except (KeyError, ValueError, OSError) as error:
-            return _refusal(error)
-
-    return answer
-
-
-def _refusal(error: Exception) -> Response:
+def _refusal(_: Request, error: Exception) -> Response:
+    """One line for what was asked wrongly, or what a run lacks."""
     return PlainTextResponse(f"expected {error}" if isinstance(error, KeyError) else one_line(error), 400)
 
 

@@ -13,5 +13,5 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def mixed_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`trained`, with photographs and distances in the same store."""
+    """`trained`, with photographs, distances and tracked loops in the same store."""
     return mixed(tmp_path_factory.getbasetemp())

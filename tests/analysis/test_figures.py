@@ -9,7 +9,6 @@ from hypothesis.extra import numpy as arrays
 from matplotlib.collections import PathCollection
 from qnerf.analysis import figures, style
 from qnerf.analysis.figures import points
-from qnerf.analysis.figures.files import title
 from qnerf.analysis.load import metrics, runs
 
 from qnerf.experiment import run
@@ -129,16 +128,6 @@ def test_a_line_runs_over_depth_or_width_alone(frame, draw, key, kept):
     np.testing.assert_allclose(container[0].get_ydata(orig=False), groups.mean())
     np.testing.assert_allclose(np.diff(bars(ax)).ravel(), 2 * groups.std())
     assert container.get_label() == ("width 8" if key == "color.mlp.layers" else "2 layers")
-
-
-def test_an_experiment_is_no_setting_of_its_own(frame):
-    """It acts through what it changes, so a sweep over experiments draws the same lines."""
-    named = frame.assign(experiment="experiment " + frame["color"])
-    for measure in ("depth", "width"):
-        pd.testing.assert_frame_equal(
-            figures.shape_points(named, measure).drop(columns="experiment", errors="ignore"),
-            figures.shape_points(frame, measure).drop(columns="experiment", errors="ignore"),
-        )
 
 
 def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
@@ -311,27 +300,3 @@ def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():
     shown = [tick for tick in ax.get_xticks() if 800 <= tick <= 1400]
     assert len(shown) >= 3
     assert np.allclose(np.diff(shown), shown[1] - shown[0])
-
-
-def test_the_catalogue_draws_what_each_function_draws(frame):
-    for name, options in (("capacity_color", {"part": "color"}), ("capacity", {})):
-        entry = figures.FIGURES[name]
-        drawn, _ = marks(entry.draw(frame).axes[0])
-        expected, _ = marks(figures.capacity_vs_psnr(frame, **options).axes[0])
-        np.testing.assert_array_equal(drawn, expected)
-    with pytest.raises(ValueError, match=r"no run of 12 has rays\.parquet"):
-        figures.FIGURES["sampling"].draw(frame)
-    assert figures.FIGURES["ladder"].draw(frame).axes[0].get_title()
-
-
-def test_a_figure_of_one_scene_is_drawn_for_each(every):
-    assert list(figures.FIGURES["hsv"].scenes("hsv", every)) == ["hsv_hall", "hsv_yard"]
-    assert list(figures.FIGURES["loss"].scenes("loss", every)) == ["loss"]
-    for name, runs_of_scene in figures.FIGURES["hsv"].scenes("hsv", every).items():
-        assert set(runs_of_scene["scene_name"]) == {name.removeprefix("hsv_")}
-
-
-def test_files_have_the_titles_of_their_figures():
-    assert title("capacity_color") == "PSNR against the parameters of the colour head"
-    assert title("hsv_hall") == figures.FIGURES["hsv"].title
-    assert title("poster") == "poster"

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from qnerf.analysis import figures, hsv, packed
+from qnerf.analysis import figures, hsv
 from qnerf.analysis.figures.__main__ import main
 from qnerf.analysis.images import panels, pictures
 from qnerf.analysis.load import runs
@@ -78,19 +78,15 @@ def test_hsv_curves_are_densities_of_the_stored_pixels(frame):
     own = table[(table["channel"] == "value") & (table["source"] == "truth")]
     expected = np.histogram(truth, [*own["left"], own["right"].iloc[-1]], density=True)[0]
     np.testing.assert_allclose(own["density"], expected)
-    axes = figures.hsv_study(frame).axes
-    lines = {line.get_label(): line for line in axes[2].lines}
+    lines = {line.get_label(): line for line in figures.hsv_study(frame).axes[2].lines}
     np.testing.assert_allclose(lines["truth"].get_ydata(), expected)
     assert set(lines) == {"truth", "classical", "quantum"}
 
 
-def test_hue_is_unrolled_about_the_truth_and_grey_has_none():
-    red = pd.DataFrame({"hue": [0.98, 0.02, np.nan, 0.96, 0.04], "saturation": 0.5, "value": 0.5})
-    samples = red.assign(source="truth", seed=pd.array([None] * 5, dtype="Int64"), image="a")
-    (box,) = figures.hsv_boxes(samples).query("channel == 'hue'").to_dict("records")
-    assert box["pixels"] == 4
-    assert abs(box[0.5] - figures.colors.hue_center(samples)) < 0.01
-    assert box[0.95] - box[0.05] == pytest.approx(0.08, abs=0.01)
+def test_hue_is_unrolled_about_the_truth():
+    samples = pd.DataFrame({"hue": [0.98, 0.02, np.nan, 0.96, 0.04], "source": "truth"})
+    assert figures.colors.turn(0.0, figures.colors.hue_center(samples)) == pytest.approx(0, abs=0.01)
+    assert figures.colors.turn(0.0, np.array([0.98, 0.02])) == pytest.approx([-0.02, 0.02])
 
 
 def test_hsv_of_several_scenes_or_of_one_kind_is_refused(frame):
@@ -174,13 +170,6 @@ def test_psnr_under_hardware_conditions_is_the_mean_over_views_and_seeds(frame, 
     assert dashed.get_ydata()[0] == pytest.approx(exact, rel=1e-4)
 
 
-def test_packed_runs_draw_the_same(frame, tmp_path):
-    packed.pack(frame, tmp_path)
-    for draw in (figures.psnr_vs_shots, figures.psnr_vs_noise):
-        shown, again = (draw(runs).axes[0].containers[0][0] for runs in (frame, packed.load(tmp_path)))
-        np.testing.assert_array_equal(shown.get_xydata(), again.get_xydata())
-
-
 def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
     path = frame[frame["field"] == "qcolor"]["path"].iloc[0]
     rows = pd.read_parquet(f"{path}/eval_hardware.parquet")
@@ -198,27 +187,6 @@ def test_what_is_missing_says_how_to_make_it(frame):
         figures.best_of(classical, "rays")
     with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf probe .* spectrum` writes it"):
         figures.fourier_spectrum(classical["path"].iloc[0])
-
-
-def test_the_command_draws_what_it_can_and_tells_the_rest(store, tmp_path, capsys):
-    main([str(store), "--out", str(tmp_path / "all"), "--formats", "svg"])
-    out = capsys.readouterr().out
-    assert "width: not drawn: no two configurations differ in the width" in out
-    told = {line.split(":")[0] for line in out.splitlines() if "not drawn" in line}
-    written = {path.stem for path in (tmp_path / "all").iterdir()}
-    assert told | written == set(figures.FIGURES)
-    assert {
-        "capacity",
-        "loss",
-        "time",
-        "speed",
-        "hsv",
-        "sampling",
-        "encodings",
-        "spectrum",
-        "shots",
-        "noise",
-    } <= written
 
 
 def test_a_figure_asked_for_by_name_is_an_error_where_it_cannot_be_drawn(store, tmp_path):

@@ -41,18 +41,6 @@ def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
         ablation(load.runs(tmp_path), ["scene_name"])
 
 
-def test_runs_of_a_filter(store: Path) -> None:
-    assert load.runs(store, "field=qcolor seed>1")["run_id"].tolist() == ["r2"]
-    assert load.runs(store, {"scene_name": "fox", "seed": [0, 1]})["run_id"].tolist() == ["r1"]
-    with pytest.raises(ValueError, match="no run of 3 has field=qboth; there are field: classical, qcolor"):
-        load.runs(store, "field=qboth")
-
-
-def test_no_runs_is_a_mistake(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no such folder; expected a folder of runs"):
-        load.runs(tmp_path / "absent")
-
-
 def test_metrics_of_one_run(store: Path) -> None:
     frame = load.metrics(store / "r1")
     pd.testing.assert_frame_equal(frame, read_metrics(store / "r1"))

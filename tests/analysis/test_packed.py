@@ -63,21 +63,6 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     assert evaluations(frame[frame["state"] == "finished"]).size == 10
 
 
-def test_nothing_is_packed_into_a_run(store):
-    run = next(store.glob("poster-*"))
-    (run / "units.parquet").write_text("measured")
-    with pytest.raises(ValueError, match="is in a run's folder"):
-        main([str(store), str(run / "images")])
-    assert (run / "units.parquet").read_text() == "measured"
-    assert not list(run.glob("**/views.parquet"))
-
-
-def test_nothing_is_packed_into_another_store(store, tmp_path):
-    write_run(tmp_path / "other")
-    with pytest.raises(ValueError, match="expected a folder of its own"):
-        main([str(store), str(tmp_path / "other")])
-
-
 def test_predictions_have_the_stored_psnr(trained, tmp_path):
     main([str(trained), str(tmp_path), "--filter", "state=finished", "--predictions"])
     assert {file.name for file in tmp_path.iterdir()} == {"runs.parquet", "views.parquet", "predictions"}
@@ -90,19 +75,21 @@ def test_predictions_have_the_stored_psnr(trained, tmp_path):
             assert -10 * np.log10(np.mean((color - truth) ** 2)) == pytest.approx(psnr, abs=0.02)
 
 
-def test_a_store_is_not_packed_into_itself(store):
-    with pytest.raises(ValueError, match="expected a folder of its own"):
-        main([str(store), str(store)])
-
-
-def test_nothing_finished_is_one_line(store, tmp_path):
-    with pytest.raises(ValueError, match="no run of 1 is finished"):
-        main([str(store), str(tmp_path / "packed"), "--filter", "state=failed"])
-
-
 def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
     main([str(store), str(tmp_path / "packed")])
     for name in ("runs.parquet", "views.parquet"):
         shutil.copy(tmp_path / "packed" / name, store)
     with pytest.raises(ValueError, match="holds runs and also packed tables"):
         load.runs(store)
+
+
+def test_packed_tables_have_a_folder_of_their_own(store, tmp_path):
+    run = next(store.glob("poster-*"))
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    write_run(tmp_path / "other")
+    for folder, told in ((run / "images", "in a run's folder"), (tmp_path / "other", "own"), (store, "own")):
+        with pytest.raises(ValueError, match=told):
+            main([str(store), str(folder)])
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    with pytest.raises(ValueError, match="no run of 1 is finished"):
+        main([str(store), str(tmp_path / "packed"), "--filter", "state=failed"])

@@ -189,13 +189,6 @@ def test_runs_that_did_not_finish_are_counted_and_not_averaged_in(html):
     assert "left out: 1 failed, 1 interrupted" in html
 
 
-def test_text_from_outside_is_text(html):
-    found = Scripts(html)
-    assert [attributes.get("id") for attributes, _ in found.scripts] == ["data", "plotly", None]
-    assert "<title>&lt;/script&gt;&lt;script&gt;" in html
-    assert all(address.startswith(("#", "data:")) for address in found.addresses)
-
-
 def test_hostile_values_stay_inside_their_cells_and_their_json(frame, gathered_once):
     hostile = frame.assign(note=EVIL, run_id=EVIL, tags=[("<b>", EVIL)] * len(frame), **{EVIL: 1})
     table = tables.attempt(EVIL, lambda: tables_of_one(EVIL))

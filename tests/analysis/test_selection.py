@@ -20,22 +20,6 @@ FRAME = pd.DataFrame(
 ).astype({"lpips": float})
 
 
-@pytest.mark.parametrize(
-    ("text", "seeds"),
-    [
-        ("field=qcolor", [1, 2]),
-        ("field=qcolor,experiment=none", [2]),
-        ("encoder.dense=true", [0, 2]),
-        ("train.lr=1e-2", [0, 2]),
-        ("seed=1", [1]),
-        ("color.qiren.gain=10.0", [1]),
-        ("color.qiren.gain=10", [1]),
-    ],
-)
-def test_conditions_choose_by_value(text, seeds):
-    assert filters.require(FRAME, text)["seed"].tolist() == seeds
-
-
 def test_mistakes_are_named():
     for message, call in {
         "no run has a column 'feild'; did you mean field": lambda: check_keys(FRAME, ["feild"]),

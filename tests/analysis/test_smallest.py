@@ -1,7 +1,6 @@
 import pytest
 from qnerf.analysis.load import runs
 from qnerf.analysis.tables import smallest
-from qnerf.analysis.tables.__main__ import main
 
 from tests.helpers.packed_stores import write_run
 
@@ -54,10 +53,3 @@ def test_mistakes_are_named(store):
         smallest(frame, ["field"], metric="params.total")
     with pytest.raises(ValueError, match="no finished run of 8 has lpips"):
         smallest(frame, ["field"], size="lpips")
-
-
-def test_the_command_prints_it(store, capsys):
-    main([str(store), "--rows", "field", "--needs", "--filter", "scene_name=poster"])
-    line = capsys.readouterr().out.splitlines()[2]
-    assert line.startswith("| poster | classical | 26.00 ± 0.00 | 400,201 | qcolor | 25.70 ± 0.00 | 394,929 |")
-    assert line.endswith("| -0.30 ± 0.00 | equivalent, below 0 * |")

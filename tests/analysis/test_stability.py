@@ -40,10 +40,3 @@ def test_a_row_that_collapsed_as_a_whole_has_not_slipped(tmp_path):
 def test_it_counts_decibels_alone(store):
     with pytest.raises(ValueError, match="--stability counts dB of psnr, got --metric ssim"):
         main([str(store), "--rows", "field", "--stability", "--metric", "ssim"])
-
-
-def test_the_command_prints_it(store, capsys):
-    main([str(store), "--rows", "field", "--stability"])
-    out = capsys.readouterr().out
-    assert "| classical | 22.40 ± 5.60 | 25.10 | 14.00 | 25.40 | 1 of 4 | 1 of 4 |" in out
-    assert "more than 1.5 dB below the row's median" in out

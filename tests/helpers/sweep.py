@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import qnerf
 from qnerf.experiment import run
 from tests.helpers.configs import TINY, composed
 from tests.helpers.packed_stores import write_run
@@ -27,7 +28,7 @@ def sweep(folder: Path) -> Path:
 
 
 def mixed(folder: Path) -> Path:
-    """`sweep`, and photographs and a distance beside it in one store."""
+    """`sweep`, and photographs, a distance and tracked loops beside it in one store."""
     store = folder / "mixed"
     if store.exists():
         return store
@@ -42,6 +43,11 @@ def mixed(folder: Path) -> Path:
     ):
         chosen = [f"scene={scene}", f"scene.{size}", f"head={head}", f"seed={seed}"]
         run(composed(*chosen, *small, "hash=C7", "device=cpu", f"store={store}"))
+    for name, psnr in (("mine", 20.0), ("other", 25.0)):
+        for seed in range(3):
+            with qnerf.track({"scene": "digits", "seed": seed, "own": name}, name=name, store=store) as tracked:
+                tracked.log(1, loss=0.5)
+                tracked.finish(psnr=psnr + 0.1 * seed, accuracy=0.9)
     return store
 
 

@@ -20,7 +20,7 @@ from qnerf.analysis.tables import ablation
 
 from qnerf.cli import ends, main
 from qnerf.export import to_csv
-from qnerf.records import StoreError, details, index
+from qnerf.records import StoreError, details
 from tests.helpers.packed_stores import picture, write_run
 
 
@@ -201,10 +201,3 @@ def test_export_goes_on_after_a_damaged_run(
     assert main.dispatch("export", [str(bad), str(good), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
     assert (tmp_path / "out" / good.name / "summary.csv").exists()
     assert "summary.parquet: damaged" in capsys.readouterr().err
-
-
-def test_the_table_of_runs_names_the_damage(store: Path, bad: Path, capsys: pytest.CaptureFixture) -> None:
-    change_status(bad, created="now")
-    assert main.dispatch("runs", ["--store", str(store)]) == 0
-    assert "damaged" in capsys.readouterr().out
-    assert index.load(store)["created"].isna().sum() == 1

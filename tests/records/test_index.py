@@ -105,8 +105,9 @@ def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:
         "r2": {"f": pa.array([0], pa.date32())},
     }.items():
         write(store, name)
-        pq.write_table(pa.table(columns), store / name / SUMMARY)
+        pq.write_table(pa.table(columns | {"lpips": pa.nulls(1)}), store / name / SUMMARY)
     frame = index.load(store)
+    assert frame["lpips"].dtype == float  # declared, even without a value
     assert frame["a"].tolist()[:2] == [1.0, 0.5]
     assert frame["b"].tolist()[:2] == ["1", "auto"]
     assert frame["c"].tolist()[:2] == ["true", "2"]

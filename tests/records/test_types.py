@@ -71,14 +71,6 @@ def test_store_is_written_and_read_as_documented(store: Path, monkeypatch: pytes
         exec(compile(code, section, "exec"), {})
 
 
-def test_store_opens_with_duckdb_and_polars(store: Path) -> None:
-    duckdb, polars = pytest.importorskip("duckdb"), pytest.importorskip("polars")
-    rows = duckdb.sql(f"select seed, \"train.lr\" from read_parquet('{store}/*/summary.parquet', union_by_name=true)")
-    assert sorted(rows.fetchall()) == [(0, 1.0), (1, 0.5), (2, 3.0), (3, 2.0)]
-    joined = polars.concat([polars.read_parquet(store / name / "summary.parquet") for name in RUNS], how="diagonal")
-    assert joined["train.lr"].to_list() == [1.0, 0.5, 3.0, 2.0]
-
-
 @pytest.mark.parametrize("value", ["fast", True])
 def test_option_of_another_type_is_refused(tmp_path: Path, value: object) -> None:
     with pytest.raises(ValueError, match=r"train\.lr: expected a number, got"):

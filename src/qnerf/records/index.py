@@ -33,6 +33,7 @@ from qnerf.records.files import (
 )
 from qnerf.records.location import existing_store
 from qnerf.records.owner import unix_time
+from qnerf.records.schemas import known_kind
 
 Progress = Callable[[str, int, int], None]
 """Called with what is read, how many of them were read, and how many there are to read."""
@@ -176,8 +177,11 @@ def _frame(root: Path, rows: Sequence[Row], columns: Sequence[str] | None) -> pd
     """A table of the rows. A column with text in some runs and other values in others is text."""
     names = dict.fromkeys([*RUN_COLUMNS, *(name for row in rows for name in row)])
     frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names})
-    for name in frame.columns[[infer_dtype(frame[name], skipna=True).startswith("mixed") for name in frame]]:
-        frame[name] = [value if value is None or isinstance(value, str) else json.dumps(value) for value in frame[name]]
+    for name, column in frame.items():
+        if infer_dtype(column, skipna=True).startswith("mixed"):
+            frame[name] = [value if value is None or isinstance(value, str) else json.dumps(value) for value in column]
+        elif known_kind(str(name)) in ("int", "float") and column.isna().all():
+            frame[name] = column.astype(float)
     paths = [os.path.join(root, row["run_id"]) for row in rows]
     stored = [row["state"] for row in rows]
     states = [_true_state(path) if state == "running" else state for path, state in zip(paths, stored, strict=True)]

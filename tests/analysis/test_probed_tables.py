@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 from qnerf.analysis import load
 from qnerf.analysis.pack import main as pack
-from qnerf.analysis.tables import resources
+from qnerf.analysis.tables import resources, units
 from qnerf.analysis.tables.__main__ import main
 
 from tests.helpers.packed_stores import write_run
@@ -17,6 +17,16 @@ def measured(shots, noise, p, psnr):
     return [
         {"image": image, "shots": shots, "noise": noise, "p": p, "psnr": value}
         for image, value in zip(images, each, strict=True)
+    ]
+
+
+def units_of(when, dead, std):
+    """A head with two hidden layers, 12 and 4 units, and another head."""
+    return [
+        {"when": when, "head": "color", "layer": 0, "kind": "relu", "units": 12, "dead": dead, "std": 9.0},
+        {"when": when, "head": "color", "layer": 1, "kind": "relu", "units": 4, "dead": 0.0, "std": 9.0},
+        {"when": when, "head": "color", "layer": 2, "kind": "output", "units": 3, "dead": None, "std": std},
+        {"when": when, "head": "density", "layer": 0, "kind": "relu", "units": 64, "dead": 1.0, "std": 9.0},
     ]
 
 
@@ -39,7 +49,9 @@ def store(tmp_path):
     }
     pd.DataFrame(circuits).to_parquet(path / "cost.parquet", index=False)
     for seed in (0, 1):
-        write_run(tmp_path / "runs", "classical", seed)
+        path = write_run(tmp_path / "runs", "classical", seed, [24.0 + seed])
+        rows = units_of("start", 0.5, 0.001) + units_of("end", 1.0, 0.5 + seed)
+        pd.DataFrame(rows).astype({"dead": "float64"}).to_parquet(path / "units.parquet", index=False)
     return tmp_path / "runs"
 
 
@@ -60,15 +72,26 @@ def test_a_row_has_quality_cost_hardware_and_verdict(store):
     assert table.text.set_index("field").loc["classical", "gates"] == ""
 
 
-def test_packed_runs_tell_the_same(store, tmp_path):
-    text = resources(load.runs(store), ["field"]).markdown()
-    pack([str(store), str(tmp_path / "packed")])
+def test_dead_units_and_spread_are_means_over_layers_and_seeds(store):
+    table = units(load.runs(store), ["field"])
+    row = table.data.xs("mean", axis=1, level=1).loc["classical"]
+    assert row["dead @ start"] == pytest.approx(0.5 * 12 / 16)
+    assert row["dead @ end"] == pytest.approx(12 / 16)
+    assert (row["spread @ start"], row["spread @ end"]) == (pytest.approx(0.001), pytest.approx(1.0))
+    assert "| classical | 24.50 ± 0.71 | 0.38 ± 0.00 | 0.75 ± 0.00 | 0.001 ± 0 | 1 ± 0.7071 | 2 |" in table.markdown()
+    assert "left out: 2 not probed" in table.markdown()
+    with pytest.raises(ValueError, match="no run was probed: qnerf probe RUN units"):
+        units(load.runs(store, "field=qcolor"), ["field"])
+
+
+def test_packed_runs_tell_the_same(store, tmp_path, capsys):
+    packed, rest = tmp_path / "packed", tmp_path / "rest"
+    told = [make(load.runs(store), ["field"]).markdown() for make in (units, resources)]
+    pack([str(store), str(packed)])
+    pack([str(store), str(rest), "--filter", "field=qcolor"])
     shutil.rmtree(store)
-    assert resources(load.runs(tmp_path / "packed"), ["field"]).markdown() == text
-
-
-def test_runs_that_nobody_probed_have_a_table_too(store, tmp_path, capsys):
-    pack([str(store), str(tmp_path / "packed"), "--filter", "field=classical"])
-    assert not (tmp_path / "packed" / "eval_hardware.parquet").exists()
-    main([str(tmp_path / "packed"), "--rows", "field", "--resources"])
-    assert "gates" not in capsys.readouterr().out
+    assert [make(load.runs(packed), ["field"]).markdown() for make in (units, resources)] == told
+    assert not (rest / "units.parquet").exists()
+    for flag in ("--units", "--resources", "--stability", "--smallest"):
+        main([str(packed), "--rows", "field", flag])
+        assert "| classical |" in capsys.readouterr().out
