@@ -7,7 +7,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter
 
 from qnerf.auto.detail import (
     WORTH,
@@ -19,17 +18,6 @@ from qnerf.auto.detail import (
 )
 from qnerf.geometry.contraction import CONTRACTIONS
 from tests.helpers.worlds import ball, cameras, constant, floor, look_at, ring, scene
-
-
-def blurred(world, sigma):
-    soft = gaussian_filter(world.images.numpy().astype(float), (0, sigma, sigma, 0))
-    return dataclasses.replace(world, images=torch.from_numpy(soft.round().astype(np.uint8)))
-
-
-def test_blurred_images_ask_for_less(poster):
-    found = [cells_per_world_unit(blurred(poster, sigma)) for sigma in (0, 1, 2, 4)]
-    assert found == sorted(found, reverse=True)
-    assert found[-1] < 0.5 * found[0]
 
 
 @pytest.mark.parametrize("detail", [2.0, 4.0, 8.0])
@@ -48,10 +36,6 @@ def test_images_without_detail_ask_for_nothing(value, channels):
 def test_noise_asks_for_all_that_pixels_can_show():
     images = torch.randint(0, 256, (6, 24, 32, 3), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
     assert finest_frequency(dataclasses.replace(constant(0), images=images)) == 0.5
-
-
-def test_an_image_of_one_pixel_is_no_error():
-    assert finest_frequency(constant(80, width=1, height=1)) == 0
 
 
 @given(st.lists(st.tuples(st.floats(0, 0.7), st.floats(0, 1e-3)), min_size=1, max_size=30))

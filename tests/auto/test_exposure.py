@@ -24,11 +24,6 @@ def test_one_exposure_is_below_the_limit_and_fifteen_percent_are_above(world):
         assert exposure_spread(brightened(world, 0.15, seed)) > EXPOSURE
 
 
-def test_the_poster_has_one_exposure_until_it_is_given_several(poster):
-    assert exposure_spread(poster) < 0.5 * EXPOSURE
-    assert exposure_spread(brightened(poster, 0.15)) > EXPOSURE
-
-
 def test_a_spread_that_harms_is_one_line(world, poster):
     assert warning(poster) is None
     assert warning(constant(200)) is None
@@ -70,11 +65,6 @@ def test_views_of_other_things_say_nothing():
     assert np.isnan(gain(random.uniform(size=(40, 40)), random.uniform(size=(40, 40))))
 
 
-@pytest.mark.parametrize("value", [0, 255, 100])
-def test_images_without_any_texture_cannot_tell(value):
-    assert np.isnan(exposure_spread(constant(value)))
-
-
 def test_too_few_pairs_cannot_tell(world):
     assert np.isnan(exposure_spread(dataclasses.replace(world, train=[0, 1])))
     assert np.isnan(exposure_spread(ball()))
@@ -95,8 +85,3 @@ def test_large_images_are_made_small(shape, small):
     assert coarse(rows).shape == small
     factor = shape[0] // small[0]
     assert coarse(rows)[0, 0] == pytest.approx((factor - 1) / 2)
-
-
-def test_a_very_narrow_image_is_no_error():
-    narrow = np.linspace(0, 1, 400)[:, None] * np.ones(2)
-    assert coarse(narrow).shape == (200, 1)

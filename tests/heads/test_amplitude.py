@@ -103,18 +103,6 @@ def test_normalised_forms_have_a_backward_pass_that_is_right_to_the_second_deriv
     assert torch.autograd.gradgradcheck(lambda u: NormalisedForms.apply(u, weights.detach()), u)
 
 
-def test_linear_map_of_the_amplitudes_can_take_the_place_of_any_unitary():
-    head, x = built({"unitary": "dense"})
-    (unitary,) = head.systems[0].unitaries()
-    free, _ = built({"unitary": "identity"})
-    free.load_state_dict(head.state_dict(), strict=False)
-    linear = free.systems[0].registers[0].linear
-    with torch.no_grad():
-        linear.weight.copy_(unitary @ linear.weight)
-        linear.bias.copy_(unitary @ linear.bias)
-    torch.testing.assert_close(free(x), head(x))
-
-
 def test_circuit_acts_on_a_product_state_as_no_linear_map_of_one_register_can():
     """Without a circuit <Z_i Z_j> = <Z_i> <Z_j>; with one the state is entangled."""
     for unitary, entangled in (("identity", False), ("local", False), ("circuit", True)):

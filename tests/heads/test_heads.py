@@ -1,5 +1,3 @@
-import dataclasses
-
 import pytest
 import torch
 
@@ -28,17 +26,6 @@ def test_sum_layers_adds_the_measured_values_of_all_circuits():
     torch.testing.assert_close(head(x), head.readout(2.5 * (first + second + third)))
     head.sum_layers = False
     torch.testing.assert_close(head(x), head.readout(2.5 * third))
-
-
-def test_circuits_may_have_other_outputs_than_wires(monkeypatch):
-    def pairs(wires, spectral):
-        circuit = ANSATZE.build("qiren", wires, spectral)
-        return dataclasses.replace(circuit, observables=(((0, "Z"),), ((0, "Z"), (1, "Z"))))
-
-    monkeypatch.setitem(ANSATZE._components, "pairs", pairs)
-    for sum_layers in (True, False):
-        head = HEADS.build("qiren", 5, 2, layers=2, qubits=3, ansatz="pairs", sum_layers=sum_layers, center=True)
-        assert head(torch.randn(7, 5)).shape == (7, 2)
 
 
 def test_input_scale_acts_after_the_normalisation():

@@ -16,7 +16,6 @@ pytest.importorskip("setuptools", minversion="77")
 
 IN_WHEEL = {"src/qnerf": "", "conf": "conf", "sweeps": "sweeps", "analysis": "analysis"}
 """Folder of a checkout -> its folder in the installed package; the benchmarks' tables are there too."""
-RUNS = str(ROOT / "docs" / "results" / "paper")
 NOT_IN_SDIST = {".gitignore", ".github"}
 
 
@@ -112,23 +111,7 @@ def test_the_package_is_the_wheels(installed: Installed) -> None:
         assert file.startswith(installed.environment["PYTHONPATH"])
 
 
-def test_every_group_and_sweep_is_found(installed: Installed) -> None:
-    shown = installed.qnerf("run", "--help")
-    for group in (path for path in (ROOT / "conf").iterdir() if path.is_dir() and path.name != "hydra"):
-        choices = ", ".join(sorted(path.stem for path in group.glob("*.yaml")))
-        assert f"{group.name}: {choices}" in shown
-    assert "field: classical,qcolor" in installed.qnerf(
-        "run", "--sweep", "seeds", "--cfg", "hydra", "-p", "hydra.sweeper"
-    )
-
-
 def test_a_configuration_is_composed(installed: Installed) -> None:
     """.ci/run trains with an installed wheel; here that would compile every kernel anew."""
     (installed.work / "mine.yaml").write_text("defaults: [config, _self_]\nseed: 7\n")
     assert "seed: 7" in installed.qnerf("run", "--sweep", "mine.yaml", "field=qboth", "--cfg", "job")
-
-
-def test_figures_of_the_benchmarks_are_drawn(installed: Installed) -> None:
-    names = ["engines", "accuracy", "ladder", "plateaus"]
-    installed.qnerf("figures", RUNS, *names, "--formats", "svg")
-    assert sorted(path.stem for path in (installed.work / "figures").iterdir()) == sorted(names)

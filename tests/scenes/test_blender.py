@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from tests.helpers import scenes
-from tests.helpers.configs import DATA
 from tests.helpers.scenes import change, write_scene
 
 
@@ -105,15 +104,3 @@ def test_bad_options_and_files(folder, tmp_path):
     message = refused(folder, "no transforms_train.json", "it has transforms.json: use scene=nerfstudio")
     assert "scene=blender;" not in message
     scenes.build("nerfstudio", folder)
-
-
-@pytest.mark.skipif(not (DATA / "chair_64").is_dir(), reason="no chair_64")
-def test_the_chair():
-    scene = build(DATA / "chair_64", eval_views=25)
-    assert scene.images.shape == (125, 64, 64, 4)
-    assert (len(scene.train), len(scene.eval)) == (100, 25)
-    ahead = -scene.cameras.poses[:, :, 2]
-    towards = torch.nn.functional.normalize(-scene.cameras.poses[:, :, 3], dim=1)
-    torch.testing.assert_close(ahead, towards, atol=1e-6, rtol=0)
-    corners = scene.colors(0, 1.0)[[0, 0, -1, -1], [0, -1, 0, -1]]
-    assert torch.equal(corners, torch.ones(4, 3))

@@ -1,7 +1,6 @@
 """COLMAP models and LLFF folders, and what is said where a folder holds something else."""
 
 import json
-import shutil
 import struct
 import tempfile
 from pathlib import Path
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from qnerf.scenes import Scene
-from qnerf.scenes.formats.colmap import MODELS, camera_to_world, model_ending, read_model
+from qnerf.scenes.formats.colmap import MODELS, camera_to_world, read_model
 from tests.helpers.scenes import build, refused, write_scene
 
 VIEWS, WIDTH, HEIGHT = 9, 16, 12
@@ -251,30 +250,6 @@ def test_names_with_spaces_and_files_left_over_from_another_model(posed: Path) -
     (place / "points3D.bin").write_bytes(b"\0" * 8)  # now the binary model is complete, and COLMAP reads it
     refused("colmap", posed, "damaged or cut short")
     assert pycolmap_names(place) is None
-
-
-def test_which_files_make_a_model_is_as_in_colmap(tmp_path: Path) -> None:
-    """Of every set of files; a model without points is enough here."""
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
-    options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=3, num_points3D=5)
-    for kind in ("binary", "text"):
-        (tmp_path / kind).mkdir()
-        model = pycolmap.synthesize_dataset(options)
-        for number, image in model.images.items():
-            image.name = f"{kind}{number}.png"
-        getattr(model, f"write_{kind}")(str(tmp_path / kind))
-    files = [f"{name}{ending}" for name in ("cameras", "images", "points3D") for ending in (".bin", ".txt")]
-    for number in range(2 ** len(files)):
-        place = tmp_path / str(number)
-        place.mkdir()
-        for bit, file in enumerate(files):
-            if number >> bit & 1:
-                shutil.copy(tmp_path / ("binary" if file.endswith(".bin") else "text") / file, place)
-        expected = pycolmap_names(place)
-        if expected is not None:
-            assert names_read(place) == expected
-        elif model_ending(place) is not None:
-            assert len(names_read(place) or []) == 3
 
 
 def test_damaged_models_are_one_line(posed: Path) -> None:

@@ -16,10 +16,9 @@ from PIL import Image
 from qnerf.cli.errors import MAX_MESSAGE, one_line
 from qnerf.config import memory
 from qnerf.geometry.rays import RayTable
-from qnerf.scenes import SCENES, images
+from qnerf.scenes import images
 from qnerf.scenes.area import area_downscale
 from tests.helpers import scenes
-from tests.helpers.configs import DATA
 from tests.helpers.scenes import change, change_frame, write_scene
 
 NAMES = [f"images/{view:03d}.png" for view in range(6)]
@@ -84,15 +83,6 @@ def test_comments_are_skipped_as_by_instant_ngp(tiny_scene):
     assert build(tiny_scene).fingerprint == fingerprint
 
 
-def test_frames_are_sorted_by_file_name(tiny_scene):
-    before = build(tiny_scene)
-    change(tiny_scene, lambda t: t["frames"].reverse())
-    after = build(tiny_scene)
-    assert after.names == before.names
-    assert after.fingerprint == before.fingerprint
-    torch.testing.assert_close(after.cameras.poses, before.cameras.poses)
-
-
 # --- intrinsics
 
 
@@ -110,16 +100,6 @@ def test_intrinsics_shared_or_of_each_frame(tiny_scene):
     assert cameras.cy.tolist() == pytest.approx([3, 2.5, 3, 3.5, 3, 3])
     assert cameras.distortion[1].tolist() == pytest.approx([0, 0.002, 0.001, -0.002])
     assert cameras.distortion[5].tolist() == pytest.approx([0.01, 0.002, 0.001, -0.002])
-
-
-def test_angles_or_a_matrix_of_the_whole_file(tiny_scene):
-    change(tiny_scene, lambda t: [t.pop(key) for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")])
-    change(tiny_scene, lambda t: t.update(camera_angle_x=0.8, camera_angle_y=0.7))
-    expected = [4 / np.tan(0.4), 3 / np.tan(0.35), 4, 3, 0, 0, 0, 0]
-    assert build(tiny_scene).cameras.intrinsics[0].tolist() == pytest.approx(expected)
-    matrix = [[9, 0, 4.5, 0], [0, 8, 2.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    change(tiny_scene, lambda t: (t.pop("camera_angle_x"), t.pop("camera_angle_y"), t.update(K=matrix)))
-    assert build(tiny_scene).cameras.intrinsics[0].tolist() == [9, 8, 4.5, 2.5, 0, 0, 0, 0]
 
 
 def test_a_focal_length_in_another_unit_is_refused_and_the_named_unit_works(copies):
@@ -214,17 +194,6 @@ def test_names_without_a_file_are_missing(tiny_scene):
     for name in ("images/" + "x" * 5000, "images", "images/\0.png", "images/no\ud800", "loop.png", "pipe.png"):
         change_frame(tiny_scene, file_path=name)
         refused(tiny_scene, "1 of 6 images are missing", repr(name))
-
-
-def test_links_are_followed(tiny_scene, tmp_path):
-    fingerprint = build(tiny_scene).fingerprint
-    (tiny_scene / NAMES[2]).rename(tmp_path / "real.png")
-    (tiny_scene / NAMES[2]).symlink_to(tmp_path / "real.png")
-    (tmp_path / "link").symlink_to(tiny_scene)
-    assert build(tmp_path / "link").fingerprint == fingerprint
-    (tiny_scene / "images").rename(tmp_path / "elsewhere")
-    (tiny_scene / "images").symlink_to(tmp_path / "elsewhere")
-    assert build(tiny_scene).fingerprint == fingerprint
 
 
 def test_one_image_under_two_names_is_refused(tiny_scene):
@@ -460,30 +429,3 @@ def test_area_means_are_rounded_half_up_and_weighted_by_alpha():
 
 
 # --- real data
-
-
-@pytest.mark.skipif(not (DATA / "fox_256").is_dir(), reason="no fox_256")
-def test_the_fox():
-    large, small = build(DATA / "fox_256"), build(DATA / "fox_256", downscale=4)
-    cameras = small.cameras
-    assert small.images.shape == (50, 64, 36, 3)
-    assert (len(small.train), len(small.eval)) == (45, 5)
-    assert float(cameras.poses[:, :, 3].abs().max()) == pytest.approx(1)
-    torch.testing.assert_close(cameras.fx, large.cameras.fx / 4)
-    torch.testing.assert_close(cameras.poses, large.cameras.poses)
-    # the optical axes meet near one point, which all cameras have in front of them
-    centre, ahead = cameras.poses[:, :, 3], -cameras.poses[:, :, 2]
-    across = torch.eye(3).double() - ahead[:, :, None] * ahead[:, None, :]
-    meeting = torch.linalg.solve(across.sum(0), (across @ centre[:, :, None]).sum(0))[:, 0]
-    miss = (across @ (meeting - centre)[:, :, None]).norm(dim=1)
-    assert float(miss.median()) < 0.3
-    assert float(((meeting - centre) * ahead).sum(1).min()) > 0.5
-
-
-def test_options_are_checked(tiny_scene):
-    for value in (0, -1):
-        refused(tiny_scene, "downscale must be", downscale=value)
-    refused(tiny_scene, "downscale=7 is larger", downscale=7)
-    for value in (1.5, True, "2", None):
-        refused(tiny_scene, "downscale expects int", downscale=value)
-    assert SCENES.options("nerfstudio").keys() == {"path", "downscale", "width", "skip_missing"}

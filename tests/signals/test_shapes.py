@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
 from qnerf.signals import Distance
-from qnerf.signals.shapes import SEMI_AXES, ellipsoid, horse, outline, polygon_distance
+from qnerf.signals.shapes import SEMI_AXES, ellipsoid, horse, outline
 
 
 def surface(count: int) -> np.ndarray:
@@ -61,12 +61,6 @@ def test_the_horse_is_scikit_images_and_its_distance_is_scipys():
     inner, outer = distance_transform_edt(silhouette), distance_transform_edt(~silhouette)
     expected = ((outer - inner) * pixel).reshape(-1)[::37]
     assert np.abs(horse(points) - expected).max() < 2 * pixel
-
-
-def test_a_square_inside_and_outside():
-    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0.0]])
-    points = np.array([[0.5, 0.5], [0.5, -2], [4, 5]])
-    assert np.allclose(polygon_distance(points, square), [-0.5, 2, 5])
 
 
 def test_an_exact_fit_has_no_error_and_training_points_are_not_measured():

@@ -1,5 +1,4 @@
-"""`benchmarks.cpu_ladder`: budgets are kept, a stopped benchmark continues, failures are named, both sides get the same
-rays, and its figure."""
+"""`benchmarks.cpu_ladder`: budgets, a benchmark that was stopped, the same rays for both sides, and its figure."""
 
 import json
 import sys
@@ -9,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
+from qnerf.analysis.figures import cpu_ladder_points, psnr_vs_cpu_seconds
 
 from benchmarks import cpu_ladder
 from benchmarks.peers.serve import Remote
@@ -20,9 +20,8 @@ A_STEP = 0.25  # seconds
 
 
 class Model:
-    """A served model whose steps take `A_STEP` seconds, or twice that once `slow`."""
+    """A served model whose steps take `A_STEP` seconds."""
 
-    slow = False
     started: ClassVar[list[str]] = []
 
     def __enter__(self):
@@ -32,7 +31,7 @@ class Model:
         pass
 
     def order(self, do, **values):
-        seconds = values.get("count", 0) * A_STEP * (2 if Model.slow else 1)
+        seconds = values.get("count", 0) * A_STEP
         return {"seconds": 2 * seconds, "cpu": seconds}  # half of the time it waits
 
 
@@ -43,15 +42,13 @@ class Evaluator:
 
 @pytest.fixture
 def ladder(monkeypatch, tmp_path):
-    """Calls the command with all models replaced; Nerfacto's environment lacks it."""
+    """Calls the command with all models replaced."""
 
     def start(self, case, overrides, seed):
         Model.started.append(overrides)
-        if case == "Nerfacto":
-            raise RuntimeError("ModuleNotFoundError: No module named 'nerfstudio'")
         return Model()
 
-    Model.started, Model.slow = [], False
+    Model.started = []
     monkeypatch.setattr(cpu_ladder.Ladder, "start", start)
     monkeypatch.setattr(cpu_ladder, "build", lambda overrides: (None, Evaluator()))
     monkeypatch.setattr(cpu_ladder, "rendered", lambda evaluator, path: [20.0, 22.0])
@@ -67,7 +64,10 @@ def ladder(monkeypatch, tmp_path):
 def test_a_training_plans_the_steps_of_its_budget(ladder):
     rows = ladder("--budgets", "15", "30", "--cases", "qnerf classical")
     assert rows["planned"].tolist() == rows["steps"].tolist() == [60, 120]
-    assert rows["psnr"].tolist() == [21.0, 21.0]
+    assert cpu_ladder_points(rows)["psnr"].tolist() == [21.0, 21.0]
+    (ax,) = psnr_vs_cpu_seconds(rows).axes
+    (line,) = ax.containers
+    assert line.lines[0].get_xydata().tolist() == [[15.0, 21.0], [30.0, 21.0]]
     assert Model.started[1].startswith("scene=poster scene.height=113 scene.width=64 field=classical seed=0")
     assert "train.steps=60 " in Model.started[1]
 
