@@ -1,6 +1,6 @@
 """Runs as DataFrames, from the run store's files alone."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,38 +52,18 @@ def runs(
 
 
 def completed(frame: pd.DataFrame) -> pd.DataFrame:
-    """The frame of `qnerf.records.index` with what `runs` adds: scenes, newer options, the columns of `NEEDED`."""
-    return with_needed(_with_scenes(frame))
+    """The frame of `qnerf.records.index` with what `runs` adds: scenes, and the columns of `LABELS` and `NEEDED`."""
+    return with_needed(frame.assign(scene_name=_scene_names(frame)))
 
 
-def metrics(run: str | Path | pd.DataFrame | Iterable[str | Path], key: str | None = None) -> pd.DataFrame:
+def metrics(run: str | Path, key: str | None = None) -> pd.DataFrame:
     """Columns step, time_s (seconds of training), key, value, in the order of logging; only rows of `key` if given.
 
-    run: a run's folder; or several, or the table from `runs`, which adds a first column run_id.
-
     Raises:
-        ValueError: a run has no metrics or damaged ones.
+        ValueError: the run has no metrics or damaged ones.
     """
-    if isinstance(run, (str, Path)):
-        return _metrics(run, key)
-    paths = list(run["path"] if isinstance(run, pd.DataFrame) else run)
-    if not paths:
-        raise ValueError("expected at least one run, got none")
-    parts = [_metrics(path, key) for path in paths]
-    for path, part in zip(paths, parts, strict=True):
-        part.insert(0, "run_id", str(path).rstrip("/").rpartition("/")[2])
-    return pd.concat(parts, ignore_index=True)
-
-
-def _metrics(run: str | Path, key: str | None) -> pd.DataFrame:
     frame = read_metrics(existing_store(run))
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
-
-
-def _with_scenes(frame: pd.DataFrame) -> pd.DataFrame:
-    """The frame of `index.load` with `scene_name`."""
-    frame["scene_name"] = _scene_names(frame)
-    return frame
 
 
 def with_needed(frame: pd.DataFrame) -> pd.DataFrame:

@@ -60,23 +60,18 @@ def write_names(figure: Figure, marks: Sequence[Mark]) -> None:
 
 
 def _write_beside(marks: Sequence[Mark]) -> int:
-    """Names the crowded marks first; returns how many found no room."""
+    """Returns how many found no room."""
     ax = marks[0].ax
     inside = np.array(ax.get_window_extent().extents) * 72 / ax.figure.dpi
-    at = [ax.transData.transform((mark.x, mark.y)) * 72 / ax.figure.dpi for mark in marks]
-    crowd = [sum(math.dist(one, other) < 40 for other in at) for one in at]
     taken, unnamed = [mark.box() for mark in marks], 0
-    for number in sorted(range(len(marks)), key=lambda number: -crowd[number]):
-        name = printable(marks[number].name)
-        if not name:
-            continue
+    for mark in marks:
+        name, at = printable(mark.name), ax.transData.transform((mark.x, mark.y)) * 72 / ax.figure.dpi
         size = np.array([style.text_width(name, style.MARK) + 2, 1.15 * style.MARK])
-        center = _room(at[number], size, inside, np.array(taken))
-        if center is None:
-            unnamed += 1
-            continue
-        taken.append(np.concatenate([center - size / 2, center + size / 2]))
-        _write(marks[number], name, center - at[number], size)
+        center = _room(at, size, inside, np.array(taken)) if name else None
+        unnamed += bool(name) and center is None
+        if center is not None:
+            taken.append(np.concatenate([center - size / 2, center + size / 2]))
+            _write(mark, name, center - at, size)
     return unnamed
 
 

@@ -27,7 +27,7 @@ and loads nothing from the network.
 EXAMPLES = """\
   {} runs --out report
   {} runs --out sweep.html --filter scene_name=poster --title "Poster, 3 seeds"
-  {} runs --no-images
+  {} runs --max-images 0
 """
 
 
@@ -69,9 +69,7 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
     command.add_baseline(made, "what the table and the forest plot compare with; default: the classical configuration")
-    images = made.add_mutually_exclusive_group()
-    images.add_argument("--no-images", action="store_true", help="leave out the held-out views")
-    images.add_argument(
+    made.add_argument(
         "--max-images",
         type=count,
         default=pictures.MAX_VIEWS,
@@ -85,7 +83,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track)
     """The values of the page's template."""
     frame = content.prepared(frame)
     order = content.order(frame)
-    most = 0 if options.no_images else options.max_images
+    most = options.max_images
     drawn = pictures.gather(frame, order if most else [], most, advance=track("pictures", len(order)))
     logged = curves.gather(frame, order, advance=track("curves", min(len(order), curves.MAX_RUNS)))
     sections = parts.parts(frame, options.baseline, track("tables and figures", parts.STEPS))

@@ -12,7 +12,6 @@ from ..figures import points
 from ..load import with_needed
 from . import curves, pictures
 from .columns import packed
-from .figures import dark_colors
 
 FIRST_COLUMNS = ("run_id", "psnr", "state")
 LABEL_COLUMNS = ("scene_name", "field", "encoder", "density", "color", "seed")
@@ -84,7 +83,6 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "palette": style.PALETTE,
         "curves": logged,
         "curve_names": {key: metric_of(key).heading for key in curves.logged_keys()},
-        "dark": dark_colors(),
         "pictures": {"files": drawn.files, "runs": drawn.runs, "none": not drawn.files},
     }
 
@@ -104,7 +102,7 @@ def no_pictures(drawn: pictures.Pictures, asked: bool, pack: bool) -> str:
     if drawn.files:
         return ""
     if asked:
-        return "Left out by --no-images or --max-images 0."
+        return "Left out by --max-images 0."
     if pack:
         return "Packed runs have no pictures: `qnerf report` of the store that was packed shows them."
     if drawn.left_out:

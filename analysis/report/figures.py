@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from ..figures import FIGURES
 from ..figures.files import collecting
-from ..style import rendered, settings
+from ..style import rendered
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
 MAX_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
@@ -17,7 +17,7 @@ KINDS = {"svg": "image/svg+xml", "png": "image/png"}
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure in the light theme, with its size on the page in pixels. The page's script recolours an SVG."""
+    """A figure with its size on the page in pixels."""
 
     title: str
     image: str
@@ -50,12 +50,6 @@ def encoded(figure: Figure) -> tuple[str, bytes]:
     """As SVG, or as PNG where that would be too large."""
     svg = rendered(figure, "svg")
     return ("svg", svg) if len(svg) <= MAX_SVG else ("png", rendered(figure, "png"))
-
-
-def dark_colors() -> dict[str, str]:
-    """Colour of the light theme -> the one that takes its place in the dark theme."""
-    light, dark = (settings(theme) for theme in ("light", "dark"))
-    return {light[key]: dark[key] for key in ("text.color", "figure.facecolor")}
 
 
 def data_uri(kind: str, data: bytes) -> str:

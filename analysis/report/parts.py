@@ -86,4 +86,4 @@ def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.Dat
 
 def _has_ours(table: ShownTable) -> bool:
     """Whether any row has a seed of ours; their number is the last column of every table of the paper."""
-    return any(row[-1].text != "0" for row in table.rows)
+    return table.table is not None and bool((table.table.text.iloc[:, -1] != "0").any())

@@ -1,33 +1,4 @@
-/** Theme, copying, and the start of every part in the order of the page. */
-
-function startTheme() {
-  const dark = matchMedia("(prefers-color-scheme: dark)");
-  const figures = [...document.querySelectorAll("img.figure")].map((image) => [image, image.src]);
-  const show = (on) => {
-    toggle($("theme"), on);
-    for (const [image, light] of figures) image.src = on ? darkened(light) : light;
-    for (const draw of [drawCurves, drawExplore]) draw();
-  };
-  const set = (name) => {
-    document.documentElement.dataset.theme = name;
-    show(name === "dark");
-  };
-  $("theme").addEventListener("click", () => {
-    set(pressed("theme") ? "light" : "dark");
-    remember("theme", document.documentElement.dataset.theme);
-  });
-  dark.addEventListener("change", () => { if (!document.documentElement.dataset.theme) show(dark.matches); });
-  if (["light", "dark"].includes(address.get("theme"))) set(address.get("theme"));
-  else if (dark.matches) show(true);
-}
-
-/** An SVG as a data URI in the colours of the dark theme; other images as they are. */
-function darkened(uri) {
-  const [head, body] = uri.split(",");
-  if (!head.includes("svg")) return uri;
-  const colours = Object.entries(DATA.dark);
-  return `${head},${btoa(colours.reduce((svg, [light, dark]) => svg.replaceAll(light, dark), atob(body)))}`;
-}
+/** Copying, and the start of every part in the order of the page. */
 
 /** Copies a table's text; where the browser refuses, shows it selected instead. */
 async function copy(button) {
@@ -64,5 +35,5 @@ startCurves();
 startCompare();
 startExplore();
 startDetail();
-startTheme();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawCurves(); drawExplore(); });
 source.start?.();

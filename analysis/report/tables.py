@@ -19,40 +19,19 @@ MAX_ROWS = 30  # configurations of a scene in the ablation table
 
 
 @dataclass(frozen=True)
-class Cell:
-    text: str
-    number: bool
-    best: bool = False
-
-
-@dataclass(frozen=True)
 class ShownTable:
-    """A table of text, its notes and its copies (name, text); or why it is `absent`."""
+    """A table of the page under its title; or why it is `absent`."""
 
     title: str
-    heads: tuple[Cell, ...] = ()
-    rows: tuple[tuple[Cell, ...], ...] = ()
-    notes: tuple[str, ...] = ()
-    copies: tuple[tuple[str, str], ...] = ()
+    table: Table | None = None
     absent: str = ""
-
-
-def shown(title: str, table: Table) -> ShownTable:
-    numbers = [bool(column.str.fullmatch(r"[-+\d.,\s±()n=\[\]*]*").all()) for _, column in table.text.items()]
-    heads = tuple(Cell(str(name), number) for name, number in zip(table.text.columns, numbers, strict=True))
-    rows = tuple(
-        tuple(Cell(*cell) for cell in zip(texts, numbers, bolds, strict=True))
-        for texts, bolds in zip(table.text.to_numpy(), table.bold.to_numpy(), strict=True)
-    )
-    copies = (("LaTeX", table.latex()), ("Markdown", table.markdown()), ("CSV", table.csv()))
-    return ShownTable(title, heads, rows, table.notes, copies)
 
 
 def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTable:
     """The table under this title, or why there is none."""
     errors: dict[str, str] = {}
     with collecting(errors, title):
-        return shown(title, make(*arguments))
+        return ShownTable(title, make(*arguments))
     return ShownTable(title, absent=f"{errors[title][:MAX_ERROR]}.")
 
 
@@ -86,7 +65,7 @@ def decisions(store: str | Path) -> ShownTable | None:
     )
     bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     title = "Decided by qnerf decide: at most 5 % wrong over all looks"
-    return shown(title, Table(title, text, found, bold, ("spent: the error rate of the last look",)))
+    return ShownTable(title, Table(title, text, found, bold, ("spent: the error rate of the last look",)))
 
 
 def smallest_configurations(frame: pd.DataFrame) -> Table:

@@ -22,7 +22,7 @@ from ..images import named_panels, pictures
 from ..load import metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
-from ..report.tables import ShownTable, decisions, shown
+from ..report.tables import ShownTable, decisions
 from ..selection import row_keys, select
 from ..tables import ablation
 from .store import WatchedStore
@@ -130,7 +130,7 @@ class Answers:
         except ValueError:
             raise ValueError(f"within: expected a positive number, got {within!r:.40}") from None
         with self._tables:
-            return shown("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
+            return ShownTable("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
 
     def _logged(self, run: str) -> dict[str, Any]:
         folder = self.store.path(run)

@@ -77,7 +77,7 @@ class Table:
         cells.columns = escaped if any(group for group, _ in heads) else escaped.get_level_values(1)
         text = cells.style.hide(axis="index").to_latex(
             caption=latex_escape(self.title), label=f"tab:{_slug(self.title)}", position_float="centering", hrules=True,
-            column_format="".join("r" if _is_numeric(table.text[name]) else "l" for name in shown), multicol_align="c",
+            column_format="".join("r" if number else "l" for number in table.numeric()), multicol_align="c",
         )  # fmt: skip
         notes = "".join(f"\\par\\footnotesize {latex_escape(note)}\n" for note in self.notes)
         return text.removesuffix("\\end{table}\n") + notes + r"\end{table}"
@@ -88,6 +88,10 @@ class Table:
         flat.columns = ["_".join(filter(None, map(str, _parts(name)))) for name in flat.columns]
         shown = flat.map(lambda value: printable(value) if isinstance(value, str) else value)
         return shown.to_csv(index=False, lineterminator="\n").rstrip("\n")
+
+    def numeric(self) -> list[bool]:
+        """Which columns hold numbers, with their spreads and counts, alone."""
+        return [bool(column.str.fullmatch(r"[-+\d.,\s±()n=\[\]*]*").all()) for _, column in self.text.items()]
 
     def _rows(self, escape: Callable[[str], str], emphasis: str) -> list[list[str]]:
         return [
@@ -114,10 +118,6 @@ def markdown_escape(text: str) -> str:
 
 def _one_line(text: str) -> str:
     return printable(" ".join(text.splitlines()))
-
-
-def _is_numeric(column: pd.Series) -> bool:
-    return bool(column.str.fullmatch(r"[-+\d,.]*( .*)?").all())
 
 
 def _parts(name: object) -> tuple[object, ...]:

@@ -48,7 +48,7 @@ def test_every_page(mixed_store, tmp_path):
     assert (tmp_path / "page.html").stat().st_size > 10_000
     live = Answers(WatchedStore(mixed_store))
     assert live.page()["data"]["total"] == len(load.runs(mixed_store))
-    assert live.differences("", "", "", "psnr").rows
+    assert live.differences("", "", "", "psnr").table
     pack([str(mixed_store), str(tmp_path / "packed")])
     assert len(load.runs(tmp_path / "packed")) == len(load.runs(mixed_store))
 

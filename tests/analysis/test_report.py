@@ -218,12 +218,11 @@ def test_the_policy_lets_the_pages_own_scripts_run_and_nothing_else(html):
     assert rules["script-src"].split() == [f"'sha256-{digest}'" for digest in digests]
 
 
-def test_a_figure_is_recoloured_for_the_dark_theme_and_what_cannot_be_drawn_says_why(frame):
+def test_a_figure_that_cannot_be_drawn_says_why(frame):
     drawn, absent = figures.draw("speed", frame)
     (figure,) = drawn
     assert absent == []
-    svg = base64.b64decode(figure.image.partition(",")[2]).decode()
-    assert all(light in svg for light in figures.dark_colors())
+    assert base64.b64decode(figure.image.partition(",")[2]).startswith(b"<?xml")
     nothing, (line,) = figures.draw("shots", frame)
     assert nothing == []
     assert line.startswith("PSNR against shots: ")
