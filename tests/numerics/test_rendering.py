@@ -68,26 +68,6 @@ def test_weights_and_gradients_of_the_worst_ray(ray: list[tuple[float, float, fl
     target(check(sigma, delta, upstream))
 
 
-K = 12
-RAMP = np.linspace(0.5, 3, K)
-NAMED = {
-    "sigma of 0": np.where(np.arange(K) % 2, 0, RAMP),
-    "sigma of 1e-30": np.full(K, 1e-30),
-    "sigma of 1e10": np.where(np.arange(K) == 7, 1e10, RAMP),
-    "infinite sigma": np.where(np.arange(K) == 7, np.inf, RAMP),
-    "opaque first sample": np.where(np.arange(K) == 0, 60.0, RAMP),
-    "empty ray": np.zeros(K),
-}
-
-
-@pytest.mark.parametrize("name", NAMED)
-@pytest.mark.parametrize("delta", [0.5, "every other 0"])
-def test_rays(name: str, delta: object) -> None:
-    lengths = np.where(np.arange(K) % 3 == 1, 0, 0.5) if delta == "every other 0" else np.full(K, 0.5)
-    upstream = np.cos(np.arange(K))
-    check(rounded(NAMED[name]), rounded(lengths), rounded(upstream))
-
-
 @pytest.mark.parametrize("function", [volume_weights, volume_weights_reference])
 def test_gradients_behind_an_opaque_first_sample_keep_their_digits(function) -> None:
     """The transmittance behind is 1e-13: any difference of numbers near 1 has no digit of it."""

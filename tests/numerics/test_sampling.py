@@ -8,13 +8,12 @@ import pytest
 import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
-from scipy.stats import kstest
 from torch import Tensor
 
 from benchmarks.accuracy_cases.sampling import SPACED
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.kernels import plain
-from qnerf.rendering.pdf import sample_edges, sample_edges_reference
+from qnerf.rendering.pdf import sample_edges
 from qnerf.rendering.samplers import SAMPLERS, even_edges
 from qnerf.rendering.spacing import SPACINGS
 from qnerf.types import Rays
@@ -63,31 +62,6 @@ def test_drawn_edges_lie_where_the_distribution_says(
         below, above = (float(np.nextafter(edge, np.float32(end))) for end in (-1, 2))
         assert cumulative(edges, masses, below, right=False) <= share + Fraction(SLACK) * whole
         assert cumulative(edges, masses, above, right=True) >= share - Fraction(SLACK) * whole
-
-
-HISTOGRAMS = {
-    "all-zero weights": ([0.0, 0.1, 0.5, 1.0], [0.0, 0.0, 0.0]),
-    "one spike": ([0.0, 0.4, 0.41, 1.0], [0.0, 1.0, 0.0]),
-    "weights of 1e-38": ([0.0, 0.1, 0.5, 1.0], [1e-38, 1e-38, 0.0]),
-    "duplicated edges": ([0.0, 0.3, 0.3, 0.3, 0.7, 1.0], [0.2, 0.0, 0.0, 0.5, 0.3]),
-    "ordinary": ([0.0, 0.1, 0.15, 0.6, 0.9, 1.0], [0.05, 0.4, 0.0, 0.35, 0.2]),
-}
-
-
-@pytest.mark.parametrize("draw", [sample_edges, sample_edges_reference])
-@pytest.mark.parametrize("padding", [0.0, 0.01])
-@pytest.mark.parametrize("name", HISTOGRAMS)
-def test_the_distribution_of_drawn_edges(name: str, padding: float, draw) -> None:
-    """Kolmogorov-Smirnov against the histogram's own distribution: single edges of 5,000 independent rays."""
-    edges, weights = HISTOGRAMS[name]
-    rays = 5000
-    s, w = (torch.tensor(values).expand(rays, -1) for values in (edges, weights))
-    jitter = torch.rand(rays, 1, generator=torch.Generator().manual_seed(1))
-    found = draw(s, w, 1, padding=padding, jitter=jitter)[:, 0].double().numpy()
-    mass = np.asarray(weights) + padding
-    mass += max(1e-5 - mass.sum(), 0) / len(mass)
-    knots = np.concatenate([[0], np.cumsum(mass)]) / mass.sum()
-    assert kstest(found, lambda at: np.interp(at, edges, knots)).pvalue > 1e-4
 
 
 @given(samples=st.integers(1, 200), jitter=st.floats(0, 1, exclude_max=True, width=32))

@@ -118,24 +118,6 @@ def test_named_circuits_equal_pennylane_with_their_gradients() -> None:
         assert_same(results(torch_engine(circuit), circuit, batch=3), expected, 1e-12, 1e-12)
 
 
-def test_losses_of_derivatives_train_as_with_plain_torch() -> None:
-    """As in a physics-informed network: du/dx enters the loss, which is differentiated by the weights."""
-    circuit = ANSATZE.build("qiren", 4, 1)
-    x, w = (tensor.requires_grad_() for tensor in data(circuit, 16))
-
-    def gradient(evaluate: Function) -> torch.Tensor:
-        u = evaluate(x, w).sum(-1)
-        (slope,) = torch.autograd.grad(u.sum(), x, create_graph=True)
-        assert slope.requires_grad
-        (second,) = torch.autograd.grad(slope[:, 1].sum(), x, create_graph=True)
-        loss = (u - 1).square().mean() + (second[:, 1] + slope[:, 0] + u).square().mean()
-        return torch.autograd.grad(loss, w)[0]
-
-    expected = gradient(torch_engine(circuit))
-    for engine in (compiled_engine, cone_engine):
-        torch.testing.assert_close(gradient(engine(circuit)), expected, rtol=1e-10, atol=1e-12)
-
-
 def test_second_derivatives_are_those_of_differences() -> None:
     circuit = ANSATZE.build("qiren", 2, 1)
     x, w = (tensor.requires_grad_() for tensor in data(circuit, 2))
@@ -153,20 +135,6 @@ def test_many_blocks_of_samples() -> None:
         assert_same(results(compiled_engine(circuit), circuit, batch=700), expected, 1e-12, 1e-12)
         if spectral == 1:
             assert_same(results(cone_engine(circuit), circuit, batch=700), expected, 1e-12, 1e-12)
-
-
-def test_threads_do_not_change_a_bit() -> None:
-    circuit = ANSATZE.build("qiren", 3, 2)
-    threads = torch.get_num_threads()
-    for engine in (compiled_engine, cone_engine):
-        found = []
-        try:
-            for count in (1, 2):
-                torch.set_num_threads(count)
-                found.append(results(engine(circuit), circuit, batch=1001, dtype=torch.float32))
-        finally:
-            torch.set_num_threads(threads)
-        assert all(map(torch.equal, *found))
 
 
 def test_nan_in_a_cone_stays_in_the_cone() -> None:

@@ -68,19 +68,6 @@ def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
     assert trained.w.grad.abs().max() > 0
 
 
-def test_noise_shrinks_signals_and_zero_noise_does_nothing() -> None:
-    torch.manual_seed(0)
-    layer = QuantumLayer(3, 1)
-    x = torch.randn(100, 3)
-    exact = layer(x)
-    spread = []
-    for p in (0.0, 0.01, 0.1):
-        with hardware_conditions.conditions(layer, noise=p):
-            spread.append(layer(x))
-    assert torch.allclose(spread[0], exact, atol=1e-6)
-    assert spread[2].std() < spread[1].std() < exact.std()
-
-
 def test_wrong_conditions_are_refused() -> None:
     with pytest.raises(ValueError, match=r"circuit mixed is not; evaluate with conditions\(..., method='density'\)"):
         QuantumLayer(MIXED, noise={"two_qubit": 0.1})

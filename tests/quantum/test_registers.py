@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import pytest
 import torch
 from hypothesis import given, settings
-from torch import Tensor
 
 from qnerf.quantum import statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
@@ -15,34 +13,14 @@ from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.registers import is_split, registers
 from qnerf.quantum.simulator import Simulator
-from tests.quantum import test_engines
-
-
-def results(function: Any, x: Tensor, weights: Tensor) -> list[Tensor]:
-    """Outputs, and gradients of inputs and weights."""
-    x, weights = x.clone().requires_grad_(), weights.clone().requires_grad_()
-    y = function(x, weights)
-    factors = torch.linspace(-1, 1, y.numel(), dtype=y.dtype).view_as(y)
-    return [y.detach(), *torch.autograd.grad((y * factors).sum(), (x, weights))]
-
-
-def assert_same(found: list[Tensor], expected: list[Tensor]) -> None:
-    for one, two, tolerance in zip(found, expected, (1e-12, 1e-11, 1e-11), strict=True):
-        torch.testing.assert_close(one, two, rtol=tolerance, atol=tolerance)
-
-
-def inputs(circuit: Circuit, batch: int = 3) -> tuple[Tensor, Tensor]:
-    generator = torch.Generator().manual_seed(0)
-    x = torch.randn(batch, circuit.features or 0, generator=generator, dtype=torch.float64)
-    weights = 3 * torch.randn(circuit.size, generator=generator, dtype=torch.float64)
-    return x, weights
+from tests.quantum.test_engines import assert_same, circuits, results
 
 
 @settings(max_examples=20)
-@given(circuit=test_engines.circuits())
+@given(circuit=circuits())
 def test_registers_of_a_reuploading_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
     simulator = Simulator(circuit, "statevector")
-    assert_same(results(simulator.of_registers, *inputs(circuit)), results(simulator, *inputs(circuit)))
+    assert_same(results(simulator.of_registers, circuit), results(simulator, circuit), 1e-12, 1e-11)
 
 
 def test_polynomials_of_a_wide_circuit_are_those_of_its_registers() -> None:
@@ -50,27 +28,21 @@ def test_polynomials_of_a_wide_circuit_are_those_of_its_registers() -> None:
         circuit = ANSATZE.build(name, 14, 1)
         circuit = replace(circuit, observables=(*circuit.observables, ()))  # the identity, which has no cone
         assert is_split(circuit)
-        x, weights = inputs(circuit, batch=2)
-        expected = results(partial(statevector.evaluate, normal_form(circuit)), x, weights)
-        for simulator in (Simulator(circuit, "lightcone"), Simulator(circuit, "statevector")):
-            assert_same(results(simulator, x, weights), expected)
-        plain = Simulator(circuit, "lightcone", "torch")
-        assert_same(results(plain, x, weights), expected)
+        expected = results(partial(statevector.evaluate, normal_form(circuit)), circuit, batch=2)
+        for options in (("lightcone",), ("statevector",), ("lightcone", "torch")):
+            assert_same(results(Simulator(circuit, *options), circuit, batch=2), expected, 1e-12, 1e-11)
 
 
 def test_output_of_64_wires_sees_what_a_smaller_ring_sees() -> None:
     """Output 30 of 64 wires depends on wires 26..34 alone. A ring of 12 wires looks the same to it."""
-    wide, small = ANSATZE.build("qiren", 64, 1), ANSATZE.build("qiren", 12, 1)
+    wide, near = ANSATZE.build("qiren", 64, 1), slice(24, 36)
     assert {part.circuit.wires for part in registers(wide)} == {9}
-    layer = QuantumLayer(wide)
-    x, weights = inputs(wide, batch=200)
-    near = slice(24, 36)
-    ring_of_12 = Simulator(small, "statevector")
-    expected = results(lambda x, w: ring_of_12(x[:, near], w.reshape(4, 64, 3)[:, near].flatten())[:, 6], x, weights)
-    simulator = Simulator(wide, "lightcone")
-    assert_same(results(lambda x, w: simulator(x, w)[:, 30], x, weights), expected)
-    assert layer.cost(6144).method == "lightcone"
-    assert layer.cost(6144).memory < 2**28
+    ring, simulator = Simulator(ANSATZE.build("qiren", 12, 1), "statevector"), Simulator(wide, "lightcone")
+    expected = results(lambda x, w: ring(x[:, near], w.reshape(4, 64, 3)[:, near].flatten())[:, 6], wide, batch=200)
+    assert_same(results(lambda x, w: simulator(x, w)[:, 30], wide, batch=200), expected, 1e-12, 1e-11)
+    cost = QuantumLayer(wide).cost(6144)
+    assert cost.method == "lightcone"
+    assert cost.memory < 2**28
 
 
 def test_wires_that_do_not_fit_say_so() -> None:

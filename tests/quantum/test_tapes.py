@@ -25,22 +25,14 @@ from qnerf.quantum.pennylane_device import FastDevice
 LONG = os.environ.get("QNERF_HYPOTHESIS") == "long"
 # Beyond the gates of the table: PennyLane decomposes these.
 OTHERS = {
-    "CSwap": lambda p, w: qml.ctrl(qml.SWAP(w[1:3]), w[0]),
-    "Adjoint": lambda p, w: qml.adjoint(qml.CRX(p[0], wires=w[:2])),
     "Controlled": lambda p, w: qml.ctrl(qml.RY(p[0], wires=w[2]), w[:2], control_values=[0, 1]),
     "MultiControlledX": lambda p, w: qml.MultiControlledX(wires=w[:3]),
     "QubitUnitary": lambda p, w: qml.QubitUnitary(qml.matrix(qml.Rot(0.3, 0.4, 0.5, wires=0)), wires=w[0]),
-    "TwoQubitUnitary": lambda p, w: qml.QubitUnitary(qml.matrix(qml.QFT([0, 1])), wires=w[:2]),
-    "QFT": lambda p, w: qml.QFT(wires=w[:3]),
-    "FermionicSWAP": lambda p, w: qml.FermionicSWAP(p[0], wires=w[:2]),
-    "OrbitalRotation": lambda p, w: qml.OrbitalRotation(p[0], wires=w[:4]),
-    "SingleExcitationPlus": lambda p, w: qml.SingleExcitationPlus(p[0], wires=w[:2]),
     "Select": lambda p, w: qml.Select([qml.RX(p[0], wires=w[1]), qml.RY(p[1], wires=w[1])], control=w[0]),
     "PrepSelPrep": lambda p, w: qml.PrepSelPrep(qml.dot([0.3, -0.4], [qml.X(w[1]), qml.Z(w[1])]), control=[w[0]]),
     "GlobalPhase": lambda p, w: qml.GlobalPhase(0.4),
 }
-WIDTHS = {"QubitUnitary": 1, "TwoQubitUnitary": 2, "Adjoint": 2, "FermionicSWAP": 2, "SingleExcitationPlus": 2,
-          "OrbitalRotation": 4, "GlobalPhase": 1, "Select": 2, "PrepSelPrep": 2}  # fmt: skip
+WIDTHS = {"QubitUnitary": 1, "GlobalPhase": 1, "Select": 2, "PrepSelPrep": 2}
 Script = Callable[[Any, Tensor], Any]
 FUNCTIONS: list[Callable[[Tensor], Tensor]] = [
     torch.sin,
@@ -246,19 +238,17 @@ def test_a_state_that_does_not_fit_into_memory_is_refused_before_it_is_made() ->
         node()
 
 
-@pytest.mark.parametrize("shots", [None, *([1000] if LONG else [])])
-def test_the_device_passes_the_suite_of_pennylane(shots: int | None, tmp_path: Path) -> None:
-    """Whatever fails also fails on default.qubit: with shots some tests are too narrow for the seed."""
+def test_the_device_passes_the_suite_of_pennylane(tmp_path: Path) -> None:
+    """Of its gates, templates and wires only in long runs: random QNodes have them."""
     pytest.importorskip("pytest_mock")
     pytest.importorskip("flaky")
-
-    def failures(device: str) -> set[str]:
-        suite = Path(qml.__file__).parent / "devices" / "tests"
-        command = [sys.executable, "-m", "pytest", str(suite), f"--device={device}", f"--shots={shots}"]
-        options = ["-q", "-rA", "--tb=no", "--no-flaky-report", "-p", "no:cacheprovider"]
-        run = subprocess.run([*command, *options], cwd=tmp_path, capture_output=True, text=True)
-        assert run.stdout.count("\nPASSED") > 300, run.stdout + run.stderr
-        return set(re.findall(r"^(?:FAILED|ERROR) .*::(\S+)", run.stdout, re.MULTILINE))
-
-    failed = failures("qnerf.fast")
-    assert not failed or failed <= failures("default.qubit")
+    suite = Path(qml.__file__).parent / "devices" / "tests"
+    parts = ("gradients_torch", "gradients_autograd", "measurements", "return_system", "tracker", "properties")
+    chosen = [suite] if LONG else [suite / f"test_{part}.py" for part in parts]
+    options = ["--device=qnerf.fast", "--shots=None", "-q", "--no-flaky-report", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", *chosen, *options]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    passed = re.search(r"^(\d+) passed", run.stdout, re.MULTILINE)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert passed is not None
+    assert int(passed[1]) > 60
