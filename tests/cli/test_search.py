@@ -77,14 +77,6 @@ def test_configurations_that_differ_in_nothing_that_acts_are_tried_once(small, t
     assert len(runs(tmp_path / "runs")) == 3
 
 
-def test_an_objective_that_never_has_a_value_ends_the_search(small, tmp_path, qnerf):
-    objective = "hydra.sweeper.objectives=[depth_error]"
-    done = qnerf("run", *SEARCH, *small, objective, "seed=0,1,2")
-    assert done.code == 1
-    assert "the run that has finished has no number for" in done.err
-    assert len(runs(tmp_path / "runs")) == 1
-
-
 def test_a_wrong_search_is_one_line(qnerf):
     mistakes = {
         "seed=1": "a search needs a space",

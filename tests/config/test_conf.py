@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import itertools
-import json
 import re
 
 import pytest
@@ -23,7 +22,6 @@ from qnerf.quantum.initial_angles import INITS
 from qnerf.rendering.spacing import SPACINGS
 from tests.config.test_acting import after_two_steps
 from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept
-from tests.helpers.scenes import write_scene
 
 
 def choices(group: str) -> list[str]:
@@ -177,21 +175,3 @@ def test_runs_with_shots_and_noise_follow_their_seed(tiny):
 def test_the_poster_trains(tiny):
     summary = finished(tiny("scene=poster", "scene.views=6", "scene.width=9", "scene.height=16", "scene.supersample=1"))
     assert summary["depth_error"] > 0
-
-
-def test_decisions_of_auto_are_columns_and_the_configuration(tiny):
-    summary = finished(tiny("needs=auto", "field=classical"))
-    assert summary["needs.cameras.name"] == summary["cameras.name"]
-    assert summary["render.near"] == float(summary["needs.render.near"])
-
-
-def test_a_blender_scene_trains(tiny, tmp_path):
-    folder = write_scene(tmp_path / "blender", channels=4)
-    transforms = json.loads((folder / "transforms.json").read_text())
-    transforms["camera_angle_x"] = 0.9
-    for split, part in (("train", slice(0, 4)), ("test", slice(4, 6)), ("val", slice(4, 6))):
-        frames = [
-            dict(frame, file_path=frame["file_path"].removesuffix(".png")) for frame in transforms["frames"][part]
-        ]
-        (folder / f"transforms_{split}.json").write_text(json.dumps(transforms | {"frames": frames}))
-    assert finished(tiny("scene=blender", f"scene.path={folder}"))["scene"] == "blender"

@@ -14,7 +14,6 @@ from qnerf.geometry import rays
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
 from qnerf.scenes import Cameras, Scene
-from qnerf.scenes.base import composite
 from qnerf.scenes.lens import _distort, distort, invertible
 from tests.helpers import worlds
 
@@ -138,17 +137,6 @@ def test_a_batch_holds_the_colours_of_the_pixels_its_rays_go_through(channels):
     assert set(rays.cameras.tolist()) == {0, 2, 4}
 
 
-def test_batches_draw_every_training_pixel_equally():
-    table = RayTable(scene(cameras(width=2, height=3), train=[1, 3], eval=[0]), dtype=torch.float64)
-    count = 24_000
-    rays, _ = table.batch(count, torch.Generator().manual_seed(0))
-    keys = torch.cat([rays.directions, rays.cameras[:, None].double()], dim=1)
-    _, counts = torch.unique(keys, dim=0, return_counts=True)
-    assert len(counts) == 2 * 6
-    mean = count / 12
-    assert float(((counts - mean) ** 2 / mean).sum()) < 40  # chi-squared, 11 degrees of freedom: beyond by 4e-5
-
-
 @given(
     stride=st.integers(2, 40),
     width=st.integers(1, 7),
@@ -186,15 +174,6 @@ def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_ti
     assert set(rays.cameras.tolist()) == {0, 1, 2, 3}
     assert torch.equal(table.validation(10)[0].directions, rays.directions)
     assert len(table.validation(10_000)[0]) == 4 * 63 // 5
-
-
-def test_batches_follow_the_generator():
-    table = RayTable(scene(cameras()))
-    draw = [table.batch(16, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
-    assert torch.equal(draw[0][0].directions, draw[1][0].directions)
-    assert torch.equal(draw[0][1], draw[1][1])
-    assert not torch.equal(draw[0][0].directions, draw[2][0].directions)
-    assert draw[0][1].dtype == torch.float32
 
 
 @pytest.mark.parametrize("per_view", [False, True])
@@ -246,13 +225,6 @@ def test_a_scene_s_own_bounds_win():
 def test_bounds_in_the_wrong_order_are_refused(near, far):
     with pytest.raises(ValueError, match="near must be at least 0 and below far"):
         RayTable(scene(cameras()), near=near, far=far)
-
-
-def test_alpha_is_composited_on_what_lies_behind():
-    pixels = torch.tensor([[0.2, 0.4, 0.6, 0.5]])
-    behind = torch.tensor([[1.0, 0.0, 0.5]])
-    torch.testing.assert_close(composite(pixels, behind), torch.tensor([[0.6, 0.2, 0.55]]))
-    assert torch.equal(composite(pixels[:, :3], None), pixels[:, :3])
 
 
 def test_colors_composite_straight_alpha():

@@ -14,7 +14,7 @@ from benchmarks.accuracy_cases.sampling import SPACED
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.kernels import plain
 from qnerf.rendering.pdf import sample_edges
-from qnerf.rendering.samplers import SAMPLERS, even_edges
+from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.spacing import SPACINGS
 from qnerf.types import Rays
 from tests.helpers.hard_inputs import rounded, seeds
@@ -62,15 +62,6 @@ def test_drawn_edges_lie_where_the_distribution_says(
         below, above = (float(np.nextafter(edge, np.float32(end))) for end in (-1, 2))
         assert cumulative(edges, masses, below, right=False) <= share + Fraction(SLACK) * whole
         assert cumulative(edges, masses, above, right=True) >= share - Fraction(SLACK) * whole
-
-
-@given(samples=st.integers(1, 200), jitter=st.floats(0, 1, exclude_max=True, width=32))
-def test_even_edges_are_ordered_for_every_jitter(samples: int, jitter: float) -> None:
-    rays = rays_between(0.0, 1.0, 1)
-    edges = even_edges(rays, samples, torch.tensor([[jitter]], dtype=torch.float32))
-    assert bool((edges.diff() >= 0).all())
-    assert float(edges[0, 0]) >= 0
-    assert float(edges[0, -1]) <= 1
 
 
 @pytest.mark.parametrize("name", SPACINGS.names())

@@ -93,15 +93,3 @@ def test_commands_show_hostile_text_and_do_not_obey(store, qnerf, terminal, widt
         assert harmless(done.out + done.err), line
         if line in ("show aaaa", "tag aaaa"):
             assert "[red]red[/red]" in done.out, line
-
-
-def test_a_run_with_a_hostile_name(store, qnerf):
-    name = HOSTILE.replace("/", "-")[:100]
-    (run,) = store.glob("*-aaaaaaaaaa")
-    run.rename(store / name)
-    for arguments in (["runs"], ["runs", "--json"], ["runs", "--ids"], ["show", store / name]):
-        done = qnerf(*arguments)
-        assert done.code == 0, done.err
-        assert harmless(done.out)
-    assert qnerf("rm", store / name, "--yes").code == 0
-    assert not (store / name).exists()
