@@ -56,12 +56,17 @@ def completed(frame: pd.DataFrame) -> pd.DataFrame:
     return with_needed(frame.assign(scene_name=_scene_names(frame)))
 
 
-def metrics(run: str | Path, key: str | None = None) -> pd.DataFrame:
+def metrics(run: str | Path | pd.DataFrame, key: str | None = None) -> pd.DataFrame:
     """Columns step, time_s (seconds of training), key, value, in the order of logging; only rows of `key` if given.
 
+    run: a run's folder; or the table from `runs`, which adds a column run_id.
+
     Raises:
-        ValueError: the run has no metrics or damaged ones.
+        ValueError: a run has no metrics or damaged ones.
     """
+    if isinstance(run, pd.DataFrame):
+        pairs = zip(run["run_id"], run["path"], strict=True)
+        return pd.concat([metrics(path, key).assign(run_id=name) for name, path in pairs], ignore_index=True)
     frame = read_metrics(existing_store(run))
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
 

@@ -51,6 +51,12 @@ def test_metrics_of_one_run(store: Path) -> None:
     assert load.metrics(store / "r1", "absent").empty
 
 
+def test_metrics_of_several_runs(store: Path) -> None:
+    frame = load.metrics(load.runs(store, {"field": "qcolor"}), "loss")
+    assert list(frame.columns) == ["step", "time_s", "key", "value", "run_id"]
+    assert frame.groupby("run_id")["value"].unique().map(list).to_dict() == {"r1": [1.0], "r2": [2.0]}
+
+
 def test_metrics_that_are_damaged_or_absent_are_named(store: Path) -> None:
     (store / "r1" / "metrics" / "part-00000.parquet").write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"r1/metrics/part-00000\.parquet: damaged"):

@@ -1,11 +1,9 @@
 """One damaged run in a store: one row with its reason, and every other run is read as if nothing had happened."""
 
 import io
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -47,11 +45,6 @@ def change_summary(run: Path, **columns: pa.Array) -> None:
     pq.write_table(table, run / "summary.parquet")
 
 
-def change_status(run: Path, **values: Any) -> None:
-    path = run / "status.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | values))
-
-
 DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
     "time out of range": (
         lambda run: change_summary(run, psnr=pa.array([2**62], pa.timestamp("us"))),
@@ -63,8 +56,6 @@ DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
     ),
     "text for a seed": (lambda run: change_summary(run, seed=pa.array(["x"])), "Failed to parse string: 'x'"),
     "nested": (lambda run: change_summary(run, more=pa.array([[1]])), "damaged"),
-    "created": (lambda run: change_status(run, created="now"), "created: expected a Unix time"),
-    "step": (lambda run: change_status(run, step=-5), "step: expected a whole number"),
     "no object": (lambda run: (run / "status.json").write_text("[1]") and None, "expected an object"),
 }
 

@@ -77,5 +77,5 @@ def test_large_changes_are_named_not_saved(repository: Path, monkeypatch: pytest
     monkeypatch.setattr(environment, "DIFF_LIMIT", 50)
     (repository / "code.py").write_text("a = 1\n" * 50)
     diff = environment.dirty_diff(repository)
-    assert diff.startswith("# changes of tracked files left out: ")
+    assert diff.startswith("# changes left out: ")
     assert len(diff.splitlines()) == 1

@@ -82,8 +82,8 @@ def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str
 def dirty_diff(root: Path | None = None) -> str:
     """The changes since the last commit, as text for `git apply`; empty without changes or without a checkout.
 
-    Changes of tracked files come first, then new source files whole. Other new files, and those beyond `DIFF_LIMIT`,
-    are only named, in `#` lines at the top.
+    Changes of tracked files come first, then new source files whole. Other new files are only named, in `#` lines at
+    the top; so is a diff beyond `DIFF_LIMIT`.
     """
     root = root or checkout()
     if root is None:
@@ -94,22 +94,18 @@ def dirty_diff(root: Path | None = None) -> str:
     if not base:
         return ""
     diff = ("diff", "--no-ext-diff", "--no-color")
-    notes: list[str] = []
     parts = [_git(root, *diff, "--no-textconv", base.strip()) or ""]
-    size = len(parts[0])
-    if size > DIFF_LIMIT:
-        notes.append(f"# changes of tracked files left out: {size} characters")
-        parts, size = [], 0
+    notes = []
     for name in (_git(root, "ls-files", "--others", "--exclude-standard", "-z") or "").split("\0"):
         path = root / name
         if not name or not path.is_file() or path.is_symlink():
             continue
-        if path.suffix not in SOURCES or size + path.stat().st_size > DIFF_LIMIT:
-            notes.append(f"# new file left out: {name!r}, {path.stat().st_size} bytes")
-            continue
-        parts.append(_git(root, *diff, "--no-index", "--", os.devnull, name, exit_codes=(0, 1)) or "")
-        size += len(parts[-1])
-    return "".join([f"{note}\n" for note in notes] + parts)
+        if path.suffix in SOURCES and path.stat().st_size <= DIFF_LIMIT:
+            parts.append(_git(root, *diff, "--no-index", "--", os.devnull, name, exit_codes=(0, 1)) or "")
+        else:
+            notes.append(f"# new file left out: {name!r}, {path.stat().st_size} bytes\n")
+    text = "".join(parts)
+    return "".join(notes) + (text if len(text) <= DIFF_LIMIT else f"# changes left out: {len(text)} characters\n")
 
 
 def _git_state(root: Path | None) -> dict[str, Any]:

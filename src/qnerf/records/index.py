@@ -163,13 +163,12 @@ def _status(path: Path) -> dict[str, Any]:
         if isinstance(error.__cause__, FileNotFoundError):
             return {"state": "interrupted"}
         raise
-    values = {name: unix_time(record.get(name)) for name in ("created", "heartbeat")}
-    state = record.get("state")
+    state, step, why = (record.get(name) for name in ("state", "step", "error"))
     return {
-        **values,
+        **{name: unix_time(record.get(name)) for name in ("created", "heartbeat")},
         "state": state if state in read.STATES else "interrupted",
-        "step": record.get("step"),
-        "error": record.get("error"),
+        "step": step if isinstance(step, int) else None,
+        "error": None if why is None else str(why),
     }
 
 
