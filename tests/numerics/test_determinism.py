@@ -13,13 +13,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from qnerf.building.acting import settings_of
-from qnerf.building.model import build_model, ray_table
 from qnerf.quantum import QuantumLayer
-from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer
 from tests.helpers.configs import ROOT
-from tests.helpers.scenes import build_scene
+from tests.helpers.trainer import trainer
 
 Config = dict[str, Any]
 Tiny = Callable[..., Config]
@@ -31,14 +28,6 @@ from tests.numerics.test_determinism import digest, trained
 torch.set_num_threads(1)
 print(digest(trained(json.load(sys.stdin), 3).state()))
 """
-
-
-def trainer(config: Config) -> Trainer:
-    settings = settings_of(config)
-    scene = build_scene(settings)
-    model = build_model(settings, scene)
-    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    return Trainer(model, ray_table(settings, scene), settings, watch)
 
 
 def trained(config: Config, steps: int) -> Trainer:

@@ -15,13 +15,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import qnerf
-from qnerf.building.acting import settings_of
-from qnerf.building.model import build_model, ray_table
 from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import ANSATZE
-from qnerf.timing import Stopwatch
-from qnerf.training.trainer import Trainer
-from tests.helpers.scenes import build_scene
+from tests.helpers.trainer import trainer
 
 SOURCE = Path(qnerf.__file__).parent
 ON_PURPOSE = {
@@ -66,14 +62,10 @@ def _place() -> str:
 
 def stepped(config: dict[str, Any]) -> Watcher:
     """A step in which the proposal networks learn, after one that fills the optimiser and the caches."""
-    settings = settings_of(config)
-    scene = build_scene(settings)
-    model = build_model(settings, scene)
-    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    trainer = Trainer(model, ray_table(settings, scene), settings, watch)
-    trainer.take_step(measure=False)
-    with Watcher(settings.dtype) as watcher:
-        trainer.take_step(measure=True)
+    taken = trainer(config)
+    taken.take_step(measure=False)
+    with Watcher(next(taken.model.parameters()).dtype) as watcher:
+        taken.take_step(measure=True)
     assert watcher.seen > 300
     return watcher
 

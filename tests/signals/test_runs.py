@@ -7,22 +7,20 @@ import pandas as pd
 import pytest
 import torch
 from PIL import Image
-from qnerf.analysis import load
-from qnerf.analysis.tables import ablation
 from rich.console import Console
 
 from qnerf.building.scene import prepare
-from qnerf.cli.commands import runs, show
+from qnerf.cli.commands import show
 from qnerf.cli.display import print_outcome
 from qnerf.cli.stored import stored
 from qnerf.encoders import ENCODERS
 from qnerf.experiment import SignalTask, run
+from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
 from qnerf.records import details
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
-from tests.helpers.scenes import write_scene
 
 SCENES = {"scene=photograph": ("psnr", "ssim"), "scene=distance": ("distance_error", "iou", "eikonal_error")}
 
@@ -41,6 +39,11 @@ def test_a_head_fits_a_signal(fit, scene, head):
     with Image.open(picture) as panels:
         assert panels.width == 3 * panels.height
     assert run(config).message  # skipped
+    out = Console(file=io.StringIO(), width=200)
+    print_outcome(out, outcome)
+    show.show(out, details.read(outcome.path))
+    assert METRICS[SCENES[scene][0]].heading.partition(",")[0] in out.file.getvalue()
+    assert "held-out views" not in out.file.getvalue().partition("results")[0]
 
 
 def test_every_encoder_takes_pixels_and_points_and_gives_their_gradient(fit):
@@ -128,23 +131,3 @@ def test_probes_refuse_a_signal_in_one_line(fit):
     outcome = run(fit("scene=distance"))
     with pytest.raises(ValueError, match="expected a radiance field"):
         load_trained(outcome.path)
-
-
-def test_tables_and_commands_show_fits_beside_fields(fit, tiny, tmp_path):
-    fits = [run(fit(scene, f"head={head}")) for scene, head in zip(SCENES, ("mlp", "qiren"), strict=True)]
-    run(tiny(f"scene.path={write_scene(tmp_path / 'ring')}", "scene=nerfstudio"))
-    frame = load.runs(tmp_path / "runs")
-    assert len(frame) == 3
-    pictures = frame[frame["scene"] == "photograph"]
-    assert ablation(pictures, ["head"], values=["psnr", "params.head"]).text["PSNR, dB"].tolist()
-    shapes = frame[frame["scene"] == "distance"]
-    table = ablation(shapes, ["head"], metric="distance_error", values=["distance_error", "iou"])
-    assert {"distance error", "IoU"} <= set(table.text)
-    out = Console(file=io.StringIO(), width=200)
-    for outcome in fits:
-        print_outcome(out, outcome)
-        show.show(out, details.read(outcome.path))
-    runs.print_runs(out, runs.load(str(tmp_path / "runs")), 0)
-    text = out.file.getvalue()
-    assert "eikonal error" in text
-    assert "held-out views" not in text.partition("results")[0]

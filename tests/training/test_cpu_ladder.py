@@ -1,11 +1,12 @@
-"""`benchmarks.cpu_ladder`: budgets, a benchmark that was stopped, the same rays for both sides, and its figure."""
+"""`benchmarks.cpu_ladder`: the same rays for both sides, models that are served, and its figure."""
 
 import json
+import math
 import sys
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from qnerf.analysis.figures import cpu_ladder_points, psnr_vs_cpu_seconds
@@ -15,70 +16,6 @@ from benchmarks.peers.serve import Remote
 from benchmarks.training import build
 from qnerf.geometry.pose_refinement import CAMERAS
 from tests.helpers.scenes import write_scene
-
-A_STEP = 0.25  # seconds
-
-
-class Model:
-    """A served model whose steps take `A_STEP` seconds."""
-
-    started: ClassVar[list[str]] = []
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-    def order(self, do, **values):
-        seconds = values.get("count", 0) * A_STEP
-        return {"seconds": 2 * seconds, "cpu": seconds}  # half of the time it waits
-
-
-class Evaluator:
-    def measure(self, view):
-        return {"psnr": view, "ssim": 0.5}
-
-
-@pytest.fixture
-def ladder(monkeypatch, tmp_path):
-    """Calls the command with all models replaced."""
-
-    def start(self, case, overrides, seed):
-        Model.started.append(overrides)
-        return Model()
-
-    Model.started = []
-    monkeypatch.setattr(cpu_ladder.Ladder, "start", start)
-    monkeypatch.setattr(cpu_ladder, "build", lambda overrides: (None, Evaluator()))
-    monkeypatch.setattr(cpu_ladder, "rendered", lambda evaluator, path: [20.0, 22.0])
-    file = tmp_path / "ladder.parquet"
-
-    def call(*arguments):
-        cpu_ladder.main(["--widths", "64", "--out", str(file), "--threads", "1", *arguments])
-        return cpu_ladder.stored(file)
-
-    return call
-
-
-def test_a_training_plans_the_steps_of_its_budget(ladder):
-    rows = ladder("--budgets", "15", "30", "--cases", "qnerf classical")
-    assert rows["planned"].tolist() == rows["steps"].tolist() == [60, 120]
-    assert cpu_ladder_points(rows)["psnr"].tolist() == [21.0, 21.0]
-    (ax,) = psnr_vs_cpu_seconds(rows).axes
-    (line,) = ax.containers
-    assert line.lines[0].get_xydata().tolist() == [[15.0, 21.0], [30.0, 21.0]]
-    assert Model.started[1].startswith("scene=poster scene.height=113 scene.width=64 field=classical seed=0")
-    assert "train.steps=60 " in Model.started[1]
-
-
-def test_a_stopped_benchmark_measures_what_is_missing(ladder):
-    ladder("--budgets", "15", "--cases", "qnerf classical")
-    before = len(Model.started)
-    rows = ladder("--budgets", "15", "30", "--cases", "qnerf classical")
-    assert len(Model.started) - before == 2  # timed, and trained for 30 s
-    assert rows["budget_s"].tolist() == [15.0, 30.0]
-
 
 SEED = 3
 
@@ -123,3 +60,13 @@ def test_a_served_model_follows_orders_and_one_that_cannot_start_says_why(tmp_pa
     assert (tmp_path / "step").read_text() == "3"
     with pytest.raises(RuntimeError, match="No module named 'no_such_peer'"):
         Remote([sys.executable, "-c", "import no_such_peer"], threads=1)
+
+
+def test_the_figure_leaves_out_what_could_not_be_trained() -> None:
+    rows = pd.DataFrame({"case": ["Nerfacto", "qnerf classical", "qnerf classical"], "budget_s": [15.0, 15.0, 30.0]})
+    rows = rows.assign(seconds=rows["budget_s"], psnr=[math.nan, 21.0, 22.0])
+    rows = rows.assign(scene="poster", width=64, threads=1, load=0)
+    assert cpu_ladder_points(rows)["case"].tolist() == ["qnerf classical"] * 2
+    (ax,) = psnr_vs_cpu_seconds(rows).axes
+    (line,) = ax.containers
+    assert line.lines[0].get_xydata().tolist() == [[15.0, 21.0], [30.0, 22.0]]

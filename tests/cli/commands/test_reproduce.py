@@ -106,16 +106,6 @@ def test_the_threads_are_those_of_the_run(tiny, reproduce, monkeypatch):
     assert threads[0] == 1  # steps then switch between that and PyTorch's own
 
 
-def test_only_what_is_finished(tiny, reproduce):
-    config = tiny(*STEPS)
-    claim = records.RunStore(config["store"]).claim("a", config)
-    assert claim.run is not None
-    claim.run.interrupt()
-    code, output = reproduce(claim.dir)
-    assert code == 2
-    assert "is interrupted; only a finished run can be reproduced" in output
-
-
 def test_differences_of_environments_leave_out_the_command():
     assert differences({"a": {"b": 1, "c": 2}, "command": [1]}, {"a": {"b": 1, "d": 3}, "command": [2]}) == {
         "a.c": (2, None),
