@@ -17,7 +17,7 @@ from qnerf.quantum import from_qnode
 from qnerf.quantum.layer import QuantumLayer
 from tests.helpers.templates import TEMPLATES, Template
 
-ON_DEFAULT_QUBIT = {"TrotterProduct", "QSVT"}
+ON_DEFAULT_QUBIT = {"TrotterProduct", "QSVT", "Superposition"}
 FAIL_IN_PENNYLANE = {"SelectPauliRot", "HilbertSchmidt"}  # with tensors of PyTorch: zeros, and an AttributeError
 NO_CIRCUIT = {"AmplitudeEmbedding", "QuantumPhaseEstimation", "Select"} | ON_DEFAULT_QUBIT
 """Templates whose decompositions take numbers only."""
@@ -111,7 +111,8 @@ def test_a_function_sees_inputs_weights_and_what_it_captures_as_they_are_at_each
         for layer in range(settings["depth"]):
             qml.RX(torch.sin(inputs[..., 0]) / weights[layer] + settings["offset"][0], wires=0)
             qml.RY(held[1] * settings["scale"][0], wires=1)
-        return qml.expval(qml.dot([weights[2], held[0], 0.5], [qml.Z(0), qml.X(0) @ qml.Y(1), qml.I(0)]))
+        qml.RZ(weights[2] * held[0], wires=0)
+        return qml.expval(qml.dot([0.7, -1.6, 0.5], [qml.Z(0), qml.X(0) @ qml.Y(1), qml.I(0)]))
 
     layer, peer = both(function, {"weights": (3,)})
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.quantum.circuit import Circuit, Weights, feature
-from qnerf.quantum.tapes import Measured, circuit_of, decomposed, described, execution_of, places_of
+from qnerf.quantum.tapes import Measured, decomposed, described, execution_of, places_of
 
 EXACT_DEVICES = {"default.qubit", "qnerf.fast", "lightning.qubit", "lightning.gpu", "lightning.kokkos"}
 
@@ -155,7 +155,8 @@ class TorchLayer(qml.qnn.TorchLayer):
             raise ValueError(
                 f"{self.qnode.func.__name__} is no circuit of polynomials of inputs and weights: {reason}"
             ) from error
-        return circuit_of(operations, measured, len(places), features, tuple(weights))
+        name, observables = self.qnode.func.__name__, measured.observables
+        return Circuit(name, len(places), 0, 0, operations, observables, features, tuple(weights))
 
 
 def _entries(weights: Weights) -> Any:

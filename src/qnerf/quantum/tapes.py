@@ -25,7 +25,6 @@ WITHOUT_EFFECT = frozenset({"Identity", "GlobalPhase", "Barrier", "WireCut"})
 STATES = frozenset({"StatePrep", "AmplitudeEmbedding"})
 MEASUREMENTS = (qml.measurements.ExpectationMP, qml.measurements.VarianceMP, qml.measurements.ProbabilityMP)
 KNOWN_MEASUREMENTS = "expval, var, probs"
-MAX_MATRIX_WIRES = 6  # of an observable that is a matrix: it has 4^wires entries
 MAX_CACHED = 256  # circuits, and lists of measurements
 NUMBERS = (float, int, complex, np.number, np.ndarray, Tensor)
 SINGLE = frozenset({torch.float32, torch.complex64})
@@ -51,8 +50,7 @@ class Execution(NamedTuple):
 
     def results(self) -> list[Tensor]:
         """Each measurement: () or (2^k,), with a batch (B,) or (B, 2^k); float32 if all tensors of the tape are."""
-        values = self.engine(*self.numbers.tensors())
-        results = self.measured.results(values, self.numbers.squared_norm(values))
+        results = self.measured.results(self.engine(*self.numbers.tensors()))
         return [value[0] for value in results] if self.numbers.batch is None else results
 
 
@@ -90,7 +88,8 @@ def _remembered(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any
 def _engine(described: Described, measured: "Measured", wires: int, numbers: "Numbers") -> Simulator:
     own = (Weights("parameters", (numbers.count[False],)),) if numbers.count[False] else ()
     assert described.operations is not None
-    return Simulator(circuit_of(described.operations, measured, max(wires, 1), numbers.count[True], own))
+    observables, features = measured.observables, numbers.count[True]
+    return Simulator(Circuit("tape", max(wires, 1), 0, 0, described.operations, observables, features, own))
 
 
 def _described_by(tape: Any, places: dict[Any, int]) -> "tuple[Numbers, Described]":
@@ -128,7 +127,6 @@ class Numbers:
         self.batch: int | None = None
         self._values: dict[bool, list[Any]] = {False: [], True: []}
         self._slots: dict[tuple[int, bool], Slot] = {}
-        self._states: list[Any] = []  # those that PennyLane has not normalised
         self._operations: list[tuple[Any, tuple[Slot, ...]]] = []
         self.key = tuple(map(self._taken, operations))
 
@@ -142,7 +140,7 @@ class Numbers:
             raise ValueError(f"{name} has parameters that are no numbers")
         slots = tuple(self._slot(operation, place, leaf) for place, leaf in enumerate(leaves))
         if name in STATES and not operation.hyperparameters["normalize"]:
-            self._states += leaves
+            raise ValueError(f"{name} without normalize=True is taken as it is")
         self._operations.append((operation, slots))
         return structure, slots
 
@@ -154,9 +152,10 @@ class Numbers:
         known = self._slots.get((id(value), batched))
         if known is not None:
             return known
-        is_complex = "complex" in str(getattr(value, "dtype", ""))
-        slot = Slot(batched, self.count[batched], shape[batched:], is_complex)
-        self.count[batched] += prod(slot.shape) * (1 + is_complex)
+        if "complex" in str(getattr(value, "dtype", type(value))):
+            raise ValueError(f"{operation.name} has complex parameters")
+        slot = Slot(batched, self.count[batched], shape[batched:])
+        self.count[batched] += prod(slot.shape)
         if batched and self.batch not in (None, shape[0]):
             raise ValueError(f"batches of {self.batch} and of {shape[0]} samples")
         self.batch = shape[0] if batched else self.batch
@@ -186,16 +185,10 @@ class Numbers:
                 return torch.zeros(rows, 0, dtype=dtype, device=device)
             if all(value.ndim == batched for value in values):
                 return torch.stack([value.to(dtype) for value in values], -1).reshape(rows, -1)
-            parts = [torch.view_as_real(value.resolve_conj()) if value.is_complex() else value for value in values]
-            flat = [part.to(dtype).reshape(rows, -1) for part in parts]
+            flat = [value.to(dtype).reshape(rows, -1) for value in values]
             return torch.cat(flat, 1) if len(flat) > 1 else flat[0]
 
         return joined(True, 1 if self.batch is None else self.batch), joined(False, 1)[0]
-
-    def squared_norm(self, like: Tensor) -> Tensor | None:
-        """That of the states at the start, (1,) or (B,), None for 1: PennyLane takes states as they are."""
-        norms = [_tensor(state).abs().square().sum(-1).to(like).reshape(-1) for state in self._states]
-        return prod(norms, start=like.new_ones(1)) if norms else None
 
 
 def _is_batched(operation: Any, place: int, dimensions: int) -> bool:
@@ -226,18 +219,13 @@ class Slot(NamedTuple):
     is_feature: bool
     first: int
     shape: tuple[int, ...]
-    is_complex: bool
 
     def expressions(self) -> Any:
-        """An array of expressions. A complex entry is a pair, its real and its imaginary part."""
+        """An array of expressions."""
         out = np.empty(self.shape, dtype=object)
-        for place, index in enumerate(np.ndindex(*self.shape)):
-            own = self.first + place * (1 + self.is_complex)
-            out[index] = (self._entry(own), self._entry(own + 1)) if self.is_complex else self._entry(own)
+        for place, index in enumerate(np.ndindex(*self.shape), start=self.first):
+            out[index] = feature(place) if self.is_feature else weight("parameters", place)
         return out if self.shape else out[()]
-
-    def _entry(self, index: int) -> Expression:
-        return feature(index) if self.is_feature else weight("parameters", index)
 
 
 def is_gate(operation: Any) -> bool:
@@ -276,8 +264,7 @@ def described(operations: Iterable[Any], places: dict[Any, int]) -> tuple[Operat
         if name in WITHOUT_EFFECT:
             continue
         if name in STATES:
-            real, imaginary = zip(*map(_parts, operation.parameters[0]), strict=True)
-            out.append(Amplitudes(wires, real, imaginary if any(part.terms for part in imaginary) else ()))
+            out.append(Amplitudes(wires, tuple(operation.parameters[0])))
             continue
         word = operation.hyperparameters["pauli_word"] if name == "PauliRot" else ""
         angles = tuple(_angle(parameter) for parameter in operation.parameters)
@@ -294,50 +281,28 @@ def _angle(parameter: Any) -> Expression:
     return Expression.of(values[0])
 
 
-def _parts(amplitude: Any) -> tuple[Expression, Expression]:
-    if isinstance(amplitude, tuple):
-        return amplitude
-    if isinstance(amplitude, Expression):
-        return amplitude, Expression()
-    return Expression.of(amplitude.real), Expression.of(amplitude.imag)
-
-
 def places_of(tape: Any, labels: Any) -> dict[Any, int]:
     """A number for each wire of a tape; `labels` are the wires of the device, or None."""
     everything = labels is not None and any(not measurement.wires for measurement in tape.measurements)
     return {wire: place for place, wire in enumerate(labels if everything else tape.wires)}
 
 
-def circuit_of(
-    operations: tuple[Operation, ...],
-    measured: "Measured",
-    wires: int,
-    features: int,
-    weights: tuple[Weights, ...],
-) -> Circuit:
-    """The circuit of a tape."""
-    return Circuit(
-        "tape", wires, operations=operations, observables=measured.observables, features=features, weights=weights
-    )
-
-
 def _measurements_of(tape: Any, places: dict[Any, int]) -> "Measured":
     leaves, structure = qml.pytrees.flatten(tape.measurements)
+    key = structure, *map(_constant, leaves), *places
     try:
-        key = structure, *map(_constant, leaves), *places
-        return _remembered(_measured, key, lambda: Measured(tape.measurements, places))
-    except TypeError:  # numbers that change, such as trainable coefficients
-        if not all(leaf is None or isinstance(leaf, NUMBERS) for leaf in leaves):
-            raise ValueError("a measurement has a parameter that is no number, array or tensor of PyTorch") from None
-        return Measured(tape.measurements, places)
+        hash(key)
+    except TypeError as error:
+        raise ValueError(f"a measurement with a parameter of {error}") from error
+    return _remembered(_measured, key, lambda: Measured(tape.measurements, places))
 
 
 def _constant(value: Any) -> Any:
-    """What stands for the value in a key; TypeError if it may be another one in the next tape."""
-    if type(value) is np.ndarray:
+    """What stands for the value in a key."""
+    if isinstance(value, np.ndarray):
         return value.shape, value.dtype.str, value.tobytes()
     if torch.is_tensor(value) or not (value is None or isinstance(value, NUMBERS)):
-        raise TypeError
+        raise ValueError(f"a measurement has a parameter of type {type(value).__name__}; known: numbers")
     return value
 
 
@@ -376,15 +341,13 @@ class Measured:
                 self.parts.append(("mean", self._terms(sentence, places)))
         self.key = tuple(self.words), tuple(self.tables)
 
-    def _terms(self, sentence: Any, places: dict[Any, int]) -> list[tuple[Any, int | None]]:
+    def _terms(self, sentence: Any, places: dict[Any, int]) -> list[tuple[float, int | None]]:
         """Each coefficient with the place of its word; None for the identity."""
-        terms: list[tuple[Any, int | None]] = []
+        terms: list[tuple[float, int | None]] = []
         for word, coefficient in sentence.items():
             letters = tuple(sorted((places[wire], letter) for wire, letter in word.items()))
-            number = coefficient.real if torch.is_tensor(coefficient) else float(np.real(coefficient))
-            if np.ndim(number):
-                raise ValueError("coefficients of an observable expect one number each")
-            terms.append((number, self.words.setdefault(letters, len(self.words)) if letters else None))
+            place = self.words.setdefault(letters, len(self.words)) if letters else None
+            terms.append((float(np.real(coefficient)), place))
         return terms
 
     @property
@@ -392,39 +355,29 @@ class Measured:
         """What the circuit measures: a constant if nothing else is asked for."""
         return (*self.words, *self.tables) or ((),)
 
-    def results(self, values: Tensor, norm: Tensor | None) -> list[Tensor]:
-        """The measurements, (B,) or (B, 2^k) each, from outputs of the circuit (B, outputs).
-
-        norm: squared, of the state, (1,) or (B,); None for 1. The outputs are those of the normalised state.
-        """
-        if norm is not None:
-            values = values * norm[:, None]
+    def results(self, values: Tensor) -> list[Tensor]:
+        """The measurements, (B,) or (B, 2^k) each, from outputs of the circuit (B, outputs)."""
         firsts = np.cumsum([len(self.words), *(2 ** len(table.wires) for table in self.tables)])
         out = []
         for kind, part in self.parts:
             if kind == "probabilities":
                 out.append(values[:, firsts[part] : firsts[part + 1]])
             elif kind == "mean":
-                out.append(_combined(part, values, norm))
+                out.append(_combined(part, values))
             else:
-                out.append(_combined(part[1], values, norm) - _combined(part[0], values, norm).square())
+                out.append(_combined(part[1], values) - _combined(part[0], values).square())
         return out
 
 
-def _combined(terms: list[tuple[Any, int | None]], values: Tensor, norm: Tensor | None) -> Tensor:
-    if len(terms) == 1 and terms[0][1] is not None and not torch.is_tensor(terms[0][0]) and terms[0][0] == 1:
-        return values[:, terms[0][1]]
+def _combined(terms: list[tuple[float, int | None]], values: Tensor) -> Tensor:
     total = values.new_zeros(values.shape[0])
     for coefficient, place in terms:
-        factor = coefficient.to(values) if torch.is_tensor(coefficient) else coefficient
-        total = total + factor * (values[:, place] if place is not None else 1 if norm is None else norm)
+        total = total + coefficient * (values[:, place] if place is not None else 1)
     return total
 
 
 def _sentence(observable: Any) -> Any:
     """The observable as a sum of Pauli words."""
-    if observable.pauli_rep is not None:
-        return observable.pauli_rep
-    if not observable.has_matrix or len(observable.wires) > MAX_MATRIX_WIRES:
+    if observable.pauli_rep is None:
         raise ValueError(f"the observable {observable.name} has no Pauli words")
-    return qml.pauli_decompose(qml.matrix(observable), wire_order=observable.wires, pauli=True)
+    return observable.pauli_rep
