@@ -1,5 +1,8 @@
 """Figures of what lies in a run's folder beside its numbers: pictures, and what `qnerf probe` wrote."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,37 +11,25 @@ from qnerf.analysis.figures.__main__ import main
 from qnerf.analysis.images import panels, pictures
 from qnerf.analysis.load import runs
 
-from qnerf.experiment import run
 from qnerf.probes import PROBES, load, probe
 from qnerf.probes.shots_and_noise import evaluate_hardware, grid
-from tests.helpers.configs import TINY, composed
-from tests.helpers.scenes import write_scene
-
-SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu", "hash=C7")
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    """A classical and a quantum configuration, two seeds each, one quantum run probed, both measured with shots."""
-    folder = tmp_path_factory.mktemp("files")
-    scene = write_scene(folder / "hall")
-    for field in ("classical", "qcolor"):
-        for seed in (0, 1):
-            overrides = (f"field={field}", f"seed={seed}", "qiren=1L2S", "qiren.qubits=3")
-            path = run(
-                composed("scene=nerfstudio", f"scene.path={scene}", f"store={folder / 'runs'}", *overrides, *SMALL)
-            ).path
-            if field == "qcolor":
-                evaluate_hardware(load(path), grid([10, 100], "none", [], 0))
-                evaluate_hardware(load(path), grid([], "depolarizing", [0.01, 0.1], 0))
+def store(tmp_path_factory, trained):
+    """A classical and a quantum configuration, two seeds each; one quantum run is probed, both were given shots."""
+    folder = shutil.copytree(trained, tmp_path_factory.mktemp("files") / "runs")
+    for path in runs(folder, "field=qcolor state=finished")["path"]:
+        evaluate_hardware(load(Path(path)), grid([10, 100], "none", [], 0))
+        evaluate_hardware(load(Path(path)), grid([], "depolarizing", [0.01, 0.1], 0))
     for name in PROBES:
-        probe(load(path), name)
-    return folder / "runs"
+        probe(load(Path(path)), name)
+    return folder
 
 
 @pytest.fixture
 def frame(store):
-    return runs(store)
+    return runs(store, "state=finished")
 
 
 @pytest.fixture

@@ -53,4 +53,13 @@ def mixed(folder: Path) -> Path:
 
 def _settings(store: Path, scene: Path) -> list[str]:
     steps = ["train.steps=6", "train.rays=8", "train.eval_every=3", "train.log_every=1"]
-    return [*steps, "hash=C7", "device=cpu", "scene=nerfstudio", f"scene.path={scene}", f"store={store}"]
+    return [
+        *steps,
+        "hash=C7",
+        "qiren=1L2S",
+        "qiren.qubits=3",
+        "device=cpu",
+        "scene=nerfstudio",
+        f"scene.path={scene}",
+        f"store={store}",
+    ]
