@@ -76,7 +76,7 @@ def _write_beside(marks: Sequence[Mark]) -> int:
 
 
 def _room(at: np.ndarray, size: np.ndarray, inside: np.ndarray, taken: np.ndarray) -> np.ndarray | None:
-    """Middle of the nearest free box of this size, all in points; None where there is none."""
+    """Middle of the nearest free box of this size, all in points; None if all places are taken."""
     for distance in DISTANCES:
         for direction in DIRECTIONS:
             center = at + np.array(direction) * (distance + size / 2)

@@ -11,7 +11,6 @@ import pandas as pd
 
 from qnerf.records import StoreError
 from qnerf.records.files import replace
-from qnerf.records.location import RUN_ID
 from qnerf.records.parquet import require_columns
 from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
 from qnerf.records.schemas import known_kind
@@ -67,19 +66,21 @@ def is_packed(folder: str | Path) -> bool:
     return all((Path(folder) / name).is_file() for name in (RUNS, VIEWS))
 
 
+def _kind(name: str) -> str | None:
+    """The kind of a column; pandas has no absent integers."""
+    kind = known_kind(name)
+    return "float" if kind == "int" else kind
+
+
 def load(folder: str | Path) -> pd.DataFrame:
     """The frame of `load.runs` for a packed folder; a run's `path` is the folder and its id.
 
     Raises:
-        StoreError: the table is damaged, or a run's id is none.
+        StoreError: the table is damaged.
     """
     file = Path(folder) / RUNS
-    table = read_table(file)
-    known = {name: kind for name in table.schema.names if (kind := known_kind(name)) is not None}
-    known = {name: "float" if kind == "int" else kind for name, kind in known.items()}  # pandas has no absent integers
-    frame = require_columns(table, {"run_id": "text", "state": "text"} | known, file).to_pandas()
-    if odd := [name for name in frame["run_id"] if not isinstance(name, str) or not RUN_ID.fullmatch(name)]:
-        raise StoreError(f"{file}: damaged: expected the ids of runs, got {odd[0]!r:.60}")
+    table = require_columns(read_table(file, _kind), {"run_id": "text", "state": "text"}, file)
+    frame = table.to_pandas()
     return frame.assign(path=[str(Path(folder) / name) for name in frame["run_id"]])
 
 

@@ -13,7 +13,7 @@ CPU_TIMES = ("step_cpu_ms",)
 LOAD_RATIO = 1.25  # of two loads under which the same step may take that much longer
 
 
-def doubt(runs: pd.DataFrame, name: str) -> str:
+def incomparable(runs: pd.DataFrame, name: str) -> str:
     """Why the column `name` of the runs is not to be ranked, in a line; empty if it is no time, or comparable.
 
     Times are comparable on one machine, with one number of threads, and under loads that differ by at most
@@ -21,9 +21,9 @@ def doubt(runs: pd.DataFrame, name: str) -> str:
     of older versions recorded none of this, so they are not.
 
     >>> runs = pd.DataFrame({"step_ms": [24.0, 31.0], "machine": "a", "time.threads": 2, "time.load": [0.6, 3.1]})
-    >>> doubt(runs, "step_ms")
+    >>> incomparable(runs, "step_ms")
     'time of a step is not ranked: measured under loads of 0.6 to 3.1 processes for each core'
-    >>> doubt(runs, "psnr")
+    >>> incomparable(runs, "psnr")
     ''
     """
     runs = runs[runs[name].notna()] if name in (*TIMES, *CPU_TIMES) else runs[:0]
@@ -44,6 +44,6 @@ def doubt(runs: pd.DataFrame, name: str) -> str:
     return f"{metric_of(name).label} is not ranked: {reason}"
 
 
-def doubts(runs: pd.DataFrame, names: pd.Index | list[str]) -> dict[str, str]:
-    """Those of the columns that are not to be ranked, each with the `doubt`."""
-    return {name: text for name in names if (text := doubt(runs, name))}
+def incomparable_columns(runs: pd.DataFrame, names: pd.Index | list[str]) -> dict[str, str]:
+    """The columns that are not to be ranked, each with the reason."""
+    return {name: text for name in names if (text := incomparable(runs, name))}

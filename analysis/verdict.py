@@ -126,7 +126,7 @@ def verdict(
     alpha: float = ALPHA,
     comparisons: int = 1,
 ) -> Verdict:
-    """The verdict on the runs of `other` against those of `baseline`, a value a run.
+    """The verdict on the runs of `other` against the runs of `baseline`, a value a run.
 
     comparisons: how many rows the table has; a star stands where the verdict holds at alpha / comparisons, too.
     Collapsed runs are set aside for metrics in dB. ValueError for a value of infinity: an exact fit has no PSNR.

@@ -61,7 +61,7 @@ class Entry:
         return self.function(*source, **self.options, **options)
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
-        """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with those of a scene."""
+        """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with the runs of a scene."""
         if not (self.one_scene or self.probe) or runs["scene_name"].nunique() < 2:
             return {name: runs}
         return {f"{name}_{scene}": own for scene, own in by_scene(runs).items()}

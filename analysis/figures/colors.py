@@ -28,7 +28,7 @@ def chosen(
     """The finished runs of one classical and one quantum configuration.
 
     classical, quantum: columns and values that choose the runs; None: the configuration of highest PSNR. Raises
-    ValueError if there is none of a kind, or if there are several scenes.
+    ValueError if one of the kinds has no run, or if there are several scenes.
     """
     runs = select(frame).runs
     if runs["scene_name"].nunique() > 1:

@@ -14,7 +14,7 @@ from qnerf.metrics import metric_of
 from .. import style
 from ..load import metrics
 from ..selection import select
-from ..step_times import doubt
+from ..step_times import incomparable
 from . import points
 
 MOST = 6  # configurations in one panel
@@ -74,7 +74,9 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
     for ax in axes:
         ax.set_xlabel(metric_of("train_s").heading)
     axes[0].set_ylabel(metric_of("eval/psnr").heading)
-    style.footnote(figure, "of train.eval_views of the held-out views", note, doubt(select(frame).runs, "train_s"))
+    style.footnote(
+        figure, "of train.eval_views of the held-out views", note, incomparable(select(frame).runs, "train_s")
+    )
     return figure
 
 

@@ -60,7 +60,7 @@ def collecting(errors: dict[str, str], name: str) -> Iterator[None]:
         raise
     except ValueError as error:
         errors[name] = str(error)
-    except Exception as error:  # runs from elsewhere may lack whatever a figure needs
+    except Exception as error:  # runs of another program may lack what a figure needs
         errors[name] = f"{type(error).__name__}: {one_line(error)}"
 
 

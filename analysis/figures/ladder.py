@@ -51,7 +51,7 @@ def speed_error_ladder(results: benchmarks.Results = None) -> Figure:
 
 
 def _draw(ax: Axes, shown: pd.DataFrame, value: str, rungs: list[str]) -> None:
-    """Draws a point per row; `rungs`, those of all scenes, decide the look, so that it is the same in each scene."""
+    """Draws a point per row; The place in `rungs`, which lists the rungs of all scenes, decides its look."""
     trained = value == "psnr"
     for _, rung in shown.iterrows():
         number = rungs.index(rung["rung"])

@@ -9,7 +9,7 @@ from qnerf.metrics import METRICS, metric_of
 from .. import style
 from ..marks import Mark, write_names
 from ..selection import select
-from ..step_times import doubt
+from ..step_times import incomparable
 from . import benchmarks, points
 
 COSTS = ("step_ms", "step_cpu_ms", "train_s", *(key for key, metric in METRICS.items() if metric.kind == "size"))
@@ -30,7 +30,7 @@ def front(cost: pd.Series, loss: pd.Series) -> pd.Series:
 def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr") -> pd.DataFrame:
     """`points.points` of an image metric and a time, with `front`: whether the row is on its scene's Pareto front.
 
-    There is no front where the times are not comparable (`step_times.doubt`).
+    There is no front where the times are not comparable (`step_times.incomparable`).
 
     time: step_ms, the median time of a step; step_cpu_ms, its CPU time; train_s, seconds of training; or a number of
         parameters instead, such as params.total. ValueError for any other.
@@ -39,7 +39,7 @@ def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr
         raise ValueError(f"unknown cost {time!r}; known: {', '.join(COSTS)}")
     runs = select(select(frame, metric).runs, time).runs
     table = points.points(runs, [metric, time])
-    if doubt(runs, time):
+    if incomparable(runs, time):
         return table.assign(front=False)
     return _with_fronts(table, "scene_name", table[time], -metric_of(metric).sign * table[metric])
 
@@ -70,7 +70,7 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
         style.plain_ticks(ax)
     axes[0].set_ylabel(metric_of(metric).heading)
     style.legend(figure)
-    ranked = doubt(finished.runs, time) or "line and names: Pareto front"
+    ranked = incomparable(finished.runs, time) or "line and names: Pareto front"
     style.footnote(figure, ranked, points.seeds(table), key, finished.note)
     write_names(figure, drawn)
     return figure

@@ -8,7 +8,7 @@ from .. import packed
 
 
 def probed(run: str | Path, name: str) -> pd.DataFrame:
-    """A run's `<name>.parquet`. Raises ValueError with the command that writes it if there is none."""
+    """A run's `<name>.parquet`. If it does not exist, the ValueError names the command that writes it."""
     table = packed.probe_table(run, name)
     if table is None:
         raise ValueError(f"{run}: has no {name}.parquet; {command(name, Path(run).name)} writes it")

@@ -1,4 +1,4 @@
-"""The numbers printed in the Q-NeRF paper (arXiv:2512.12683), beside those of our runs of the same architectures."""
+"""The numbers printed in the Q-NeRF paper (arXiv:2512.12683), beside our runs of the same architectures."""
 
 from .joined import SETTING
 from .tables import (

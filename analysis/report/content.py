@@ -29,7 +29,7 @@ _RESULTS = ("params.", "time.", "run.")
 
 
 def prepared(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with columns for the page: those of `described` and `named`."""
+    """`frame` with the columns that `described` and `named` add for the page."""
     return named(described(with_needed(frame.reset_index(drop=True))))
 
 

@@ -3,7 +3,7 @@
 const $ = (id) => document.getElementById(id);
 const DATA = JSON.parse($("data").textContent);
 
-/** The columns of the runs' table by name; each is an array with a value a run, null where there is none. */
+/** The columns of the runs' table by name; each is an array with a value a run, null where a run lacks it. */
 const columns = new Map(Object.entries(DATA.columns).map(([name, packed]) => [name, unpack(packed)]));
 
 function unpack({ all, values }) {
@@ -33,7 +33,7 @@ let source;
 /** What `name` is called on the page, with its unit. */
 const heading = (name) => DATA.metrics[name]?.heading ?? name;
 
-/** A value as it is shown: rounded as the tables round it, with an en dash where there is none. */
+/** A value as it is shown: rounded as the tables round it, with an en dash where it is missing. */
 function shown(name, v) {
   if (v === null || v === undefined) return "–";
   if (typeof v !== "number") return String(v);

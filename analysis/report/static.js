@@ -1,7 +1,7 @@
 /** Views and curves of a page that holds them itself. */
 
 source = {
-  /** Those of the runs whose curves are on the page. */
+  /** The runs whose curves are on the page. */
   withCurves: (runs) => runs.filter((run) => DATA.curves[run]),
   keys: async () => DATA.curve_names,
   /** Run -> {step, time, value}. */

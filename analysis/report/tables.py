@@ -28,7 +28,7 @@ class ShownTable:
 
 
 def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTable:
-    """The table under this title, or why there is none."""
+    """The table under this title, or why it cannot be made."""
     errors: dict[str, str] = {}
     with collecting(errors, title):
         return ShownTable(title, make(*arguments))

@@ -167,7 +167,7 @@ def _panels(path: Path, _stamp: str | None) -> dict[str, np.ndarray]:
 
 
 def _stamp(path: Path) -> str | None:
-    """Tells versions of a file apart; None where there is none."""
+    """Tells versions of a file apart; None if it does not exist."""
     try:
         found = path.stat()
     except FileNotFoundError:

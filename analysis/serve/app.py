@@ -107,7 +107,7 @@ def application(answers: Answers, token: str, hosts: Collection[str] | None = LO
 
 
 class Guard:
-    """Refuses visitors from elsewhere, and adds `HEADERS` to every answer."""
+    """Refuses visitors without the token or of another site, and adds `HEADERS` to every answer."""
 
     def __init__(self, inner: ASGIApp, token: str, hosts: Collection[str] | None) -> None:
         self._inner, self._token, self._hosts = inner, token, hosts

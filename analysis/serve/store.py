@@ -84,7 +84,7 @@ class WatchedStore:
         return version, content.named(content.described(completed(frame)))
 
     def path(self, run: str) -> Path:
-        """The folder of a run. ValueError for a name that is none of the store's."""
+        """The folder of a run. ValueError if the store has no such run."""
         if run not in self._stamps:
             raise ValueError(f"{run:.100}: no such run")
         return self.folder / run

@@ -7,7 +7,7 @@ import pandas as pd
 from qnerf.metrics import metric_of
 
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
-from ..step_times import doubts
+from ..step_times import incomparable_columns
 from ..verdict import Verdict, within_of
 from .differences import against, as_numbers, interval
 from .seeds import aggregate, mean_and_spread, values_of
@@ -45,7 +45,7 @@ def ablation(
         keys = table.index.to_frame(index=False)
         verdicts, remarks = against(runs, rows, keys, baseline, metric, within_of(metric, within))
         notes += remarks
-    unranked = doubts(runs, table.columns.get_level_values(0).unique())
+    unranked = incomparable_columns(runs, table.columns.get_level_values(0).unique())
     return compose(table, verdicts, title or f"{metric_of(metric).heading} over seeds", notes, metric, unranked)
 
 

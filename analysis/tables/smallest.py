@@ -8,7 +8,7 @@ import pandas as pd
 from qnerf.metrics import metric_of, quality_metrics
 
 from ..selection import SCENES, check_keys, label, refuse_mixtures, select
-from ..step_times import doubt
+from ..step_times import incomparable
 from ..verdict import compare, evaluations, method, within_of
 from .differences import interval
 from .seeds import aggregate, mean_and_spread
@@ -28,7 +28,7 @@ def smallest(
     within: how close, in the metric's unit; the metric may have one of its own. size: any number of a run, such as
     `params.total`, `params.color` or `step_ms`. The table shows the difference of the smallest group from the best and
     the verdict: the loss is shown to be that small where they are equivalent. Raises ValueError as `over_seeds` does,
-    and for a size that is a time which is not comparable (`step_times.doubt`).
+    and for a size that is a time which is not comparable (`step_times.incomparable`).
     """
     if metric_of(metric) not in quality_metrics():
         known = ", ".join(item.key for item in quality_metrics())
@@ -42,7 +42,7 @@ def smallest(
     selection = select(frame, metric)
     sized = select(selection.runs, size)
     refuse_mixtures(sized.runs, rows)
-    if why := doubt(sized.runs, size):
+    if why := incomparable(sized.runs, size):
         raise ValueError(f"{why}; expected another size, such as params.total")
     data = _scenes(sized.runs, rows, scenes, metric, size, within)
     left = [part.note for part in (selection, sized) if part.note]

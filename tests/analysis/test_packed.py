@@ -48,7 +48,7 @@ def test_a_packed_folder_names_no_machine(store, tmp_path):
 
 
 def test_runs_are_added_to_packed_ones(store, tmp_path):
-    """For example those of another machine; a run that is there already is replaced."""
+    """For example runs of another machine; a run that is there already is replaced."""
     packed, whole = tmp_path / "packed", tmp_path / "whole"
     main([str(store), str(whole)])
     main([str(store), str(packed), "--filter", "seed=0"])

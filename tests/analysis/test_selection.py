@@ -42,7 +42,7 @@ def test_everything_left_out_is_told():
 
 
 def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():
-    """An absent column means that: the runs of a signal beside those of a field."""
+    """An absent column means that: the runs of a signal beside the runs of a field."""
     base = {"state": "finished", "seed": 0, "psnr": 20.0, "train.steps": 10}
     rows = [base | {"field": "classical", "color.mlp.width": 64.0}, base | {"head": "1L2S", "head.qiren.layers": 1.0}]
     made = settings(pd.DataFrame(rows))

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 from qnerf.analysis.load import runs
-from qnerf.analysis.step_times import doubt
+from qnerf.analysis.step_times import incomparable
 from qnerf.analysis.tables import ablation, smallest
 
 from tests.helpers.packed_stores import write_run
@@ -38,4 +38,4 @@ def test_times_under_the_same_load_are_ranked(tmp_path):
 
 
 def test_one_run_is_compared_with_nothing():
-    assert doubt(pd.DataFrame({"step_ms": [20.0]}), "step_ms") == ""
+    assert incomparable(pd.DataFrame({"step_ms": [20.0]}), "step_ms") == ""

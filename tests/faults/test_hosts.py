@@ -1,4 +1,4 @@
-"""The same sweep on several machines over one folder: they share its runs, also those of a machine that dies."""
+"""The same sweep on several machines over one folder: they share its runs, also the runs of a machine that dies."""
 
 import os
 import signal

@@ -80,14 +80,6 @@ def test_a_stray_table_does_not_make_a_store_a_packed_folder(store: Path) -> Non
     assert len(packed.views(store / "poster-qcolor-s0")) == 2
 
 
-def test_a_packed_run_cannot_be_elsewhere(store: Path, tmp_path: Path) -> None:
-    packed.pack(load.runs(store), tmp_path / "packed")
-    file = tmp_path / "packed" / packed.RUNS
-    pd.read_parquet(file).assign(run_id="../runs/poster-qcolor-s0").to_parquet(file)
-    with pytest.raises(StoreError, match="expected the ids of runs"):
-        load.runs(tmp_path / "packed")
-
-
 def test_a_run_without_readable_views_is_packed_as_damaged(store: Path, bad: Path, tmp_path: Path) -> None:
     (bad / "eval.parquet").write_bytes(b"PAR1")
     finished, problems = packed.pack(load.runs(store), tmp_path / "packed")

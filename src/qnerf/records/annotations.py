@@ -32,7 +32,7 @@ class Annotations:
 
 
 def read(run_dir: str | Path) -> Annotations:
-    """A run's tags and note; empty when there are none.
+    """A run's tags and note; empty if nobody has written any.
 
     Raises:
         StoreError: the file cannot be read or holds something else.

@@ -130,7 +130,7 @@ def known_values(column: pd.Series, limit: int = 8) -> str:
 
 
 def check_column(name: str, known: Iterable[str]) -> str:
-    """The name itself; ValueError with the nearest known ones if it is none of them."""
+    """The name itself; ValueError with the nearest known ones if it is unknown."""
     known = list(known)
     if name in known:
         return name

@@ -164,7 +164,7 @@ def create_owner(directory: Path, number: int) -> Ownership | None:
 
 
 def latest(directory: Path) -> tuple[int, dict[str, Any] | None]:
-    """The highest number and its record, which is empty if it cannot be read; (-1, None) if there is none."""
+    """The highest number and its record, which is empty if it cannot be read; (-1, None) if nobody owned it."""
     number = max(_numbers(directory), default=-1)
     return number, None if number < 0 else _read(_owner_file(directory, number))
 

@@ -1,4 +1,4 @@
-"""Text from elsewhere, made safe to show in a terminal."""
+"""Text of files and users, made safe to show in a terminal."""
 
 ELLIPSIS = "…"
 

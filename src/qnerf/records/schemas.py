@@ -85,7 +85,7 @@ def results(summary: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, 
 
 
 def _array(name: str, values: list[Any], kind: str | None) -> pa.Array | None:
-    """A column of this kind; of the kind of its values if it is None, or no column where there are none."""
+    """A column of this kind; without a kind of the kind of its values, and no column if it has no value."""
     filled = [value for value in values if value is not None]
     if kind is None:
         if not filled:

@@ -121,7 +121,7 @@ def _is_quality(key: str) -> bool:
 
 
 def _grouped(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration with its plain values in the group `train`, but for those of every run."""
+    """The configuration with its plain values in the group `train`; `scene` and `seed` stay outside."""
     own = {key: value for key, value in config.items() if key in ("scene", "seed") or isinstance(value, Mapping)}
     train = {key: value for key, value in config.items() if key not in own}
     return own | {"train": {**own.get("train", {}), **train}} if train else own

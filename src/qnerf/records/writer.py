@@ -126,7 +126,7 @@ class Run:
     def resume(self, step: int) -> None:
         """Drops all rows after `step`, the step of the checkpoint from which training goes on; -1 drops all rows.
 
-        A damaged part is copied beside metrics/ with a warning. Its rows are lost; those of other parts stay.
+        A damaged part is copied beside metrics/ with a warning. Its rows are lost; the rows of other parts stay.
         """
         with self._io:
             self._ownership.check()
