@@ -122,7 +122,6 @@ def test_pennylane_devices_have_options_or_are_objects() -> None:
         ({"device": "no.such"}, "cannot make 'no.such'.*installed: .*default.qubit"),
         ({"device_options": {"colour": 1}}, "cannot make 'default.qubit'"),
         ({"noise": Noise(readout=0.1)}, "an option of the device"),
-        ({"noise": Noise(depolarizing=0.1)}, r"default\.qubit takes no channels"),
         ({"shots": 10}, "shots=10 expects diff_method=parameter-shift"),
         ({"diff_method": "magic"}, "diff_method expects one of backprop, parameter-shift, adjoint, got 'magic'"),
     ]

@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from torch import Tensor
 
-from qnerf.quantum import QuantumLayer, density, folded_errors, pauli_errors
+from qnerf.quantum import QuantumLayer, density, pauli_errors
 from qnerf.quantum.circuit import (
     ANSATZE,
     Circuit,
@@ -92,11 +92,11 @@ def test_folded_errors_are_gates_after_the_gates() -> None:
     for circuit in (*(ANSATZE.build(name, 3, 2) for name in ("qiren", "cnot", "rx", "pauli_x")), ENCODED_FIRST):
         x, weights = data(circuit)
         errors = np.random.default_rng(0).random((2, 4, len(pauli_errors.spots(circuit)))) < 0.3
-        folded = folded_errors.of_patterns(Simulator(circuit), circuit, x, weights, *errors)
+        folded = pauli_errors.of_patterns(Simulator(circuit), circuit, x, weights, *errors)
         for pattern, ours in enumerate(folded):
             expected = Simulator(with_errors(circuit, *errors[:, pattern]))(x, weights)
             torch.testing.assert_close(ours, expected, rtol=0, atol=1e-12)
-    assert not folded_errors.folds(TWICE)
+    assert not pauli_errors.folds(TWICE)
 
 
 def test_patterns_taken_together_are_the_density_matrix() -> None:

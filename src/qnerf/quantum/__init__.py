@@ -13,8 +13,7 @@ the CPU), `statevector` (the plain PyTorch reference).
 Any other circuit (`any_circuit`): `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and
 `pauli_statevector` (the engine and its reference).
 
-Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled: errors become angles, `folded_errors`),
-`readout`, `measurement`.
+Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled), `readout`, `measurement`.
 
 PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
 `pennylane_device` bring its circuits here. `diagnostics` says what a circuit can express and how it learns.

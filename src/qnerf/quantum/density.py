@@ -60,19 +60,11 @@ def is_quick(circuit: Circuit) -> bool:
     >>> [is_quick(ANSATZE.build("qiren", *size)) for size in ((8, 1), (4, 2), (8, 2), (12, 1))]
     [True, True, False, False]
     """
-    seconds = seconds_of_sample(circuit)
+    seconds = SECONDS * sum(len(gate.wires) + 1 for gate in only_gates(circuit)) * 4.0**circuit.wires
     try:
         return len(interpolation(circuit).points) * seconds <= QUICK_GRID
     except TooLarge:
         return seconds <= QUICK_SAMPLE
-
-
-def seconds_of_sample(circuit: Circuit) -> float:
-    """About how long one sample takes, from how often all entries of its matrix are gone through."""
-    gates = only_gates(circuit)
-    whole = [len(gate.wires) == 1 or gate.name in ("CZ", "CNOT") for gate in gates]
-    factors = sum(len(g.wires) + (1 if one else 2 * len(g.rotations)) for g, one in zip(gates, whole, strict=True))
-    return SECONDS * factors * 4.0**circuit.wires
 
 
 @torch.no_grad()

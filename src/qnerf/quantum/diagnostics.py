@@ -249,9 +249,7 @@ def _frequencies(encodings: Tensor, count: int) -> tuple[Tensor, bool]:
     signs = torch.tensor([-1.0, 0.0, 0.0, 1.0], dtype=torch.float64)
     found = torch.zeros(1, encodings.shape[1], dtype=torch.float64)
     for _ in range(100):
-        drawn = torch.zeros(4 * count, encodings.shape[1], dtype=torch.float64)
-        for step in encodings:
-            drawn += signs[torch.randint(4, (len(drawn), 1))] * step
+        drawn = signs[torch.randint(4, (4 * count, len(encodings)))] @ encodings
         found = _halved(torch.cat([found, drawn, -drawn]))
         if len(found) >= count:
             kept = 1 + torch.randperm(len(found) - 1)[: count - 1]

@@ -12,9 +12,9 @@ from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
 from qnerf.quantum import measurement, pennylane
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check_wires
 from qnerf.quantum.cost_model import Cost
-from qnerf.quantum.folded_errors import check_folds
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
+from qnerf.quantum.pauli_errors import check_folds
 from qnerf.quantum.simulator import Backend, Simulator
 
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]

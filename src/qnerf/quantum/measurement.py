@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import is_transformed
-from qnerf.quantum import density, folded_errors, pauli_errors
+from qnerf.quantum import density, pauli_errors
 from qnerf.quantum.circuit import Circuit, Probabilities, values_of
-from qnerf.quantum.folded_errors import Exact
 from qnerf.quantum.noise import Noise
+from qnerf.quantum.pauli_errors import Exact
 from qnerf.quantum.pennylane import check_shots
 from qnerf.quantum.readout import Measured, Readout, measured
 from qnerf.quantum.simulator import simulator_of
@@ -30,7 +30,7 @@ class Conditions:
         seed: of the shots and of sampled noise; None draws from torch's global generator.
         method: of noisy gates. density is exact, by density matrices; sampled draws `patterns` of Pauli errors, with a
             standard error; auto takes density where it is quick (`density.is_quick`) or errors cannot be sampled
-            (`folded_errors.folds`).
+            (`pauli_errors.folds`).
         patterns: drawn for each call of a circuit. All its samples share them.
         gradients: False makes a backward pass through the outputs a ValueError. With True they have the derivatives of
             the exact values, or with noise those of the drawn patterns (never density matrices). Values of shots are
@@ -79,7 +79,7 @@ class Conditions:
         """Whether the gate noise of this circuit is sampled rather than exact."""
         if self.noise is None or not self.noise.gates:
             return False
-        slow = folded_errors.folds(circuit) and not density.is_quick(circuit)
+        slow = pauli_errors.folds(circuit) and not density.is_quick(circuit)
         return self.gradients or self.method == "sampled" or (self.method == "auto" and slow)
 
 

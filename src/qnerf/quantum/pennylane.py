@@ -152,7 +152,8 @@ def make_node(
         device_options: of a device given by its name, such as {"readout_prob": 0.02} of default.mixed.
         diff_method: backprop, parameter-shift (the only one with shots) or adjoint.
         shots: of each circuit; None for exact expectation values.
-        noise: channels after every gate; without errors of the readout, which are an option of the device.
+        noise: channels after every gate, which PennyLane refuses at the first call on a device without them; errors of
+            the readout are an option of the device instead.
         seed: of the device's shots.
 
     Raises:
@@ -165,8 +166,6 @@ def make_node(
     target = make_device(device, circuit.wires, seed, device_options)
     if noise is not None and noise.readout_factors != (1.0, 0.0):
         raise ValueError("noise: readout expects another method than pennylane; there it is an option of the device")
-    if noise is not None and noise.gates:
-        _check_channels(target)
     # Only backprop without channels can broadcast over the batch.
     broadcast = diff_method == "backprop" and (noise is None or not noise.gates)
 
@@ -187,23 +186,6 @@ def make_node(
         )
 
     return run
-
-
-def _check_channels(device: Any) -> None:
-    """ValueError unless the device takes channels."""
-    import pennylane as qml
-
-    @qml.qnode(device)
-    def one_channel() -> Any:
-        qml.DepolarizingChannel(0.1, wires=0)
-        return qml.expval(qml.PauliZ(0))
-
-    try:
-        one_channel()
-    except Exception as error:
-        raise ValueError(
-            f"noise: device {device.name} takes no channels; choose one that does, such as default.mixed"
-        ) from error
 
 
 def draw(circuit: Circuit | Any) -> str:
