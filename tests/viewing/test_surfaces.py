@@ -85,23 +85,3 @@ def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_ru
     np.testing.assert_allclose(
         homogeneous @ trained.scene.transform.numpy().T[:, :3], mine.points, rtol=1e-4, atol=1e-4
     )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--to", "csv", "--cells", "9"], "--cells is for mesh"),
-        (["--to", "points", "--level", "9"], "--level is for mesh"),
-        (["--to", "mesh", "--cells", "1"], "expected a whole number from 2 to 4,096"),
-        (["--to", "mesh", "--uri", "x"], "--uri is for mlflow"),
-        (["--to", "points", "--points", "0"], "expected a whole number from 1 to"),
-    ],
-)
-def test_a_mistake_is_one_line(tiny_run, capsys, arguments, message):
-    try:
-        code = main.dispatch("export", [str(tiny_run), *arguments])
-    except SystemExit as stop:
-        code = stop.code
-    err = capsys.readouterr().err
-    assert (code, err.count("\n")) == (2, 1)
-    assert message in err

@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import math
-import re
 import shutil
 import socket
 import sys
@@ -166,51 +165,6 @@ def viewer(ball):
     served.stop()
 
 
-def looking(x: float) -> dict:
-    place = {"wxyz": (0.0, 1.0, 0.0, 0.0), "position": (x, 0.0, 1.0), "look_at": (x, 0.0, 0.0)}
-    lens = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 200, "image_width": 300}
-    return {"type": "ViewerCameraMessage", **place, **lens, "up_direction": (0.0, 1.0, 0.0)}
-
-
-def pictures(connection, widths: list[int]) -> list[np.ndarray]:
-    """The next pictures of these widths, in this order."""
-    import zstandard
-
-    found: list[np.ndarray] = []
-    while len(found) < len(widths):
-        data = connection.recv(timeout=DEADLINE)
-        length = int.from_bytes(data[8:16], "little")  # sizes unpacked and packed, a packed part, plain arrays
-        data = zstandard.ZstdDecompressor().decompress(data[16 : 16 + length]) + data[16 + length :]
-        for match in re.finditer(b"\xff\xd8\xff", data):
-            picture = np.asarray(Image.open(io.BytesIO(data[match.start() :])).convert("RGB"))
-            if len(found) < len(widths) and picture.shape[1] == widths[len(found)]:
-                found.append(picture)
-    return found
-
-
-@pytest.mark.filterwarnings("default")
-def test_the_server_sends_coarse_then_sharp_pictures_of_where_the_camera_is(viewer):
-    import msgspec
-    import viser
-    from websockets.sync.client import connect
-
-    with urllib.request.urlopen(viewer.address, timeout=DEADLINE) as answer:
-        assert answer.status == 200
-        assert b"<html" in answer.read()
-    protocol = [f"viser-v{viser.__version__}"]
-    address = viewer.address.replace("http", "ws")
-    with connect(address, subprotocols=protocol, max_size=None) as connection:
-        connection.send(msgspec.msgpack.encode(looking(0.0)))
-        coarse, here = pictures(connection, [64, 96])
-        assert (coarse.shape, here.shape) == ((43, 64, 3), (64, 96, 3))
-        connection.send(msgspec.msgpack.encode(looking(0.3)))
-        there = pictures(connection, [64, 96])[1]
-        assert np.abs(there.astype(int) - here).mean() > 1
-        viewer.what.value = "depth"
-        depth = pictures(connection, [64, 96])[1]
-        assert np.abs(depth.astype(int) - there).mean() > 1
-
-
 def test_requests_without_the_token_or_from_another_site_are_refused():
     guard, everywhere = Guard("127.0.0.1"), Guard("0.0.0.0")
     query, own = f"/?token={guard.token}", {"Host": "127.0.0.1:8080"}
@@ -264,12 +218,18 @@ class Page:
         self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
         self.wait = WebDriverWait(self.driver, DEADLINE, 0.2)
         self.driver.get(address)
-        self.wait.until(lambda _: self.driver.find_elements(By.TAG_NAME, "canvas"))
+        self.canvas = self.wait.until(lambda _: self.driver.find_elements(By.TAG_NAME, "canvas"))[0]
 
     def middle(self) -> np.ndarray:
         """Pixels of the page, below its messages and left of its controls."""
         page = np.asarray(Image.open(io.BytesIO(self.driver.get_screenshot_as_png())).convert("RGB"), int)
         return page[-250:-20, 50:-350]
+
+    def drag(self) -> None:
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        held = ActionChains(self.driver).move_to_element_with_offset(self.canvas, -150, 50).click_and_hold()
+        held.move_by_offset(90, 40).release().perform()
 
     def until(self, what, message: str) -> None:
         self.wait.until(lambda _: what(self.middle()), message)
@@ -294,7 +254,8 @@ def browse(tmp_path):
 
 @pytest.mark.filterwarnings("default")
 def test_a_run_that_trains_is_followed_in_a_browser(tmp_path, browse):
-    """The run stops after its first step, is opened, and goes on: what it has learnt is seen without a reload."""
+    """The run stops after its first step, is opened, and goes on: what it has learnt is seen without a reload, and from
+    where the camera moves."""
     pytest.importorskip("viser", reason="viser is not installed")
     scene = write_scene(tmp_path / "scene", width=12, height=8)
     options = ("train.steps=120", "train.rays=64", "train.eval_every=0", "device=cpu", "hash=C7")
@@ -312,5 +273,8 @@ def test_a_run_that_trains_is_followed_in_a_browser(tmp_path, browse):
         page.until(lambda picture: np.abs(picture - before).mean() > 3, "the picture stayed")
         page.wait.until(lambda _: "finished, checkpoint of step 120 of 120" in viewer.text.content)
         assert "step 120 of 120" in page.driver.page_source
+        there = page.middle()
+        page.drag()
+        page.until(lambda picture: np.abs(picture - there).mean() > 3, "the picture stayed where the camera moved")
     finally:
         viewer.stop()
