@@ -31,33 +31,19 @@ def accuracy_vs_speed(results: benchmarks.Results = None) -> Figure:
     table = accuracy_points(results)
     variants = list(dict.fromkeys(table["variant"]))
     parts = list(table.groupby("part", sort=False))
-    columns = min(4, len(parts))
-    rows = -(-len(parts) // columns)
-    figure = style.new(style.PAGE, 0.5 + 1.6 * rows)
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for ax, (part, shown) in zip(axes, parts, strict=False):
+    figure, axes = style.panels(len(parts), 1.8, sharex=True, sharey=True)
+    for ax, (part, shown) in zip(axes, parts, strict=True):
         for (variant, dtype), group in shown.groupby(["variant", "dtype"], sort=False):
             look = style.series(variants.index(variant))
             face = look["color"] if dtype == "float32" else style.paper()
-            ax.plot(
-                group["ms"],
-                group["error"].clip(lower=FLOOR),
-                ls="",
-                mfc=face,
-                mew=0.8,
-                label=f"{variant}, {dtype}",
-                **look,
-            )
+            error = group["error"].clip(lower=FLOOR)
+            ax.plot(group["ms"], error, ls="", mfc=face, mew=0.8, label=f"{variant}, {dtype}", **look)
         bound = shown.loc[shown["dtype"] == "float32", "bound"].max()
         ax.axhline(bound, color=style.ink(), ls="--", lw=0.7, alpha=0.6)
-        ax.set(title=part, xscale="log", yscale="log")
+        ax.set(title=part, xlabel="forward + backward, ms", xscale="log", yscale="log")
         style.plain_ticks(ax)
-    for ax in axes[len(parts) :]:
-        ax.set_axis_off()
-    for ax in axes[: len(parts)][-columns:]:
-        ax.set_xlabel("forward + backward, ms")
         ax.tick_params(labelbottom=True)
-    for ax in axes[::columns]:
+    for ax in axes[::3]:
         ax.set_ylabel("relative error")
     style.legend(figure)
     style.footnote(

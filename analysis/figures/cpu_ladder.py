@@ -1,7 +1,5 @@
 """What seconds of CPU buy, of this project and of its peers."""
 
-import math
-
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -33,23 +31,18 @@ def psnr_vs_cpu_seconds(results: benchmarks.Results = None) -> Figure:
     table = cpu_ladder_points(rows)
     panels = sorted(set(zip(table["scene"], table["width"], strict=True)))
     cases = sorted(set(table["case"]))
-    columns = math.ceil(math.sqrt(len(panels)))
-    lines = -(-len(panels) // columns)
-    figure = style.new(style.PAGE, 0.8 + 2.2 * lines)
-    axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-    for ax, (scene, width) in zip(axes.flat, panels, strict=False):
+    figure, axes = style.panels(len(panels), 2.4, sharex=True, sharey=True)
+    for ax, (scene, width) in zip(axes, panels, strict=True):
         shown = table[(table["scene"] == scene) & (table["width"] == width)]
         for case, part in shown.sort_values("budget_s").groupby("case"):
             look = style.series(cases.index(case)) | {"ls": "--" if "qnerf" not in str(case) else "-"}
             ax.errorbar(part["seconds"], part["psnr"], part["psnr_std"], label=case, elinewidth=0.7, **look)
         ax.set(title=f"{scene}, {width} px", xscale="log")
-        style.plain_ticks(ax)
-    for ax in axes.flat[len(panels) :]:
-        ax.remove()
-    for ax in axes[:, 0]:
-        ax.set_ylabel(metric_of("eval/psnr").heading)
-    for ax in axes[-1]:
         ax.set_xlabel("training, CPU s" if set(rows["threads"]) == {1} else "training, s")
+        style.plain_ticks(ax)
+        ax.tick_params(labelbottom=True)
+    for ax in axes[::3]:
+        ax.set_ylabel(metric_of("eval/psnr").heading)
     style.legend(figure)
     load = rows["load"][rows["threads"] > 1].dropna().clip(lower=1)
     busy = f"not comparable: loads of {load.min():.1f} to {load.max():.1f}" if _differ(load) else ""

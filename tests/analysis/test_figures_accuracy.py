@@ -38,10 +38,3 @@ def test_each_case_is_a_point_in_the_panel_of_its_part(results):
     }
     dashed = [line.get_ydata()[0] for ax in (rendering, sampling) for line in ax.lines if line.get_ls() == "--"]
     assert dashed == [1e-4, 2e-6]
-
-
-def test_the_saved_benchmark_is_drawn_or_asked_for(tmp_path):
-    parts = figures.accuracy_points()["part"].nunique()
-    assert sum(bool(ax.get_title()) for ax in figures.accuracy_vs_speed().axes) == parts
-    with pytest.raises(ValueError, match="expected the results of the benchmark accuracy"):
-        figures.accuracy_points(tmp_path / "accuracy.parquet")
