@@ -23,7 +23,6 @@ hypothesis.settings.register_profile("long", deadline=None, max_examples=2500)
 hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
 SLOW = (
-    "capture/test_capture.py::test_a_command_poses_a_known_scene",
     "analysis/test_figure_plateaus.py",
     "analysis/test_figures.py",
     "analysis/test_figures_of_files.py",
@@ -33,11 +32,15 @@ SLOW = (
     "analysis/test_report_browser.py",
     "analysis/test_results.py",
     "analysis/test_tables.py",
+    "auto/test_poses.py",
     "auto/test_resolve.py",
     "auto/test_runs.py",
+    "capture/",
     "cli/commands/test_reproduce.py",
     "cli/commands/test_resume.py",
+    "cli/test_compose.py::test_a_wrong_command_is_one_line_with_exit_code_2",
     "cli/test_launch.py",
+    "cli/test_python.py",
     "cli/test_search.py",
     "config/test_conf.py",
     "config/test_plugins.py",
@@ -52,6 +55,8 @@ SLOW = (
     "records/test_index.py::test_store_that_changes",
     "records/test_live_readers.py",
     "scenes/test_fingerprint.py",
+    "scenes/test_sizes_and_masks.py::test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size",
+    "signals/test_runs.py",
     "quantum/test_tapes.py::test_random",
     "quantum/test_tapes.py::test_the_device_passes",
     "search/",

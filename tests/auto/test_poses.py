@@ -9,23 +9,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qnerf.auto.poses import OFF, distances, epipolar_error, fundamental, matched, warning
+from qnerf.auto.poses import distances, epipolar_error, fundamental, matched, warning
 from qnerf.geometry.rays import project
 from tests.helpers.worlds import ball, constant, floor, turned
 
 FLOOR = floor(views=3)
-
-
-def test_true_poses_of_the_poster_explain_its_matches(poster):
-    error = epipolar_error(poster)
-    assert error.pairs >= 5
-    assert error.given < 0.3
-    assert error.given - error.best < 0.5 * OFF
-
-
-def test_a_degree_shows_on_the_poster(poster):
-    error = epipolar_error(turned(poster, 1.0))
-    assert error.given - error.best > OFF
 
 
 def test_warnings_name_what_is_wrong_and_following_them_ends_them(poster):
@@ -41,7 +29,6 @@ def test_warnings_name_what_is_wrong_and_following_them_ends_them(poster):
         ({"poses": inverse[:, :3]}, "from the world to the camera"),
         ({"cx": 0 * of.cx, "cy": 0 * of.cy}, "the principal point seems to be wrong"),
         ({"fx": 2.1 * of.fx, "fy": 2.1 * of.fy}, "the focal length seems to be wrong (about 0.5 times fl_x would fit"),
-        ({"fx": of.fx / 5, "fy": of.fy / 5}, "the focal length seems to be wrong (about 4.76 times"),
     ):
         changed = dataclasses.replace(of, **wrong)
         assert text in str(warning(dataclasses.replace(poster, cameras=changed)))

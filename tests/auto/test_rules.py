@@ -54,11 +54,11 @@ def test_what_a_scene_is_found_to_need(option, world, value):
     assert all(type(number) is float for number in decision.because.values())
 
 
-@pytest.mark.parametrize(("degrees", "value"), [(0.0, "fixed"), (1.0, "so3xr3")])
-def test_poses_are_refined_where_they_are_off(poster, degrees, value):
-    decision = decided("cameras.name", turned(poster, degrees))
-    assert decision.value == value
-    assert decision.because["pairs"] >= 4
+def test_poses_are_refined_where_they_are_off(poster):
+    for world, value in ((poster, "fixed"), (turned(poster, 1.0), "so3xr3")):
+        decision = decided("cameras.name", world)
+        assert decision.value == value
+        assert decision.because["pairs"] >= 4
 
 
 def test_a_box_has_the_half_extent_that_was_measured_and_bounds_around_it():

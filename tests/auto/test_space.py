@@ -70,13 +70,6 @@ def test_rays_are_followed_to_where_enough_cameras_see():
     assert near == pytest.approx(float(first) * (1 - MARGIN))
 
 
-def test_cameras_that_look_outward_share_nothing():
-    followed = Followed(scene(constant(9).images, cameras(ring(6, outward=True))))
-    assert followed.cameras() == 0
-    assert followed.coverage(2) < 0.5
-    assert followed.near(0) is None
-
-
 def test_one_place_seen_from_the_start_sets_no_near():
     """Cameras side by side that look the same way see the same from very near on."""
     of = cameras(np.stack([look_at((1e-4 * view, 0, 0), np.array([1e-4 * view, 1.0, 0])) for view in range(5)]))

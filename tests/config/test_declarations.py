@@ -66,20 +66,6 @@ def test_no_option_accepts_a_number_without_meaning():
                 check(option, value, hint)
 
 
-def test_values_of_an_attack_are_refused_in_one_line():
-    for registry, name, options in (
-        (SAMPLERS, "proposal", {"samples": ["abc", 6]}),
-        (SAMPLERS, "proposal", {"samples": [8.5, 6]}),
-        (SAMPLERS, "proposal", {"update_warmup": 10**9}),
-        (SHADINGS, "merge", {"parts": 10**9}),
-        (HEADS, "qiren", {"layers": 100_000}),
-        (HEADS, "mlp", {"width": 1_000_000}),
-    ):
-        with pytest.raises(ValueError, match=next(iter(options))) as error:
-            registry.check(name, options)
-        assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize("options", [{"qiren": {"scale": float("nan")}}, {"qiren": {"turns": 1}}, {"cnott": {}}])
 def test_options_of_every_ansatz_are_checked_also_of_those_that_are_not_chosen(options):
     with pytest.raises(ValueError, match="ansatz"):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qnerf.heads import HEADS
-from qnerf.heads.amplitude import NormalisedForms, System, normalised_forms
+from qnerf.heads.amplitude import System
 from qnerf.heads.registers import BlochRegister
 from qnerf.quantum.circuit import Encoding, Rotations
 from qnerf.quantum.normal_form import basis_bits
@@ -95,24 +95,6 @@ def test_heads_compute_what_their_circuits_give_gate_by_gate(monkeypatch):
         assert torch.autograd.gradcheck(head, x, fast_mode=True)
 
 
-def test_normalised_forms_have_a_backward_pass_that_is_right_to_the_second_derivative():
-    u, weights = (torch.randn(n, 4, dtype=torch.float64, requires_grad=True) for n in (3, 2))
-    torch.testing.assert_close(NormalisedForms.apply(u, weights), normalised_forms(u, weights)[-1])
-    assert torch.autograd.gradcheck(NormalisedForms.apply, (u, weights))
-    assert torch.autograd.gradgradcheck(NormalisedForms.apply, (u, weights))
-    assert torch.autograd.gradgradcheck(lambda u: NormalisedForms.apply(u, weights.detach()), u)
-
-
-def test_circuit_acts_on_a_product_state_as_no_linear_map_of_one_register_can():
-    """Without a circuit <Z_i Z_j> = <Z_i> <Z_j>; with one the state is entangled."""
-    for unitary, entangled in (("identity", False), ("local", False), ("circuit", True)):
-        head, x = built({"registers": [1, 1, 1], "unitary": unitary, "readout": False, "gain": 1.0})
-        head.out_dim = 6
-        z, pairs = head(x).split(3, 1)
-        products = torch.stack([z[:, 0] * z[:, 1], z[:, 0] * z[:, 2], z[:, 1] * z[:, 2]], 1)
-        assert torch.allclose(pairs, products) is not entangled
-
-
 @settings(max_examples=30)
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: math.hypot(*d) > 0.01))
 def test_bloch_register_points_in_the_direction(direction):
@@ -132,12 +114,6 @@ def test_labels_name_what_is_not_the_default():
         ({"unitary": "identity", "uploads": 1, "readout": False}, "amplitude6-identity-uploads=1-readout=false"),
     ):
         assert HEADS.get("amplitude").label(defaults | options) == label
-
-
-def test_parameters_are_those_of_the_docs():
-    for wires, count in ((6, 988), (4, 290)):
-        head = HEADS.build("amplitude", 12, 6, registers=[wires])
-        assert sum(p.numel() for p in head.parameters()) == count
 
 
 def test_options_that_are_not_read_change_nothing():

@@ -19,14 +19,6 @@ def test_everything_about_a_run(store, qnerf):
     assert "lr: " not in done.out
 
 
-def test_overrides_that_are_no_text_are_escaped(store, qnerf):
-    (run,) = store.glob("*-aaaaaaaaaa")
-    (run / "overrides.txt").write_bytes(b"\x89PNG\n\x1a")
-    out = qnerf("show", "aaaa").out
-    assert "\\x89PNG \\x1a" in out
-    assert "\ufffd" not in out
-
-
 def test_the_configuration_is_shown_as_yaml(store, qnerf):
     out = qnerf("show", "bbbb", "--config").out
     for line in ("seed: 0", "  lr: 0.02", "  path: null"):
