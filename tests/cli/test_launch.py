@@ -328,14 +328,3 @@ def test_a_stop_while_the_scene_is_read_leaves_no_run(qnerf, small, tmp_path, mo
     done = qnerf("run", *small)
     assert (done.code, done.err) == (130, "stopped\n")
     assert not (tmp_path / "runs").exists()
-
-
-def test_too_little_memory_is_one_line(qnerf, small, monkeypatch):
-    def exhausted(*_, **__):
-        raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 2 bytes")
-
-    monkeypatch.setattr(experiment, "run", exhausted)
-    done = qnerf("run", *small)
-    assert done.code == 1
-    assert done.err.startswith("error: a limit of this system is reached")
-    assert done.err.count("\n") == 1

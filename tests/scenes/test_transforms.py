@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import os
 import shutil
 import unicodedata
 from pathlib import Path
@@ -185,15 +184,6 @@ def test_names_that_stand_for_several_files_or_for_none_inside_are_refused(tiny_
     outside.rename(tiny_scene / "inside.png")
     change_frame(tiny_scene, file_path="inside.png")
     build(tiny_scene)
-
-
-def test_names_without_a_file_are_missing(tiny_scene):
-    os.symlink("loop.png", tiny_scene / "loop.png")
-    if hasattr(os, "mkfifo"):
-        os.mkfifo(tiny_scene / "pipe.png")
-    for name in ("images/" + "x" * 5000, "images", "images/\0.png", "images/no\ud800", "loop.png", "pipe.png"):
-        change_frame(tiny_scene, file_path=name)
-        refused(tiny_scene, "1 of 6 images are missing", repr(name))
 
 
 def test_one_image_under_two_names_is_refused(tiny_scene):
