@@ -23,9 +23,7 @@ NEEDED = (
 """Columns that tables and figures read; in runs that lack them they are empty."""
 
 
-def runs(
-    store: str | Path, filter: str | Mapping[str, Any] | None = None, *, progress: index.Progress | None = None
-) -> pd.DataFrame:
+def runs(store: str | Path, filter: str | Mapping[str, Any] | None = None) -> pd.DataFrame:
     """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`.
 
     See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed. `scene_name` is the
@@ -44,7 +42,7 @@ def runs(
             raise ValueError(f"{store}: holds runs and also packed tables; expected one of both in a folder")
         frame = with_needed(packed.load(store))
     else:
-        frame = index.load(store, progress=progress)
+        frame = index.load(store)
         if frame.empty:
             raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
         frame = completed(frame)

@@ -8,7 +8,6 @@ from typing import Any
 
 import pandas as pd
 from rich.console import Console
-from rich.progress import Progress
 
 import qnerf
 from qnerf.cli.numbers import count
@@ -31,25 +30,12 @@ EXAMPLES = """\
 """
 
 
-Track = Callable[[str, int], Callable[[], None]]
-"""Starts a part of the work with so many steps; returns a function to call after each."""
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     options = parser().parse_args(arguments)
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("reading runs", total=None)
-
-        def read(file: str, done: int, total: int) -> None:
-            progress.update(task, description=f"reading {file}", completed=done, total=total)
-
-        def track(what: str, total: int) -> Callable[[], None]:
-            progress.reset(task, description=what, total=total)
-            return lambda: progress.advance(task)
-
-        frame = runs(options.store, options.filter, progress=read)
-        path = write(page.render(page_content(frame, options, track)), options.out)
+    with console.status("reading runs") as status:
+        frame = runs(options.store, options.filter)
+        path = write(page.render(page_content(frame, options, status.update)), options.out)
     console.print(
         f"{path}: {len(frame):,} runs, {path.stat().st_size / 1e6:.1f} MB",
         highlight=False,
@@ -79,14 +65,17 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def page_content(frame: pd.DataFrame, options: argparse.Namespace, track: Track) -> dict[str, Any]:
-    """The values of the page's template."""
+def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable[[str], None]) -> dict[str, Any]:
+    """The values of the page's template. say: gets the name of what is made now."""
     frame = content.prepared(frame)
     order = content.order(frame)
     most = options.max_images
-    drawn = pictures.gather(frame, order if most else [], most, advance=track("pictures", len(order)))
-    logged = curves.gather(frame, order, advance=track("curves", min(len(order), curves.MAX_RUNS)))
-    sections = parts.parts(frame, options.baseline, track("tables and figures", parts.STEPS))
+    say("pictures")
+    drawn = pictures.gather(frame, order if most else [], most)
+    say("curves")
+    logged = curves.gather(frame, order)
+    say("tables and figures")
+    sections = parts.parts(frame, options.baseline)
     return {
         "title": options.title,
         "store": options.store,

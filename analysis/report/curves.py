@@ -1,6 +1,6 @@
 """Logged values of the runs, thinned for the page."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,7 @@ def logged_keys() -> list[str]:
     return [*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms"]
 
 
-def gather(
-    frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUNS, advance: Callable[[], None]
-) -> dict[int, dict[str, Any]]:
+def gather(frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUNS) -> dict[int, dict[str, Any]]:
     """Row number -> key -> {step, time, value} of at most `max_runs` runs that have readable metrics."""
     result: dict[int, dict[str, Any]] = {}
     for row in order:
@@ -36,7 +34,6 @@ def gather(
         curves = {key: thinned(part) for key, part in logged.groupby("key") if key in logged_keys()}
         if curves:
             result[row] = {key: curves[key] for key in logged_keys() if key in curves}
-        advance()
     return result
 
 

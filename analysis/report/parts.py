@@ -24,8 +24,6 @@ OTHER_FIGURES = tuple(
     if not entry.benchmark and name not in (*PAPER_FIGURES, *COLOURS, *INTERACTIVE)
 )
 """A benchmark's figure speaks about qnerf, not about the store."""
-STEPS = len(COLOURS) + len(PAPER_FIGURES) + len(OTHER_FIGURES) + 1
-"""How often `parts` reports progress."""
 
 
 @dataclass
@@ -40,17 +38,14 @@ class Part:
     figures: list[Drawn] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
 
-    def draw(
-        self, names: Iterable[str], frame: pd.DataFrame, advance: Callable[[], None], baseline: str | None = None
-    ) -> None:
+    def draw(self, names: Iterable[str], frame: pd.DataFrame, baseline: str | None = None) -> None:
         for name in names:
             drawn, absent = draw(name, frame, baseline)
             self.figures += drawn
             self.absent += absent
-            advance()
 
 
-def parts(frame: pd.DataFrame, baseline: str | None, advance: Callable[[], None]) -> list[Part]:
+def parts(frame: pd.DataFrame, baseline: str | None) -> list[Part]:
     """Tables and figures of the store, in the order of the page; baseline: None for the classical configuration."""
     configurations = Part("tables", "Tables", "Configurations over seeds")
     configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame, baseline)]
@@ -60,8 +55,7 @@ def parts(frame: pd.DataFrame, baseline: str | None, advance: Callable[[], None]
     title = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
     smallest.tables = [attempt(title, smallest_configurations, frame)]
     colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
-    advance()
-    colours.draw(COLOURS, frame, advance)
+    colours.draw(COLOURS, frame)
     paper = Part("paper", "Paper", "The paper's tables and figures, with ours")
     without = []
     for title, make in PAPER_TABLES.values():
@@ -70,9 +64,9 @@ def parts(frame: pd.DataFrame, baseline: str | None, advance: Callable[[], None]
         without += [] if tables else [title]
     if without:
         paper.text = f"No run is a row of: {'; '.join(without)}."
-    paper.draw(PAPER_FIGURES, frame, advance)
+    paper.draw(PAPER_FIGURES, frame)
     more = Part("more", "Figures", "More figures")
-    more.draw(OTHER_FIGURES, frame, advance, baseline)
+    more.draw(OTHER_FIGURES, frame, baseline)
     return [configurations, smallest, colours, paper, more]
 
 

@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,12 +57,10 @@ class Pictures:
         return self._indices[key]
 
 
-def gather(
-    frame: pd.DataFrame, order: Iterable[int], max_views: int, *, budget: int = MAX_BYTES, advance: Callable[[], None]
-) -> Pictures:
+def gather(frame: pd.DataFrame, order: Iterable[int], max_views: int, *, budget: int = MAX_BYTES) -> Pictures:
     """Views of the runs with the row numbers `order`, until there are `max_views` of them or `budget` bytes.
 
-    A run has all its views or none, so that any two of a scene can be compared. `advance` is called after each run.
+    A run has all its views or none, so that any two of a scene can be compared.
     """
     result = Pictures()
     for row in order:
@@ -75,7 +73,6 @@ def gather(
                 result.add(row, view, named_panels(path, signal=signal))
             except ValueError as error:
                 result.problems.append(str(error))
-        advance()
     return result
 
 

@@ -46,13 +46,13 @@ class WatchedStore:
         ValueError: there is no such folder, or it holds packed runs.
     """
 
-    def __init__(self, store: str | Path, progress: index.Progress | None = None) -> None:
+    def __init__(self, store: str | Path) -> None:
         self.folder = existing_store(store)
         if packed.is_packed(self.folder) and not holds_runs(self.folder):
             raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
         self._lock = threading.Lock()
         self._stamps: Stamps = index.scan(self.folder)
-        frame = index.load(self.folder, progress=progress)
+        frame = index.load(self.folder)
         self._rows: dict[str, dict[str, Any]] = {}
         self._changed: dict[str, int] = {}  # run -> version in which its row changed last
         self._removed: dict[str, int] = {}

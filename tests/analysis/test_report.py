@@ -25,10 +25,6 @@ from tests.helpers.sweep import FIELDS, SEEDS
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'`&amp;javascript:alert(3)"
 
 
-def silent(*_):
-    return lambda: None
-
-
 @pytest.fixture(scope="module")
 def store(trained):
     return trained
@@ -41,7 +37,7 @@ def frame(store):
 
 @pytest.fixture(scope="module")
 def gathered_once(store):
-    return page_content(runs(store), parser().parse_args([str(store), "--title", EVIL]), silent)
+    return page_content(runs(store), parser().parse_args([str(store), "--title", EVIL]), print)
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +101,12 @@ def test_thinned_curves_keep_the_mean_and_the_end(rows, points):
 
 
 def test_curves_are_what_the_runs_logged(frame):
-    found = curves.gather(frame, range(len(frame)), advance=silent())
+    found = curves.gather(frame, range(len(frame)))
     row = frame.index[(frame["field"] == "qcolor") & (frame["seed"] == 1)][0]
     logged = metrics(frame["path"][row], "train/psnr")
     assert found[row]["train/psnr"]["step"] == logged["step"].tolist() == [1, 2, 3, 4, 5, 6]
     assert found[row]["train/psnr"]["value"] == pytest.approx(logged["value"], rel=1e-4)
-    assert len(curves.gather(frame, range(len(frame)), max_runs=2, advance=silent())) == 2
+    assert len(curves.gather(frame, range(len(frame)), max_runs=2)) == 2
     unfinished = frame.index[frame["state"] == "failed"][0]
     assert unfinished not in found
 
@@ -120,7 +116,7 @@ def pixels(uri):
 
 
 def test_pictures_are_the_runs_own_and_the_truth_is_there_once(frame):
-    found = gather(frame, range(len(frame)), 100, advance=silent())
+    found = gather(frame, range(len(frame)), 100)
     finished = frame.index[frame["state"] == "finished"]
     assert sorted(found.runs) == sorted(finished)
     views = {row: list(found.runs[row]) for row in finished}
@@ -136,10 +132,10 @@ def test_pictures_are_the_runs_own_and_the_truth_is_there_once(frame):
 
 def test_pictures_stop_at_their_number_and_their_bytes_and_say_so(frame):
     views = len(pictures(frame["path"][frame["state"].eq("finished").idxmax()]))
-    found = gather(frame, range(len(frame)), views, advance=silent())
+    found = gather(frame, range(len(frame)), views)
     assert (len(found.runs), found.views, found.left_out) == (1, views, 3)
     assert "3 runs have no pictures here" in found.note
-    assert len(gather(frame, range(len(frame)), 100, budget=1, advance=silent()).runs) == 1
+    assert len(gather(frame, range(len(frame)), 100, budget=1).runs) == 1
 
 
 def test_a_signals_picture_has_three_panels(tmp_path):
@@ -156,7 +152,7 @@ def test_a_damaged_picture_is_told_and_does_not_stop_the_others(tmp_path):
     strip = picture(*random.integers(0, 255, (4, 5, 6, 3), dtype=np.uint8))
     run = write_run(tmp_path, pictures={"one": strip, "two": strip})
     (run / "images" / "one.png").write_bytes(b"\x89PNG broken")
-    found = gather(runs(tmp_path), [0], 100, advance=silent())
+    found = gather(runs(tmp_path), [0], 100)
     assert list(found.runs[0]) == ["two"]
     assert "1 pictures are damaged" in found.note
 

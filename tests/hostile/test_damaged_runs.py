@@ -105,7 +105,7 @@ def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes)
     with pytest.raises(StoreError, match=r"0\.png: "):
         images.panels(images.pictures(bad)["0"])
     frame = load.runs(store)
-    gathered = pictures.gather(frame, range(4), 100, advance=lambda: None)
+    gathered = pictures.gather(frame, range(4), 100)
     assert (gathered.views, len(gathered.problems)) == (7, 1)
     assert set(hsv.samples(frame)["image"]) == {"1"}
 

@@ -143,20 +143,6 @@ def test_old_heartbeat_that_changes_keeps_the_run(tmp_path: Path) -> None:
     assert "on other" in claim.message
 
 
-def test_a_clock_set_back_changes_nothing_here(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = claimed(store_)
-    run.log(0, 0.0, {"loss": 1.0})
-    now = time.time()
-    monkeypatch.setattr(time, "time", lambda: now - 1e6)
-    run.flush()
-    assert records.state(run.dir) == "running"
-    assert store_.claim("a", CONFIG).outcome == "busy"
-    monkeypatch.undo()
-    assert records.state(run.dir) == "running"
-    run.finish()
-    assert records.state(run.dir) == "finished"
-
-
 def test_a_writer_that_was_succeeded_stops(store_: RunStore) -> None:
     first = claimed(store_)
     first.log(0, 0.0, {"loss": 1.0})

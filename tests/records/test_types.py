@@ -42,7 +42,8 @@ def test_summaries_have_one_schema(store: Path) -> None:
     schemas = [pq.read_schema(store / name / "summary.parquet") for name in RUNS]
     schema = pa.unify_schemas(schemas)
     declared = {"int": "int64", "float": "double", "bool": "bool", "text": "string"}
-    for name, kind in {**TYPES, "extra.count": "float", "scene.crop": "bool", "more": "float"}.items():
+    results = {"psnr": "float", "params.color": "int", "lpips_reason": "text", "error": "text", "more": "float"}
+    for name, kind in {**TYPES, **results, "extra.count": "float", "scene.crop": "bool"}.items():
         assert str(schema.field(name).type) == declared[kind]
     assert not any(pa.types.is_null(kind) for schema in schemas for kind in schema.types)
     assert "train.width" in schemas[0].names  # declared, without a value

@@ -14,7 +14,7 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +35,6 @@ from qnerf.records.location import existing_store
 from qnerf.records.owner import unix_time
 from qnerf.records.schemas import known_kind
 
-Progress = Callable[[str, int, int], None]
-"""Called with what is read, how many of them were read, and how many there are to read."""
-
 RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
 """Columns that do not come from the summary, even if it has values with these names."""
 
@@ -54,7 +51,7 @@ Stamps = dict[str, str]
 """Run -> stamp of its files."""
 
 
-def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: Progress | None = None) -> pd.DataFrame:
+def load(store: str | Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """One row per run, sorted by `run_id`. The columns are the union of those of summary.parquet (results, parameter
     counts, timings, the flat configuration), empty for runs that lack them, and:
 
@@ -64,8 +61,7 @@ def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: P
 
     A column with numbers in some runs and text in others is text.
 
-    store: a folder; an empty one gives no rows. columns: only these; names that no run has are left out. progress: see
-    `Progress`.
+    store: a folder; an empty one gives no rows. columns: only these; names that no run has are left out.
 
     Raises:
         ValueError: the store cannot be read.
@@ -74,13 +70,8 @@ def load(store: str | Path, columns: Sequence[str] | None = None, *, progress: P
     stamps = scan(root)
     stored = _stored(root)
     kept = {run for run, stamp in stamps.items() if run in stored and stored[run][0] == stamp != UNSETTLED}
-    rows: dict[str, Row] = {}
-    for number, run in enumerate(stamps):
-        if progress is not None:
-            progress("runs", number, len(stamps))
-        row = stored[run][1] if run in kept else _row(root / run)
-        if row is not None:
-            rows[run] = row
+    found = {run: stored[run][1] if run in kept else _row(root / run) for run in stamps}
+    rows = {run: row for run, row in found.items() if row is not None}
     if len(stamps) + len(stored) - 2 * len(kept) > _CHANGES_WORTH_SAVING * len(stamps):
         _save(root, {run: (stamps[run], row) for run, row in rows.items()})
     return _frame(root, list(rows.values()), columns)
