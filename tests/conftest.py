@@ -58,7 +58,7 @@ SLOW = (
     "scenes/test_sizes_and_masks.py::test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size",
     "signals/test_runs.py",
     "quantum/test_tapes.py::test_random",
-    "quantum/test_tapes.py::test_the_device_passes",
+    "quantum/test_tapes.py::test_device_passes",
     "search/",
     "slurm/",
     "test_devices.py",

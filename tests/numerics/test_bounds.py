@@ -25,7 +25,7 @@ def test_hard_cases(part: str) -> None:
             held(case)
 
 
-def test_the_error_is_relative_to_the_largest_and_infinite_where_a_nan_hides() -> None:
+def test_relative_error_is_infinite_where_a_nan_hides() -> None:
     exact = rounded([1.0, -4.0, math.inf])
     assert relative(rounded([1.5, -4.0, math.inf]), exact) == 0.125
     for wrong in ([1.0, -4.0, 5.0], [1.0, math.nan, math.inf], [1.0, -4.0, -math.inf]):
@@ -33,7 +33,7 @@ def test_the_error_is_relative_to_the_largest_and_infinite_where_a_nan_hides() -
     assert relative(rounded([math.nan]), rounded([math.nan])) == 0
 
 
-def test_the_page_shows_the_largest_errors_and_a_broken_bound_is_found() -> None:
+def test_page_shows_the_largest_errors_and_broken_bounds_are_found() -> None:
     case = next(case for case in CASES if case.id == "losses: distortion, coincident edges")
     frame = pd.DataFrame(measure(case, repeats=1))
     assert beyond(frame).empty

@@ -71,7 +71,7 @@ def one_thread() -> None:
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_twice_in_one_process(tiny: Tiny) -> None:
+def test_training_twice_in_one_process(tiny: Tiny) -> None:
     config = tiny(*EVERYTHING)
     first = digest(trained(config, 3).state())
     torch.rand(7)  # what else the process does with random numbers does not count
@@ -80,7 +80,7 @@ def test_twice_in_one_process(tiny: Tiny) -> None:
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_in_a_fresh_process(tiny: Tiny) -> None:
+def test_training_in_a_fresh_process(tiny: Tiny) -> None:
     """With the same number of threads on the same machine: instruction sets and libraries choose the order of sums."""
     config = tiny(*EVERYTHING)
     path = os.pathsep.join([str(ROOT), *filter(None, sys.path)])
@@ -138,7 +138,7 @@ def test_whole_steps_on_1_and_2_threads_agree_as_long_as_no_gradient_is_rounding
 
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("at", [1, 9, 10, 12], ids=["first", "last early update", "interval grows", "annealed"])
-def test_through_a_resume(tiny: Tiny, at: int) -> None:
+def test_training_through_a_resume(tiny: Tiny, at: int) -> None:
     """At corners of the schedules too: the last of the first ten steps, in which the proposal networks learn each time,
     the first after it, and the step at which the annealing ends. The optimiser's state goes through a file.
     """

@@ -29,7 +29,7 @@ def test_harmonics_of_unnormalised_directions(degree: int, axis: tuple[float, ..
     assert error <= HARMONICS
 
 
-def test_the_zero_direction_has_a_finite_gradient() -> None:
+def test_harmonics_of_the_zero_direction_have_a_finite_gradient() -> None:
     direction = torch.zeros(3, requires_grad=True)
     values = spherical_harmonics(direction, 4)
     (gradient,) = torch.autograd.grad(values.sum(), direction)
@@ -37,7 +37,7 @@ def test_the_zero_direction_has_a_finite_gradient() -> None:
     assert bool(gradient.isfinite().all())
 
 
-def test_the_longest_direction_is_finite_and_a_longer_one_is_not_hidden() -> None:
+def test_harmonics_of_the_longest_direction_are_finite_and_of_a_longer_one_not_hidden() -> None:
     longest = torch.tensor([LONGEST, -LONGEST, LONGEST])
     assert bool(spherical_harmonics(longest, 4).isfinite().all())
     assert not bool(spherical_harmonics(100 * longest, 4).isfinite().all())

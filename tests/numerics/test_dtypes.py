@@ -83,7 +83,7 @@ STEPS = {
 
 
 @pytest.mark.parametrize("name", STEPS)
-def test_a_float32_step_makes_no_float64_but_on_purpose(
+def test_step_in_float32_makes_no_float64_but_on_purpose(
     tiny: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     options, expected = STEPS[name]
@@ -97,13 +97,13 @@ def test_a_float32_step_makes_no_float64_but_on_purpose(
 
 
 @pytest.mark.parametrize("name", ["polynomials", "random features"])
-def test_a_float64_step_makes_no_float32(tiny: Callable[..., dict[str, Any]], name: str) -> None:
+def test_step_in_float64_makes_no_float32(tiny: Callable[..., dict[str, Any]], name: str) -> None:
     assert stepped(tiny(*STEPS[name][0], "train.distortion=0.01", "numerics.dtype=float64")).found == {}
 
 
 @pytest.mark.parametrize("method", ["statevector", "lightcone"])
 @pytest.mark.parametrize("backend", ["compiled", "torch"])
-def test_a_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s(method: str, backend: str) -> None:
+def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s(method: str, backend: str) -> None:
     layer = QuantumLayer(3, 1, method=method, backend=backend)
     assert layer(torch.zeros(2, 3)).dtype == torch.float32
     assert layer(torch.zeros(2, 3, dtype=torch.float64)).dtype == torch.float64

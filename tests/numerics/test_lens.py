@@ -28,7 +28,7 @@ def test_undistortion_that_does_not_converge_is_finite_and_told(
     assert not bool(invertible(torch.tensor([[math.nan, 0.0]], dtype=torch.float64), coefficients).any())
 
 
-def test_beyond_the_fold_there_is_no_point_and_none_is_claimed() -> None:
+def test_undistortion_beyond_the_fold_claims_no_point() -> None:
     """k1 = -1/3: radius 1 is seen at 2/3, the farthest; nothing is seen beyond."""
     lens = torch.tensor([-1 / 3, 0, 0, 0], dtype=torch.float64)
     radius = torch.tensor([0.0, 0.3, 0.6, 0.66, 0.6667, 0.7, 1.0], dtype=torch.float64)

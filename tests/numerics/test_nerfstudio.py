@@ -11,13 +11,13 @@ def rows() -> pd.DataFrame:
     return differences().set_index("function")
 
 
-def test_every_function_agrees_within_its_bound(rows: pd.DataFrame) -> None:
+def test_functions_agree_with_nerfstudio_within_their_bounds(rows: pd.DataFrame) -> None:
     beyond = rows[~(rows["difference"] <= rows["bound"])]
     assert beyond.empty, beyond.to_string()
     assert len(rows) == 37
 
 
-def test_where_more_than_rounding_differs_ours_is_nearer_to_float64(rows: pd.DataFrame) -> None:
+def test_functions_that_differ_are_nearer_to_float64(rows: pd.DataFrame) -> None:
     for name in DIFFERENT:
         row = rows.loc[name]
         assert row["difference"] > BOUND, name

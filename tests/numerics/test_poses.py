@@ -29,7 +29,7 @@ def vector(axis: tuple[float, ...], angle: float) -> Tensor:
 
 
 @given(axis=AXES, angle=ANGLES)
-def test_a_rotation_of_any_angle(axis: tuple[float, ...], angle: float) -> None:
+def test_rotations_of_any_angle(axis: tuple[float, ...], angle: float) -> None:
     """Orthogonal, right up to the rounding of the angle, with a finite gradient: no 0/0, no infinity times 0."""
     turn = vector(axis, angle).float().requires_grad_()
     rotation = exp_so3(turn)

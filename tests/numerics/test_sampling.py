@@ -121,7 +121,7 @@ def test_edges_of_every_sampler_are_ordered_from_near_0_to_far_1e6(
 
 
 @given(seed=seeds, bins=st.integers(1, 64), count=st.integers(1, 64), power=st.sampled_from([0, 1, 8, 40]))
-def test_the_plain_form_draws_the_same_edges_in_float64(seed: int, bins: int, count: int, power: int) -> None:
+def test_sample_edges_in_plain_form_are_the_same_in_float64(seed: int, bins: int, count: int, power: int) -> None:
     """In float64 both agree as far as the distribution does: 1e-9 of [0, 1] at a padding of 0.01."""
     generator = torch.Generator().manual_seed(seed)
     s = torch.rand(3, bins + 1, generator=generator, dtype=torch.float64).sort(-1).values

@@ -290,7 +290,7 @@ def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, ca
     assert (path / "eval_hardware.parquet").exists()
 
 
-def test_mistakes_are_one_line(tiny, tiny_scene, monkeypatch, capsys):
+def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, capsys):
     path = run(tiny("field=classical")).path
 
     def refused(*arguments: str) -> str:
@@ -319,7 +319,7 @@ def test_mistakes_are_one_line(tiny, tiny_scene, monkeypatch, capsys):
     assert not (path / "rays.parquet").exists()
 
 
-def test_runs_that_are_not_finished_are_refused(tmp_path):
+def test_load_refuses_runs_that_are_not_finished(tmp_path):
     with pytest.raises(ValueError, match="is not a run"):
         load(tmp_path)
     (tmp_path / "config.yaml").write_text("seed: 0")

@@ -16,7 +16,7 @@ def path(quantum_run, tmp_path):
     return shutil.copytree(quantum_run, tmp_path / "copy")
 
 
-def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(path):
+def test_hardware_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(path):
     lines: list[str] = []
     table = evaluate_hardware(load(path), grid([4, 100_000], "none", [], 0), tell=lines.append)
     assert len(lines) == 3
@@ -36,7 +36,7 @@ def test_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(pat
         evaluate_hardware(load(path), [Condition()])
 
 
-def test_rows_of_another_command_meanwhile_stay(path):
+def test_hardware_rows_of_another_command_meanwhile_stay(path):
     meanwhile = []
 
     def tell(_: str) -> None:

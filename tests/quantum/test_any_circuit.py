@@ -263,7 +263,7 @@ MISTAKES: list[tuple[Callable[[], Any], str]] = [
 ]
 
 
-def test_wrong_descriptions_say_what_is_wrong() -> None:
+def test_mistakes_in_descriptions_are_one_line() -> None:
     for make, message in MISTAKES:
         with pytest.raises(ValueError, match=message) as error:
             make()

@@ -68,7 +68,7 @@ def test_cones_need_scales_with_a_common_unit() -> None:
         find_cones(circuit)
 
 
-def test_wrong_descriptions_say_what_is_wrong() -> None:
+def test_mistakes_in_descriptions_are_one_line() -> None:
     word = ((0, "Z"),)
     for operation, words, message in (
         (Rotations(9), (word,), "rotations use row 9, weights have rows 0..3"),
@@ -89,7 +89,7 @@ def test_reuploading_circuits_measure_each_wire_in_one_letter() -> None:
     assert Circuit("one", 2, 1, 2, (), (((0, "Z"),), ((1, "X"),))).reuploading
 
 
-def test_wrong_options_of_an_ansatz_say_what_is_wrong() -> None:
+def test_mistakes_in_options_of_an_ansatz_are_one_line() -> None:
     for options, message in (
         ({"scaling": "cubic"}, "scaling expects one of unit, ternary, got 'cubic'"),
         ({"ranges": (3, 1)}, "none a multiple of 3"),

@@ -127,7 +127,7 @@ def test_second_derivatives_are_those_of_differences() -> None:
         assert torch.autograd.gradgradcheck(partial(function, x.detach()), (w,))
 
 
-def test_many_blocks_of_samples() -> None:
+def test_engines_take_many_blocks_of_samples() -> None:
     """Each part of the batch that is summed on its own holds several blocks."""
     for wires, spectral in ((1, 2), (4, 2), (6, 1), (8, 2)):
         circuit = ANSATZE.build("qiren", wires, spectral)

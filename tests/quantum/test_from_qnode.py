@@ -97,7 +97,7 @@ def compare(layer: Any, peer: Any, x: Tensor, name: str) -> None:
     assert str(own.value) == str(error), name
 
 
-def test_a_function_sees_inputs_weights_and_what_it_captures_as_they_are_at_each_call() -> None:
+def test_from_qnode_sees_inputs_weights_and_captured_values_of_each_call() -> None:
     held = nn.Parameter(torch.tensor([0.3, 0.7]))
     settings: dict[str, Any] = {"depth": 1, "offset": torch.zeros(2), "scale": np.ones(2)}
 
@@ -201,7 +201,7 @@ def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer() -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore:Casting complex values")
-def test_what_no_engine_takes_runs_on_the_qnodes_device_and_the_layer_says_so(change: Any, reason: str) -> None:
+def test_from_qnode_falls_back_on_the_qnodes_device_and_says_so(change: Any, reason: str) -> None:
     layer = from_qnode(change(NODE), {"weights": (3, 2, 3)})
     with pytest.warns(UserWarning, match=f"from_qnode runs .* on default.*: {reason}"):
         first = layer(torch.rand(3, 2))
@@ -210,7 +210,7 @@ def test_what_no_engine_takes_runs_on_the_qnodes_device_and_the_layer_says_so(ch
 
 
 @pytest.mark.filterwarnings("ignore:from_qnode runs")
-def test_what_pennylane_refuses_is_refused_with_its_reason() -> None:
+def test_from_qnode_refuses_what_pennylane_refuses() -> None:
     for operation in (
         lambda x: qml.BitFlip(0.1, wires=0),
         lambda x: qml.AmplitudeEmbedding(x, wires=0, pad_with=0.0),
@@ -240,7 +240,7 @@ def queuing(operation: Callable[[Any], Any]) -> Callable[..., Any]:
     return function
 
 
-def test_a_circuit_is_made_of_polynomials_alone() -> None:
+def test_circuit_of_a_qnode_is_made_of_polynomials_alone() -> None:
     cases: list[tuple[Callable[[Any], Any], str]] = [
         (lambda x: qml.RX(np.sin(x[0]), wires=0), "sin"),
         (lambda x: qml.RX(1 / x[0], wires=0), "unsupported operand"),
@@ -289,7 +289,7 @@ class Zero(nn.Module):
         return 0 * x
 
 
-def test_a_layer_used_under_inference_mode_trains_and_takes_negated_and_empty_batches() -> None:
+def test_layer_used_under_inference_mode_trains_and_takes_negated_and_empty_batches() -> None:
     for kind in ((rotated().circuit(2),), (2, 1)):
         for options in ({}, {"shots": 10}, {"noise": {"readout": 0.01}, "shots": 10}):
             layer = QuantumLayer(*kind, **options, seed=0)

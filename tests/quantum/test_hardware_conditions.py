@@ -68,7 +68,7 @@ def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
     assert trained.w.grad.abs().max() > 0
 
 
-def test_wrong_conditions_are_refused() -> None:
+def test_conditions_that_are_wrong_are_refused() -> None:
     with pytest.raises(ValueError, match=r"circuit mixed is not; evaluate with conditions\(..., method='density'\)"):
         QuantumLayer(MIXED, noise={"two_qubit": 0.1})
     layer = QuantumLayer(2, 1)

@@ -133,7 +133,7 @@ MISTAKES: list[tuple[tuple[Any, ...], dict[str, Any], str]] = [
 ]
 
 
-def test_wrong_arguments_and_inputs_say_what_is_wrong() -> None:
+def test_mistakes_in_arguments_and_inputs_are_one_line() -> None:
     for arguments, options, message in MISTAKES:
         with pytest.raises(ValueError, match=message) as error:
             QuantumLayer(*arguments, **options)

@@ -218,7 +218,7 @@ def test_pauli_twirl_keeps_the_diagonal_of_the_transfer_matrix() -> None:
         assert 1 - 2 * (sum(mixed) - mixed[letter]) == pytest.approx(np.trace(pauli @ state).real / 2)
 
 
-def test_impossible_noise_is_one_line() -> None:
+def test_noise_that_is_impossible_is_one_line() -> None:
     for fields, message in (
         ({"t1": 1.0, "t2": 3.0, "one_qubit_time": 1.0}, "t2 expects at most 2 t1 = 2, got 3"),
         ({"t1": 1.0}, "also expect one_qubit_time"),

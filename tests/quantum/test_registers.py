@@ -45,7 +45,7 @@ def test_output_of_64_wires_sees_what_a_smaller_ring_sees() -> None:
     assert cost.memory < 2**28
 
 
-def test_wires_that_do_not_fit_say_so() -> None:
+def test_circuits_that_do_not_fit_say_so() -> None:
     wide = ANSATZE.build("qiren", 64, 1)
     layer = QuantumLayer(wide, shots=10)
     assert layer(torch.zeros(2, 64)).shape == (2, 64)

@@ -159,14 +159,14 @@ def test_random_qnodes_equal_default_qubit(drawn: tuple[int, Script], batch: tup
             torch.testing.assert_close(one, two, rtol=1e-11, atol=1e-11, check_dtype=True)
 
 
-def test_the_device_is_found_by_its_name() -> None:
+def test_device_is_found_by_its_name() -> None:
     found = {entry.name: entry.value for entry in entry_points(group="pennylane.plugins")}
     if "qnerf.fast" not in found:
         pytest.skip("the package was installed before it had the device")
     assert isinstance(qml.device("qnerf.fast", wires=2), FastDevice)
 
 
-def test_other_interfaces_differentiate_by_parameter_shift() -> None:
+def test_device_differentiates_other_interfaces_by_parameter_shift() -> None:
     def script(angle: Any) -> Any:
         qml.RX(angle, wires="a")
         qml.CNOT(["a", "b"])
@@ -179,7 +179,7 @@ def test_other_interfaces_differentiate_by_parameter_shift() -> None:
 
 
 @pytest.mark.parametrize("method", ["adjoint", "device", "best"])
-def test_methods_of_other_simulators_are_taken(method: str) -> None:
+def test_device_takes_the_gradient_methods_of_other_simulators(method: str) -> None:
     node = qml.QNode(lambda x: qml.RX(x, wires=0) and qml.expval(qml.Z(0)), FastDevice(wires=1), diff_method=method)
     x = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
     node(x).backward()
@@ -188,7 +188,7 @@ def test_methods_of_other_simulators_are_taken(method: str) -> None:
     assert np.isclose(qml.grad(node)(qml.numpy.array(0.4, requires_grad=True)), -np.sin(0.4))
 
 
-def test_float32_parameters_are_computed_in_float32() -> None:
+def test_device_computes_float32_parameters_in_float32() -> None:
     node = qml.QNode(lambda x: qml.RX(x, wires=0) and qml.expval(qml.Z(0)), FastDevice(wires=1))
     x = torch.linspace(0, 3, 7)
     assert node(x).dtype == torch.float64
@@ -204,7 +204,7 @@ def test_float32_parameters_are_computed_in_float32() -> None:
         (None, lambda: qml.probs(op=qml.X(1))),
     ],
 )
-def test_what_no_engine_takes_is_simulated_as_on_default_qubit(shots: int | None, measure: Callable[[], Any]) -> None:
+def test_device_simulates_what_no_engine_takes(shots: int | None, measure: Callable[[], Any]) -> None:
     def script(angle: Any) -> Any:
         qml.RX(angle, wires=0)
         qml.cond(qml.measure(0), qml.X)(1)
@@ -226,19 +226,19 @@ def test_what_no_engine_takes_is_simulated_as_on_default_qubit(shots: int | None
         (lambda: qml.X(2), "Cannot run circuit"),
     ],
 )
-def test_what_default_qubit_refuses_is_refused(operation: Callable[[], Any], message: str) -> None:
+def test_device_refuses_what_default_qubit_refuses(operation: Callable[[], Any], message: str) -> None:
     node = qml.QNode(lambda: operation() and qml.expval(qml.Z(0)), FastDevice(wires=2))
     with pytest.raises((DeviceError, WireError), match=message):
         node()
 
 
-def test_a_state_that_does_not_fit_into_memory_is_refused_before_it_is_made() -> None:
+def test_device_refuses_a_state_that_does_not_fit_into_memory() -> None:
     node = qml.QNode(lambda: qml.X(0) and qml.state(), FastDevice(wires=50))
     with pytest.raises(ValueError, match=r"a state as of default\.qubit would take"):
         node()
 
 
-def test_the_device_passes_the_suite_of_pennylane(tmp_path: Path) -> None:
+def test_device_passes_the_suite_of_pennylane(tmp_path: Path) -> None:
     """Of its gates, templates and wires only in long runs: random QNodes have them."""
     pytest.importorskip("pytest_mock")
     pytest.importorskip("flaky")

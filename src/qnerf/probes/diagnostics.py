@@ -37,7 +37,7 @@ def expressibility(trained: Trained) -> pd.DataFrame:
 
 def entangling(trained: Trained) -> pd.DataFrame:
     """Two rows for each circuit, as in `expressibility`. Columns head, circuit, weights, entanglement, standard_error,
-    haar: mean Meyer-Wallach entanglement of the states, and that of random states, (2^n - 2) / (2^n + 1).
+    haar: mean Meyer-Wallach entanglement of the states, and of random states, (2^n - 2) / (2^n + 1).
     """
     rows = []
     for row, layer, x in _circuits(trained):
@@ -54,7 +54,7 @@ def fisher(trained: Trained) -> pd.DataFrame:
 
     Columns head, circuit, index, eigenvalue (at the trained weights, largest first), and for the circuit: parameters,
     rank, effective_dimension (over random weights), local_effective_dimension (at the trained ones). The number of
-    samples in the effective dimension is that of the training pixels.
+    samples in the effective dimension is the number of training pixels.
     """
     pixels = max(2, len(trained.ray_table().training))
     parts = []

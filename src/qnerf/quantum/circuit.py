@@ -165,7 +165,7 @@ class Circuit:
         observables: at least one. A Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities`
             of k wires are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
         features: length of the input; by default n. Lists may stand for tuples.
-        weights: the trainable weights of the gates. Those of `Rotations` need no entry.
+        weights: the trainable weights of the gates. The weights of `Rotations` need no entry.
 
     Raises:
         ValueError: an operation, row, wire, gate, axis, weight, feature or Pauli letter that does not exist, or no

@@ -83,7 +83,7 @@ class Trace(NamedTuple):
 
     Attributes:
         wires: that it may act on at some time; no others have an effect on its expectation value.
-        scales: wire -> those of the encodings that do not commute with it.
+        scales: wire -> scales of the encodings that do not commute with it.
     """
 
     wires: frozenset[int]

@@ -65,7 +65,7 @@ def uniform_angles(count: int, *shape: int) -> Tensor:
 def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
     """The states (B, 2^n) at inputs x (B, features), complex128. Weights are (P,), shared by all samples, or (B, P).
 
-    Those of re-uploading circuits are turned by the same rotation of every wire, which changes neither fidelities nor
+    In re-uploading circuits every wire is turned by the same rotation, which changes neither fidelities nor
     entanglement.
     """
     family = family_of(circuit)

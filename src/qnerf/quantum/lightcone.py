@@ -193,7 +193,7 @@ class _BoundGrid:
         return out
 
     def backward(self, gradient: np.ndarray) -> np.ndarray:
-        """Gradient of the weights from that of the coefficients."""
+        """Gradient of the weights from the gradient of the coefficients."""
         blocks, width = self.points.shape[0], self.points.shape[-1]
         to_values = np.zeros((len(gradient), blocks * width))
         to_values[:, : len(self.grid.points)] = np.matmul(gradient[:, None], self.grid.matrix)[:, 0]

@@ -33,7 +33,7 @@ class Conditions:
             (`pauli_errors.folds`).
         patterns: drawn for each call of a circuit. All its samples share them.
         gradients: False makes a backward pass through the outputs a ValueError. With True they have the derivatives of
-            the exact values, or with noise those of the drawn patterns (never density matrices). Values of shots are
+            the exact values, or with noise of the drawn patterns (never density matrices). Values of shots are
             sampled, their derivatives are not: d loss / d value is taken at the sampled value. The parameter-shift rule
             with shots of its own has this expectation, and more variance.
 

@@ -87,8 +87,8 @@ def draw(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """The probability of no error at all, and patterns that have one.
 
-    The patterns are two boolean arrays (patterns, spots), an X part and a Z part; both make a Y. `sizes` are those of
-    `spots`. There are no patterns where no error can happen.
+    The patterns are two boolean arrays (patterns, spots), an X part and a Z part; both make a Y. `sizes` are
+    the `spots`. There are no patterns where no error can happen.
     """
     rates = {size: noise.pauli_probabilities(size) for size in set(sizes)}
     probabilities = np.array([rates[size] for size in sizes]).reshape(-1, 3)

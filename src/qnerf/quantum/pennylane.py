@@ -189,7 +189,7 @@ def make_node(
 
 
 def draw(circuit: Circuit | Any) -> str:
-    """The circuit, or that of a layer, as `qml.draw` shows it, without angles.
+    """A circuit or the circuit of a layer, as `qml.draw` shows it, without angles.
 
     >>> from qnerf.quantum.circuit import ANSATZE
     >>> print(draw(ANSATZE.build("rx", 2, 1)))

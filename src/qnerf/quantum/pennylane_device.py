@@ -21,7 +21,7 @@ from pennylane.transforms.core import CompilePipeline
 from qnerf.config import memory
 from qnerf.quantum.tapes import Execution, execution_of
 
-simulate = inspect.unwrap(DefaultQubit.execute)  # without its Tracker: that of `FastDevice` counts
+simulate = inspect.unwrap(DefaultQubit.execute)  # without its Tracker: `FastDevice` has one
 EXACT = {"backprop", None}
 """Gradient methods with which the results stay in the tape's interface; with others they are arrays of NumPy."""
 
@@ -51,11 +51,11 @@ class FastDevice(_Executing, DefaultQubit):
 
     They take tapes without shots whose parameters are numbers, arrays of NumPy or tensors of PyTorch. Derivatives are
     backprop through PyTorch, also where a script names `adjoint` or `device`. Tensors that are all float32 are computed
-    with in float32, anything else in float64; results are float64, as those of `default.qubit`.
+    with in float32, anything else in float64; results are float64, as on `default.qubit`.
 
     Args:
-        wires: their number, or labels. None takes those of each tape.
-        shots, seed, max_workers: as those of `default.qubit`.
+        wires: their number, or labels. None takes the wires of each tape.
+        shots, seed, max_workers: as for `default.qubit`.
     """
 
     @property
@@ -72,11 +72,11 @@ class FastDevice(_Executing, DefaultQubit):
     def setup_execution_config(
         self, config: ExecutionConfig | None = None, circuit: QuantumScript | None = None
     ) -> ExecutionConfig:
-        """That of `default.qubit`, with backprop for the methods of other simulators."""
+        """The configuration of `default.qubit`, with backprop for the methods of other simulators."""
         return super().setup_execution_config(_backprop(config), circuit)
 
     def preprocess_transforms(self, execution_config: ExecutionConfig | None = None) -> CompilePipeline:
-        """Those of `default.qubit` for the tapes that it simulates."""
+        """The transforms of `default.qubit`, for the tapes that it simulates."""
         config = execution_config or ExecutionConfig()
         pipeline = CompilePipeline()
         pipeline.add_transform(_unless_fast, self.wires, config, super().preprocess_transforms(config))

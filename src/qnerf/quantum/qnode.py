@@ -45,7 +45,7 @@ def from_qnode(
     Args:
         qnode: a QNode whose function takes `inputs`, one sample or a batch (..., features), and the weights by name.
         weight_shapes: name -> shape of each weight.
-        init_method: as that of TorchLayer; by default every weight is uniform in [0, 2 pi].
+        init_method: as TorchLayer takes it; by default every weight is uniform in [0, 2 pi].
 
     Raises:
         ValueError: no QNode; at a call, inputs that are no floating-point tensor. What PennyLane refuses, it refuses

@@ -1,7 +1,7 @@
 """A wide re-uploading circuit as registers: circuits of few wires that together have the same outputs, exactly.
 
 An expectation value depends on the wires in its light cone alone (`cones.trace`). So a state of the cone's wires is
-enough, however wide the circuit is. Outputs whose wires lie within those of another one share its register.
+enough, however wide the circuit is. An output whose wires another output has too shares its register.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> parts = registers(ANSATZE.build("qiren", 64, 1))
@@ -46,7 +46,7 @@ def is_split(circuit: Circuit) -> bool:
 
 @lru_cache(maxsize=64)
 def registers(circuit: Circuit) -> tuple[Register, ...]:
-    """The registers of a re-uploading circuit, that of the largest cone first."""
+    """The registers of a re-uploading circuit, the largest first."""
     cones = [(trace(circuit, word).wires or {0}, output) for output, word in enumerate(circuit.words)]
     joined: list[tuple[set[int], list[int]]] = []
     for cone, output in sorted(cones, key=lambda cone: -len(cone[0])):

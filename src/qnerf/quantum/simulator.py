@@ -50,7 +50,7 @@ class Simulator:
     def cost(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
         """The engine for a batch, and what a step costs. compiled: whether the compiled engines serve it.
 
-        Of a wide circuit, the method is that of its largest register.
+        The method of a wide circuit is the method of its largest register.
         """
         key = batch, dtype, compiled, loop_threads()
         if key not in self._costs:
