@@ -68,8 +68,7 @@ OPERATIONS = {  # group -> the start of its operations' names in PyTorch's profi
     "hash grids and the MLPs on them": ("_GridMLP", "_HashEncode"),
     "other linear layers and ReLU": ("aten::mm", "aten::addmm", "aten::linear", "aten::relu", "aten::threshold"),
     "circuits": ("_Polynomials", "_Simulate", "NormalisedForms", "_WithoutGradient"),
-    "weights, regularisers, merging": ("_VolumeWeights", "Distortion", "Interlevel", "Merge"),
-    "Adam": ("aten::_fused_adam", "Optimizer", "aten::_foreach"),
+    "weights, shares of colours, regularisers": ("VolumeWeights", "Shade", "ColorInputs", "Distortion", "Interlevel"),
 }
 
 Row = dict[str, object]

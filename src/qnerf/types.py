@@ -25,6 +25,7 @@ Units and conventions:
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 
@@ -86,10 +87,23 @@ class Samples:
 
 @dataclass(frozen=True)
 class Rendering:
-    """The result of volume rendering for R rays."""
+    """The result of volume rendering for R rays. Depths lie between the first and the last midpoint."""
 
     color: Tensor  # (R, 3)
-    depth: Tensor  # (R,) expected distance, world units
-    depth_median: Tensor  # (R,) distance at which the transmittance falls below 1/2
     accumulation: Tensor  # (R,) sum of the weights: opacity, in [0, 1]
     weights: Tensor  # (R, K)
+    samples: Samples
+
+    @property
+    def depth(self) -> Tensor:
+        """(R,) expected distance sum w t / sum w over interval midpoints t, world units."""
+        mids = self.samples.mids
+        depth = (self.weights * mids).sum(-1) / (self.weights.sum(-1) + 1e-10)
+        return torch.minimum(torch.maximum(depth, mids[:, 0]), mids[:, -1])
+
+    @property
+    def depth_median(self) -> Tensor:
+        """(R,) distance at which the transmittance falls below 1/2, world units."""
+        mids = self.samples.mids
+        half = (self.weights.detach().cumsum(-1) < 0.5).sum(-1, keepdim=True).clamp_(max=mids.shape[1] - 1)
+        return mids.detach().gather(-1, half)[:, 0]

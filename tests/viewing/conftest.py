@@ -40,12 +40,13 @@ def ball(trained, monkeypatch) -> Renderer:
     """The tiny run's renderer with a field that is a coloured ball, dense inside."""
     field = trained.model.field
 
-    def geometry_at(unit, inside, *, last=True):
+    def raw_at(unit, inside, *, last=True):
         points = field.contraction.inverse(unit)
         density = 4000 * torch.sigmoid(60 * (RADIUS - (points - CENTRE).norm(dim=-1)))
-        return density, points, None
+        return torch.cat([density[..., None].log(), points], dim=-1), None
 
-    monkeypatch.setattr(field, "geometry_at", geometry_at)
+    monkeypatch.setattr(field, "raw_at", raw_at)
+    monkeypatch.setitem(field._modules, "mask", None)
     monkeypatch.setattr(field, "color", lambda points, *_: (points + 1) / 2)
     settings = dataclasses.replace(
         trained.settings, render=dataclasses.replace(trained.settings.render, background="white")

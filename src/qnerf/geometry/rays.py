@@ -8,7 +8,11 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.geometry.pose_refinement import PoseRefinement
+from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
+from qnerf.kernels.dispatch import serves
+from qnerf.kernels.hashgrid import flat
+from qnerf.kernels.jit import run
+from qnerf.kernels.training_rays import GRAIN, gather_rays
 from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import directions, image_points
 from qnerf.types import Rays
@@ -209,9 +213,27 @@ class RayTable:
 
     def _training_rays(self, numbers: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
         """Rays and colours of training pixels (R,), numbered view by view and row by row."""
+        fixed = refinement is None or type(refinement) is FixedPoses
+        but = None if fixed else "refined poses"
+        but = "more directions than are kept" if self.directions is None else but
+        if serves("training rays", self.poses, but=but):
+            return self._gathered(numbers)
         views, pixels = (index.to(self.device) for index in self.training.locate(numbers))
         colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
+
+    def _gathered(self, numbers: Tensor) -> tuple[Rays, Tensor]:
+        """The same in a compiled loop."""
+        assert self.directions is not None
+        training, count = self.training, len(numbers)
+        origins, directions = self.poses.new_empty(2, count, 3).unbind()
+        colors, views = self.poses.new_empty(count, self.colors.shape[1]), torch.empty_like(numbers)
+        unmasked = torch.empty(0, dtype=torch.int32) if training.unmasked is None else training.unmasked
+        given = (numbers, training.ends, training.views, unmasked, self.first, self.lens_of_view, self.first_direction)
+        arrays = map(flat, (*given, self.directions, self.poses, self.colors, origins, directions, colors, views))
+        run(gather_rays, count, *arrays, grain=GRAIN)
+        bounds = (self.poses.new_full((count, 1), value) for value in (self.near, self.far))
+        return Rays(origins, directions, views, *bounds), colors
 
     def view(self, view: int, refinement: PoseRefinement | None = None) -> Rays:
         """All H * W rays of a view, row by row."""

@@ -25,7 +25,11 @@ def unit_points(
     if not serves("sample places", *ends, modules=modules, but=but):
         unit = contraction(rays.along(samples.mids))
         return unit, None if mask is None else mask(unit)
-    kind, half_extent = (points.BOX, contraction.half_extent) if isinstance(contraction, Box) else (points.CUBE, 1.0)
-    unit, inside = points.unit_points(*ends, kind, half_extent, None if mask is None else mask.grid)
+    unit, inside = points.unit_points(*ends, *numbers_of(contraction), None if mask is None else mask.grid)
     shape = torch.Size((len(rays), samples.edges.shape[1] - 1))
     return unit.view(*shape, 3), None if inside is None else inside.view(shape)
+
+
+def numbers_of(contraction: Contraction) -> tuple[int, float]:
+    """How a compiled loop knows a contraction that it serves: its kind, and h of a box."""
+    return (points.BOX, contraction.half_extent) if isinstance(contraction, Box) else (points.CUBE, 1.0)

@@ -32,27 +32,35 @@ class Loop(NamedTuple):
 
 _GRID = "levels min_resolution max_resolution log2_table_size features dense frequency_window"
 
+_SPACE = {
+    "qnerf.geometry.contraction.CubeContraction": frozenset[str](),
+    "qnerf.geometry.contraction.Box": frozenset(["half_extent"]),
+    "qnerf.geometry.visibility.SpaceMask": frozenset[str](),
+    "qnerf.model.occupancy.Occupancy": frozenset(["every", "after", "min_opacity"]),
+}
+_NETWORK = {
+    "qnerf.encoders.hash.HashEncoder": frozenset(_GRID.split()),
+    "qnerf.rendering.proposal_sampler.ProposalNetwork": frozenset[str](),
+}
+
 LOOPS: dict[str, Loop] = {
-    "sample places": Loop(
-        {
-            "qnerf.geometry.contraction.CubeContraction": frozenset(),
-            "qnerf.geometry.contraction.Box": frozenset(["half_extent"]),
-            "qnerf.geometry.visibility.SpaceMask": frozenset(),
-            "qnerf.model.occupancy.Occupancy": frozenset(["every", "after", "min_opacity"]),
-        }
-    ),
+    "training rays": Loop(),
+    "proposals": Loop(_SPACE | _NETWORK),
+    "sample places": Loop(_SPACE),
     "hash grid": Loop(),
-    "hash grid + MLP": Loop(
+    "hash grid + MLP": Loop(_NETWORK | {"qnerf.heads.mlp.MLPHead": frozenset(["layers", "width", "init"])}),
+    "drawing edges": Loop(),
+    "volume weights": Loop(),
+    "shading": Loop(
         {
-            "qnerf.encoders.hash.HashEncoder": frozenset(_GRID.split()),
-            "qnerf.heads.mlp.MLPHead": frozenset(["layers", "width", "init"]),
-            "qnerf.rendering.proposal_sampler.ProposalNetwork": frozenset(),
+            "qnerf.rendering.shading.EverySample": frozenset(),
+            "qnerf.rendering.shading.MergeShading": frozenset(["parts"]),
         }
     ),
-    "drawing edges": Loop(),
-    "merging samples": Loop(),
+    "colour inputs": Loop(),
     "interlevel loss": Loop(),
     "distortion loss": Loop(),
+    "Adam": Loop(),
     "counting views": Loop(),
     "circuits": Loop(),
 }
@@ -86,10 +94,11 @@ def _against(loop: Loop, tensors: Sequence[Tensor], modules: Sequence[nn.Module]
     """Why the loop does not compute this call; None: it does."""
     if _plain:
         return "inside plain()"
+    dtype = tensors[0].dtype
     for tensor in tensors:
-        if tensor.device.type not in loop.devices:
+        if not tensor.is_cpu and tensor.device.type not in loop.devices:
             return f"device {tensor.device.type}"
-        if tensor.dtype not in loop.dtypes or tensor.dtype != tensors[0].dtype:
+        if tensor.dtype != dtype or dtype not in loop.dtypes:
             return f"{tensor.dtype}".removeprefix("torch.")
     if is_transformed(*tensors):
         return "torch.func or forward-mode derivatives"
@@ -111,6 +120,7 @@ def _unknown(kind: type, loop: Loop) -> str | None:
     return f"option {min(later)} of {kind.__name__}" if later else None
 
 
+@cache
 def _path(kind: type) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
@@ -127,9 +137,12 @@ def _watched(module: nn.Module) -> str | None:
     own = vars(module)
     if "forward" in own:
         return f"another forward of {type(module).__name__}"
-    if any(own[hooks] for hooks in _HOOKS):
+    if own["_forward_hooks"] or own["_forward_pre_hooks"] or own["_backward_hooks"] or own["_backward_pre_hooks"]:
         return f"hooks on {type(module).__name__}"
-    return next(filter(None, map(_watched, module.children())), None)
+    for child in own["_modules"].values():
+        if child is not None and (reason := _watched(child)):
+            return reason
+    return None
 
 
 def is_transformed(*tensors: Tensor) -> bool:

@@ -30,7 +30,7 @@ from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import VECTOR_BYTES, inner, load, splat, store, where_positive
 
 PART = 8  # blocks that one thread takes at a time
-GROUP = 4  # hidden units, or features, that the inner loops take at once
+GROUP = 4  # hidden units that the inner loops take at once
 
 
 class Grid(NamedTuple):
@@ -114,16 +114,16 @@ class _GridMLP(torch.autograd.Function):
         count, features = len(points), table.shape[2]
         blocks = -(-count // BLOCK)
         dtype = flat(points).dtype
-        width = _padded(w1.shape[1])
+        width = w1.shape[1]
         where = np.ones(0, np.bool_) if inside is None else flat(inside)
         encoded = empty((blocks if keeps else 0, width * BLOCK), dtype)
         number_of = np.empty((blocks if keeps else 0, BLOCK), np.int32)
         kept = np.empty(blocks, np.int32)
         values = points.new_empty(count, w2.shape[0])
         grid = (flat(table), flat(resolutions), dense, features)
-        layers = _packed(w1, b1, w2, b2)
+        layers = packed(w1, b1, w2, b2)
         arrays = (flat(points), where, *grid, *layers, keeps, encoded.numpy(), number_of, kept, flat(values))
-        run(_forward, blocks, *arrays, grain=PART)
+        run(network_values, blocks, *arrays, grain=PART)
         if keeps:
             ctx.save_for_backward(points, inside, resolutions, table, w1, b1, w2, b2, encoded)
             ctx.dense, ctx.number_of, ctx.kept = dense, number_of, kept
@@ -140,7 +140,7 @@ class _GridMLP(torch.autograd.Function):
 
             return *[None] * 5, *through_reference(reference, (table, w1, b1, w2, b2), upstream)
         parts, dtype = -(-len(ctx.kept) // PART), flat(points).dtype
-        layers = _packed(w1, b1, w2, b2)
+        layers = packed(w1, b1, w2, b2)
         rows, outputs = layers[1].size, w2.shape[0]
         width = layers[0].size // rows
         to_encoded = empty(tuple(encoded.shape), dtype)
@@ -153,23 +153,22 @@ class _GridMLP(torch.autograd.Function):
         run(_table_gradient, len(table), *arrays, flat(to_table), grain=1)
         total = torch.from_numpy(sums.sum(0))
         to_w1, to_b1, to_w2, to_b2 = total.split([rows * width, rows, outputs * rows, outputs])
-        units, inputs = w1.shape
-        to_w1 = to_w1.view(rows, width)[:units, :inputs].contiguous()
-        to_w2 = to_w2.view(outputs, rows)[:, :units].contiguous()
-        return *[None] * 5, to_table, to_w1, to_b1[:units].contiguous(), to_w2, to_b2.contiguous()
+        units = len(b1)
+        to_w1, to_w2 = to_w1.view(rows, width)[:units], to_w2.view(outputs, rows)[:, :units]
+        return *[None] * 5, to_table, to_w1, to_b1[:units], to_w2.contiguous(), to_b2
 
 
 def _padded(count: int) -> int:
     return -(-count // GROUP) * GROUP
 
 
-def _packed(w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor) -> tuple[np.ndarray, ...]:
-    """The layers with features and hidden units filled up with zeros to whole groups."""
-    (units, inputs), outputs = w1.shape, w2.shape[0]
-    rows, dtype = _padded(units), flat(w1).dtype
-    hidden, bias, out = (np.zeros(shape, dtype) for shape in ((rows, _padded(inputs)), (rows,), (outputs, rows)))
-    hidden[:units, :inputs], bias[:units], out[:, :units] = w1.detach(), b1.detach(), w2.detach()
-    return hidden.reshape(-1), bias, out.reshape(-1), flat(b2)
+def packed(w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor) -> tuple[np.ndarray, ...]:
+    """The layers, with hidden units filled up with zeros to whole groups."""
+    units, rows = len(b1), _padded(len(b1))
+    if units != rows:
+        pad = torch.nn.functional.pad
+        w1, b1, w2 = pad(w1, (0, 0, 0, rows - units)), pad(b1, (0, rows - units)), pad(w2, (0, rows - units))
+    return flat(w1), flat(b1), flat(w2), flat(b2)
 
 
 @inner
@@ -240,7 +239,7 @@ def _gather(points, inside, first, last, numbers, local):  # type: ignore[no-unt
 
 
 @jit
-def _forward(  # type: ignore[no-untyped-def]
+def network_values(  # type: ignore[no-untyped-def]
     start, stop, points, inside, table, resolutions, dense, features, w1, b1, w2, b2, keeps, kept_features, number_of,
     kept, values,
 ):  # fmt: skip

@@ -7,9 +7,9 @@ features of vertex (i, j, k) are in row
     i + j s + k s^2, s = resolution + 1                      where the whole grid fits into the table (`dense`)
     (i xor j * 2654435761 xor k * 805459861) mod T           elsewhere (Eq. 4, arXiv:2201.05989)
 
-The position of a point in its cell is computed in float64. At 2,048 cells a float32 product alone would be off by 1e-4
-of a cell and would pick the wrong cell near a border. In this way float32 features and gradients are exact to a few
-roundings at any resolution.
+The position of a point in its cell is computed in float64, or as if it were. At 2,048 cells a float32 product alone
+would be off by 1e-4 of a cell and would pick the wrong cell near a border. In this way float32 features and gradients
+are exact to a few roundings at any resolution.
 
 Points outside [0, 1] are moved to the nearest face, and their gradient across it is 0. A point on a border belongs to
 the cell above it, at 1 to the last cell. A NaN coordinate gives NaN features.
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numba import extending, types
 from torch import Tensor
 
 from qnerf.kernels.derivatives import clamped, is_differentiated, through_reference
@@ -27,6 +28,7 @@ from qnerf.kernels.dispatch import is_transformed, serves
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import (
     VECTOR_BYTES,
+    fused,
     gather,
     gather_pairs,
     join,
@@ -165,10 +167,27 @@ def _cell(x, cells, last):  # type: ignore[no-untyped-def]
     number = type(x)
     zero, one = number(0), number(1)
     # Both comparisons are false for NaN, so that it stays; its cell is that of 0, because a NaN has no integer.
-    # float64 holds the product of a float32 and the resolution exactly.
-    place = (zero if x < zero else (one if x > one else x)) * cells
-    cell = min(np.int32(place if place >= 0 else 0.0), last)
-    return np.uint32(cell), number(place - cell)
+    inside = zero if x < zero else (one if x > one else x)
+    place = inside * cells
+    cell = min(np.int32(place if place >= zero else zero), last)
+    position = position_in_cell(inside, cells, cell)
+    # The product of float32 may have been rounded up to the next cell.
+    below = np.int32(cell - np.int32(1))
+    return (
+        np.uint32(below if position < zero else cell),
+        position_in_cell(inside, cells, below) if position < zero else position,
+    )
+
+
+def position_in_cell(x: Any, cells: Any, cell: Any) -> Any:
+    """x cells - cell in compiled code: of float32 as if computed in float64."""
+
+
+@extending.overload(position_in_cell)
+def _position_in_cell(x, cells, cell):  # type: ignore[no-untyped-def]
+    if x == types.float32:
+        return lambda x, cells, cell: fused(x, cells, -np.float32(cell))
+    return lambda x, cells, cell: x * cells - cell
 
 
 @jit
@@ -179,7 +198,8 @@ def corners(points, first, count, resolution, direct, mask, row, weight, fractio
     once, because Numba's are 64 bits wide, of which a vector holds half as many.
     """
     u32 = np.uint32
-    one, cells, last = points.dtype.type(1), np.float64(resolution), np.int32(resolution - 1)
+    number = points.dtype.type
+    one, cells, last = number(1), number(resolution), np.int32(resolution - 1)
     side = u32(resolution + 1)
     plane = u32(side * side)
     prime_y, prime_z, u1 = u32(2654435761), u32(805459861), u32(1)

@@ -26,7 +26,7 @@ def _grain(weights: Tensor) -> int:
 
 
 @jit
-def _draw(start, stop, s, w, jitter, padding, min_total, out):  # type: ignore[no-untyped-def]
+def draw_edges(start, stop, s, w, jitter, padding, min_total, out):  # type: ignore[no-untyped-def]
     """Writes the edges drawn on rays start..stop."""
     bins, count = w.shape[1], out.shape[1]
     for ray in range(start, stop):
@@ -60,7 +60,7 @@ def draw(s: Tensor, w: Tensor, count: int, padding: float, jitter: Tensor | None
     out = torch.empty(s.shape[0], count, dtype=s.dtype)
     offset = torch.full((s.shape[0],), 0.5, dtype=s.dtype) if jitter is None else jitter[:, 0]
     arrays = (_array(s), _array(w), _array(offset))
-    run(_draw, s.shape[0], *arrays, padding, min_total, out.numpy(), grain=_grain(w))
+    run(draw_edges, s.shape[0], *arrays, padding, min_total, out.numpy(), grain=_grain(w))
     return out
 
 

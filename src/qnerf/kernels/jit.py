@@ -174,11 +174,12 @@ def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -
     so kernels may run from any thread, even from inside another kernel's part.
     """
     count = loop_threads()
-    parts = split(items, count if grain is None else min(max(items // grain, 1), 2 * count))
-    if count == 1 or len(parts) <= 1:
+    pieces = 1 if count == 1 else min(items, count if grain is None else min(items // grain, 2 * count))
+    if pieces <= 1:
         if items > 0:
             kernel(0, items, *arguments)
         return
+    parts = split(items, pieces)
     job = _Job(kernel, arguments, parts)
     _workers.call(job, min(count, len(parts)) - 1)
     job.work()

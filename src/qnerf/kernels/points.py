@@ -31,12 +31,12 @@ def unit_points(
     grid, cells = (np.ones(1, np.bool_), 0) if mask is None else (flat(mask), mask.shape[0])
     flags = np.empty(0, np.bool_) if inside is None else inside.numpy()
     arrays = (flat(origins), flat(directions), flat(edges), count, contraction, half_extent, grid, cells)
-    run(_place, rays, *arrays, flat(unit), flags, grain=GRAIN)
+    run(place, rays, *arrays, flat(unit), flags, grain=GRAIN)
     return unit, inside
 
 
 @jit
-def _place(start, stop, origins, directions, edges, count, contraction, half_extent, grid, cells, unit, inside):  # type: ignore[no-untyped-def]
+def place(start, stop, origins, directions, edges, count, contraction, half_extent, grid, cells, unit, inside):  # type: ignore[no-untyped-def]
     """Writes the points of rays start..stop."""
     number = edges.dtype.type
     one, two, half, quarter = number(1), number(2), number(0.5), number(0.25)

@@ -230,6 +230,16 @@ def where_positive(typing_context: Any, vector: Any, values: Any) -> Any:
     return vector(vector, values), generate
 
 
+@intrinsic
+def fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c of three numbers, rounded once."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return a(a, a, a), generate
+
+
 def _operator(symbol: Any, instruction: str) -> None:
     @type_callable(symbol)
     def typing(context: Any) -> Any:

@@ -10,8 +10,10 @@ from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.heads.base import MIN_BATCH
 from qnerf.heads.mlp import MLPHead
+from qnerf.kernels.color_inputs import ColorInputs
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.rendering.shading import activated
 
 
 class Field(nn.Module):
@@ -79,6 +81,11 @@ class Field(nn.Module):
         self, unit: Tensor, inside: Tensor | None, *, last: bool = True
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """`geometry` at points (R, K, 3) of the unit cube, of which those `inside` (R, K) are in the mask."""
+        raw, evaluated = self.raw_at(unit, inside, last=last)
+        return self.activated(raw[..., 0], inside), raw[..., 1:], evaluated
+
+    def raw_at(self, unit: Tensor, inside: Tensor | None, *, last: bool = True) -> tuple[Tensor, Tensor | None]:
+        """Raw density and geometry (R, K, 1 + G) as in `geometry_at`, and which samples were evaluated."""
         shape = unit.shape[:-1]
         points = unit.reshape(-1, 3)
         evaluated = None
@@ -88,18 +95,12 @@ class Field(nn.Module):
                 evaluated[:, -1] = True
         layers = self._on_grid(points)
         if layers is not None:
-            raw = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *layers).view(*shape, -1)
-            density, features = self._activated(raw[..., 0]), raw[..., 1:]
-        elif evaluated is None:
-            raw = self.density_head(self.encoder(points)).view(*shape, -1)
-            density, features = self._activated(raw[..., 0]), raw[..., 1:]
-        else:
-            index = evaluated.flatten().nonzero()[:, 0]
-            raw = self.density_head(self.encoder(points[index]))
-            density, features = scatter(self._activated(raw[:, 0]), index, shape), scatter(raw[:, 1:], index, shape)
-        if inside is not None:
-            density = density.masked_fill(~inside, 0)
-        return density, features, evaluated
+            values = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *layers)
+            return values.view(*shape, -1), evaluated
+        if evaluated is None:
+            return self.density_head(self.encoder(points)).view(*shape, -1), None
+        index = evaluated.flatten().nonzero()[:, 0]
+        return scatter(self.density_head(self.encoder(points[index])), index, shape), evaluated
 
     def _on_grid(self, points: Tensor) -> tuple[Grid, Layer, Layer] | None:
         """The arguments of the loop that computes encoder and density head together; None: the two are called."""
@@ -116,9 +117,9 @@ class Field(nn.Module):
         assert layers is not None
         return grid, *layers
 
-    def _activated(self, raw: Tensor) -> Tensor:
-        density = self.density_activation(raw)
-        return density if self.initial == 1.0 else density * self.initial
+    def activated(self, raw: Tensor, inside: Tensor | None = None) -> Tensor:
+        """Raw density -> density per world unit, 0 where not `inside`."""
+        return activated(raw, inside, self.density_activation, self.initial)
 
     def density(self, points: Tensor) -> Tensor:
         """World points (R, K, 3) -> density (R, K) per world unit, in evaluation mode.
@@ -134,7 +135,7 @@ class Field(nn.Module):
 
     def density_anywhere(self, unit: Tensor) -> Tensor:
         """Unit-cube points (N, 3) -> density (N,) per world unit, ignoring the mask."""
-        return self._activated(self.density_head(self.encoder(unit))[:, 0])
+        return self.activated(self.density_head(self.encoder(unit))[:, 0])
 
     def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, mask: Tensor | None = None) -> Tensor:
         """Colours (R, K, 3), in [0, 1] if the activation bounds them.
@@ -150,21 +151,36 @@ class Field(nn.Module):
             own = self.appearance(cameras.clamp(min=0))
             mean = self.appearance.weight[self.trained].mean(0)
             per_ray.append(torch.where((cameras >= 0)[:, None], own, mean))
-        rays, samples = geometry.shape[:2]
-        ray_features = torch.cat(per_ray, dim=-1)
+        of_rays = torch.cat(per_ray, dim=-1) if len(per_ray) > 1 else per_ray[0]
         if mask is None:
-            expanded = ray_features[:, None, :].expand(-1, samples, -1)
+            expanded = of_rays[:, None, :].expand(-1, geometry.shape[1], -1)
             features = torch.cat([expanded, geometry], dim=-1)
-            return self.color_activation(self.color_head(features.flatten(0, 1))).view(rays, samples, 3)
-        index = mask.flatten().nonzero()[:, 0]
-        ray = torch.div(index, samples, rounding_mode="floor")
-        features = torch.cat([ray_features[ray], geometry.flatten(0, 1)[index]], dim=-1)
+            return self.color_activation(self.color_head(features.flatten(0, 1))).view(*geometry.shape[:2], 3)
+        features, index = color_inputs(of_rays, geometry, mask)
         return scatter(self.color_activation(self.color_head(features)), index, mask.shape)
 
     def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
         """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3)."""
         density, geometry, _ = self.geometry(points)
         return density, self.color(geometry, directions, cameras)
+
+
+def color_inputs(of_rays: Tensor, geometry: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Features of rays (R, D) beside the geometry (R, M, G) of their points in `mask` (R, M): (N, D + G).
+
+    Returns:
+        These rows, and the numbers (N,) of the points among all R M.
+    """
+
+    def reference(of_rays: Tensor, geometry: Tensor) -> Tensor:
+        ray = torch.div(index, geometry.shape[1], rounding_mode="floor")
+        return torch.cat([of_rays[ray], geometry.flatten(0, 1)[index]], dim=-1)
+
+    if serves("colour inputs", of_rays, geometry):
+        rows, index = ColorInputs.apply(of_rays, geometry, mask, reference)
+        return rows, index
+    index = mask.flatten().nonzero()[:, 0]
+    return reference(of_rays, geometry), index
 
 
 def scatter(values: Tensor, index: Tensor, shape: torch.Size) -> Tensor:

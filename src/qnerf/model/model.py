@@ -7,9 +7,9 @@ from qnerf.encoders import Encoder
 from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.geometry.unit_points import unit_points
 from qnerf.model.field import Field
-from qnerf.rendering.render import color_shares, render, volume_weights
+from qnerf.rendering.render import render
 from qnerf.rendering.samplers import SampledRays, Sampler
-from qnerf.rendering.shading import Shading
+from qnerf.rendering.shading import Shading, shade
 from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Rendering
 
@@ -70,9 +70,9 @@ class Model(nn.Module):
         samples = sampled.samples
         with watch.stage("field"):
             points = unit_points(rays, samples, self.field.contraction, self.field.mask)
-            density, geometry, evaluated = self.field.geometry_at(*points, last=background == "last_sample")
-            weights = volume_weights(density, samples.deltas)
-            shaded = self.shading(color_shares(weights, background), geometry, evaluated)
+            raw, evaluated = self.field.raw_at(*points, last=background == "last_sample")
+            density = (self.field.density_activation, self.field.initial)
+            weights, shaded = shade(raw, points[1], evaluated, samples.deltas, *density, background, self.shading)
             color = self.field.color(shaded.geometry, rays.directions, rays.cameras, shaded.mask)
         with watch.stage("render"):
             rendering, behind = render(

@@ -6,7 +6,7 @@ from torch import Tensor
 from qnerf.kernels import histogram
 from qnerf.kernels.dispatch import serves
 
-_MIN_TOTAL = 1e-5  # a smaller sum of weights is filled up evenly, so an empty ray is sampled evenly
+MIN_TOTAL = 1e-5  # a smaller sum of weights is filled up evenly, so an empty ray is sampled evenly
 
 
 def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jitter: Tensor | None = None) -> Tensor:
@@ -31,14 +31,14 @@ def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jit
     """
     s, w = s.detach(), w.detach()
     if serves("drawing edges", s, w):
-        return histogram.draw(s, w, count, padding, jitter, _MIN_TOTAL)
+        return histogram.draw(s, w, count, padding, jitter, MIN_TOTAL)
     return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)
 
 
 def sample_edges_reference(s: Tensor, w: Tensor, count: int, *, padding: float, jitter: Tensor | None) -> Tensor:
     """`sample_edges` in plain PyTorch."""
     w = w + padding
-    w = w + (_MIN_TOTAL - w.sum(-1, keepdim=True)).clamp(min=0) / w.shape[-1]
+    w = w + (MIN_TOTAL - w.sum(-1, keepdim=True)).clamp(min=0) / w.shape[-1]
     cdf = torch.nn.functional.pad(w.cumsum(-1), (1, 0))
     cdf = (cdf / cdf[:, -1:]).cummax(-1).values  # a parallel scan may decrease by a rounding error
     k = torch.arange(count, dtype=s.dtype, device=s.device)

@@ -9,11 +9,12 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Count, NonNegativeFactor, NonNegativeInt, PositiveInt
 from qnerf.encoders.hash import EntryFeatures, HashEncoder, Levels, Log2Size, Resolution
 from qnerf.geometry.contraction import Contraction
-from qnerf.geometry.unit_points import unit_points
+from qnerf.geometry.unit_points import numbers_of, unit_points
 from qnerf.heads.activations import trunc_exp
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.grid_mlp import Layer, grid_mlp
-from qnerf.rendering.pdf import sample_edges
+from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.proposals import KNOWN_SPACINGS, Draws, Space, edges_in_world, propose
+from qnerf.rendering.pdf import MIN_TOTAL, sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
 from qnerf.rendering.spacing import SPACINGS
@@ -34,12 +35,16 @@ class ProposalNetwork(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         return trunc_exp(self.out(self.hidden(self.encoder(points)).relu_())[:, 0])
 
-    def inside(self, points: Tensor, inside: Tensor | None) -> Tensor:
-        """The same in a compiled loop; the density is 0 at points that are not `inside` (N,)."""
+    @property
+    def parts(self) -> tuple[Grid, Layer, Layer]:
+        """What a compiled loop takes of it."""
         grid = self.encoder.as_grid()
         assert grid is not None, "three dimensions, and all levels are active"
-        layers = (Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out))
-        return trunc_exp(grid_mlp(points, inside, grid, *layers)[:, 0])
+        return grid, Layer(self.hidden.weight, self.hidden.bias), Layer(self.out.weight, self.out.bias)
+
+    def inside(self, points: Tensor, inside: Tensor | None) -> Tensor:
+        """The same in a compiled loop; the density is 0 at points that are not `inside` (N,)."""
+        return trunc_exp(grid_mlp(points, inside, *self.parts)[:, 0])
 
 
 @SAMPLERS.register("proposal")
@@ -130,8 +135,33 @@ class ProposalSampler(Sampler):
     ) -> SampledRays:
         rays = rays.detach()
         learns = torch.is_grad_enabled() and self.learns(step)
-        exponent = self.anneal(step)
-        first, *others = draw_jitter(rays, len(self.samples) + 1, generator)
+        jitters = draw_jitter(rays, len(self.samples) + 1, generator)
+        space = None if learns else self._space(rays)
+        if space is None:
+            return self._operations(rays, jitters, self.anneal(step), learns)
+        with torch.no_grad():
+            s = even_edges(rays, self.samples[0], jitters[0])
+        proposals = []
+        for network, jitter, count in zip(self.networks, jitters[1:], (*self.samples[1:], self.final), strict=True):
+            assert isinstance(network, ProposalNetwork)
+            draws = Draws(count + 1, jitter, self.anneal(step), self.padding, MIN_TOTAL)
+            t, weights, drawn = propose(space, s, network.parts, draws)
+            proposals.append((Samples(t, s), weights))
+            s = drawn
+        return SampledRays(Samples(edges_in_world(space, s), s), proposals)
+
+    def _space(self, rays: Rays) -> Space | None:
+        """What the loop over a proposal takes besides its network; None: it does not know one of the components."""
+        but = None if self.spacing in KNOWN_SPACINGS else f"spacing {self.spacing}"
+        modules = [self.contraction, *([] if self.mask is None else [self.mask]), *self.networks]
+        if not serves("proposals", rays.origins, *self.parameters(), modules=modules, but=but):
+            return None
+        ends = (rays.origins, rays.directions, rays.near, rays.far)
+        return Space(*ends, self.spacing, *numbers_of(self.contraction), None if self.mask is None else self.mask.grid)
+
+    def _operations(self, rays: Rays, jitters: list[Tensor | None], exponent: float, learns: bool) -> SampledRays:
+        """The same, one operation after another: with gradients if the networks learn, and with any component."""
+        first, *others = jitters
         proposals = []
         with torch.no_grad():
             spacing = SPACINGS.build(self.spacing, rays.near, rays.far)

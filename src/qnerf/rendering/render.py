@@ -4,13 +4,12 @@ sigma is an interval's density per world unit, delta its length, T the transmitt
 arXiv:2003.08934).
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
-from qnerf.kernels.derivatives import clamped, is_differentiated, through_reference
-from qnerf.kernels.dispatch import is_transformed
+from qnerf.kernels.derivatives import clamped
+from qnerf.kernels.dispatch import serves
+from qnerf.kernels.transmittance import VolumeWeights
 from qnerf.rendering.background import background_color
 from qnerf.types import Rendering, Samples
 
@@ -32,45 +31,19 @@ def volume_weights(density: Tensor, delta: Tensor) -> Tensor:
     Returns:
         (R, K) in [0, 1].
     """
-    if is_transformed(density):
-        return volume_weights_reference(density, delta)
-    return _VolumeWeights.apply(density, delta)
+    if serves("volume weights", density, delta):
+        weights: Tensor = VolumeWeights.apply(density, delta, volume_weights_reference)
+        return weights
+    return volume_weights_reference(density, delta)
 
 
 def volume_weights_reference(density: Tensor, delta: Tensor) -> Tensor:
     """`volume_weights` in plain PyTorch, differentiated by autograd."""
-    thickness = _thickness(density, delta.detach())
+    thickness = density.clamp(max=torch.finfo(density.dtype).max) * delta.detach()  # infinity times 0 is 0
     before = torch.nn.functional.pad(thickness.cumsum(-1)[:, :-1], (1, 0))
     # Autograd computes the derivative of expm1 from its value, which loses its digits where the value is nearly -1.
     opacity = torch.where(thickness < 1, -torch.expm1(-thickness), 1 - torch.exp(-thickness))
     return opacity * torch.exp(-before)
-
-
-def _thickness(density: Tensor, delta: Tensor) -> Tensor:
-    """Optical thickness sigma delta, where infinity times 0 is 0."""
-    return density.clamp(max=torch.finfo(density.dtype).max) * delta
-
-
-class _VolumeWeights(torch.autograd.Function):
-    """With x = sigma delta: dw_i/dx_i = T_(i+1), dw_j/dx_i = -w_j for j > i."""
-
-    @staticmethod
-    def forward(ctx: Any, density: Tensor, delta: Tensor) -> Tensor:
-        thickness = _thickness(density, delta)
-        after = thickness.cumsum(-1).neg_().exp_()
-        weights = torch.expm1(-thickness).neg_()  # of opacity alone so far
-        weights[:, 1:].mul_(after[:, :-1])
-        ctx.save_for_backward(density, delta, after, weights)
-        return weights
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        density, delta, after, weights = ctx.saved_tensors
-        if is_differentiated(grad):
-            return tuple(through_reference(volume_weights_reference, (density, delta.detach()), grad))
-        product = grad[:, 1:] * weights[:, 1:]  # a sum without the own term: no cancellation on an opaque sample
-        behind = torch.nn.functional.pad(product.flip(-1).cumsum(-1).flip(-1), (0, 1))
-        return (grad * after - behind) * delta, None
 
 
 def color_shares(weights: Tensor, background: str) -> Tensor:
@@ -97,9 +70,7 @@ def render(
 ) -> tuple[Rendering, Tensor | None]:
     """Composites the colours along each ray over a background: C = sum_i s_i c_i + (1 - sum_i w_i) c_background.
 
-    Nothing is clamped: colours in [0, 1] give a colour in [0, 1] up to rounding. The expected depth is
-    sum w t / sum w over interval midpoints t. Both depths lie between the first and the last midpoint, also on empty
-    rays.
+    Nothing is clamped: colours in [0, 1] give a colour in [0, 1] up to rounding.
 
     Args:
         weights: (R, K) of `volume_weights`.
@@ -123,10 +94,4 @@ def render(
     pixel = torch.bmm(shares[:, None], color)[:, 0]
     if behind is not None:
         pixel = pixel + (1 - accumulation)[:, None] * behind
-    with torch.no_grad():
-        mids = samples.mids
-        half = (weights.cumsum(-1) < 0.5).sum(-1, keepdim=True).clamp_(max=mids.shape[1] - 1)
-        median = mids.gather(-1, half)[:, 0]
-    depth = (weights * mids).sum(-1) / (weights.sum(-1) + 1e-10)
-    depth = torch.minimum(torch.maximum(depth, mids[:, 0]), mids[:, -1])
-    return Rendering(pixel, depth, median, accumulation, weights), behind
+    return Rendering(pixel, accumulation, weights, samples), behind

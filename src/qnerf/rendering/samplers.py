@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor, nn
@@ -68,14 +69,17 @@ def draw_jitter(rays: Rays, draws: int, generator: torch.Generator | None) -> li
 
 def even_edges(rays: Rays, samples: int, jitter: Tensor | None) -> Tensor:
     """Evenly spaced edges (R, K + 1) in [0, 1]; `jitter` (R, 1) moves each edge between its neighbouring midpoints."""
-    near = rays.near
-    edges = torch.linspace(0, 1, samples + 1, dtype=near.dtype, device=near.device)
-    if jitter is None:
-        return edges.expand(len(rays), -1)
+    edges, low, width = _even(samples, rays.near.dtype, rays.near.device)
+    return edges.expand(len(rays), -1) if jitter is None else torch.addcmul(low, width, jitter)
+
+
+@cache
+def _even(samples: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Even edges (K + 1,) in [0, 1]; where each may begin to be moved, and how far."""
+    edges = torch.linspace(0, 1, samples + 1, dtype=dtype, device=device)
     mids = (edges[1:] + edges[:-1]) / 2
     low = torch.cat([edges[:1], mids])
-    high = torch.cat([mids, edges[-1:]])
-    return torch.addcmul(low, high - low, jitter)
+    return edges, low, torch.cat([mids, edges[-1:]]) - low
 
 
 class SpacedSampler(Sampler):

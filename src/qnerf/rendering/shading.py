@@ -4,6 +4,7 @@ The colour head is the costliest part of a field, above all when it is a circuit
 colour lie close together. Samples whose density was not evaluated have weight 0 and never get a colour.
 """
 
+from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 import torch
@@ -12,9 +13,11 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count
 from qnerf.config.registry import Registry
+from qnerf.heads.activations import DENSITY_ACTIVATIONS
 from qnerf.heads.base import MIN_BATCH
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.merging import Merge
+from qnerf.kernels.shading import KNOWN_ACTIVATIONS, Options, Shade
+from qnerf.rendering.render import color_shares, volume_weights
 
 SHADINGS: "Registry[Shading]" = Registry("shading")
 
@@ -45,8 +48,13 @@ class Shading(nn.Module):
 class EverySample(Shading):
     """Every evaluated sample gets a colour."""
 
+    parts = 0
+
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         return Shaded(shares, geometry, evaluated)
+
+    def chosen(self, shares: Tensor, evaluated: Tensor | None) -> Tensor | None:
+        return evaluated
 
 
 class Selection(Shading):
@@ -122,18 +130,18 @@ class MergeShading(Shading):
         self.parts = parts
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
-        if serves("merging samples", shares, geometry):
-            merged, mean = Merge.apply(shares, geometry, self.parts, SMALL / self.parts, merge_reference)
-        else:
-            merged, mean = merge_reference(shares, geometry, self.parts)
-        mask = merged > 0
+        merged, mean = merge(shares, geometry, self.parts)
+        return Shaded(merged, mean, self.chosen(merged, evaluated))
+
+    def chosen(self, shares: Tensor, evaluated: Tensor | None) -> Tensor:
+        mask = shares > 0
         if int(mask.sum()) < MIN_BATCH:  # all rays are empty
             mask[:, 0] = True
-        return Shaded(merged, mean, mask)
+        return mask
 
 
-def merge_reference(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tensor, Tensor]:
-    """Shares (R, M) and mean geometry (R, M, G) of `MergeShading`'s parts in plain PyTorch."""
+def merge(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tensor, Tensor]:
+    """Shares (R, M) and mean geometry (R, M, G) of `MergeShading`'s parts."""
     tiny = torch.finfo(shares.dtype).tiny
     fixed = shares.detach()
     middle = (fixed.cumsum(-1) - fixed / 2) / fixed.sum(-1, keepdim=True).clamp(min=tiny)
@@ -147,3 +155,49 @@ def merge_reference(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tenso
     mean = geometry.new_zeros(len(shares), parts, geometry.shape[-1])
     mean = mean.scatter_add(1, part[..., None].expand_as(geometry), weight[..., None] * geometry)
     return merged, mean
+
+
+def activated(raw: Tensor, inside: Tensor | None, activation: Callable[[Tensor], Tensor], initial: float) -> Tensor:
+    """Raw density -> density per world unit: `initial` times the activation, 0 where not `inside`."""
+    density = activation(raw)
+    density = density if initial == 1.0 else density * initial
+    return density if inside is None else density.masked_fill(~inside, 0)
+
+
+def shade(
+    raw: Tensor,
+    inside: Tensor | None,
+    evaluated: Tensor | None,
+    deltas: Tensor,
+    activation: Callable[[Tensor], Tensor],
+    initial: float,
+    background: str,
+    shading: Shading,
+) -> tuple[Tensor, Shaded]:
+    """Weights (R, K) of the samples, and the points that get a colour, from a field's raw values (R, K, 1 + G).
+
+    Args:
+        inside: (R, K) bool, where density may be; None: everywhere.
+        evaluated: (R, K) bool, samples that have raw values; None: all.
+        deltas: (R, K) world units.
+        activation, initial: see `activated`.
+        background: with last_sample, a ray's last sample takes the transmittance that is left.
+    """
+
+    def reference(raw: Tensor) -> tuple[Tensor, Shaded]:
+        weights = volume_weights(activated(raw[..., 0], inside, activation, initial), deltas)
+        return weights, shading(color_shares(weights, background), raw[..., 1:], evaluated)
+
+    def outputs(raw: Tensor) -> tuple[Tensor, ...]:
+        weights, shaded = reference(raw)
+        return weights, shaded.shares, shaded.geometry
+
+    known = next((name for name in KNOWN_ACTIVATIONS if DENSITY_ACTIVATIONS.get(name) is activation), None)
+    but = None if known else "another activation of the density"
+    if not serves("shading", raw, deltas, modules=(shading,), but=but):
+        return reference(raw)
+    assert known
+    assert isinstance(shading, EverySample | MergeShading)
+    options = Options(known, initial, background == "last_sample", shading.parts, SMALL / max(shading.parts, 1))
+    weights, shares, geometry = Shade.apply(raw, inside, deltas, options, outputs)
+    return weights, Shaded(shares, geometry, shading.chosen(shares, evaluated))

@@ -19,7 +19,7 @@ from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.losses import distortion, interlevel, mse
-from qnerf.training.optimiser import build_optimiser, kept_of_a_parameter
+from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
 from qnerf.training.stopping import Plateau
 from qnerf.training.threads import few_products
@@ -124,10 +124,10 @@ class Loop:
             if not math.isfinite(value):
                 raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
             with self.watch.stage("backward"):
-                self.optimiser.zero_grad(set_to_none=True)
+                forget_gradients(self.optimiser)
                 loss.backward()
         with self.watch.stage("optimiser"):
-            self.optimiser.step()
+            apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
         seconds = self.watch.now() - start
         self.step_seconds.append(seconds)

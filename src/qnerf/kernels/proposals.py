@@ -1,0 +1,166 @@
+"""The way of a ray through a proposal network, from its first edges to the next ones, in one compiled CPU loop.
+
+It is what `qnerf.rendering.proposal_sampler` does, which is the plain PyTorch reference, for steps in which the network
+gets no gradient, and for evaluation: each other loop of the way, called for a few rays at a time.
+"""
+
+from math import gcd
+from typing import NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from qnerf.kernels.exponentials import exp, log
+from qnerf.kernels.grid_mlp import Grid, Layer, network_values, packed
+from qnerf.kernels.hashgrid import BLOCK, U, flat
+from qnerf.kernels.histogram import draw_edges
+from qnerf.kernels.jit import jit, run
+from qnerf.kernels.points import place
+from qnerf.kernels.transmittance import forward
+
+RAYS = 32  # at least so many rays at a time
+KNOWN_SPACINGS = ("uniform", "disparity", "geometric", "piecewise")  # by their numbers in `to_world`
+
+
+class Space(NamedTuple):
+    """Rays, and how the unit cube is laid into the world around them."""
+
+    origins: Tensor  # (R, 3) world units
+    directions: Tensor  # (R, 3)
+    near: Tensor  # (R, 1) world units
+    far: Tensor  # (R, 1)
+    spacing: str
+    contraction: int  # see `points`
+    half_extent: float
+    mask: Tensor | None  # (n, n, n) bool: where density may be; None: everywhere
+
+
+class Draws(NamedTuple):
+    """How the next edges are drawn from a proposal's weights."""
+
+    edges: int  # to draw
+    jitter: Tensor | None  # (R, 1) of the edges drawn; None: 1/2
+    exponent: float  # power of the weights from which they are drawn
+    padding: float  # added to each weight
+    min_total: float  # see `qnerf.rendering.pdf`
+
+
+def propose(space: Space, s: Tensor, network: tuple[Grid, Layer, Layer], draws: Draws) -> tuple[Tensor, Tensor, Tensor]:
+    """One network's proposal for R rays.
+
+    Args:
+        s: (R, K + 1) edges in the normalised coordinate.
+        network: as `grid_mlp` takes it.
+
+    Returns:
+        Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
+    """
+    rays, count = s.shape[0], s.shape[1] - 1
+    grid, hidden, out = network
+    t, weights, drawn = s.new_empty(rays, count + 1), s.new_empty(rays, count), s.new_empty(rays, draws.edges)
+    cells, side = (np.ones(1, np.bool_), 0) if space.mask is None else (flat(space.mask), space.mask.shape[0])
+    inside = np.empty(0 if space.mask is None else rays * count, np.bool_)
+    scratch = [np.empty(size * rays * count, flat(s).dtype) for size in (3, 1, 1, 1)]
+    offset = np.full(rays, 0.5, flat(s).dtype) if draws.jitter is None else flat(draws.jitter)
+    group = _group(count)
+    arrays = (
+        *map(flat, (space.origins, space.directions, space.near, space.far)),
+        *(KNOWN_SPACINGS.index(space.spacing), space.contraction, space.half_extent, cells, side, flat(s), s.numpy()),
+        *(flat(grid.table), flat(grid.resolutions), grid.dense, grid.table.shape[2], *packed(*hidden, *out)),
+        *(offset, draws.exponent, draws.padding, draws.min_total),
+        *(t.numpy(), weights.numpy(), drawn.numpy(), inside, *scratch),
+    )
+    run(_propose, -(-rays // group), group, *arrays, grain=1)
+    return t, weights, drawn
+
+
+def edges_in_world(space: Space, s: Tensor) -> Tensor:
+    """Edges (R, K + 1) of the normalised coordinate in world units."""
+    t = s.new_empty(s.shape)
+    spacing = KNOWN_SPACINGS.index(space.spacing)
+    run(to_world, len(s), spacing, flat(space.near), flat(space.far), flat(s), flat(t), grain=8 * RAYS)
+    return t
+
+
+def _group(count: int) -> int:
+    """Rays whose samples, `count` a ray, are whole blocks of points; at least RAYS.
+
+    >>> [_group(count) for count in (64, 48, 6, 5)]
+    [32, 32, 64, 128]
+    """
+    whole = BLOCK // gcd(BLOCK, count)
+    return whole * -(-RAYS // whole)
+
+
+@jit
+def to_world(start, stop, spacing, near, far, s, t):  # type: ignore[no-untyped-def]
+    """Writes the edges of rays start..stop in world units: `qnerf.rendering.spacing`."""
+    number = s.dtype.type
+    one, half, two = number(1), number(0.5), number(2)
+    edges = U(s.size // near.size)
+    for ray in range(U(start), U(stop)):
+        a, b, first = near[ray], far[ray], ray * edges
+        if spacing == 0:
+            for i in range(first, first + edges):
+                t[i] = a + (b - a) * s[i]
+        elif spacing == 1:
+            for i in range(first, first + edges):
+                t[i] = one / (one / b + (one / a - one / b) * (one - s[i]))
+        elif spacing == 2:
+            largest = number(0)
+            for i in range(first, first + edges):
+                largest = max(largest, min(a * exp(s[i] * np.log(b / a)), b))  # exp need not grow to the last bit
+                t[i] = largest
+        # Near the end the curve comes from 1 - g, which keeps its digits where g rounds to 1.
+        else:
+            g_near, rest_near = (a / two, one - a / two) if a < one else (one - half / a, half / a)
+            g_far, rest_far = (b / two, one - b / two) if b < one else (one - half / b, half / b)
+            width, rest = g_far - g_near, rest_near - rest_far
+            for i in range(first, first + edges):
+                curve = g_near + width * s[i]
+                beyond = half / (rest_far + rest * (one - s[i]))
+                t[i] = curve * two if curve < half else max(beyond, one)
+
+
+@jit
+def _propose(  # type: ignore[no-untyped-def]
+    start, stop, group, origins, directions, near, far, spacing, contraction, half_extent, cells, side, s, s_rows,
+    table, resolutions, dense, features, w1, b1, w2, b2, jitter, exponent, padding, min_total, t, weights, drawn,
+    inside, unit, density, delta, after,
+):  # fmt: skip
+    number = s.dtype.type
+    rays, count = weights.shape
+    block = np.int64(BLOCK)
+    edges, shares, power = t.reshape(-1), weights.reshape(-1), number(exponent)
+    n = U(count)
+    kept = np.empty((0, 1), s.dtype)
+    numbers, counts = np.empty((0, 1), np.int32), np.empty(0, np.int32)
+    for each in range(start, stop):
+        first = each * group
+        last = min(first + group, rays)
+        # Edges in world units, and the midpoints in the unit cube.
+        to_world(first, last, spacing, near, far, s, edges)
+        place(first, last, origins, directions, edges, count, contraction, half_extent, cells, side, unit, inside)
+        # The network's raw values: a group of rays is whole blocks of points.
+        blocks = first * count // block, (last * count + block - 1) // block
+        network_values(
+            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, w1, b1, w2, b2, False, kept,
+            numbers, counts, density,
+        )  # fmt: skip
+        for ray in range(U(first), U(last)):
+            for k in range(n):
+                i, e = ray * n + k, ray * (n + U(1)) + k
+                density[i] = exp(density[i])
+                delta[i] = edges[e + U(1)] - edges[e]
+        forward(first, last, count, density, delta, after, shares)
+        # Early in training the next edges are drawn from a small power of the weights. A weight of 0 stays 0.
+        if exponent == 1.0:
+            draw_edges(first, last, s_rows, weights, jitter, padding, min_total, drawn)
+        else:
+            annealed = delta.reshape(rays, count)
+            for i in range(U(first) * n, U(last) * n):
+                delta[i] = exp(power * log(shares[i])) if shares[i] > number(0) else shares[i]
+            if exponent == 0.0:
+                for i in range(U(first) * n, U(last) * n):
+                    delta[i] = number(1)
+            draw_edges(first, last, s_rows, annealed, jitter, padding, min_total, drawn)

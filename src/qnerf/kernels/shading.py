@@ -1,0 +1,202 @@
+"""A field's raw values on a ray -> weights, and the shares and features of its colours: a compiled CPU loop each way.
+
+The plain PyTorch reference is in `qnerf.rendering.shading.shade`: the density's activation, `volume_weights`,
+`color_shares` and the shading, one after the other.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.kernels import transmittance
+from qnerf.kernels.derivatives import is_differentiated, through_reference
+from qnerf.kernels.exponentials import exp
+from qnerf.kernels.hashgrid import U, flat
+from qnerf.kernels.jit import jit, run
+
+GRAIN = 32  # rays that are worth waking a thread for
+KNOWN_ACTIVATIONS = ("trunc_exp", "softplus")  # of the raw density, by their numbers in `_density`
+BOUND = 15.0  # on the argument of trunc_exp's derivative
+STEEP = 40.0  # from here on softplus(x) is x
+
+
+class Options(NamedTuple):
+    """What the loop is told besides the numbers."""
+
+    activation: str
+    initial: float  # factor on the density
+    last_sample: bool  # whether a ray's last sample takes the transmittance that is left
+    parts: int  # see `MergeShading`; 0: every sample gets a colour
+    floor: float  # the smallest share of a part by which the derivative of its mean is divided
+
+
+class Shade(torch.autograd.Function):
+    """Raw values (R, K, 1 + G) -> weights (R, K), shares (R, M) of the colours, and their geometry (R, M, G).
+
+    Args:
+        inside: (R, K) bool, where density may be; None: everywhere.
+        delta: (R, K) lengths of the intervals.
+        reference: raw -> the same in plain PyTorch, for second derivatives.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, reference: Callable[..., Any]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        rays, count, outputs = raw.shape
+        parts = options.parts or count
+        density, after, weights, samples = torch.empty(4, rays, count, dtype=raw.dtype).unbind()
+        shares, mean = raw.new_empty(rays, parts), raw.new_empty(rays, parts, outputs - 1)
+        part = np.empty(rays * count if options.parts else 0, np.int32)
+        where = np.empty(0, np.bool_) if inside is None else flat(inside)
+        ctx.sizes = (count, *_numbers(options), outputs, torch.finfo(raw.dtype).tiny)
+        arrays = (flat(raw), where, flat(delta), flat(density), flat(after), flat(weights), flat(samples), part)
+        run(_shade, rays, *ctx.sizes, *arrays, flat(shares), flat(mean), grain=GRAIN)
+        ctx.save_for_backward(raw, delta, after, weights, samples, shares, mean)
+        ctx.part, ctx.where, ctx.floor, ctx.reference = part, where, options.floor, reference
+        ctx.set_materialize_grads(False)
+        return weights, shares, mean
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
+        raw, delta, after, weights, samples, shares, mean = ctx.saved_tensors
+        outputs = (weights, shares, mean)
+        given = tuple(torch.zeros_like(o) if u is None else u for o, u in zip(outputs, upstream, strict=True))
+        if is_differentiated(*given):
+            return *through_reference(ctx.reference, (raw,), given), None, None, None, None
+        to_raw = torch.empty(raw.shape, dtype=raw.dtype)
+        to_weights, to_density = np.empty((2, weights.numel()), flat(raw).dtype)
+        kept = (flat(raw), ctx.where, flat(delta), flat(after), flat(weights), flat(samples), ctx.part)
+        arrays = (*kept, flat(shares), flat(mean), *map(flat, given), to_weights, to_density, flat(to_raw))
+        run(_shade_gradient, len(raw), *ctx.sizes, ctx.floor, *arrays, grain=GRAIN)
+        return to_raw, None, None, None, None
+
+
+def _numbers(options: Options) -> tuple[int, float, bool, int]:
+    return KNOWN_ACTIVATIONS.index(options.activation), options.initial, options.last_sample, options.parts
+
+
+@jit
+def _density(x, activation):  # type: ignore[no-untyped-def]
+    number = type(x)
+    if activation == 0:
+        return exp(x)
+    if x > number(STEEP):
+        return x
+    return max(x, number(0)) + number(np.log1p(exp(-abs(x))))
+
+
+@jit
+def _slope(x, activation):  # type: ignore[no-untyped-def]
+    """Derivative of `_density`."""
+    number = type(x)
+    if activation == 0:
+        return exp(number(-BOUND) if x < number(-BOUND) else (number(BOUND) if x > number(BOUND) else x))
+    return number(1) / (number(1) + exp(-x)) if x < number(STEEP) else number(1)
+
+
+@jit
+def _shade(  # type: ignore[no-untyped-def]
+    start, stop, count, activation, initial, last_sample, parts, outputs, tiny, raw, inside, delta, density, after,
+    weights, samples, part, shares, mean,
+):  # fmt: skip
+    """Writes rays start..stop. `samples` are the shares of the samples, `part` is the part that each belongs to."""
+    number = raw.dtype.type
+    one, factor = number(1), number(initial)
+    n, o = U(count), U(outputs)
+    features = o - U(1)
+    for ray in range(start, stop):
+        first = U(ray) * n
+        # The density of each interval, 0 outside the mask, and the weights.
+        for i in range(first, first + n):
+            density[i] = factor * _density(raw[i * o], activation)
+        if inside.size:
+            for i in range(first, first + n):
+                density[i] = density[i] if inside[i] else number(0)
+        transmittance.forward(ray, ray + 1, count, density, delta, after, weights)
+        # The share of each sample in the ray's colour. The light that passes all of them may be the last one's.
+        opacity = number(0)
+        for i in range(first, first + n):
+            samples[i] = weights[i]
+            opacity += weights[i]
+        if last_sample:
+            samples[first + n - U(1)] += one - (one if opacity > one else opacity)
+        if parts == 0:
+            for i in range(first, first + n):
+                shares[i] = samples[i]
+                for f in range(features):
+                    mean[i * features + f] = raw[i * o + U(1) + f]
+            continue
+        m = U(parts)
+        out = U(ray) * m
+        total = number(0)
+        for i in range(first, first + n):
+            total += samples[i]
+        total = max(total, number(tiny))
+        for j in range(out, out + m):
+            shares[j] = number(0)
+        for j in range(out * features, (out + m) * features):
+            mean[j] = number(0)
+        # A sample's part is that of the middle of its share, in a running sum that ends at 1. Sums are in float32 or
+        # float64 as the reference's are, in the same order, so that both choose the same part.
+        before = number(0)
+        for i in range(first, first + n):
+            before += samples[i]
+            middle = (before - samples[i] / number(2)) / total
+            own = min(max(np.int64(middle * number(parts)), 0), parts - 1)
+            part[i] = own
+            shares[out + U(own)] += samples[i]
+        # The mean geometry of each part, weighted by the samples' shares of it.
+        for i in range(first, first + n):
+            own_part = out + U(part[i])
+            weight = samples[i] / max(shares[own_part], number(tiny))
+            for f in range(features):
+                mean[own_part * features + f] += weight * raw[i * o + U(1) + f]
+
+
+@jit
+def _shade_gradient(  # type: ignore[no-untyped-def]
+    start, stop, count, activation, initial, last_sample, parts, outputs, tiny, floor, raw, inside, delta, after,
+    weights, samples, part, shares, mean, upstream, to_shares, to_mean, to_weights, to_density, to_raw,
+):  # fmt: skip
+    """Writes the gradients of rays start..stop; `upstream` are those of the weights."""
+    number = raw.dtype.type
+    one, zero, factor = number(1), number(0), number(initial)
+    n, m, o = U(count), U(parts), U(outputs)
+    features = o - U(1)
+    for ray in range(start, stop):
+        first = U(ray) * n
+        # Gradients of the samples' shares and of their geometry.
+        if parts == 0:
+            for i in range(first, first + n):
+                to_weights[i] = to_shares[i]
+                for f in range(features):
+                    to_raw[i * o + U(1) + f] = to_mean[i * features + f]
+        else:
+            # The derivative of a part's mean m by a sample's share is (g - m) / S, with S of at least `floor`. A sample
+            # of a part with next to no share gets a bounded gradient, see `MergeShading`.
+            for i in range(first, first + n):
+                own = U(ray) * m + U(part[i])
+                weight = samples[i] / max(shares[own], number(tiny))
+                inner = zero
+                for f in range(features):
+                    g = to_mean[own * features + f]
+                    inner += g * (raw[i * o + U(1) + f] - mean[own * features + f])
+                    to_raw[i * o + U(1) + f] = g * weight
+                to_weights[i] = to_shares[own] + inner / max(shares[own], number(floor))
+        # The last sample's share falls by what all weights take, unless they sum to more than 1 by rounding.
+        opacity = zero
+        for i in range(first, first + n):
+            opacity += weights[i]
+        taken = to_weights[first + n - U(1)] if last_sample and not opacity > one else zero
+        for i in range(first, first + n):
+            to_weights[i] += upstream[i] - taken
+        transmittance.backward(ray, ray + 1, count, delta, after, weights, to_weights, to_density)
+        for i in range(first, first + n):
+            to_raw[i * o] = to_density[i] * factor * _slope(raw[i * o], activation)
+        if inside.size:
+            for i in range(first, first + n):
+                to_raw[i * o] = to_raw[i * o] if inside[i] else zero
