@@ -79,39 +79,19 @@ def test_the_wheel_holds_every_file_of_every_folder(wheel: Path) -> None:
     assert {".py", ".typed", ".yaml", ".csv", ".js", ".css", ".html", ".ipynb", ".parquet"} <= suffixes
 
 
-class Installed:
-    """The unpacked wheel, and an empty folder to work in."""
-
-    def __init__(self, packages: Path, work: Path) -> None:
-        self.work = work
-        self.environment = {**os.environ, "PYTHONPATH": str(packages), "OMP_NUM_THREADS": "1"}
-
-    def python(self, *arguments: str) -> str:
-        done = subprocess.run(
-            [sys.executable, *arguments], cwd=self.work, env=self.environment,
-            capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    def qnerf(self, *arguments: str) -> str:
-        return self.python("-c", "from qnerf.cli.main import main; main()", *arguments)
-
-
-@pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    packages = tmp_path_factory.mktemp("packages")
-    zipfile.ZipFile(wheel).extractall(packages)
-    return Installed(packages, tmp_path_factory.mktemp("work"))
-
-
-def test_the_package_is_the_wheels(installed: Installed) -> None:
-    code = "import qnerf, qnerf.analysis.load as load; qnerf.QuantumLayer(2, 1); print(qnerf.__file__, load.__file__)"
-    for file in installed.python("-c", code).split():
-        assert file.startswith(installed.environment["PYTHONPATH"])
-
-
-def test_a_configuration_is_composed(installed: Installed) -> None:
-    """.ci/run trains with an installed wheel; here that would compile every kernel anew."""
-    (installed.work / "mine.yaml").write_text("defaults: [config, _self_]\nseed: 7\n")
-    assert "seed: 7" in installed.qnerf("run", "--sweep", "mine.yaml", "field=qboth", "--cfg", "job")
+def test_an_unpacked_wheel_composes_a_configuration(wheel: Path, tmp_path: Path) -> None:
+    """In an empty folder. .ci/run trains with an installed wheel; here that would compile every kernel anew."""
+    zipfile.ZipFile(wheel).extractall(tmp_path / "packages")
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "mine.yaml").write_text("defaults: [config, _self_]\nseed: 7\n")
+    code = (
+        "import qnerf.analysis.load as load; from qnerf.cli.main import main; print(load.__file__, flush=True); main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "run", "--sweep", "mine.yaml", "field=qboth", "--cfg", "job"],
+        cwd=tmp_path / "work", env={**os.environ, "PYTHONPATH": str(tmp_path / "packages")},
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(tmp_path / "packages"))
+    assert "seed: 7" in done.stdout
