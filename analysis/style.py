@@ -15,7 +15,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure, SubFigure
@@ -278,11 +277,3 @@ def rendered(figure: Figure, kind: str) -> bytes:
     with mpl.rc_context({key: _BASE[key] for key in ("svg.fonttype", "svg.hashsalt", "pdf.fonttype", "savefig.dpi")}):
         figure.savefig(data, format=kind, metadata=dates.get(kind), facecolor=figure.get_facecolor())
     return data.getvalue()
-
-
-def check_formats(formats: Iterable[str]) -> None:
-    """ValueError for a format that matplotlib does not know."""
-    known = FigureCanvasBase.get_supported_filetypes()
-    for kind in formats:
-        if kind not in known:
-            raise ValueError(f"unknown format {kind!r}; known: {', '.join(sorted(known))}")

@@ -10,7 +10,7 @@ from qnerf.records.files import one_line
 from qnerf.records.printable import printable
 
 from ..output import make_folder
-from ..style import check_formats, save
+from ..style import save
 from .catalogue import FIGURES
 
 
@@ -30,7 +30,6 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
         ValueError: a format is unknown, a figure that was named cannot be drawn for any scene, or a file cannot be
             written.
     """
-    check_formats(formats)
     make_folder(out)
     failed = []
     for name in names or FIGURES:

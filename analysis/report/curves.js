@@ -1,4 +1,4 @@
-/** Logged values of the selected runs over steps or time: each run, or means and bands of groups; smoothed on demand. */
+/** Logged values of the selected runs over steps or time: each run, or means and bands of groups. */
 
 let seenCurves = () => {};
 const drawCurves = () => seenCurves();
@@ -16,10 +16,10 @@ async function drawCurvesNow() {
   if (number !== drawing) return;
   const having = runs.filter((run) => logged.has(run));
   const paint = colouring($("curve-by").value, having);
-  const [by, share] = [$("curve-x").value, Number($("curve-smooth").value) / 100];
+  const by = $("curve-x").value;
   const lines = having.map((run) => {
     const { step, time, value: values } = logged.get(run);
-    return { run, x: by === "step" ? step : time, y: smoothed(values, share) };
+    return { run, x: by === "step" ? step : time, y: values };
   });
   const layout = plotLayout(by === "step" ? "step" : "time, s", names[key] ?? "", { yaxis: { type: pressed("curve-log") ? "log" : "linear" } });
   if (!lines.length) layout.annotations = [{ text: "no selected run has logged this yet", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }];
@@ -31,21 +31,8 @@ async function drawCurvesNow() {
   const left = selection.runs.length - having.length;
   const parts = [counted(having.length, "run")];
   if (pressed("curve-mean")) parts.push("line: mean of a group; band: ± standard deviation over its runs");
-  if (share) parts.push("smoothed by an exponential moving average");
   if (left) parts.push(`${left.toLocaleString("en")} selected runs are not drawn: they follow in the table's order, or have no such curve here`);
   $("curves-status").textContent = `${parts.join("; ")}.`;
-}
-
-/** An exponential moving average that gives the values before `share` of the weight, without the bias of its start. */
-function smoothed(values, share) {
-  if (!share) return values;
-  let [sum, weight] = [0, 0];
-  return values.map((v) => {
-    if (v === null) return null;
-    sum = share * sum + (1 - share) * v;
-    weight = share * weight + 1 - share;
-    return sum / weight;
-  });
 }
 
 function single({ run, x, y }, paint) {
@@ -120,8 +107,8 @@ function offerCurves() {
 function startCurves() {
   offerCurves();
   for (const id of ["curve-mean", "curve-log"]) $(id).addEventListener("click", () => { toggle($(id)); drawCurves(); });
-  for (const id of ["curve-key", "curve-x", "curve-by", "curve-most", "curve-smooth"]) $(id).addEventListener("input", drawCurves);
-  keep("curve-key", "curve-x", "curve-by", "curve-most", "curve-smooth", "curve-mean", "curve-log");
+  for (const id of ["curve-key", "curve-x", "curve-by", "curve-most"]) $(id).addEventListener("input", drawCurves);
+  keep("curve-key", "curve-x", "curve-by", "curve-most", "curve-mean", "curve-log");
   seenCurves = whenSeen("curves-section", drawCurvesNow);
   selection.listeners.push(drawCurves);
   drawCurves();

@@ -1,6 +1,6 @@
-/** What all plots of the page share: their layout, their texts, and saving them. */
+/** What all plots of the page share: their layout and their texts. Their bar saves them as PNG. */
 
-const plotSettings = { responsive: true, displayModeBar: false };
+const plotSettings = { responsive: true, displaylogo: false, modeBarButtons: [["toImage"]], toImageButtonOptions: { scale: 2 } };
 
 /** Resolved when Plotly is there; everything but the plots is shown before. */
 let plotly = Promise.resolve();
@@ -9,7 +9,7 @@ function plotLayout(x, y, more = {}) {
   const [ink, muted, line] = ["--ink", "--muted", "--line"].map(colour);
   const axis = { gridcolor: line, linecolor: muted, zeroline: false, ticks: "outside", tickcolor: muted, automargin: true };
   return {
-    paper_bgcolor: "rgba(0,0,0,0)",
+    paper_bgcolor: colour("--paper"),
     plot_bgcolor: "rgba(0,0,0,0)",
     font: { color: ink, size: 12.5, family: getComputedStyle(document.body).fontFamily },
     margin: { l: 58, r: 12, t: 12, b: 48 },
@@ -26,15 +26,4 @@ const MOST_MARKS = 3000;
 /** Plotly reads a few tags in texts; names from outside must not be read as such. */
 function escaped(text) {
   return String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
-}
-
-/** Saves the plot that a button names, as PNG at twice its size on the screen. */
-async function savePlot(id) {
-  const { clientWidth: width, clientHeight: height } = $(id);
-  const paper = colour("--paper");
-  await Plotly.relayout(id, { paper_bgcolor: paper });
-  const uri = await Plotly.toImage(id, { format: "png", width, height, scale: 2 });
-  await Plotly.relayout(id, { paper_bgcolor: "rgba(0,0,0,0)" });
-  const bytes = Uint8Array.from(atob(uri.split(",")[1]), (c) => c.charCodeAt(0));
-  download(`${id}.png`, bytes, "image/png");
 }

@@ -17,7 +17,6 @@ async function copy(button) {
 
 document.addEventListener("click", ({ target }) => {
   if (target.dataset?.copy) copy(target);
-  if (target.dataset?.png) savePlot(target.dataset.png);
   if (target.matches?.("nav a")) { // its # would replace the view in the address
     const section = document.querySelector(target.hash);
     if (section.querySelector("details")) section.querySelector("details").open = true;
