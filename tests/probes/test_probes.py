@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pennylane as qml
 import pytest
 import torch
 from hypothesis import given, settings
@@ -22,10 +21,9 @@ from qnerf.experiment import run
 from qnerf.heads import HEADS
 from qnerf.probes import PROBES, Trained, cost, diagnostics, encoding, load, probe, rays, spectrum
 from qnerf.quantum import QuantumLayer, lightcone
-from qnerf.quantum.circuit import ANSATZE, Amplitudes, Circuit, Gate, Weights, feature, weight
+from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Weights, feature, weight
 from qnerf.quantum.cones import find_cones
 from qnerf.quantum.diagnostics import weights_of
-from qnerf.quantum.pennylane import apply
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
 
@@ -210,17 +208,6 @@ def test_cost_counts_what_is_evaluated(quantum_run, monkeypatch, capsys):
     np.testing.assert_allclose(density["view_hours"], pixels * samples * 1000 / 1e4 / 3600)
     assert command(monkeypatch, str(quantum_run), "cost") == 0
     assert capsys.readouterr().out.count("density") == 2
-
-
-def test_cost_has_the_gates_and_the_depth_of_pennylane():
-    for name in ("qiren", "cnot", "ry"):
-        for wires in (1, 5):
-            circuit = ANSATZE.build(name, wires, 2)
-            with qml.tape.QuantumTape() as tape:
-                apply(circuit, torch.zeros(wires), torch.zeros(circuit.size))
-            counted = tape.specs["resources"]
-            expected = counted.gate_sizes[1], counted.gate_sizes.get(2, 0), counted.depth
-            assert cost.gate_counts(circuit) == expected
 
 
 def test_cost_counts_gates_after_their_decomposition():
