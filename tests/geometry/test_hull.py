@@ -7,11 +7,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import distance_transform_edt
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.hull import bounding_spheres, carve, sees_through, visual_hull
-from qnerf.geometry.rays import project
 from qnerf.geometry.visibility import SpaceMask
 from tests.helpers.worlds import BALL, ball, balls, cameras, constant, look_at, ring, scene
 
@@ -30,24 +28,6 @@ def inside_of(centre, radius, count=4000) -> torch.Tensor:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     distances = radius * np.minimum(1.0, 1.5 * random.uniform(size=(count, 1)) ** (1 / 3))
     return torch.from_numpy(np.array(centre) + directions * distances)
-
-
-@pytest.mark.parametrize("name", CONTRACTIONS.names())
-def test_what_a_view_clearly_sees_through_goes(name):
-    world, contraction, n = ball(size=96, focal=50.0), CONTRACTIONS.build(name), 60
-    mask = SpaceMask(visual_hull(contraction, world, n))
-    points = inside_of((0, 0, 0), 0.9)
-    reach = (2.0 if name == "box" else 4.0) / n * np.sqrt(3)  # a cell's diagonal, here
-    clear = torch.zeros(len(points), dtype=torch.bool)
-    for view in world.train:
-        pixels, depth = project(world.cameras, torch.full((len(points),), view), points)
-        margin = 50 * reach / (depth - reach) + 4
-        away = distance_transform_edt(world.images[view, ..., 3].numpy() == 0)
-        inside = (depth > 2 * reach) & (pixels > margin[:, None]).all(1) & (96 - pixels > margin[:, None]).all(1)
-        x, y = pixels.clamp(0, 95).long().unbind(1)
-        clear |= inside & (torch.from_numpy(away)[y, x] > margin)
-    assert clear.double().mean() > 0.02
-    assert not bool(mask(contraction(points[clear])).any())
 
 
 @settings(max_examples=25)

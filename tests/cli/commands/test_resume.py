@@ -9,7 +9,7 @@ import pytest
 
 from qnerf import experiment, records
 from qnerf.cli import main
-from qnerf.records import RunStore, read_metrics, read_status, state, store
+from qnerf.records import read_metrics, read_status, state, store
 
 Config = dict[str, Any]
 
@@ -92,15 +92,6 @@ def test_a_finished_run_is_left_alone(config, resume):
     code, said = resume(run)
     assert (code, "finished already" in said) == (0, True)
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
-
-
-def test_a_running_one_says_who_runs_it(tmp_path, resume):
-    claim = RunStore(tmp_path / "runs").claim("a", {"seed": 0})
-    assert claim.run is not None
-    code, said = resume(claim.dir)
-    assert code == 0
-    assert f"being written by process {read_status(claim.dir)['pid']} on " in said
-    claim.run.finish()
 
 
 def test_how_it_is_executed_may_change_and_what_it_computes_may_not(config, resume):
