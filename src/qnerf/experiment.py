@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,7 +22,7 @@ from qnerf.kernels import dispatch
 from qnerf.metrics import quality_metrics
 from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
-from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary
+from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, state
 from qnerf.records.environment import capture, dirty_diff
 from qnerf.scenes import Scene
 from qnerf.scenes.base import even_subset
@@ -150,7 +150,8 @@ def run(
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
-    `device=auto` takes a GPU that no other job has, and waits for one if there are only others.
+    `device=auto` takes a GPU that no other job has, and waits for one if there are only others. A finished run
+    needs none.
 
     stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
         checkpoint.
@@ -163,25 +164,28 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
-    with devices.dealt(config.get("device", devices.AUTO), display.note, stopping) as device:
-        return _run({**config, "device": device}, overrides, display, stopping, name, unpromising)
+    prepared = prepare(config)
+    settings = prepared.settings
+    name = name or prepared.find_id(settings.store)
+    finished = not settings.run.force and state(Path(settings.store) / name) == "finished"
+    with devices.dealt("cpu" if finished else settings.device, display.note, stopping) as device:
+        prepared = replace(prepared, settings=replace(settings, device=device))
+        return _run(prepared, name, overrides, display, stopping, unpromising)
 
 
 def _run(
-    config: Mapping[str, Any],
+    prepared: Prepared,
+    name: str,
     overrides: Sequence[str],
     display: Display,
     stopping: Callable[[], bool],
-    name: str | None,
     unpromising: Unpromising,
 ) -> Outcome:
-    prepared = prepare(config)
     settings, scene = prepared.settings, prepared.scene
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
 
-    name = name or prepared.find_id(settings.store)
     columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions)
     columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
     types = column_types(prepared.config)

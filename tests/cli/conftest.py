@@ -37,6 +37,7 @@ def qnerf(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
         monkeypatch.setattr(sys, "argv", ["qnerf", *arguments])
         monkeypatch.setattr(sweep, "started", [])
         monkeypatch.setattr(launch, "_jobs", [])
+        monkeypatch.setattr(launch, "_full_errors", [])
         GlobalHydra.instance().clear()
         capsys.readouterr()
         code = 0

@@ -18,7 +18,7 @@ MISTAKES = {
     "seed=0 --nope": "unrecognized arguments: --nope",
     "--steps 100": "an option is set by OPTION=VALUE; did you mean train.steps=...?",
     "-cn": "argument --config-name/-cn: expected one argument",
-    "qiren.layers=1, 2, 3": "no spaces between values: qiren.layers=1,2,3",
+    "qiren.layers=1, 2, 3": "have commas between them and no spaces, such as qiren.layers=1,2,3",
     "qiren.layers=1,2": "several values are a sweep, add -m",
     "lr=0.1": "unknown option lr; did you mean train.lr=...?",
     "learning_rate=0.1": "unknown option learning_rate; did you mean train.lr=...?",
@@ -39,7 +39,7 @@ MISTAKES = {
     "plugins=[..my_module]": "plugins: expected names of modules such as my_module or package.module",
     "run=null": "run must be a group of options, got None",
     "train.steps=-1": "train.steps must be between 1 and 1000000000, got -1",
-    "seed=[1": "seed=[1: cannot be read; a closing ] is missing: 'seed=[1]'",
+    "seed=[1": "seed=[1: cannot be read; close its brackets, or quote ",
     "store=": "store must not be empty",
     "threads=100000": "threads must be between 1 and 1024, got 100000",
     "-m store= seed=1,2": "store must not be empty",
@@ -74,8 +74,7 @@ def test_the_cure_of_what_cannot_be_read_can_be_typed(typed):
     (cure,) = shlex.split(re.search(r"""(["']).*\1$""", str(error.value))[0])  # type: ignore[index]
     parsed = OverridesParser.create().parse_override(cure)
     assert parsed.key_or_group == typed.partition("=")[0]
-    if "quote" in str(error.value):
-        assert parsed.value() == typed.partition("=")[2]
+    assert parsed.value() == typed.partition("=")[2]
 
 
 def test_brackets_without_end_are_one_line():
@@ -92,11 +91,11 @@ def test_sweeps_are_files_that_hydra_finds(tmp_path):
         assert expand_sweep([f"--sweep={name}", "budget=short"]) == expected
 
 
-def test_a_bug_and_what_is_debugged_keep_their_traceback(qnerf, monkeypatch):
+def test_a_bug_and_errors_that_are_wanted_in_full_keep_their_traceback(qnerf, monkeypatch):
     monkeypatch.setattr(experiment, "run", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         qnerf("run", "device=cpu")
     with pytest.raises(ValueError, match="seed"):
-        qnerf("run", "run.debug=true", "seed=-1")
+        qnerf("run", "seed=-1", full_error=True)
     with pytest.raises(Exception, match="Could not override"):
         qnerf("run", "qiren.depth=3", full_error=True)

@@ -17,6 +17,7 @@ from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import Output, stoppable
 from qnerf.cli.sweep import Sweep
 from qnerf.cli.training import train
+from qnerf.config import devices
 from qnerf.experiment import Outcome
 from qnerf.records import Run, RunStore, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
@@ -139,6 +140,14 @@ def test_a_sweep_goes_back_to_runs_whose_process_died(qnerf, small, held, tmp_pa
     assert f"waiting for runs that other processes train: {held.dir.name}" in done.out
     assert states(tmp_path / "runs") == ["finished"] * 2
     assert (read_summary(held.dir)["psnr"] == 1.0) == (end == "finishes")
+
+
+def test_a_finished_run_waits_for_no_gpu(qnerf, small, monkeypatch):
+    assert qnerf("run", *small).code == 0
+    monkeypatch.setattr(devices, "known", lambda: ["cuda:0", "cpu"])
+    monkeypatch.setattr(devices, "_take", lambda *_: pytest.fail("it asks for a GPU"))
+    done = qnerf("run", *small, "device=auto")
+    assert (done.code, "finished" in done.out) == (0, True), done.err
 
 
 def test_a_cluster_does_not_wait_and_says_what_is_left(tmp_path, capsys):

@@ -166,16 +166,6 @@ def test_output_does_not_fail_for_a_character(monkeypatch: pytest.MonkeyPatch) -
     assert data.getvalue() == b"l\\xe4ufe \\udcff\n"
 
 
-def test_a_deleted_working_folder_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    (tmp_path / "gone").mkdir()
-    monkeypatch.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    assert main.dispatch("runs", []) == 2
-    assert capsys.readouterr().err == "error: the working folder no longer exists; change to another one\n"
-
-
 def test_export_goes_on_after_a_damaged_run(
     store: Path, bad: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

@@ -33,8 +33,6 @@ HABITS = {
 """What other programs call an option -> the option."""
 
 _OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./@-]*)(?P<value>=.*)?", re.DOTALL)
-_OPENED = re.compile(r"\w+\(|\[|\{")  # a function, a list, a dictionary
-_CLOSED_BY = {"(": ")", "[": "]", "{": "}"}
 
 
 def expand_sweep(arguments: Sequence[str]) -> list[str]:
@@ -75,7 +73,6 @@ def arguments_for_hydra(arguments: Sequence[str]) -> tuple[list[str], dict[str, 
     """
     from hydra._internal.utils import get_args_parser
 
-    _check_spaces(arguments)
     parser = get_args_parser()
     parser.error = _refuse  # type: ignore[method-assign]
     parsed = vars(parser.parse_intermixed_args(list(arguments)))
@@ -116,27 +113,8 @@ def _cure(argument: str) -> str:
     key, _, value = argument.partition("=")
     if value.endswith(","):
         return f"several values have commas between them and no spaces, such as {key}=1,2,3"
-    missing = "".join(
-        closing * (value.count(opening) - value.count(closing)) for opening, closing in _CLOSED_BY.items()
-    )
-    if missing and _OPENED.match(value):
-        with contextlib.suppress(HydraException, RecursionError):
-            OverridesParser.create().parse_override(argument + missing)
-            return f"a closing {missing} is missing: '{argument}{missing}'"
     quoted = value.replace("\\", "\\\\").replace("'", "\\'")
-    return f"quote a value that holds special characters: \"{key}='{quoted}'\""
-
-
-def _check_spaces(arguments: Sequence[str]) -> None:
-    """ValueError for `qiren.layers=1, 2, 3`, which a shell hands over as three arguments."""
-    for number, argument in enumerate(arguments[:-1]):
-        if "=" in argument and argument.endswith(",") and not arguments[number + 1].startswith("-"):
-            values = [argument]
-            for value in arguments[number + 1 :]:
-                values.append(value)
-                if not value.endswith(","):
-                    break
-            raise ValueError(f"{' '.join(values)}: no spaces between values: {''.join(values)}")
+    return f"close its brackets, or quote a value that holds special characters: \"{key}='{quoted}'\""
 
 
 def _refuse(message: str) -> NoReturn:

@@ -39,6 +39,7 @@ from qnerf.records import owner, state
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
 _jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
+_full_errors: list[bool] = []  # whether the user asked for tracebacks, with Hydra's HYDRA_FULL_ERROR=1
 
 
 class _Prefixed:
@@ -71,21 +72,18 @@ def job(composed: DictConfig) -> None:
         print("stopped", file=sys.stderr)
         sys.exit(ends.stopped_code())
     except Exception as error:
-        _failed(error, composed, prefix, sweep)
+        _failed(error, prefix, sweep)
     finally:
         if sweep is not None and sweeps.is_abandoned():
             os._exit(FAILED)  # otherwise joblib's process waits for its next job
 
 
-def _failed(error: Exception, composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
-    """Prints the error as one line. A bug keeps its traceback, and so does everything with run.debug=true."""
+def _failed(error: Exception, prefix: str, sweep: Sweep | None) -> None:
+    """Prints the error as one line. A bug keeps its traceback, and so does everything with HYDRA_FULL_ERROR=1."""
     from qnerf.training.trainer import Diverged
 
     known = is_known(error) or isinstance(error, (Diverged, OmegaConfBaseException))
-    debug = False
-    with contextlib.suppress(OmegaConfBaseException):
-        debug = OmegaConf.select(composed, "run.debug") is True
-    if debug or (sweep is None and not known):
+    if any(_full_errors) or (sweep is None and not known):
         raise error
     if not known:
         traceback.print_exc()
@@ -188,7 +186,7 @@ def _report(sweep: Sweep) -> int:
 
 def run_command() -> None:
     """Composes the configuration from conf/ and the command line, and runs it."""
-    full_error = os.environ.get("HYDRA_FULL_ERROR", "0") not in ("", "0")
+    _full_errors[:] = [os.environ.get("HYDRA_FULL_ERROR", "0") not in ("", "0")]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of printing them itself
     code: Any = 0
     task = job
@@ -205,7 +203,7 @@ def run_command() -> None:
         print("stopped", file=sys.stderr)
         code = INTERRUPTED
     except Exception as error:
-        if full_error or (_jobs and not sweeps.started):  # a job prints a user's mistake itself: this is a bug
+        if any(_full_errors) or (_jobs and not sweeps.started):  # a job prints a user's mistake itself: this is a bug
             raise
         code = _not_launched(error)
     reported = [_report(sweep) for sweep in sweeps.started]

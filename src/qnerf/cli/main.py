@@ -12,7 +12,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS
 from qnerf.cli.ends import OUTPUT_LOST, escape_unencodable, interruptible, output_lost, stoppable, stopped_code
-from qnerf.cli.errors import Parser, check_process, exit_code, is_shortage, report
+from qnerf.cli.errors import Parser, exit_code, report
 
 FIRST_STEPS = """\
 first steps:
@@ -56,10 +56,6 @@ def main() -> None:
 def run() -> None:
     """`qnerf run` and `python -m src.run`: Hydra reads sys.argv."""
     escape_unencodable()
-    try:
-        check_process()
-    except ValueError as error:
-        sys.exit(report(error))
     with stoppable():
         try:
             from qnerf.cli.launch import run_command
@@ -70,17 +66,12 @@ def run() -> None:
         except KeyboardInterrupt:  # while modules are imported
             print("stopped", file=sys.stderr)
             sys.exit(stopped_code())
-        except Exception as error:
-            if not is_shortage(error):
-                raise
-            sys.exit(report(error))
 
 
 def dispatch(command: str, arguments: list[str]) -> int:
     """Runs one of `COMMANDS` other than `run`; returns its exit code."""
 
     def start() -> int | None:
-        check_process()
         code: int | None
         if command in ANALYSIS:
             code = importlib.import_module(f"qnerf.analysis.{ANALYSIS[command]}").main(arguments)

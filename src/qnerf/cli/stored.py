@@ -26,7 +26,6 @@ CHANGEABLE = (
     "device",
     "run.progress",
     "run.preview_seconds",
-    "run.debug",
     "numerics.finite_checks",
 )
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""

@@ -88,13 +88,3 @@ def age(moment: Any) -> str:
         if seconds >= 2 * size:
             return f"{seconds // size:.0f}{unit}"
     return f"{seconds:.0f}s"
-
-
-def size(count: int) -> str:
-    """Bytes as text.
-
-    >>> size(512), size(12_700_000)
-    ('512 B', '12.7 MB')
-    """
-    power = min((len(str(count)) - 1) // 3, 4)
-    return f"{count / 1000**power:.1f} {'kMGT'[power - 1]}B" if power else f"{count} B"

@@ -146,7 +146,6 @@ class Run:
     force: bool = False
     progress: bool = True
     preview_seconds: Annotated[float, Interval(ge=0, le=1e9)] = 30.0  # between two preview pictures; 0: none
-    debug: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

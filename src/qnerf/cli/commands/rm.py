@@ -1,12 +1,11 @@
 """`qnerf rm RUN...`: deletes runs, after asking."""
 
 import argparse
-import contextlib
 import sys
 from pathlib import Path
 
 from qnerf.cli.commands import add_many_runs
-from qnerf.cli.text import STATE_STYLES, console, size, styled
+from qnerf.cli.text import STATE_STYLES, console, styled
 from qnerf.records import find, state
 from qnerf.records.deletion import delete_run, require_run
 from qnerf.records.find import is_path
@@ -27,9 +26,7 @@ def main(options: argparse.Namespace) -> int:
     out = console()
     for path in paths:
         now = state(path)
-        out.print(
-            styled(path, limit=200), styled(now, STATE_STYLES.get(now, "")), size(_total_size(path)), soft_wrap=True
-        )
+        out.print(styled(path, limit=200), styled(now, STATE_STYLES.get(now, "")), soft_wrap=True)
     if not options.yes and not _agreed(len(paths)):
         out.print("nothing deleted")
         return 1
@@ -52,15 +49,6 @@ def _checked(name: str, store: str, whole: bool) -> Path:
     except ValueError as error:
         raise ValueError(f"{error}; nothing deleted") from error
     return run
-
-
-def _total_size(folder: Path) -> int:
-    """Bytes of all files in the folder and below; links count as themselves, what cannot be read as nothing."""
-    total = 0
-    for path in folder.rglob("*"):
-        with contextlib.suppress(OSError):
-            total += 0 if path.is_dir() else path.lstat().st_size
-    return total
 
 
 def _agreed(count: int) -> bool:
