@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any
 
 from rich.text import Text
@@ -14,6 +15,7 @@ from qnerf.config.identity import flatten
 from qnerf.records import details, find
 from qnerf.records.printable import printable
 
+TITLES = ("key", "A", "B", "change")
 SECTIONS = ("configuration", "environment", "results")
 
 
@@ -41,8 +43,8 @@ def main(options: argparse.Namespace) -> None:
     for name, found in sections.items():
         out.print(f"\n{name}" if found else f"\nno differences in {name}", style="bold cyan" if found else "")
         if found:
-            rows = [dict(zip(("key", "A", "B", "change"), (key, *found[key]), strict=True)) for key in found]
-            print_table(out, [Column(title, lambda row, t=title: _text(row[t]), limit=60) for title in rows[0]], rows)
+            rows = [dict(zip(TITLES, (key, *map(_text, values)), strict=True)) for key, values in found.items()]
+            print_table(out, [Column(title, itemgetter(title), limit=60) for title in TITLES], rows)
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
