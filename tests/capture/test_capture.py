@@ -1,13 +1,11 @@
 """`qnerf capture`: what it refuses, what it leaves behind, and that it finds the poses of a scene that is known."""
 
-import contextlib
 import json
 import multiprocessing
 import os
 import shlex
 import shutil
 import signal
-import sqlite3
 import time
 from pathlib import Path
 
@@ -15,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from qnerf.capture import steps
 from qnerf.capture.photographs import capture, transforms
 from qnerf.capture.video import extract_frames, sharpness
 from qnerf.cli import main
@@ -42,11 +39,8 @@ def unlike(views: int = 3) -> list[np.ndarray]:
     return [np.kron(random.integers(0, 255, (30, 40, 3), np.uint8), np.ones((4, 4, 1), np.uint8)) for _ in range(views)]
 
 
-def above_a_floor(lens: float = 0.0, turning: bool = False) -> tuple[Cameras, list[np.ndarray]]:
-    """Cameras above a textured floor and around it, and their photographs (120, 160, 3).
-
-    lens: k1 of its distortion; turning: all are in one place.
-    """
+def above_a_floor(turning: bool = False) -> tuple[Cameras, list[np.ndarray]]:
+    """Cameras above a textured floor and around it, and their photographs (120, 160, 3); turning: all in one place."""
     angles = np.linspace(0, 1.2, 7)
     centres = [
         (0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.8 + 0.1 * (number % 3)) for number, angle in enumerate(angles)
@@ -55,7 +49,6 @@ def above_a_floor(lens: float = 0.0, turning: bool = False) -> tuple[Cameras, li
     if turning:
         poses = [worlds.look_at((0.3, 0.0, 0.8), np.array([0, 0.4 * number / 7, 0])) for number in range(7)]
     of = worlds.cameras(np.stack(poses), 160, 120, 150.0)
-    of.distortion[:, 0] = lens
     images = []
     for view in range(len(of)):
         origins, directions = worlds.pixel_rays(of, view)
@@ -202,74 +195,6 @@ def test_two_scenes_in_one_folder_and_exposure_that_varies(tmp_path: Path, capsy
     assert "2 groups that share nothing, of 7, 4; the first was taken" in told
     scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))
     assert scene.names == [f"images/{number:02d}.png" for number in range(7)]
-
-
-def test_masks_hide_features_and_follow_the_undistorted_photographs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A wide lens with the same green block in all photographs: unmasked, it would look as if nothing moved."""
-    _, images = above_a_floor(lens=-0.3)
-    noise = np.random.default_rng(0).integers(150, 255, (30, 160), np.uint8)
-    for image in images:
-        image[90:] = np.stack([0 * noise, noise, 0 * noise], axis=-1)
-    source, counts = write(tmp_path / "images", *images), np.full((120, 160), 255, np.uint8)
-    counts[90:] = 0
-    masks = write(tmp_path / "masks", *[counts] * 6)
-    (masks / "05.png").rename(masks / "05.png.png")
-    (tmp_path / "none").mkdir()
-    steps.extract(tmp_path / "database", source, ["00.png"], True, tmp_path / "none")
-    assert (found(tmp_path / "database")[:, 1] > 95).any()
-    (masks / "00.png").rename(masks / "00.png.png")
-    steps.extract(tmp_path / "masked", source, ["00.png"], True, masks)
-    assert 0 < found(tmp_path / "masked")[:, 1].max() < 91
-    command = [str(source), "--out", str(tmp_path / "out"), "--masks", str(masks)]
-    assert main.dispatch("capture", command) == 0
-    assert "6 of 7 photographs have a mask" in capsys.readouterr().out
-    scene = SCENES.build("nerfstudio", path=str(tmp_path / "out"))
-    green = (scene.images[..., 1] > scene.images[..., 0].int() + 20).numpy()
-    assert scene.mask is not None
-    mask = scene.mask.numpy()
-    assert mask[6].all(), "has no mask"
-    assert green.any(axis=(1, 2)).all()
-    assert not (mask[:6] & green[:6]).any()
-    assert (mask[:6] | green[:6]).mean() > 0.98, "hardly more than the block is black"
-    assert len(set(mask[0].sum(axis=0))) > 3, "its edge is bent where the lens bent it"
-
-
-def found(database: Path) -> np.ndarray:
-    """Keypoints (N, 2 or more) in pixels of the first photograph in COLMAP's database."""
-    with contextlib.closing(sqlite3.connect(database)) as opened:
-        rows, columns, data = opened.execute("SELECT rows, cols, data FROM keypoints").fetchone()
-    return np.frombuffer(data, np.float32).reshape(rows, columns)
-
-
-def test_masks_that_do_not_fit_are_one_line_and_leave_nothing(tmp_path: Path) -> None:
-    source = write(tmp_path / "images", *unlike())
-    masks = tmp_path / "masks"
-    good = np.zeros((120, 160), np.uint8)
-    for names, image, message in (
-        (None, good, "masks does not exist"),
-        ([], good, r"masks has none; expected one image \(jpg, .*\) for each photograph, .* such as 00.png"),
-        (["00.png", "7.png"], good, "7.png belongs to no photograph, or is a second one; expected .* such as 00.png"),
-        (["00.png", "00.jpg"], good, "00.jpg belongs to no photograph, or is a second one"),
-        (["01.png"], good[1:], "01.png has 160 x 119 pixels, expected those of 01.png held upright, 160 x 120"),
-        (["00.png", "01.png", "02.png"], good, "0 of 3 photographs have 40 features .* black in a mask"),
-    ):
-        for name in names or []:
-            Image.fromarray(image).save(masks / name)
-        with pytest.raises(ValueError, match=message) as error:
-            capture(source, tmp_path / "out", masks=masks)
-        assert "\n" not in str(error.value)
-        shutil.rmtree(masks, ignore_errors=True)
-        assert list(tmp_path.iterdir()) == [source]
-        masks.mkdir()
-    Image.fromarray(good).save(masks / "00.png")
-    (masks / "00.png").write_bytes((masks / "00.png").read_bytes()[:60])
-    with pytest.raises(ValueError, match=r"00.png does not decode: "):
-        capture(source, tmp_path / "out", masks=masks)
-    (tmp_path / "walk.mp4").write_bytes(b"no video")
-    with pytest.raises(ValueError, match="masks are for a folder of photographs, got a video"):
-        capture(tmp_path / "walk.mp4", tmp_path / "out", masks=masks)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")

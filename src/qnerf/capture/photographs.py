@@ -7,7 +7,7 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures import TimeoutError as Unfinished
 from concurrent.futures.process import BrokenProcessPool
@@ -20,7 +20,6 @@ from typing import Any, Literal
 from PIL import Image, ImageOps
 
 from qnerf.capture import steps
-from qnerf.capture.masks import collect_masks
 from qnerf.capture.steps import Model
 from qnerf.capture.video import extract_frames
 from qnerf.config.checks import at_least
@@ -46,7 +45,6 @@ class Captured:
     others: list[str]  # of photographs without a pose
     groups: list[int]  # photographs in each group that shows nothing of the others; the first group is the scene
     error: float  # mean distance of features from their projected points, pixels
-    masked: int = 0  # photographs that had a mask
 
 
 def capture(
@@ -56,7 +54,6 @@ def capture(
     frames: int = 150,
     lens: Literal["auto", "shared", "each"] = "auto",
     order: Literal["auto", "any", "sequence"] = "auto",
-    masks: Path | None = None,
     progress: Progress = lambda what, done, total: None,
 ) -> Captured:
     """Finds the poses of photographs, undoes lens distortion, and writes a folder that scene=nerfstudio reads.
@@ -71,12 +68,10 @@ def capture(
             shared if all have one size.
         order: sequence: a photograph is compared with its neighbours only, in the order of names; any: with all others;
             auto: for a video sequence, and any if that leaves more than a tenth without a pose; else any.
-        masks: a folder of masks, see `collect_masks`; photographs without one count whole. Black pixels give no
-            features, and the scene's frames name the masks.
 
     Raises:
-        ValueError: pycolmap is missing, `out` is not empty, or the photographs or masks cannot be read, or the
-            photographs not posed. Then nothing has been written.
+        ValueError: pycolmap is missing, `out` is not empty, or the photographs cannot be read or posed. In these cases
+            nothing has been written.
     """
     if importlib.util.find_spec("pycolmap") is None:
         raise ValueError('pycolmap is not installed here: pip install "qnerf[capture]"')
@@ -84,15 +79,12 @@ def capture(
         raise ValueError(f"{out} exists already; choose a new folder")
     at_least("frames", frames, MIN_VIEWS)
     video = source.is_file() and source.suffix.lower() not in PHOTOGRAPHS
-    if video and masks is not None:
-        raise ValueError("masks are for a folder of photographs, got a video")
     if not video:
         _check_photographs(source)
     work = _beside(out)
     try:
-        taken, black = work / "photographs", work / "masks"
+        taken = work / "photographs"
         taken.mkdir()
-        black.mkdir()
         if video:
             extract_frames(source, taken, frames, progress)
         else:
@@ -100,11 +92,10 @@ def capture(
         names = [path.name for path in photographs(taken)]
         if len(names) < MIN_VIEWS:
             raise ValueError(f"{source}: expected at least {MIN_VIEWS} photographs, got {len(names)}")
-        masked = collect_masks(masks, taken, black) if masks is not None else 0
         one_size = len({_size(taken / name) for name in names}) == 1
         shared = lens == "shared" or (lens == "auto" and one_size)
         matchings = {"sequence": ["sequential"], "auto": ["sequential", "exhaustive"] if video else ["exhaustive"]}
-        models = _solve(taken, names, work, shared, black, matchings.get(order, ["exhaustive"]), progress)
+        models = _solve(taken, names, work, shared, matchings.get(order, ["exhaustive"]), progress)
         posed = set(models[0].posed)
         scene = _write(work / "scene", work / "written")
         if out.is_dir():
@@ -117,7 +108,6 @@ def capture(
         others=[name for name in names if name not in posed],
         groups=[len(model.posed) for model in models],
         error=models[0].error,
-        masked=masked,
     )
 
 
@@ -126,7 +116,6 @@ def _solve(
     names: list[str],
     work: Path,
     shared: bool,
-    masks: Path,
     matchings: list[str],
     progress: Progress,
 ) -> list[Model]:
@@ -138,8 +127,8 @@ def _solve(
     others = active_children()
     with ProcessPoolExecutor(1, get_context("spawn"), steps.begin, (work / "log.txt",)) as colmap:
         try:
-            models = _reconstruct(colmap, folder, names, work, shared, masks, matchings, progress)
-            running = colmap.submit(steps.undistort, models[0].folder, folder, work / "scene", JPEG_QUALITY, masks)
+            models = _reconstruct(colmap, folder, names, work, shared, matchings, progress)
+            running = colmap.submit(steps.undistort, models[0].folder, folder, work / "scene", JPEG_QUALITY)
             _follow(running, progress, "undistort", len(models[0].posed), lambda: _files(work / "scene" / "images"))
             return models
         except KeyboardInterrupt:  # of SIGTERM, say, which COLMAP's process does not get
@@ -162,20 +151,13 @@ def _write(undistorted: Path, scene: Path) -> Path:
     """Moves what `steps.undistort` wrote to the folder `scene`, and writes transforms.json beside it."""
     scene.mkdir()
     os.replace(undistorted / "images", scene / "images")
-    masks = undistorted / "masks"
-    masked = {path.name for path in masks.iterdir()}
-    content = transforms(read_model(undistorted / "sparse"), masked)
-    if masked:
-        os.replace(masks, scene / "masks")
+    content = transforms(read_model(undistorted / "sparse"))
     (scene / "transforms.json").write_text(json.dumps(content, indent=1))
     return scene
 
 
-def transforms(content: dict[str, Any], masked: Collection[str] = ()) -> dict[str, Any]:
-    """A transforms file from what `read_model` returns: names in `images`, sorted; keys that all frames share once.
-
-    masked: NAME.png for each image NAME that has a mask in `masks`.
-    """
+def transforms(content: dict[str, Any]) -> dict[str, Any]:
+    """A transforms file from what `read_model` returns: names in `images`, sorted; keys that all frames share once."""
     frames = sorted(content["frames"], key=lambda frame: str(frame["file_path"]))
     own = {"file_path", "transform_matrix"}
     shared = {
@@ -186,7 +168,6 @@ def transforms(content: dict[str, Any], masked: Collection[str] = ()) -> dict[st
     listed = [
         {key: value for key, value in frame.items() if key not in shared}
         | {"file_path": f"images/{frame['file_path']}"}
-        | ({"mask_path": f"masks/{frame['file_path']}.png"} if f"{frame['file_path']}.png" in masked else {})
         for frame in frames
     ]
     return {**shared, "frames": listed}
@@ -234,7 +215,6 @@ def _reconstruct(
     names: list[str],
     work: Path,
     shared: bool,
-    masks: Path,
     matchings: list[str],
     progress: Progress,
 ) -> list[Model]:
@@ -243,13 +223,13 @@ def _reconstruct(
     matchings: "sequential" or "exhaustive". The next is tried where one leaves more than a tenth without a pose.
     """
     database, total = work / "database.db", len(names)
-    running = colmap.submit(steps.extract, database, folder, names, shared, masks)
+    running = colmap.submit(steps.extract, database, folder, names, shared)
     _follow(running, progress, "features", total, lambda: _count(database, "keypoints"))
     rich = _count(database, "keypoints", f"rows >= {MIN_FEATURES}")
     if rich < MIN_VIEWS:
         raise ValueError(
             f"{rich} of {total} photographs have {MIN_FEATURES} features or more, {MIN_VIEWS} are needed: blank walls, "
-            f"blur and darkness show none{', nor does what is black in a mask' if any(masks.iterdir()) else ''}"
+            "blur and darkness show none"
         )
     models: list[Model] = []
     for matching in matchings:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
 NEIGHBOURS = 20  # with which an image of a sequence is compared: the next ten, and those 2, 4, 8, ... on
@@ -35,7 +34,7 @@ def begin(log: Path) -> None:
     os.dup2(os.open(log, os.O_CREAT | os.O_WRONLY), 2)
 
 
-def extract(database: Path, folder: Path, names: list[str], shared: bool, masks: Path) -> None:
+def extract(database: Path, folder: Path, names: list[str], shared: bool) -> None:
     """Finds the features of the photographs.
 
     Args:
@@ -43,20 +42,15 @@ def extract(database: Path, folder: Path, names: list[str], shared: bool, masks:
         folder: of the photographs.
         names: of the photographs.
         shared: all have one camera.
-        masks: a folder with NAME.png for each photograph NAME, black where no features are wanted; or an empty one.
     """
     import pycolmap as sfm
-
-    reader = sfm.ImageReaderOptions(camera_model="OPENCV" if shared else "SIMPLE_RADIAL")
-    if any(masks.iterdir()):
-        reader.mask_path = masks  # COLMAP leaves out photographs without a mask
 
     sfm.extract_features(
         str(database),
         str(folder),
         names,
         camera_mode=sfm.CameraMode.SINGLE if shared else sfm.CameraMode.PER_IMAGE,
-        reader_options=reader,
+        reader_options=sfm.ImageReaderOptions(camera_model="OPENCV" if shared else "SIMPLE_RADIAL"),
         extraction_options=sfm.FeatureExtractionOptions(max_image_size=MAX_SIDE),
     )
 
@@ -119,22 +113,8 @@ def placed(place: Path) -> int:
     return file.stat().st_size if file.exists() else 0
 
 
-def undistort(model: Path, folder: Path, out: Path, jpeg_quality: int, masks: Path) -> None:
-    """Writes the posed photographs without lens distortion, and their model, to `out`/images and `out`/sparse.
-
-    masks: a folder with NAME.png, 0 or 255, for some photographs NAME. Those of posed photographs are written to
-    `out`/masks, white where all pixels that a pixel is interpolated from are white; but not those that are all white.
-    """
+def undistort(model: Path, folder: Path, out: Path, jpeg_quality: int) -> None:
+    """Writes the posed photographs without lens distortion, and their model, to `out`/images and `out`/sparse."""
     import pycolmap as sfm
 
     sfm.undistort_images(str(out), str(model), str(folder), jpeg_quality=jpeg_quality)
-    (out / "masks").mkdir()
-    for image in sfm.Reconstruction(str(model)).images.values():
-        mask = masks / f"{image.name}.png"
-        if image.has_pose and mask.is_file():
-            with Image.open(mask) as opened:
-                distorted = sfm.Bitmap.from_array(np.asarray(opened))
-            mixed, _ = sfm.undistort_image(sfm.UndistortCameraOptions(), distorted, image.camera)
-            white = mixed.to_array().squeeze() == 255
-            if not white.all():
-                Image.fromarray(255 * white.astype(np.uint8)).save(out / "masks" / mask.name)

@@ -41,7 +41,7 @@ def is_known(error: BaseException) -> bool:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, as those of all other mistakes; `--help` shows the usage."""
+    """A parser whose errors are one line, as all mistakes are; `--help` shows the usage."""
 
     def error(self, message: str) -> NoReturn:
         sys.exit(report(ValueError(message)))

@@ -30,7 +30,7 @@ _short = reprlib.repr  # of what a file holds: never long, never deep
 
 
 def is_file_number(value: Any) -> bool:
-    """Whether a value of a JSON file is a finite number of at most `MAX_ENTRY`; text, true and false are none."""
+    """Whether a value of a JSON file is a finite number of at most `MAX_ENTRY`. True and false are not numbers here."""
     return type(value) in (int, float) and abs(value) <= MAX_ENTRY
 
 

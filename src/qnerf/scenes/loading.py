@@ -177,7 +177,7 @@ def used_views(
     """Indices of the images that train or are held out, and among these the indices of both kinds.
 
     Raises:
-        ValueError: there are none of one kind.
+        ValueError: no view trains, or no view is held out.
     """
     train, held_out = split_of(images, eval_every)
     if not train or not held_out:

@@ -22,8 +22,8 @@ def search(
 ) -> list[Trial]:
     """Trains until there are `options.trials` trials, or the space has no more; returns them.
 
-    launch: trains the runs of some points and returns when they have ended, whatever became of them; it also gets the
-        trials so far. stopping: called before each launch. Once it is true, the search ends.
+    launch: trains the runs of some points and returns when they have ended, well or not; it also gets the trials so
+        far. stopping: called before each launch. Once it is true, the search ends.
 
     Trials that were begun come first. One whose run is still unfinished when it has been launched ends the search,
     unless another process trains it.

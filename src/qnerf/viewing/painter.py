@@ -89,7 +89,7 @@ class Painter:
         return int((apart + 1 - poses[:, :, 2] @ camera.pose[:, 2]).argmin())
 
     def reload(self) -> bool:
-        """Takes the checkpoints that were written since the last call; False if there are none."""
+        """Takes the checkpoints that were written since the last call; returns whether there were any."""
         news = False
         for number, renderer in enumerate(self.renderers):
             written = _written(renderer)

@@ -88,7 +88,7 @@ class Client(threading.Thread):
         while self.open:
             self.news.wait()
             self.news.clear()
-            with contextlib.suppress(ValueError):  # a camera that is none, such as a rotation of zeros
+            with contextlib.suppress(ValueError):  # such as a rotation of zeros
                 if not self.open:
                     return
                 sharpen(lambda: self.version, self._draw, self._show, self.viewer.widths)

@@ -42,10 +42,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="sequence: compare neighbours in the order of names only; any: all pairs; "
         "auto (default): for a video sequence first",
     )
-    parser.add_argument(
-        "--masks", type=Path, metavar="DIR",
-        help="a folder of masks, images named as the photographs: black pixels are ignored, here and in training",
-    )  # fmt: skip
 
 
 def main(options: argparse.Namespace) -> None:
@@ -63,12 +59,10 @@ def main(options: argparse.Namespace) -> None:
                     print(f"{STAGES[what]}: {total}", flush=True)
             bars.update(tasks[what], completed=done, total=total)
 
-        given = {"frames": options.frames, "lens": options.lens, "order": options.order, "masks": options.masks}
+        given = {"frames": options.frames, "lens": options.lens, "order": options.order}
         captured = capture(options.source, options.out, progress=progress, **given)
     total = len(captured.posed) + len(captured.others)
     print(f"{len(captured.posed)} of {total} photographs were posed, features are {captured.error:.2f} pixels off")
-    if options.masks is not None:
-        print(f"{captured.masked} of {total} photographs have a mask")
     if captured.others:
         more = f" and {len(captured.others) - NAMED} more" if len(captured.others) > NAMED else ""
         print(f"not posed: {', '.join(map(printable, captured.others[:NAMED]))}{more}")
