@@ -23,11 +23,6 @@ def number(low: float, high: float, *, above: bool = False) -> Callable[[str], f
     return parse
 
 
-share = number(0, 1)
-tolerance = number(0, 1e9)
-seconds = number(0, 86_400, above=True)
-
-
 def whole(low: int, high: int) -> Callable[[str], int]:
     """A whole number from `low` to `high`."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from qnerf.cli.commands import add_overrides, add_run
 from qnerf.cli.ends import FAILED, stoppable, stopped_code
-from qnerf.cli.numbers import tolerance
+from qnerf.cli.numbers import number
 from qnerf.cli.stored import run_stored, stored
 from qnerf.cli.table import Column, print_table
 from qnerf.cli.text import console
@@ -44,7 +44,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance",
         metavar="X",
-        type=tolerance,
+        type=number(0, 1e9),
         default=0.0,
         help="relative difference |a - b| / max(|a|, |b|) up to which numbers agree (default: 0, bit for bit)",
     )
