@@ -81,7 +81,7 @@ def arguments_for_hydra(arguments: Sequence[str]) -> tuple[list[str], dict[str, 
         rest.remove(override)
     overrides = [translated(argument) for argument in parsed["overrides"]]
     for override in overrides:
-        _check_choice(override, parse(override))
+        parse(override)
     return [*rest, *overrides], parsed
 
 
@@ -122,22 +122,6 @@ def _refuse(message: str) -> NoReturn:
     raise ValueError(f"{message}; an option is set by OPTION=VALUE{hint(unknown[2])}" if unknown else message)
 
 
-def _check_choice(argument: str, override: Override) -> None:
-    """ValueError for a group that is set to what is no name of a choice, such as hash=null."""
-    group = override.key_or_group
-    value = override.value()
-    names = value if isinstance(value, list) else [value]
-    if override.is_delete() or override.is_sweep_override() or all(isinstance(name, str) for name in names):
-        return
-    if known := choices(group):
-        raise ValueError(f"{argument}: expected the name of a choice; known: {', '.join(known)}")
-
-
-def choices(group: str) -> list[str]:
-    """The names that a group of conf/ offers; empty if there is no such group."""
-    return sorted(file.stem for file in (CONF / group).glob("*.yaml") if file.stem != "base")
-
-
 def plugins(overrides: Iterable[str]) -> list[str]:
     """The modules of `plugins=[a,b]`, if any. ValueError if it is not a list of names."""
     names: list[str] = []
@@ -160,7 +144,7 @@ def configuration(overrides: Sequence[str]) -> dict[str, Any]:
     for override in own:
         if override.lstrip("+~").startswith("hydra"):
             raise ValueError(f"{override}: options of Hydra are for the command line, qnerf run")
-        _check_choice(override, parse(override))
+        parse(override)
     plugin_modules.load(plugins(own))
     try:
         with hydra.initialize_config_dir(str(CONF), **HYDRA):
