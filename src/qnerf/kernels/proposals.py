@@ -55,6 +55,7 @@ def propose(space: Space, s: Tensor, network: tuple[Grid, Layer, Layer], draws: 
     Returns:
         Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
     """
+    s = s.contiguous()  # even edges are the same for all rays
     rays, count = s.shape[0], s.shape[1] - 1
     grid, hidden, out = network
     t, weights, drawn = s.new_empty(rays, count + 1), s.new_empty(rays, count), s.new_empty(rays, draws.edges)
@@ -133,7 +134,7 @@ def _propose(  # type: ignore[no-untyped-def]
     block = np.int64(BLOCK)
     edges, shares, power = t.reshape(-1), weights.reshape(-1), number(exponent)
     n = U(count)
-    kept = np.empty((0, 1), s.dtype)
+    kept, keeps = np.empty((0, 1), s.dtype), start > stop  # a variable: for a literal the loop is compiled again
     numbers, counts = np.empty((0, 1), np.int32), np.empty(0, np.int32)
     for each in range(start, stop):
         first = each * group
@@ -144,7 +145,7 @@ def _propose(  # type: ignore[no-untyped-def]
         # The network's raw values: a group of rays is whole blocks of points.
         blocks = first * count // block, (last * count + block - 1) // block
         network_values(
-            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, w1, b1, w2, b2, False, kept,
+            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, w1, b1, w2, b2, keeps, kept,
             numbers, counts, density,
         )  # fmt: skip
         for ray in range(U(first), U(last)):

@@ -61,7 +61,7 @@ def forward(start, stop, count, density, delta, after, weights):  # type: ignore
         for i in range(first, first + n):
             after[i] = exp(-after[i])
         for i in range(first, first + n):
-            weights[i] = -expm1(-weights[i])
+            weights[i] = number(0) - expm1(-weights[i])  # 0, not -0
         for i in range(first + U(1), first + n):
             weights[i] *= after[i - U(1)]
 
