@@ -66,7 +66,7 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     assert "toy_error" in data["shown"]
     assert "toy_error" in data["quality"]
     assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4}
-    logged = curves.gather(frame, [0], advance=lambda: None)[0]
+    logged = curves.gather(frame, [0])[0]
     assert logged["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
     assert data["curve_names"]["eval/toy_error"] == "evaluation mean absolute error"
     figure = figures.speed_vs_error(frame, metric="toy_error")

@@ -277,7 +277,7 @@ def start() -> Iterator[Callable[..., Forked]]:
 @pytest.mark.usefixtures("signals")
 @pytest.mark.parametrize("how", ["SIGINT", "stdout"])
 def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, small, tmp_path, how):
-    arguments = [*small, "train.steps=400", "train.eval_every=20", "train.eval_views=1", "threads=1"]
+    arguments = [*small, "train.steps=1000", "train.eval_every=100", "train.eval_views=1", "threads=1"]
     process = start(*arguments)
     wait(training(tmp_path / "runs"))
     process.stdout.close() if how == "stdout" else process.send_signal(getattr(signal, how))
@@ -291,7 +291,7 @@ def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, 
     assert (run / "checkpoint.pt").is_file()
     if how == "SIGINT":
         assert call("run", *arguments).returncode == 0
-        assert steps(run) == list(range(1, 401))
+        assert steps(run) == list(range(1, 1001))
 
 
 @pytest.mark.usefixtures("signals")
