@@ -134,7 +134,8 @@ def _propose(  # type: ignore[no-untyped-def]
     block = np.int64(BLOCK)
     edges, shares, power = t.reshape(-1), weights.reshape(-1), number(exponent)
     n = U(count)
-    kept, keeps = np.empty((0, 1), s.dtype), start > stop  # a variable: for a literal the loop is compiled again
+    kept = np.empty((0, 1), s.dtype)
+    keeps = kept.size > 0  # for the literal False, `network_values` would be compiled again
     numbers, counts = np.empty((0, 1), np.int32), np.empty(0, np.int32)
     for each in range(start, stop):
         first = each * group
