@@ -1,17 +1,11 @@
-"""The speed of the quantum layer and of other packages on the same circuit: `python -m benchmarks.quantum`.
+"""The speed of the quantum layer and of PennyLane on the same circuit: `python -m benchmarks.quantum`.
 
 One table is printed and saved as benchmarks/results/quantum.parquet: forward + backward of QIREN on 8 wires in float32,
-medians, and errors against float64 default.qubit. Each peer runs in a process of its own, with this interpreter or with
-that of another environment (`--peers-python`). A peer that does not run is listed with its error. Rows of the file that
-are not measured again stay.
+medians, and errors against float64 default.qubit. Rows of the file that are not measured again stay.
 """
 
 import argparse
-import json
 import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,16 +16,15 @@ import numpy as np
 import pandas as pd
 import torch
 
-from benchmarks.peers.circuits import PEERS, pennylane_torch
 from qnerf.quantum import QuantumLayer
 
 RESULTS = Path(__file__).parent / "results" / "quantum.parquet"
-ROOT = Path(__file__).parents[1]
 WIRES, CHECKED = 8, 256  # samples whose errors are measured
 ENGINES = ("auto", "lightcone", "lightcone torch", "statevector", "statevector torch")
+PENNYLANE = "pennylane default.qubit torch"
 Arrays = dict[str, np.ndarray]
 Results = tuple[Any, Any, Any]
-"""Outputs, gradients of the inputs and of the weights."""
+"""Outputs, gradients of the inputs and of the weights, as arrays or tensors."""
 
 
 def inputs(spectral: int, batch: int) -> Arrays:
@@ -83,58 +76,54 @@ def timed(step: Callable[[], Any], repeats: int) -> list[float]:
     return times
 
 
+def pennylane_step(data: Arrays, spectral: int) -> Callable[[], Results]:
+    """One forward + backward of the circuit in PennyLane, written as its users would."""
+    import pennylane as qml
+
+    @qml.qnode(qml.device("default.qubit", wires=WIRES), interface="torch", diff_method="backprop")
+    def circuit(x: torch.Tensor, w: torch.Tensor) -> Any:
+        for block in range(spectral + 1):
+            for layer in range(2):
+                for wire in range(WIRES):
+                    qml.Rot(*w[2 * block + layer, wire], wires=wire)
+                for wire in range(WIRES):
+                    qml.CZ(wires=(wire, (wire + layer + 1) % WIRES))
+            for wire in range(WIRES) if block < spectral else ():
+                qml.RZ(x[:, wire], wires=wire)
+        return [qml.expval(qml.PauliZ(wire)) for wire in range(WIRES)]
+
+    x, w, g = (torch.from_numpy(data[key]) for key in "xwg")
+
+    def step() -> Results:
+        inputs, angles = x.clone().requires_grad_(), w.clone().requires_grad_()
+        y = torch.stack(tuple(circuit(inputs, angles)), -1)
+        y.backward(g.to(y.dtype))
+        return y.detach(), inputs.grad, angles.grad
+
+    return step
+
+
 def exact_results(data: Arrays, spectral: int) -> Results:
     """float64 default.qubit on the first samples."""
-    step = pennylane_torch(WIRES, spectral)
-    return step(*(array.astype(np.float64) for array in first(data, CHECKED).values()))
+    return pennylane_step({key: array.astype(np.float64) for key, array in first(data, CHECKED).items()}, spectral)()
 
 
 def errors(result: Results, exact: Results) -> dict[str, float]:
-    """Largest absolute error of outputs and input gradients; of weight gradients relative to the largest of them.
-
-    Gradients of weights are sums over samples: they are compared where both sides have the same samples.
-    """
-    y, dx, dw = (np.asarray(part, dtype=np.float64) for part in result)
-    samples = min(len(y), len(exact[0]))
-    row = {
-        "error_outputs": float(np.abs(y[:samples] - exact[0][:samples]).max()),
-        "error_inputs": float(np.abs(dx[:samples] - exact[1][:samples]).max()),
-    }
-    if len(y) == len(exact[0]):
-        row["error_weights"] = float(np.abs(dw - exact[2]).max() / np.abs(exact[2]).max())
-    return row
+    """Largest absolute error of outputs and input gradients; of weight gradients relative to the largest of them."""
+    outputs, inputs, weights = (
+        np.abs(np.asarray(part, np.float64) - np.asarray(true)).max() for part, true in zip(result, exact, strict=True)
+    )
+    largest = np.abs(np.asarray(exact[2])).max()
+    return {"error_outputs": float(outputs), "error_inputs": float(inputs), "error_weights": float(weights / largest)}
 
 
-def ours(engine: str, spectral: int, data: Arrays, exact: Results, repeats: int) -> dict[str, Any]:
-    times = timed(our_step(engine, data, spectral), repeats)
+def measured(engine: str, spectral: int, data: Arrays, exact: Results, repeats: int) -> dict[str, Any]:
+    def step_of(some: Arrays) -> Callable[[], Results]:
+        return pennylane_step(some, spectral) if engine == PENNYLANE else our_step(engine, some, spectral)
+
+    times = timed(step_of(data), repeats)
     row = {"ms": 1e3 * median(times), "ms_min": 1e3 * min(times), "repeats": len(times), "note": ""}
-    return row | errors(our_step(engine, first(data, CHECKED), spectral)(), exact)
-
-
-def peer(name: str, data: Arrays, exact: Results, options: argparse.Namespace) -> dict[str, Any]:
-    """A row without times where the peer does not run."""
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
-        np.savez(source, **data)  # type: ignore[arg-type]
-        command = [options.peers_python, "-m", "benchmarks.peers.run", name, str(source), str(target)]
-        environment = dict(os.environ, OMP_NUM_THREADS=str(options.threads))
-        try:
-            done = subprocess.run(
-                [*command, str(options.repeats), str(options.threads)],
-                capture_output=True, text=True, cwd=ROOT, env=environment, timeout=options.timeout, check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            return {"note": f"no result within {options.timeout} s"}
-        if done.returncode != 0:
-            lines = [line for line in done.stderr.splitlines() if line.strip()]
-            return {"note": (lines[-1] if lines else f"exit code {done.returncode}")[:200]}
-        result = np.load(target)
-        about = json.loads(str(result["about"]))
-        scaled = f"; {result['samples']} samples, scaled up" if result["samples"] < len(data["x"]) else ""
-        note = f"{about['version']}; first call {about['first']:.1f} s{scaled}"
-        times = about["times"]
-        row = {"ms": 1e3 * median(times), "ms_min": 1e3 * min(times), "repeats": len(times), "note": note}
-        return row | errors((result["y"], result["dx"], result["dw"]), exact)
+    return row | errors(step_of(first(data, CHECKED))(), exact)
 
 
 def comparison(options: argparse.Namespace) -> pd.DataFrame:
@@ -142,15 +131,13 @@ def comparison(options: argparse.Namespace) -> pd.DataFrame:
     for spectral in (1, 2, 4):
         data = inputs(spectral, options.batch)
         exact = exact_results(data, spectral)
-        for name in (*ENGINES, *options.peers):
+        for name in (*ENGINES, PENNYLANE):
             if name.startswith("lightcone") and spectral > 1:  # every output depends on every input
                 continue
-            if name in ENGINES:
-                row = {"engine": f"qnerf {name}"} | ours(name, spectral, data, exact, options.repeats)
-            else:
-                row = {"engine": name} | peer(name, data, exact, options)
+            row = {"engine": name if name == PENNYLANE else f"qnerf {name}"}
+            row |= measured(name, spectral, data, exact, options.repeats)
             rows.append(row | {"S": spectral, "wires": WIRES, "batch": options.batch})
-            print(f"S={spectral} {row['engine']}: {row.get('ms', float('nan')):.2f} ms {row['note']}", flush=True)
+            print(f"S={spectral} {row['engine']}: {row['ms']:.2f} ms", flush=True)
     table = pd.DataFrame(rows)
     auto = table[table["engine"] == "qnerf auto"].set_index("S")
     return table.assign(
@@ -164,9 +151,6 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=6144, help="samples of the comparison")
     parser.add_argument("--repeats", type=int, default=7, help="timed steps; the median counts")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--peers-python", default=sys.executable, help="interpreter of the environment with the peers")
-    parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=list(PEERS), metavar="NAME")
-    parser.add_argument("--timeout", type=float, default=600, help="seconds for one peer and one S")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     table = comparison(options)

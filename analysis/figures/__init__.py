@@ -10,7 +10,6 @@ from .accuracy import accuracy_points, accuracy_vs_speed
 from .capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
 from .catalogue import FIGURES, Entry
 from .colors import hsv_histograms, hsv_samples, hsv_study
-from .cpu_ladder import cpu_ladder_points, psnr_vs_cpu_seconds
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
 from .forest import forest, forest_points
