@@ -117,7 +117,7 @@ def test_the_edge_of_space_is_far_but_finite(order):
 
 def test_unknown_order():
     for function in (contract, uncontract):
-        with pytest.raises(ValueError, match="order must be one of linf, l2, got 'l7'"):
+        with pytest.raises(ValueError, match="order expects one of linf, l2, got 'l7'"):
             function(torch.zeros(1, 3), "l7")
 
 

@@ -17,7 +17,6 @@ from qnerf.analysis.report import content, pictures
 from qnerf.analysis.tables import ablation
 
 from qnerf.cli import ends, main
-from qnerf.export import to_csv
 from qnerf.records import StoreError, details
 from tests.helpers.packed_stores import picture, write_run
 
@@ -122,13 +121,6 @@ def test_an_environment_that_is_no_small_object(bad: Path, kind: str) -> None:
     assert any("environment.json" in problem for problem in details.read(bad).problems)
 
 
-def test_a_key_may_have_the_name_of_a_column() -> None:
-    rows = pd.DataFrame({"step": [1, 1], "time_s": [0.5, 0.5], "key": ["step", "=x"], "value": [3.0, 4.0]})
-    wide = to_csv.wide(rows, 100.0)
-    assert wide.columns.tolist() == ["step", "time_s", "wall_time", "=x", "step"]
-    assert wide.to_numpy().tolist() == [[1, 0.5, 100.5, "4.0", "3.0"]]
-
-
 def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     for field in ("classical", "qcolor"):
         write_run(tmp_path / "runs", field)
@@ -164,13 +156,3 @@ def test_output_does_not_fail_for_a_character(monkeypatch: pytest.MonkeyPatch) -
     ends.escape_unencodable()
     print("läufe \udcff", flush=True)
     assert data.getvalue() == b"l\\xe4ufe \\udcff\n"
-
-
-def test_export_goes_on_after_a_damaged_run(
-    store: Path, bad: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    (bad / "summary.parquet").write_bytes(b"PAR1")
-    good = store / "poster-qcolor-s0"
-    assert main.dispatch("export", [str(bad), str(good), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
-    assert (tmp_path / "out" / good.name / "summary.csv").exists()
-    assert "summary.parquet: damaged" in capsys.readouterr().err

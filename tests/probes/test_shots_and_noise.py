@@ -49,7 +49,7 @@ def test_hardware_rows_of_another_command_meanwhile_stay(path):
 
 def test_conditions_that_do_not_exist_are_one_line():
     for options, message in (
-        ({"shots": -1}, "shots must be at least 0, got -1"),
+        ({"shots": -1}, "shots must be between 0 and 1000000000, got -1"),
         ({"noise": "thermal", "p": 0.1}, "unknown channel 'thermal'; known: depolarizing"),
         ({"noise": "depolarizing", "p": 1.5}, "probability"),
         ({"noise": "depolarizing"}, "belong together"),

@@ -63,7 +63,6 @@ def test_tracked_runs_stand_in_tables_beside_others(tmp_path: Path, capsys: pyte
     run = records.runs(tmp_path)[0]
     for command in (["show", str(run)], ["runs", "--store", str(tmp_path)]):
         assert main.dispatch(command[0], command[1:]) == 0
-    assert main.dispatch("export", [str(run), "--to", "csv", "--out", str(tmp_path / "out")]) == 0
     assert "descent" in capsys.readouterr().out
     assert main.dispatch("reproduce", [str(run)]) == 2
     assert "only that loop goes on with it" in capsys.readouterr().err

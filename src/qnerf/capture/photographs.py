@@ -15,14 +15,15 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+from annotated_types import Interval
 from PIL import Image, ImageOps
 
 from qnerf.capture import steps
 from qnerf.capture.steps import Model
 from qnerf.capture.video import extract_frames
-from qnerf.config.checks import at_least
+from qnerf.config import bounds
 from qnerf.scenes.base import MIN_VIEWS
 from qnerf.scenes.folders import PHOTOGRAPHS, photographs
 from qnerf.scenes.formats.colmap import read_model
@@ -77,7 +78,7 @@ def capture(
         raise ValueError('pycolmap is not installed here: pip install "qnerf[capture]"')
     if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
         raise ValueError(f"{out} exists already; choose a new folder")
-    at_least("frames", frames, MIN_VIEWS)
+    bounds.check("frames", frames, Annotated[int, Interval(ge=MIN_VIEWS, le=10**6)])
     video = source.is_file() and source.suffix.lower() not in PHOTOGRAPHS
     if not video:
         _check_photographs(source)

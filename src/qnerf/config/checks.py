@@ -1,25 +1,6 @@
-"""One-line errors for values that users give."""
+"""What counts as a number."""
 
-from collections.abc import Sequence
-from typing import Any, TypeGuard
-
-
-def one_of(name: str, value: Any, choices: Sequence[Any]) -> None:
-    """ValueError, which lists the choices, unless `value` is one of them.
-
-    >>> one_of("background", "red", ("white", "black"))
-    Traceback (most recent call last):
-        ...
-    ValueError: background must be one of white, black, got 'red'
-    """
-    if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(map(str, choices))}, got {value!r}")
-
-
-def at_least(name: str, value: float, minimum: float) -> None:
-    """ValueError unless `value` is a finite number of at least `minimum`."""
-    if not minimum <= value < float("inf"):
-        raise ValueError(f"{name} must be at least {minimum:g}, got {value}")
+from typing import TypeGuard
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -1,12 +1,12 @@
 """View directions -> features."""
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
 
+from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeFactor
-from qnerf.config.checks import one_of
 from qnerf.config.registry import Registry
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
@@ -23,7 +23,7 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     >>> spherical_harmonics(torch.tensor([[0.0, 0.0, 1.0]]), degree=4).shape
     torch.Size([1, 16])
     """
-    one_of("directions=sh: degree", degree, get_args(Degree))
+    bounds.check("directions=sh: degree", degree, Degree)
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, 0.28209479177387814)]
     if degree > 1:

@@ -2,7 +2,7 @@
 
 from torch import Tensor, nn
 
-from qnerf.config.checks import at_least
+from qnerf.config import bounds
 from qnerf.config.registry import Registry
 
 
@@ -16,7 +16,7 @@ class Encoder(nn.Module):
 
     def __init__(self, in_dim: int) -> None:
         super().__init__()
-        at_least("in_dim", in_dim, 1)
+        bounds.check("in_dim", in_dim, bounds.PositiveInt)
         self.in_dim = in_dim
 
     def forward(self, points: Tensor) -> Tensor:

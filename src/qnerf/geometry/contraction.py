@@ -1,16 +1,17 @@
 """World space <-> the unit cube: unbounded scenes are contracted into a cube or ball, bounded ones are scaled."""
 
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 import torch
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.checks import one_of
+from qnerf.config import bounds
 from qnerf.config.registry import Registry
 
 CONTRACTIONS: Registry["Contraction"] = Registry("contraction")
-ORDERS = ("linf", "l2")
+Order = Literal["linf", "l2"]
+ORDERS: tuple[str, ...] = get_args(Order)
 
 
 def contract(points: Tensor, order: str = "linf") -> Tensor:
@@ -27,7 +28,6 @@ def contract(points: Tensor, order: str = "linf") -> Tensor:
     Args:
         order: the norm: "linf" fills the cube, "l2" the ball of radius 2.
     """
-    one_of("contraction order", order, ORDERS)
     largest = torch.finfo(points.dtype).max / 4  # room for the sum in an l2 norm
     points = points.clamp(-largest, largest)
     norm = _norm(points, order)
@@ -40,7 +40,6 @@ def uncontract(points: Tensor, order: str = "linf") -> Tensor:
     >>> uncontract(torch.tensor([1.75, 0.0, 0.0])).tolist()
     [4.0, 0.0, 0.0]
     """
-    one_of("contraction order", order, ORDERS)
     norm = _norm(points, order)
     return points / norm / (2 - norm).clamp(min=torch.finfo(points.dtype).eps)
 
@@ -50,6 +49,7 @@ def _norm(points: Tensor, order: str) -> Tensor:
     if order == "linf":
         x, y, z = points.abs().split(1, dim=-1)  # faster than a reduction over three numbers
         return torch.maximum(torch.maximum(x, y), z).clamp(min=1)
+    bounds.check("contraction order", order, Order)
     with torch.no_grad():  # the square of 1e30 is infinite in float32
         scale = _norm(points, "linf")
     return (torch.linalg.vector_norm(points / scale, dim=-1, keepdim=True) * scale).clamp(min=1)

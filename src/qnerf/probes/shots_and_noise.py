@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import torch
 
-from qnerf.config.checks import at_least
+from qnerf.config import bounds
 from qnerf.metrics import image_metrics, metric_of
 from qnerf.probes.trained import Trained
 from qnerf.quantum import hardware_conditions
@@ -44,7 +44,7 @@ class Condition:
     others: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        at_least("shots", self.shots, 0)
+        bounds.check("shots", self.shots, bounds.NonNegativeInt)
         if self.noise not in ("none", *CHANNELS):
             raise ValueError(f"noise: unknown channel {self.noise!r}; known: {', '.join(CHANNELS)}")
         if not 0 <= self.p <= 1:

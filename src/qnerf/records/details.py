@@ -57,11 +57,6 @@ class Details:
         return unix_time(self.status.get("created"))
 
     @property
-    def heartbeat(self) -> float | None:
-        """Unix time of the last sign of life."""
-        return unix_time(self.status.get("heartbeat"))
-
-    @property
     def step(self) -> int:
         step = self.status.get("step")
         return step if isinstance(step, int) else 0

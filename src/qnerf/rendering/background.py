@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from qnerf.config.checks import one_of
-from qnerf.config.settings import BACKGROUNDS
+from qnerf.config import bounds
+from qnerf.config.settings import Background
 
 
 def evaluation_background(name: str) -> str:
@@ -24,7 +24,7 @@ def background_color(name: str, like: Tensor, generator: torch.Generator | None)
     Raises:
         ValueError: an unknown name, or `random` without a generator.
     """
-    one_of("background", name, BACKGROUNDS)
+    bounds.check("background", name, Background)
     if name == "last_sample":
         return None
     if name != "random":

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from qnerf.config import memory
-from qnerf.config.checks import at_least
+from qnerf.config import bounds, memory
 from qnerf.scenes.area import area_downscale, area_means, area_resize
 from qnerf.scenes.base import digest
 
@@ -57,7 +56,7 @@ def open_header(folder: Path, path: Path) -> ImageFile:
 
 def check_downscale(label: str, downscale: int, width: int, height: int) -> None:
     """ValueError unless `downscale` leaves at least one pixel."""
-    at_least(f"{label}: downscale", downscale, 1)
+    bounds.check(f"{label}: downscale", downscale, bounds.PositiveInt)
     if downscale > min(width, height):
         raise ValueError(f"{label}: downscale={downscale} is larger than the images, {width} x {height} pixels")
 

@@ -25,11 +25,11 @@ GROUPS = {
     "look at a trained model": {
         "render": "a video along a path of the camera",
         "view": "look around in the browser, also while it trains",
+        "export": "points or a mesh of a model",
     },
     "organise runs": {
         "tag": "add or remove a run's tags, write its note",
         "rm": "delete runs",
-        "export": "copy runs to MLflow, TensorBoard or CSV; points or a mesh of a model",
     },
     "measure a trained model": {
         "probe": "finite shots, noisy gates, spectra, encodings, ray samples, dead units",
