@@ -13,4 +13,5 @@ default_role = "code"
 autodoc_typehints = "none"
 html_theme = "furo"
 html_title = "qnerf"
+html_show_copyright = False
 html_extra_path = ["index.html"]

@@ -16,12 +16,17 @@ def gpus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
 
     def have(count: int, kind: str = "cuda") -> None:
         monkeypatch.setattr(torch.accelerator, "device_count", lambda: count)
-        monkeypatch.setattr(torch.accelerator, "current_accelerator", lambda: torch.device(kind) if count else None)
+        accelerator = (lambda: torch.device(kind)) if count else _none_as_in_pytorch_2_6
+        monkeypatch.setattr(torch.accelerator, "current_accelerator", accelerator)
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(devices, "RETRY", 0.01)
     have(2)
     return have
+
+
+def _none_as_in_pytorch_2_6() -> None:
+    raise RuntimeError("Cannot access accelerator device when none is available.")
 
 
 def test_auto_chooses_the_first_gpu_but_never_mps(gpus):

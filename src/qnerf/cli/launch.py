@@ -30,7 +30,7 @@ from qnerf.cli import compose, ends, plugins
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import FAILED, INTERRUPTED
 from qnerf.cli.errors import is_known, one_line, report
-from qnerf.cli.resolvers import HYDRA
+from qnerf.cli.resolvers import MAIN
 from qnerf.cli.sweep import Sweep
 from qnerf.config.folders import CONF
 from qnerf.records import owner, state
@@ -196,7 +196,7 @@ def run_command() -> None:
         if options["cfg"] == "job" and not options["package"] and not options["resolve"]:
             task = show
             sys.argv[1:] = [*_without_cfg(sys.argv[1:]), "hydra.mode=RUN"]
-        hydra.main(config_path=str(CONF), config_name="config", **HYDRA)(task)()
+        hydra.main(config_path=str(CONF), config_name="config", **MAIN)(task)()
     except SystemExit as end:
         code = end.code
     except KeyboardInterrupt:

@@ -9,6 +9,9 @@ from omegaconf import DictConfig, OmegaConf
 HYDRA: dict[str, Any] = {"version_base": "1.3"} if hydra.__version__.startswith("1.3") else {}
 """What Hydra's entry points are given: Hydra 1.3 asks for the behaviour of a version, later ones have one behaviour."""
 
+MAIN: dict[str, Any] = HYDRA or {"execution_whitelist": ["qnerf.*", "hydra.*", "hydra_plugins.*"]}
+"""What `hydra.main` is given: later versions ask which classes a configuration may name."""
+
 
 def of_head(group: str, name: str, default: Any, *, _root_: DictConfig) -> Any:
     """The entry of `group`, such as density.rates, for the head `name`.

@@ -93,9 +93,9 @@ class Grid(BasicSweeper):
     hydra_context: Any
     launcher: Any
 
-    def __init__(self, max_batch_size: int | None = None, params: Mapping[str, str] | None = None) -> None:
+    def __init__(self, params: Mapping[str, str] | None = None) -> None:
         # Not the base's own: Hydra imports its module a second time to look for plugins, and `super` there fails.
-        self.max_batch_size, self.params = max_batch_size, dict(params or {})
+        self.max_batch_size, self.params = None, dict(params or {})
         self.overrides, self.batch_index = None, 0
 
     def sweep(self, arguments: list[str]) -> Any:

@@ -42,11 +42,9 @@ class SweepStart(Callback):
         sweeps.started.append(sweep)
         # Jobs compose their configuration again from these overrides and must use this folder, not one of their own.
         quoted = str(sweep.folder).replace("'", "\\'")
-        with read_write(config), open_dict(config):  # Hydra 1.4 gives it read-only
+        with read_write(config.hydra), open_dict(config.hydra):  # Hydra 1.4 gives it read-only
             config.hydra.sweep.dir = str(sweep.folder)
             config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
-            if sweeper == "basic":
-                config.hydra.sweeper._target_ = GRID
         _register(sweeper)
         if launcher == "joblib":
             os.environ[STARTER] = str(os.getpid())

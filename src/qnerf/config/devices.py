@@ -17,8 +17,9 @@ RETRY = 2.0  # seconds between two looks for a free GPU
 
 def known() -> list[str]:
     """The devices of this machine by their full names, such as `cuda:0, cuda:1, cpu`."""
-    kind = torch.accelerator.current_accelerator()
-    return [*(f"{kind.type}:{number}" for number in range(torch.accelerator.device_count()) if kind), "cpu"]
+    count = torch.accelerator.device_count()
+    kind = torch.accelerator.current_accelerator() if count else None  # PyTorch 2.6 raises where there is none
+    return [*(f"{kind.type}:{number}" for number in range(count) if kind), "cpu"]
 
 
 def device_of(name: str) -> torch.device:

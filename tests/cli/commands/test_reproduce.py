@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def test_numbers_and_environments_that_differ_are_named(run, reproduce):
     assert code == 1
     lines = [line.split() for line in output.splitlines()]
     assert ["metrics", "train/loss", "4", "0", "0.000999", "step=3"] in lines
-    assert ["packages.torch", "1.0", torch.__version__] in lines
+    assert ["packages.torch", "1.0", version("torch")] in lines
     assert "not reproduced, 1 of" in output
     assert "c0ffee" in output
     code, output = reproduce(run, "--tolerance", 0.01)
