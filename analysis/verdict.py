@@ -8,8 +8,10 @@ heads are not paired: equal seeds draw the same rays, and that explains nothing 
 can be wrong, so both are tested at the whole error rate `alpha`.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import comb
 from typing import Literal
 
 import numpy as np
@@ -36,7 +38,7 @@ class Verdict:
     `reach` is the half width of its interval of level 1 - alpha, infinite where a side has fewer than two runs.
     `excluded` names what an undecided comparison rules out, "a loss" or "a gain" of at least `within`; of an
     equivalent one, "above 0" or "below 0" where the interval excludes 0. `seeds` and `collapsed` count the runs that
-    were compared and those that were set aside, baseline first.
+    were compared and those that were set aside, baseline first; `uneven`: one side collapses more often (Fisher).
     """
 
     kind: Kind
@@ -49,6 +51,7 @@ class Verdict:
     star: bool = False
     seeds: tuple[int, int] = (0, 0)
     collapsed: tuple[int, int] = (0, 0)
+    uneven: bool = False
 
     def text(self, metric: str = "psnr") -> str:
         """`better *`, `equivalent, above 0`, `undecided: a loss of 0.5 dB is ruled out`."""
@@ -57,8 +60,10 @@ class Verdict:
             if self.kind == "equivalent"
             else f": {self.excluded} of {self.within:g} {metric_of(metric).unit}".rstrip() + " is ruled out"
         )
-        collapsed = f"; collapsed {self.collapsed[1]} of {self.seeds[1] + self.collapsed[1]}"
-        return self.kind + more + (" *" if self.star else "") + (collapsed if self.collapsed[1] else "")
+        sides = zip(("baseline ", ""), self.collapsed, self.seeds, strict=True)
+        collapsed = [f"; {side}collapsed {gone} of {gone + kept}" for side, gone, kept in sides if gone]
+        often = ", one side more often" if self.uneven else ""
+        return self.kind + more + (" *" if self.star else "") + "".join(collapsed) + often
 
 
 def judge(
@@ -71,8 +76,7 @@ def judge(
     >>> judge(0.1, 0.1, 18, 0.5).kind, judge(1.2, 0.2, 18, 0.5).kind, judge(0.4, 0.2, 18, 0.5).excluded
     ('equivalent', 'better', 'a loss')
     """
-    known = freedom > 0
-    one, two = (error * stdtrit(freedom, 1 - share) if known else np.inf for share in (alpha, alpha / 2))
+    one, two = (error * stdtrit(freedom, 1 - share) if freedom > 0 else np.inf for share in (alpha, alpha / 2))
     nonzero = abs(difference) > two
     kind: Kind = "undecided"
     excluded = ""
@@ -88,18 +92,22 @@ def judge(
     return Verdict(kind, float(difference), float(two), float(error), float(freedom), within, excluded)
 
 
-def welch(baseline: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
-    """Difference of the means, its standard error, and Satterthwaite's degrees of freedom: 0 for a group of one."""
-    groups = [np.asarray(group, dtype=float) for group in (baseline, other)]
-    difference = float(groups[1].mean() - groups[0].mean())
-    if min(map(len, groups)) < 2:
+def pooled(squares: np.ndarray, freedoms: np.ndarray) -> tuple[float, float]:
+    """Standard error of a sum of independent parts with these squared errors; Satterthwaite's degrees of freedom."""
+    total = float(squares.sum())
+    freedom = total**2 / (squares**2 / freedoms).sum() if total else freedoms.sum()
+    return total**0.5, float(freedom)
+
+
+def welch(baseline: np.ndarray, other: np.ndarray) -> tuple[float, float, float]:
+    """Difference of the means, its standard error and degrees of freedom: 0 for a group of one."""
+    difference = float(np.mean(other) - np.mean(baseline))
+    sizes = np.array([len(baseline), len(other)])
+    if sizes.min() < 2:
         return difference, float("nan"), 0.0
-    parts = [group.var(ddof=1) / group.size for group in groups]
-    square = sum(parts)
-    if square <= (1e-12 * np.abs(np.concatenate(groups)).max()) ** 2:  # rounding alone is no spread
-        return difference, 0.0, float(sum(map(len, groups)) - 2)
-    freedom = square**2 / sum(part**2 / (group.size - 1) for part, group in zip(parts, groups, strict=True))
-    return difference, float(np.sqrt(square)), float(freedom)
+    squares = np.array([np.var(baseline, ddof=1), np.var(other, ddof=1)]) / sizes
+    squares *= squares.sum() > (1e-12 * np.abs([*baseline, *other]).max()) ** 2  # rounding alone is no spread
+    return difference, *pooled(squares, sizes - 1)
 
 
 def collapses(baseline: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +132,7 @@ def verdict(
     *,
     metric: str = "psnr",
     alpha: float = ALPHA,
-    comparisons: int = 1,
+    comparisons: int = 0,
 ) -> Verdict:
     """The verdict on the runs of `other` against the runs of `baseline`, a value a run.
 
@@ -137,34 +145,32 @@ def verdict(
     item = metric_of(metric)
     dropped = collapses(*groups) if item.unit == "dB" else tuple(np.isnan(group) for group in groups)
     kept = [group[~out] for group, out in zip(groups, dropped, strict=True)]
-    if not min(map(len, kept)):
-        kept = [np.full(1, np.nan)] * 2
-    found = welch(*kept)
+    seeds, collapsed = (len(kept[0]), len(kept[1])), (int(dropped[0].sum()), int(dropped[1].sum()))
+    found = welch(*kept) if min(seeds) else (np.nan, np.nan, 0.0)
     made = judge(*found, within, sign=item.sign, alpha=alpha)
-    strict = judge(*found, within, sign=item.sign, alpha=alpha / comparisons)
-    return replace(
-        made,
-        star=made.kind != "undecided" and strict.kind == made.kind,
-        seeds=tuple(int((~out).sum()) for out in dropped),
-        collapsed=tuple(int(out.sum()) for out in dropped),
-    )
+    strict = judge(*found, within, sign=item.sign, alpha=alpha / comparisons).kind if comparisons else "undecided"
+    star, uneven = made.kind == strict != "undecided", fisher(collapsed, seeds) < alpha
+    return replace(made, star=star, seeds=seeds, collapsed=collapsed, uneven=uneven)
 
 
-def over_these_scenes(verdicts: Sequence[Verdict], *, sign: int = 1) -> Verdict:
-    """The verdict on the mean difference over exactly these scenes, which count alike (Welch-Satterthwaite)."""
-    squares = np.array([found.error**2 for found in verdicts])
-    freedoms = np.array([found.freedom for found in verdicts])
-    mean = float(np.mean([found.difference for found in verdicts]))
-    total = float(squares.sum())
-    freedom = total**2 / float((squares**2 / freedoms).sum()) if total else float(freedoms.sum())
-    return judge(mean, total**0.5 / len(verdicts), freedom, verdicts[0].within, sign=sign)
+def fisher(collapsed: tuple[int, int], seeds: tuple[int, int]) -> float:
+    """The p-value of Fisher's exact test that both sides collapse equally often."""
+    one, two = (gone + kept for gone, kept in zip(collapsed, seeds, strict=True))
+    ways = [comb(one, gone) * comb(two, sum(collapsed) - gone) for gone in range(sum(collapsed) + 1)]
+    return sum(way for way in ways if way <= ways[collapsed[0]]) / sum(ways)
 
 
-def over_scenes_like_these(verdicts: Sequence[Verdict], *, sign: int = 1) -> Verdict:
-    """The verdict on the mean difference over scenes of which these, at least three, are a sample (t over scenes)."""
-    differences = np.array([found.difference for found in verdicts])
-    error = float(differences.std(ddof=1) / len(differences) ** 0.5)
-    return judge(float(differences.mean()), error, len(differences) - 1, verdicts[0].within, sign=sign)
+def over_scenes(verdicts: Sequence[Verdict], *, sign: int = 1) -> list[Verdict]:
+    """The verdict on the mean difference over exactly these scenes, which count alike.
+
+    From three scenes on a second one: on the mean over scenes of which these are a sample (t over scenes).
+    """
+    differences, errors, freedoms = np.array([(one.difference, one.error, one.freedom) for one in verdicts]).T
+    number = len(verdicts)
+    found = [pooled((errors / number) ** 2, freedoms)]
+    if number > 2:
+        found.append((differences.std(ddof=1) / number**0.5, number - 1))
+    return [judge(differences.mean(), *one, verdicts[0].within, sign=sign) for one in found]
 
 
 def within_of(metric: str, asked: float | None = None) -> float:
@@ -172,7 +178,9 @@ def within_of(metric: str, asked: float | None = None) -> float:
 
     ValueError where neither is a positive number, or the metric is not measured on each view.
     """
-    _refuse_others(metric)
+    if metric_of(metric) not in quality_metrics():
+        known = ", ".join(item.key for item in quality_metrics())
+        raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
     within = metric_of(metric).within if asked is None else asked
     if within is None:
         unit = metric_of(metric).unit or "its unit"
@@ -185,16 +193,17 @@ def within_of(metric: str, asked: float | None = None) -> float:
 def evaluations(runs: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     """The metric of each held-out view of each run: a row a run, named by its path, and a column a view.
 
-    A run whose eval.parquet is absent, damaged or without the metric has no row. ValueError for a metric that is not
-    measured on each view.
+    A run whose eval.parquet is absent, damaged or without the metric has no row.
     """
-    _refuse_others(metric)
-    rows = {path: _views(path, metric) for path in runs["path"]}
-    return pd.DataFrame.from_dict({path: row for path, row in rows.items() if row}, orient="index", dtype=float)
+    rows = {}
+    for path in runs["path"]:
+        with contextlib.suppress(StoreError, KeyError):
+            rows[path] = packed.views(path).set_index("image")[metric].to_dict()
+    return pd.DataFrame.from_dict(rows, orient="index", dtype=float)
 
 
 def compare(
-    baseline: pd.DataFrame, other: pd.DataFrame, within: float, *, metric: str = "psnr", comparisons: int = 1
+    baseline: pd.DataFrame, other: pd.DataFrame, within: float, *, metric: str = "psnr", comparisons: int = 0
 ) -> tuple[Verdict, float]:
     """The verdict on two groups of `evaluations`, and how far other views would move the difference.
 
@@ -206,15 +215,9 @@ def compare(
         return Verdict("undecided", np.nan, np.inf, np.nan, 0.0, within), 0.0
     one, two = (group[list(together)] for group in (baseline, other))
     found = verdict(one.mean(axis=1), two.mean(axis=1), within, metric=metric, comparisons=comparisons)
-    return found, other_views(one.mean(), two.mean())
-
-
-def other_views(baseline: pd.Series, other: pd.Series) -> float:
-    """Half width of the 95 % interval over views of the difference of two groups' mean values of each view."""
-    differences = (other - baseline).dropna()
-    if len(differences) < 2:
-        return 0.0
-    return float(stdtrit(len(differences) - 1, 1 - ALPHA / 2) * differences.sem())
+    views = (two.mean() - one.mean()).to_numpy()
+    moved = stdtrit(len(views) - 1, 1 - ALPHA / 2) * views.std(ddof=1) / len(views) ** 0.5 if len(views) > 1 else 0.0
+    return found, float(moved)
 
 
 def method(metric: str, within: float) -> str:
@@ -224,18 +227,3 @@ def method(metric: str, within: float) -> str:
         f"Welch's t on run means over the same views, ± of 95 %; equivalent: the 90 % interval is within ± {band}; "
         "* holds for all rows together"
     )
-
-
-def _refuse_others(metric: str) -> None:
-    if metric_of(metric) not in quality_metrics():
-        known = ", ".join(item.key for item in quality_metrics())
-        raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
-
-
-def _views(path: str, metric: str) -> dict[str, float]:
-    """View -> value; empty where the file is absent, damaged or without the metric."""
-    try:
-        own = packed.views(path)
-        return dict(zip(own["image"].tolist(), own[metric].astype(float), strict=True))
-    except (StoreError, KeyError):
-        return {}

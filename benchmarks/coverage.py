@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from qnerf.analysis import load
-from qnerf.analysis.decide.looks import MOST, look, looks, shares
+from qnerf.analysis.decide.looks import MOST, shares
 from qnerf.analysis.verdict import Verdict, evaluations, verdict
 
 RESULTS = Path(__file__).parent / "results" / "coverage.parquet"
@@ -44,8 +44,8 @@ def single(one: Draw, two: Draw, seeds: int) -> tuple[Verdict, int]:
 def several(one: Draw, two: Draw) -> tuple[Verdict, int]:
     """What `qnerf decide` finds, and after how many seeds a side."""
     values = one(MOST), two(MOST)
-    for count, alpha in zip(looks(), shares(), strict=True):
-        found, _ = look(values[0][:count], values[1][:count], WITHIN, alpha)
+    for count, alpha in shares().items():
+        found = verdict(values[0][:count], values[1][:count], WITHIN, alpha=alpha)
         if found.kind != "undecided":
             break
     return found, count

@@ -37,72 +37,82 @@ class Question:
     equal: str = "steps"
 
     @property
-    def name(self) -> str:
-        """The name of its record: the same question has the same record."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
-
-    def overrides(self, scene: str, candidate: str, steps: int | None = None) -> list[str]:
-        return [*scene.split(), *self.common.split(), *candidate.split(), *([f"train.steps={steps}"] if steps else [])]
+    def comparisons(self) -> int:
+        """How many verdicts the study may give; a race may compare any two candidates."""
+        return len(self.scenes) * len(self.candidates) * (len(self.candidates) - 1) // 2
 
 
 @dataclass
 class Record:
-    """What has been decided so far. It stays in the store, so that a question is not asked again until it pleases.
+    """What has been found so far. It stays in the store, so that a question is not asked again until it pleases.
 
-    most: seeds a side at the last look, fixed after the first. steps: scene and candidate -> training steps of the
-    cheaper side where CPU time is to be equal. looks: what each look found, in order.
+    most: seeds a side at the last look, fixed after the first. steps: "scene: candidate" -> training steps where CPU
+    time is to be equal. looks: what each look at each comparison found, in order; `ended`: that was its last.
     """
 
     question: Question
     most: int = 0
-    cost_s: float = 0.0
     steps: dict[str, int] = field(default_factory=dict)
     looks: list[dict[str, Any]] = field(default_factory=list)
-    verdicts: dict[str, str] = field(default_factory=dict)
+
+    def overrides(self, scene: str, candidate: str) -> list[str]:
+        """Of a run; `steps` come last, so that they hold."""
+        steps = self.steps.get(title(scene, candidate))
+        last = [f"train.steps={steps}"] if steps else []
+        return [*scene.split(), *self.question.common.split(), *candidate.split(), *last]
+
+    def open(self, scene: str) -> list[str]:
+        """The candidates still in question; one alone: the scene is decided."""
+        ended = {look["candidate"] for look in self.looks if look["ended"] and look["scene"] == name_of(scene)}
+        return [name for name in self.question.candidates if name not in ended]
 
     def save(self, store: Path) -> None:
-        path = store / FOLDER / f"{self.question.name}.json"
+        path = _path(self.question, store)
         path.parent.mkdir(parents=True, exist_ok=True)
         replace(path, json.dumps(asdict(self), indent=1).encode())
 
     @classmethod
     def of(cls, question: Question, store: Path) -> "Record":
-        """The stored record, or a new one. ValueError where it is damaged."""
-        path = store / FOLDER / f"{question.name}.json"
-        return cls(**(read_json(path) | {"question": question})) if path.exists() else cls(question)
+        """The stored record of this question, or a new one. ValueError where it is damaged."""
+        path = _path(question, store)
+        try:
+            return cls(**(read_json(path) | {"question": question})) if path.exists() else cls(question)
+        except TypeError:
+            raise ValueError(f"{path}: no record as this version writes it; move it away to begin anew") from None
 
 
 def records(store: str | Path) -> pd.DataFrame:
-    """The records of a store, a row a comparison: what was compared, verdict, looks, seeds, difference."""
-    rows: list[dict[str, Any]] = []
+    """The records of a store: what ended or was compared last in each scene, and the question that it belongs to."""
+    tables = []
     for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
-            rows += _rows(read_json(path))
-    return pd.DataFrame(rows)
+            found = read_json(path)
+            looks = pd.DataFrame(found["looks"])
+            last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
+            asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
+            steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
+            tables.append(last.assign(**asked, most=found["most"], steps=steps))
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
-def _rows(record: dict[str, Any]) -> list[dict[str, Any]]:
-    asked, rows = record["question"], []
-    steps = ", ".join(f"{name} {count}" for name, count in record["steps"].items())
-    for name in dict.fromkeys([*(look["name"] for look in record["looks"]), *record["verdicts"]]):
-        own = [look for look in record["looks"] if look["name"] == name]
-        last = own[-1] if own else {}
-        numbers = {key: last.get(key) for key in ("seeds", "difference", "reach", "spent")}
-        rows.append(
-            {"comparison": name, "baseline": asked["candidates"][0],
-             "verdict": record["verdicts"].get(name, "not decided yet"), "within": asked["within"],
-             "metric": asked["metric"], "equal": asked["equal"], "looks": len(own), "most": record["most"],
-             **numbers, "of every run": asked["common"], "steps": steps}
-        )  # fmt: skip
-    return rows
+def name_of(scene: str) -> str:
+    """The name of a scene by its overrides: its folder's or, without one, its kind."""
+    values = dict(part.partition("=")[::2] for part in scene.split())
+    return Path(values.get("scene.path") or values.get("scene", scene)).name
 
 
-def train(overrides: Sequence[str], seeds: Sequence[int]) -> None:
-    """Trains the seeds that are not finished yet, by any launcher. KeyboardInterrupt if that was stopped.
+def title(scene: str, candidate: str) -> str:
+    return f"{name_of(scene)}: {candidate}" if scene else candidate
 
-    Of what the trainings print, a line each stays: the run's folder; with Slurm, where its output is.
+
+def trained(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
+    """`found` after the runs that are not finished were trained, by any launcher; a run that diverged has no metric.
+
+    Of what the trainings print, a line each stays: the run's folder; with Slurm, where its output is. ValueError where
+    a run failed for another reason, KeyboardInterrupt where it was stopped.
     """
-    command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"seed={','.join(map(str, seeds))}"]
+    command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"store={store}"]
+    command.append(f"seed={','.join(map(str, seeds))}")
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
             if re.match(r"(\d+ \| )?run |jobs go to ", line):
@@ -110,30 +120,22 @@ def train(overrides: Sequence[str], seeds: Sequence[int]) -> None:
     code = process.returncode
     if code in (130, -2):
         raise KeyboardInterrupt
-    if code not in (0, 1):  # 1: a job failed, which `results` says
+    if code not in (0, 1):  # 1: a job failed
         raise ValueError(f"training ended with exit code {code}: {' '.join(command[3:])}")
-
-
-def results(store: Path, overrides: Sequence[str], seeds: Sequence[int]) -> pd.DataFrame:
-    """The rows of these runs, as `load.runs` has them, in the order of the seeds; a run that diverged has no metric.
-
-    ValueError where a run is missing, or failed for another reason.
-    """
-    names = run_ids(overrides, seeds, store)
-    frame = runs(store).set_index("run_id").reindex(names)
-    diverged = frame["error"].astype(str).str.contains("diverged|not finite") if "error" in frame else False
-    if (missing := frame["state"].ne("finished") & ~diverged).any():
-        name = frame.index[missing][0]
+    frame = found(overrides, seeds, store)
+    diverged = frame["error"].astype(str).str.contains("diverged|not finite")
+    for name in frame.index[frame["state"].ne("finished") & ~diverged]:
         raise ValueError(f"{name}: {frame.loc[name, 'state']}; `qnerf show {name}` says why")
     return frame
 
 
-def known(store: Path, overrides: Sequence[str], most: int) -> int:
-    """How many of the seeds 0, 1, ... are finished in the store already."""
-    try:
-        states = runs(store).set_index("run_id")["state"]
-    except ValueError:
-        return 0
-    names = run_ids(overrides, range(most), store)
-    done = [states.get(name) == "finished" for name in names]
-    return done.index(False) if False in done else len(done)
+def found(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
+    """The rows of these runs, as `load.runs` has them, in the order of the seeds; a missing run's are empty."""
+    frame = runs(store).set_index("run_id").reindex(run_ids(overrides, seeds, store))
+    return frame.assign(error=frame.get("error"))
+
+
+def _path(question: Question, store: Path) -> Path:
+    """The same question has the same record."""
+    text = json.dumps(asdict(question), sort_keys=True)
+    return store / FOLDER / f"{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"

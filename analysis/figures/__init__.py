@@ -12,7 +12,7 @@ from .catalogue import FIGURES, Entry
 from .colors import hsv_histograms, hsv_samples, hsv_study
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
-from .forest import forest, forest_points
+from .forest import forest
 from .ladder import ladder_points, speed_error_ladder
 from .pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
 from .plateaus import barren_plateaus, plateau_points

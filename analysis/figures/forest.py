@@ -1,7 +1,8 @@
 """The forest plot: differences from the baseline with their intervals, a row a scene, and the band of equivalence."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -9,78 +10,53 @@ from qnerf.metrics import metric_of
 
 from .. import style
 from ..selection import classical_baseline, row_keys, select
-from ..tables.scenes import Compared, compared
+from ..tables.scenes import across_scenes
 from ..verdict import within_of
 
 COLORS = {"better": "#117733", "worse": "#aa3322", "equivalent": "#0b5fa5", "undecided": "#888888"}
 MAX_ROWS = 60
 
 
-def forest_points(
-    frame: pd.DataFrame,
-    rows: Sequence[str] | None = None,
-    baseline: str | Mapping[str, object] | None = None,
-    *,
-    metric: str = "psnr",
-    within: float | None = None,
-) -> tuple[list[Compared], list[str]]:
-    """What the plot draws, and notes; by default every setting that differs, against the classical configuration.
-
-    ValueError where the baseline is not given and a scene has no single classical configuration.
-    """
-    runs = select(frame, metric).runs
-    rows = list(rows or row_keys(runs))
-    return compared(frame, rows, baseline or classical_baseline(runs, rows), metric=metric, within=within)
-
-
 @style.styled
 def forest(
     frame: pd.DataFrame,
-    rows: Sequence[str] | None = None,
     baseline: str | Mapping[str, object] | None = None,
     *,
     metric: str = "psnr",
     within: float | None = None,
 ) -> Figure:
-    """A mark a configuration and scene with its 95 % interval; the shaded band is ± the smallest difference that
-    matters. Diamonds are means over scenes. Arguments as `forest_points`."""
-    lines, notes = forest_points(frame, rows, baseline, metric=metric, within=within)
-    shown = [line for line in lines if line.verdict.freedom][:MAX_ROWS]
-    if not shown:
+    """`across_scenes` of every setting that differs, by default against the classical configuration.
+
+    A mark is a configuration in a scene with its 95 % interval, a diamond a mean over scenes; the band is ± the
+    smallest difference that matters. ValueError as of `across_scenes`, and where a scene has no classical baseline.
+    """
+    runs = select(frame, metric).runs
+    rows = row_keys(runs)
+    table = across_scenes(frame, rows, baseline or classical_baseline(runs, rows), metric=metric, within=within)
+    known = table.data[table.data["freedom"] > 0]
+    if known.empty:
         raise ValueError("no configuration has two seeds in common views with its scene's baseline")
-    least = within_of(metric, within)
-    figure = style.new(style.PAGE, 0.9 + 0.22 * len(shown) + 0.3 * len({line.configuration for line in shown}))
+    shown, left = known[:MAX_ROWS], len(table.data) - len(known[:MAX_ROWS])
+    group = pd.factorize(shown["configuration"])[0]
+    place = -np.arange(len(shown)) - 1.4 * group
+    figure = style.new(style.PAGE, 1.0 + 0.2 * -place.min())
     ax = figure.subplots()
+    least = within_of(metric, within)
     ax.axvspan(-least, least, color=style.PALETTE[0], alpha=0.12, lw=0)
     ax.axvline(0, color=style.ink(), lw=0.7)
-    ticks: list[float] = []
-    names: list[str] = []
-    place = 0.0
-    for number, line in enumerate(shown):
-        if number == 0 or line.configuration != shown[number - 1].configuration:
-            place -= 1.4
-            ticks, names = [*ticks, place + 0.2], [*names, line.configuration]
-        place -= 1
-        ticks, names = [*ticks, place], [*names, line.scene]
-        found, mean = line.verdict, not any(line.verdict.seeds)
-        look = {"fmt": "D" if mean else "o", "color": COLORS[found.kind], "ms": 5 if mean else 4, "lw": 1.2}
-        ax.errorbar(found.difference, place, xerr=found.reach, **look)
-    ax.set(
-        yticks=ticks, ylim=(place - 0.8, 0), xlabel=f"{metric_of(metric).label} minus the baseline's, {_unit(metric)}"
-    )
-    ax.set_yticklabels(names)
-    heads = {line.configuration for line in shown}
-    for text in ax.get_yticklabels():
-        text.set_fontweight("bold" if text.get_text() in heads else "normal")
+    means = shown["seeds"].map(any).map({True: "o", False: "D"})
+    for (kind, mark), own in shown.assign(place=place).groupby(["kind", means]):
+        ax.errorbar(own["difference"], own["place"], xerr=own["reach"], fmt=mark, color=COLORS[kind], ms=4, lw=1.2)
+    for kind in shown["kind"].unique():
+        ax.plot([], [], "o", color=COLORS[kind], label=kind)
+    title = f"{metric_of(metric).label} minus the baseline's, {metric_of(metric).unit or 'in its own unit'}"
+    ax.set(yticks=place, ylim=(place.min() - 0.8, 1.8), xlabel=title)
+    ax.set_yticklabels(shown["scene"])
     ax.tick_params(axis="y", length=0)
     ax.grid(False, axis="y")
-    for kind in dict.fromkeys(line.verdict.kind for line in shown):
-        ax.plot([], [], "o", color=COLORS[kind], label=kind)
+    for number in np.flatnonzero(np.diff(group, prepend=-1)):
+        look = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "center", "weight": "bold"}
+        ax.text(0, place[number] + 1.1, f"{shown['configuration'].iloc[number]} ", **look)
     style.legend(figure)
-    left = f"not drawn: {len(lines) - len(shown)} rows" if len(lines) > len(shown) else ""
-    style.footnote(figure, *notes, left)
+    style.footnote(figure, *table.notes, f"not drawn: {left} rows" if left else "")
     return figure
-
-
-def _unit(metric: str) -> str:
-    return metric_of(metric).unit or "in its own unit"
