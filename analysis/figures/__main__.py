@@ -25,9 +25,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser,
         "what forest compares with (default: the classical configuration) and stand_ins (default: the QIREN head)",
     )
+    parser.add_argument("--metric", help="what forest and stand_ins judge; default: psnr")
+    parser.add_argument("--within", type=float, metavar="DELTA", help="the smallest difference that matters to them")
     options = parser.parse_intermixed_args(arguments)
     check_names(options.names)
-    look = {"theme": options.theme, "baseline": options.baseline}
+    look = {name: getattr(options, name) for name in ("theme", "baseline", "metric", "within")}
     draw(command.chosen(options), options.names, Path(options.out), options.formats.split(","), **look)
 
 

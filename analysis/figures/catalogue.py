@@ -47,13 +47,13 @@ class Entry:
     one_scene: bool = False
     hint: str = ""
 
-    def draw(self, runs: pd.DataFrame, baseline: str | None = None, **options: Any) -> Figure:
+    def draw(self, runs: pd.DataFrame, *, theme: str = "light", **judged: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
 
-        baseline: what `forest` and `stand_ins` compare with; other figures compare with nothing.
+        judged: baseline, metric and within of `forest` and `stand_ins`, which other figures do not have; None: theirs.
         """
-        if baseline is not None and self.function in (forest, stand_ins):
-            options["baseline"] = baseline
+        given = judged if self.function in (forest, stand_ins) else {}
+        options = {"theme": theme} | {name: value for name, value in given.items() if value is not None}
         if not self.benchmark and runs["scene_name"].isna().all():
             raise ValueError(f"no run of {len(runs)} has a scene")
         runs = runs[runs["scene_name"].notna()]  # a tracked run may have none

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -21,7 +22,7 @@ def check_names(names: Sequence[str]) -> None:
         raise ValueError(f"unknown figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
 
 
-def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], **options: str | None) -> None:
+def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], **options: Any) -> None:
     """Writes the named figures, or all of them if `names` is empty, into the folder `out`; options as `Entry.draw`.
 
     Prints the files that it wrote, and a line for each figure that cannot be drawn; the others are drawn.
