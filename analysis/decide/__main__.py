@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from qnerf.cli.identify import run_ids
 from qnerf.metrics import metric_of
 from qnerf.records.location import DEFAULT
 
@@ -28,7 +29,7 @@ candidates and scenes. The record stays in the store; `qnerf report` and `qnerf 
 EXAMPLES = """\
   {} field=classical field=qcolor --within 0.5 --budget 2h
   {} field=classical field=qcolor --all "train.steps=500 hydra/launcher=joblib"
-  {} density=mlp density=amplitude density=qiren --scene "scene=nerfstudio scene.path=FOX" --scene scene=room
+  {} density=mlp density=amplitude density=qiren --scene "scene=nerfstudio scene.path=FOX" --scene scene=poster
   {} field=classical field=qcolor --equal time
   {} field=classical field=qcolor --plan
 """
@@ -48,15 +49,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise ValueError(f"--scene: expected scenes of different names, got {', '.join(names)}")
     store = Path(options.store)
     record = Record.of(question, store)
+    if not record.looks:
+        check_differ(record, store)
     if options.plan:
         plan(record, store)
     else:
         study(record, store, options.budget)
 
 
+def check_differ(record: Record, store: Path) -> None:
+    """ValueError where a configuration or a scene is not valid, or two candidates are the same configuration."""
+    for scene in record.question.scenes:
+        names: dict[str, str] = {}
+        for candidate in record.question.candidates:
+            (run,) = run_ids(record.overrides(scene, candidate), [0], store)
+            if run in names:
+                raise ValueError(f"{title(scene, candidate)}: the same configuration as {names[run]}; leave one out")
+            names[run] = candidate
+
+
 def parser() -> argparse.ArgumentParser:
     made = command.parser("decide", DESCRIPTION, EXAMPLES)
-    made.add_argument("candidates", nargs="+", metavar="OVERRIDES", help='such as field=qcolor or "color=qiren seed=3"')
+    made.add_argument("candidates", nargs="+", metavar="OVERRIDES", help='such as field=qcolor or "color=qiren qiren.layers=2"')
     made.add_argument("--all", default="", metavar="OVERRIDES", help="of every run, such as train.steps=500")
     made.add_argument("--scene", action="append", metavar="OVERRIDES", help="a scene; several times for several scenes")
     made.add_argument(

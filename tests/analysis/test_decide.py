@@ -108,6 +108,7 @@ class Trainings:
 def trainings(monkeypatch):
     made = Trainings()
     monkeypatch.setattr(decide, "trained", made)
+    monkeypatch.setattr(decide, "run_ids", lambda overrides, seeds, store: [" ".join(overrides)])
     return made
 
 
@@ -177,6 +178,10 @@ def test_scenes_are_named_by_their_folders(trainings, tmp_path):
 def test_mistakes_are_named(tmp_path, capsys):
     with pytest.raises(ValueError, match="expected at least two candidates, each once, got field=qcolor"):
         decide.main(["field=qcolor"])
+    with pytest.raises(ValueError, match="^density=mlp: the same configuration as field=qcolor; leave one out"):
+        decide.main(["field=qcolor", "density=mlp", "--store", str(tmp_path)])
+    with pytest.raises(ValueError, match="scene=room: unknown; known: blender, "):
+        decide.main(["field=qcolor", "field=qdensity", "--scene", "scene=room", "--store", str(tmp_path)])
     with pytest.raises(SystemExit):
         decide.main(["a", "b", "--budget", "soon"])
     assert "expected a time such as 90s, 30m, 2h or 1d, got 'soon'" in capsys.readouterr().err
