@@ -70,7 +70,9 @@ def check_differ(record: Record, store: Path) -> None:
 
 def parser() -> argparse.ArgumentParser:
     made = command.parser("decide", DESCRIPTION, EXAMPLES)
-    made.add_argument("candidates", nargs="+", metavar="OVERRIDES", help='such as field=qcolor or "color=qiren qiren.layers=2"')
+    made.add_argument(
+        "candidates", nargs="+", metavar="OVERRIDES", help='such as field=qcolor or "color=qiren qiren.layers=2"'
+    )
     made.add_argument("--all", default="", metavar="OVERRIDES", help="of every run, such as train.steps=500")
     made.add_argument("--scene", action="append", metavar="OVERRIDES", help="a scene; several times for several scenes")
     made.add_argument(

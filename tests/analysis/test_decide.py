@@ -178,7 +178,7 @@ def test_scenes_are_named_by_their_folders(trainings, tmp_path):
 def test_mistakes_are_named(tmp_path, capsys):
     with pytest.raises(ValueError, match="expected at least two candidates, each once, got field=qcolor"):
         decide.main(["field=qcolor"])
-    with pytest.raises(ValueError, match="^density=mlp: the same configuration as field=qcolor; leave one out"):
+    with pytest.raises(ValueError, match=r"^density=mlp: the same configuration as field=qcolor; leave one out"):
         decide.main(["field=qcolor", "density=mlp", "--store", str(tmp_path)])
     with pytest.raises(ValueError, match="scene=room: unknown; known: blender, "):
         decide.main(["field=qcolor", "field=qdensity", "--scene", "scene=room", "--store", str(tmp_path)])
