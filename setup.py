@@ -1,13 +1,12 @@
 """The packages of the distribution; everything else is in pyproject.toml.
 
-A wheel holds conf/, sweeps/, analysis/ and benchmarks/results/ inside the package qnerf, where `qnerf.config.folders`
-finds them.
+A wheel holds conf/, sweeps/ and analysis/ inside the package qnerf, where `qnerf.config.folders` finds them.
 """
 
 from setuptools import find_packages, setup
 
 analysis = ["analysis", *(f"analysis.{name}" for name in find_packages("analysis"))]
-data = {"qnerf.conf": "conf", "qnerf.sweeps": "sweeps", "qnerf.benchmarks.results": "benchmarks/results"}
+data = {"qnerf.conf": "conf", "qnerf.sweeps": "sweeps"}
 setup(
     packages=[*find_packages("src"), *data, *(f"qnerf.{name}" for name in analysis)],
     package_dir={"": "src", **data, "qnerf.analysis": "analysis"},
@@ -15,7 +14,6 @@ setup(
         "qnerf": ["py.typed"],
         "qnerf.conf": ["*.yaml", "*/*.yaml", "*/*/*.yaml"],
         "qnerf.sweeps": ["*.yaml"],
-        "qnerf.benchmarks.results": ["*.parquet"],
         "qnerf.analysis": [
             "paper/*.csv",
             *(f"report/*.{kind}" for kind in ("css", "html", "js")),

@@ -131,11 +131,6 @@ def ink() -> str:
     return str(mpl.rcParams["text.color"])
 
 
-def paper() -> str:
-    """The background colour of the current theme."""
-    return str(mpl.rcParams["axes.facecolor"])
-
-
 def new(width: float, height: float) -> Figure:
     """An empty figure of this size in inches, with constrained layout."""
     return Figure(figsize=(width, height), layout="constrained")
@@ -153,11 +148,6 @@ def panels(count: int, height: float, **subplots: Any) -> tuple[Figure, np.ndarr
     for ax in axes[count:]:
         ax.remove()
     return figure, axes[:count]
-
-
-def series(number: int) -> dict[str, Any]:
-    """Colour and marker of the n-th line."""
-    return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
 
 
 def look_of(field: str) -> tuple[str, str]:

@@ -23,7 +23,6 @@ hypothesis.settings.register_profile("long", deadline=None, max_examples=2500)
 hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
 SLOW = (
-    "analysis/test_figure_plateaus.py",
     "analysis/test_figures.py",
     "analysis/test_figures_of_files.py",
     "analysis/test_notebooks.py",

@@ -1,21 +1,17 @@
 """The figures, each a function that returns a matplotlib Figure.
 
-Most take the DataFrame of `load.runs`, some the folder of one run or the results of a benchmark; `FIGURES` lists them
-by name. Beside each stands the function that computes what it draws, as a DataFrame. `qnerf figures STORE`
-draws all of them.
+Most take the DataFrame of `load.runs`, some the folder of one run; `FIGURES` lists them by name. Beside each stands the
+function that computes what it draws, as a DataFrame. `qnerf figures STORE` draws all of them.
 """
 
 from ..style import save
-from .accuracy import accuracy_points, accuracy_vs_speed
 from .capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
 from .catalogue import FIGURES, Entry
 from .colors import hsv_histograms, hsv_samples, hsv_study
 from .curves import loss_curves, loss_points, psnr_vs_time, time_points
 from .encodings import encoding_channels, encoding_slices
 from .forest import forest
-from .ladder import ladder_points, speed_error_ladder
-from .pareto import engine_points, engine_speed_vs_error, front, speed_points, speed_vs_error
-from .plateaus import barren_plateaus, plateau_points
+from .pareto import front, speed_points, speed_vs_error
 from .probed import best_of
 from .qualitative import qualitative_grid, qualitative_panels, typical
 from .sampling import ray_samples, sampling_strategies

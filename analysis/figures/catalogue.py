@@ -8,15 +8,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ..selection import by_scene
-from .accuracy import accuracy_vs_speed
 from .capacity import capacity_vs_psnr, hash_configurations
 from .colors import hsv_study
 from .curves import loss_curves, psnr_vs_time
 from .encodings import encoding_channels
 from .forest import forest
-from .ladder import speed_error_ladder
-from .pareto import engine_speed_vs_error, speed_vs_error
-from .plateaus import barren_plateaus
+from .pareto import speed_vs_error
 from .probed import best_of
 from .qualitative import qualitative_grid
 from .sampling import sampling_strategies
@@ -31,7 +28,7 @@ class Entry:
     """A figure that can be asked for by name.
 
     function: takes the DataFrame of `load.runs`; or the folder of one run, if `probe` names the table that `qnerf
-        probe` has to write for it; or nothing, if it draws the saved results of a benchmark.
+        probe` has to write for it.
     options: keyword arguments of `function`.
     paper: whether the paper has such a figure.
     one_scene: whether each scene gets a figure of its own, as with a probe.
@@ -42,7 +39,6 @@ class Entry:
     function: Callable[..., Figure]
     options: Mapping[str, str] = field(default_factory=dict)
     probe: str = ""
-    benchmark: bool = False
     paper: bool = False
     one_scene: bool = False
     hint: str = ""
@@ -54,11 +50,11 @@ class Entry:
         """
         given = judged if self.function in (forest, stand_ins) else {}
         options = {"theme": theme} | {name: value for name, value in given.items() if value is not None}
-        if not self.benchmark and runs["scene_name"].isna().all():
+        if runs["scene_name"].isna().all():
             raise ValueError(f"no run of {len(runs)} has a scene")
         runs = runs[runs["scene_name"].notna()]  # a tracked run may have none
-        source = [] if self.benchmark else [best_of(runs, self.probe) if self.probe else runs]
-        return self.function(*source, **self.options, **options)
+        source = best_of(runs, self.probe) if self.probe else runs
+        return self.function(source, **self.options, **options)
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with the runs of a scene."""
@@ -100,10 +96,6 @@ FIGURES = {
     "stand_ins": Entry(
         "A circuit head and its stand-ins, with verdicts", stand_ins, hint="`qnerf run --sweep ladder` trains some"
     ),
-    "engines": Entry("Numerical error of each engine against its time", engine_speed_vs_error, benchmark=True),
-    "accuracy": Entry("Numerical error of each part against its time", accuracy_vs_speed, benchmark=True),
-    "ladder": Entry("Speed against error, rung by rung", speed_error_ladder, benchmark=True),
-    "plateaus": Entry("Variance of gradients against wires", barren_plateaus, benchmark=True),
     "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid, paper=True),
     "hsv": Entry(
         "Hue, saturation and value of truth, classical and quantum renderings",

@@ -1,7 +1,6 @@
-"""Speed against error: the configurations, and the engines, that no other beats in both."""
+"""Speed against error: the configurations that no other beats in both."""
 
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qnerf.metrics import METRICS, metric_of
@@ -10,7 +9,7 @@ from .. import style
 from ..marks import Mark, write_names
 from ..selection import select
 from ..step_times import incomparable
-from . import benchmarks, points
+from . import points
 
 COSTS = ("step_ms", "step_cpu_ms", "train_s", *(key for key, metric in METRICS.items() if metric.kind == "size"))
 
@@ -41,7 +40,9 @@ def speed_points(frame: pd.DataFrame, time: str = "step_ms", metric: str = "psnr
     table = points.points(runs, [metric, time])
     if incomparable(runs, time):
         return table.assign(front=False)
-    return _with_fronts(table, "scene_name", table[time], -metric_of(metric).sign * table[metric])
+    loss = -metric_of(metric).sign * table[metric]
+    fronts = [front(rows[time], loss[rows.index]) for _, rows in table.groupby("scene_name")]
+    return table.assign(front=pd.concat(fronts))
 
 
 @style.styled
@@ -64,7 +65,8 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
             names = group["mark"].where(group["front"], "")
             values = zip(group[time], group[metric], group[f"{metric}_std"], names, strict=True)
             drawn += [Mark(ax, *value).draw(marker, color=color) for value in values]
-        _draw_front(ax, shown, time, metric, lw=0.8)
+        best = shown[shown["front"]].sort_values(time)
+        ax.step(best[time], best[metric], where="post", color=style.ink(), lw=0.8, alpha=0.6, zorder=1)
         ax.set(title=scene, xlabel=metric_of(time).heading, xscale="log")
         ax.margins(0.15)
         style.plain_ticks(ax)
@@ -74,54 +76,3 @@ def speed_vs_error(frame: pd.DataFrame, time: str = "step_ms", metric: str = "ps
     style.footnote(figure, ranked, points.seeds(table), key, finished.note)
     write_names(figure, drawn)
     return figure
-
-
-def engine_points(results: benchmarks.Results = None) -> pd.DataFrame:
-    """The benchmark of the quantum layer: engine, S, wires, batch, ms, note, error, front.
-
-    ms: time of a forward and backward pass; error: the largest of an output against float64 default.qubit, absolute;
-    both are NaN for an engine without a result. front: whether the engine is on the Pareto front of its S.
-    """
-    results = benchmarks.read("quantum", results)
-    table = results[["engine", "S", "wires", "batch", "ms", "note"]].assign(error=results["error_outputs"])
-    return _with_fronts(table, "S", table["ms"], table["error"])
-
-
-@style.styled
-def engine_speed_vs_error(results: benchmarks.Results = None) -> Figure:
-    """Time of a forward and backward pass against numerical error, a panel per number of re-uploadings S."""
-    table = engine_points(results)
-    ran = table.dropna(subset=["ms", "error"])
-    engines = list(dict.fromkeys(ran.sort_values("ms")["engine"]))
-    figure = style.new(style.PAGE, 3.1)
-    axes = figure.subplots(1, ran["S"].nunique(), sharex=True, sharey=True, squeeze=False)[0]
-    for ax, (spectral, shown) in zip(axes, ran.groupby("S"), strict=True):
-        for _, row in shown.iterrows():
-            look = style.series(engines.index(row["engine"]))
-            face = look["color"] if row["engine"].startswith("qnerf") else style.paper()
-            ax.plot(row["ms"], row["error"], ls="", mfc=face, mew=0.8, label=row["engine"], **look)
-        _draw_front(ax, shown, "ms", "error", lw=0.7)
-        ax.set(title=f"S = {spectral}", xlabel="forward + backward, ms", xscale="log", yscale="log")
-        ax.margins(0.12)
-        style.plain_ticks(ax)
-    axes[0].set_ylabel("largest absolute error of an output")
-    style.legend(figure)
-    first, missing = table.iloc[0], sorted(table.loc[table["ms"].isna(), "engine"].unique())
-    style.footnote(
-        figure,
-        f"{first['wires']} wires, {first['batch']:,} samples, float32; filled: this project; line: Pareto front",
-        f"no result: {', '.join(missing)}" if missing else "",
-    )
-    return figure
-
-
-def _with_fronts(table: pd.DataFrame, by: str, cost: pd.Series, loss: pd.Series) -> pd.DataFrame:
-    """The table with the column `front`, one front per value of the column `by`."""
-    fronts = [front(cost[rows.index], loss[rows.index]) for _, rows in table.groupby(by)]
-    return table.assign(front=pd.concat(fronts))
-
-
-def _draw_front(ax: Axes, shown: pd.DataFrame, x: str, y: str, lw: float) -> None:
-    """Draws the front as steps."""
-    best = shown[shown["front"]].sort_values(x)
-    ax.step(best[x], best[y], where="post", color=style.ink(), lw=lw, alpha=0.6, zorder=1)

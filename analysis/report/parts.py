@@ -18,12 +18,7 @@ COLOURS = ("hsv",)
 INTERACTIVE = ("loss", "time")
 """Figures that the page's own curves show; `qnerf figures` writes them."""
 PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in (*COLOURS, *INTERACTIVE))
-OTHER_FIGURES = tuple(
-    name
-    for name, entry in FIGURES.items()
-    if not entry.benchmark and name not in (*PAPER_FIGURES, *COLOURS, *INTERACTIVE)
-)
-"""A benchmark's figure speaks about qnerf, not about the store."""
+OTHER_FIGURES = tuple(name for name, entry in FIGURES.items() if name not in (*PAPER_FIGURES, *COLOURS, *INTERACTIVE))
 
 
 @dataclass

@@ -26,12 +26,8 @@ PACKS = {
     "speed": "rgb_table",
     "shots": "shots",
     "noise": "noise",
-    "engines": "shots",
-    "accuracy": "shots",
-    "ladder": "shots",
-    "plateaus": "shots",
 }
-"""Figure -> a pack of real runs that it is drawn from; benchmarks need none."""
+"""Figure -> a pack of real runs that it is drawn from."""
 
 
 def boxes(figure) -> dict[Text, np.ndarray]:

@@ -236,29 +236,6 @@ def test_the_front_holds_exactly_what_nothing_beats(values):
         assert on[index] == (not beaten)
 
 
-def test_engines_without_a_result_are_told(tmp_path):
-    results = pd.DataFrame(
-        {
-            "engine": ["qnerf auto", "slow but exact", "slow and wrong", "absent"],
-            "S": 1,
-            "wires": 8,
-            "batch": 6144,
-            "ms": [1.0, 100.0, 50.0, np.nan],
-            "error_outputs": [1e-7, 1e-9, 1e-6, np.nan],
-            "note": "",
-        }
-    )
-    assert figures.engine_points(results)["front"].tolist() == [True, True, False, False]
-    figure = figures.engine_speed_vs_error(results)
-    drawn = {
-        line.get_label(): line.get_xydata()[0].tolist() for line in figure.axes[0].lines if len(line.get_xdata()) == 1
-    }
-    assert drawn == {"qnerf auto": [1, 1e-7], "slow but exact": [100, 1e-9], "slow and wrong": [50, 1e-6]}
-    assert "no result: absent" in footnote(figure)
-    with pytest.raises(ValueError, match="expected the results of the benchmark quantum"):
-        figures.engine_points(tmp_path / "quantum.parquet")
-
-
 def test_names_tell_every_configuration_apart(frame):
     table = points.points(frame.assign(**{"train.lr": frame["train.lr"]}), ["psnr"])
     assert table["name"].is_unique

@@ -15,7 +15,7 @@ from tests.helpers.configs import ROOT
 pytest.importorskip("setuptools", minversion="77")
 
 IN_WHEEL = {"src/qnerf": "", "conf": "conf", "sweeps": "sweeps", "analysis": "analysis"}
-"""Folder of a checkout -> its folder in the installed package; the benchmarks' tables are there too."""
+"""Folder of a checkout -> its folder in the installed package."""
 NOT_IN_SDIST = {".gitignore", ".github"}
 
 
@@ -68,15 +68,14 @@ def test_the_sdist_holds_the_repository(sdist: Path) -> None:
 
 
 def test_the_wheel_holds_every_file_of_every_folder(wheel: Path) -> None:
-    expected = {name.replace("benchmarks/", "qnerf/benchmarks/", 1) for name in tracked() if name.endswith(".parquet")}
-    expected = {name for name in expected if name.startswith("qnerf/benchmarks/results/")}
+    expected: set[str] = set()
     for folder, inside in IN_WHEEL.items():
         names = {name.removeprefix(f"{folder}/") for name in tracked() if name.startswith(f"{folder}/")}
         expected |= {"/".join(filter(None, ["qnerf", inside, name])) for name in names}
     held = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == expected
     suffixes = {Path(name).suffix for name in held}
-    assert {".py", ".typed", ".yaml", ".csv", ".js", ".css", ".html", ".ipynb", ".parquet"} <= suffixes
+    assert {".py", ".typed", ".yaml", ".csv", ".js", ".css", ".html", ".ipynb"} <= suffixes
 
 
 def test_an_unpacked_wheel_composes_a_configuration(wheel: Path, tmp_path: Path) -> None:
