@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -113,8 +114,14 @@ def _cure(argument: str) -> str:
     key, _, value = argument.partition("=")
     if value.endswith(","):
         return f"several values have commas between them and no spaces, such as {key}=1,2,3"
-    quoted = value.replace("\\", "\\\\").replace("'", "\\'")
-    return f"close its brackets, or quote a value that holds special characters: \"{key}='{quoted}'\""
+    return f"close its brackets, or quote a value that holds special characters: {_quoted(key, value)}"
+
+
+def _quoted(key: str, value: str) -> str:
+    """An override with a text that Hydra leaves as it is, to be typed in a shell."""
+    text = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + found[2].replace("'", "\\'"), value)
+    typed = f"{key}='{text}'"
+    return shlex.quote(typed) if set(typed) & set('"$`\\!') else f'"{typed}"'
 
 
 def _refuse(message: str) -> NoReturn:
@@ -165,9 +172,8 @@ def message(error: Exception, typed: Sequence[str]) -> str:
         return f"{group or 'config'}={name}: unknown{known}"
     if ambiguous := re.match(r"Ambiguous value for argument '(.*)'\n", str(error)):
         key, _, value = ambiguous[1].partition("=")
-        return (
-            f"{ambiguous[1]}: several values are a sweep, add -m; a list is {key}=[{value}], a text \"{key}='{value}'\""
-        )
+        known = f"a list is {key}=[{value}], a text {_quoted(key, value)}"
+        return f"{ambiguous[1]}: several values are a sweep, add -m; {known}"
     unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
     if unknown:
         return unknown_option(unknown[1], _composed(typed))
