@@ -11,7 +11,7 @@ setup(
     packages=[*find_packages("src"), *data, *(f"qnerf.{name}" for name in analysis)],
     package_dir={"": "src", **data, "qnerf.analysis": "analysis"},
     package_data={
-        "qnerf": ["py.typed"],
+        "qnerf": ["py.typed", "scenes/*.npz"],
         "qnerf.conf": ["*.yaml", "*/*.yaml", "*/*/*.yaml"],
         "qnerf.sweeps": ["*.yaml"],
         "qnerf.analysis": [

@@ -4,8 +4,7 @@ Prints, and saves as benchmarks/results/training.parquet:
 
 - steps: median milliseconds of a step and of each stage, for each field, each hash table and the paper's recipe;
 - ratios, with both sides measured in turns: compiled loops against their plain PyTorch references, circuits against
-  the classical head and against PennyLane, evaluation against training;
-- operations: what a step spends its time on, as PyTorch's profiler counts it.
+  the classical head and against PennyLane, evaluation against training.
 
 Rows of the file that are not measured again stay.
 """
@@ -63,14 +62,6 @@ RATIOS = {  # name -> overrides of the numerator, overrides of the denominator
         for name in CIRCUITS[:2]
     },
 }
-PROFILED = ("field=classical", "train=paper field=classical", "field=qcolor", "field=qdensity")
-OPERATIONS = {  # group -> the start of its operations' names in PyTorch's profiler
-    "hash grids and the MLPs on them": ("_GridMLP", "_HashEncode"),
-    "other linear layers and ReLU": ("aten::mm", "aten::addmm", "aten::linear", "aten::relu", "aten::threshold"),
-    "circuits": ("_Polynomials", "_Simulate", "NormalisedForms", "_WithoutGradient"),
-    "weights, shares of colours, regularisers": ("VolumeWeights", "Shade", "ColorInputs", "Distortion", "Interlevel"),
-}
-
 Row = dict[str, object]
 
 
@@ -145,33 +136,6 @@ def steps(rounds: int) -> Iterator[Row]:
         }
 
 
-def operations(rounds: int) -> Iterator[Row]:
-    """Milliseconds and operations a step of each group, as PyTorch's profiler sees them.
-
-    The profiler slows a step down, small operations most of all. It does not see Python, nor the loops that have no
-    gradient: points, and edges drawn from a histogram.
-    """
-    for overrides in PROFILED:
-        trainer, _ = warmed(overrides)
-        with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
-            for _ in range(rounds):
-                trainer.take_step(measure=False)
-        groups = {name: [0.0, 0.0] for name in (*OPERATIONS, "other operations of PyTorch")}
-        for event in profiler.key_averages():
-            found = [name for name, starts in OPERATIONS.items() if event.key.startswith(starts)]
-            group = groups[found[0] if found else "other operations of PyTorch"]
-            group[0] += event.self_cpu_time_total / 1e3 / rounds
-            group[1] += event.count / rounds
-        whole = 1e3 * sum(trainer.step_seconds[-rounds:]) / rounds
-        seen = sum(ms for ms, _ in groups.values())
-        groups["Python, and loops without a gradient"] = [whole - seen, 0.0]
-        for name, (ms, calls) in groups.items():
-            if ms:
-                yield {
-                    "kind": "operation", "name": f"{overrides}: {name}", "ms": ms, "share": ms / whole, "calls": calls
-                }  # fmt: skip
-
-
 def ratios(rounds: int) -> Iterator[Row]:
     """Milliseconds of a step of both sides; of evaluation and training, of a ray."""
     for name, (above, below) in RATIOS.items():
@@ -199,7 +163,7 @@ def ratio(name: str, above: float, below: float) -> Row:
     return {"kind": "ratio", "name": name, "above_ms": 1e3 * above, "below_ms": 1e3 * below, "ratio": above / below}
 
 
-PARTS = {"steps": steps, "ratios": ratios, "operations": operations}
+PARTS = {"steps": steps, "ratios": ratios}
 
 
 def with_old_rows(frame: pd.DataFrame) -> pd.DataFrame:

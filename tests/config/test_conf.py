@@ -173,5 +173,5 @@ def test_runs_with_shots_and_noise_follow_their_seed(tiny):
 
 
 def test_the_poster_trains(tiny):
-    summary = finished(tiny("scene=poster", "scene.views=6", "scene.width=9", "scene.height=16", "scene.supersample=1"))
+    summary = finished(tiny("scene=poster", "scene.views=6"))
     assert summary["depth_error"] > 0

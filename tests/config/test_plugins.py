@@ -19,7 +19,7 @@ from tests.helpers.processes import call
 MODULES = ("my_module.py", "my_signal.py")  # as the page names its blocks of code
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SMALL = (
-    "plugins=[my_module]", "scene=poster", "scene.views=6", "scene.width=9", "scene.height=16", "scene.supersample=1",
+    "plugins=[my_module]", "scene=poster", "scene.views=6",
     "train.steps=2", "train.rays=8", "train.eval_every=0", "visibility.resolution=16", "device=cpu", "threads=1",
     "run.progress=false", *TINY,
 )  # fmt: skip

@@ -125,7 +125,7 @@ def test_dtypes_devices_and_transformations():
 
 @pytest.mark.parametrize("options", [[], ["field=qboth", "train=paper", "occupancy.every=2", "occupancy.after=1"]])
 def test_a_step_of_shipped_components_is_compiled_throughout(options):
-    scene = ["scene.views=4", "scene.width=8", "scene.height=8", "scene.supersample=1", "train.rays=8"]
+    scene = ["scene.views=4", "train.rays=8"]
     training = trainer(composed("scene=poster", *scene, "hash=C7", "qiren.qubits=3", *options))
     with report() as told:
         for _ in range(3):

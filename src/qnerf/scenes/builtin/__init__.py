@@ -1,1 +1,0 @@
-"""The built-in scene: a room with a framed poster, ray traced here."""
