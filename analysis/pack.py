@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.records.location import resolved, store_folder
+from qnerf.records.location import store_folder
 from qnerf.records.printable import printable
 
 from . import command, load, output, packed
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="also held-out views as nerfbaselines evaluates them, predictions/RUN",
     )
     options = parser.parse_args(arguments)
-    if resolved(options.folder) == resolved(store_folder(options.store)):
+    if options.folder.resolve() == store_folder(options.store).resolve():
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
     frame = command.chosen(options)
     unfinished = int((frame["state"] != "finished").sum())

@@ -15,8 +15,6 @@ from PIL import Image
 import qnerf
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import filters, read_config
-from qnerf.records.files import read_bytes
-from qnerf.records.pictures import MAX_BYTES
 
 from ..images import named_panels, pictures
 from ..load import metrics
@@ -102,7 +100,7 @@ class Answers:
         """One panel of a held-out view as WebP; or the whole `preview.png` of a run that trains, as panel `preview`."""
         folder = self.store.path(run)
         if panel == "preview":
-            return read_bytes(folder / PREVIEW, MAX_BYTES), "image/png"
+            return (folder / PREVIEW).read_bytes(), "image/png"
         path = pictures(folder).get(view)
         panels = {} if path is None else _panels(path, _stamp(path))
         if panel not in panels:

@@ -15,7 +15,7 @@ import pandas as pd
 
 from qnerf.records import index
 from qnerf.records.deletion import holds_runs
-from qnerf.records.index import UNSETTLED, Stamps
+from qnerf.records.index import Stamps
 from qnerf.records.location import existing_store
 
 from .. import packed
@@ -94,7 +94,7 @@ class WatchedStore:
         if time.monotonic() - self._looked < FRESH:
             return
         stamps = index.scan(self.folder)
-        changed = {run for run, stamp in stamps.items() if self._stamps.get(run) != stamp or stamp == UNSETTLED}
+        changed = {run for run, stamp in stamps.items() if self._stamps.get(run) != stamp}
         changed |= self._alive & stamps.keys()
         gone = self._stamps.keys() - stamps.keys()
         self._stamps = stamps

@@ -23,4 +23,3 @@ def test_one_of_several_contenders_wins(tmp_path: Path) -> None:
         assert line["outcomes"] == sorted([won, "busy", "busy"])
         assert line["codes"] == [0, 0, 0]
     assert [records.state(directory) for directory in records.runs(tmp_path)] == ["finished"] * (3 * count)
-    assert list((tmp_path / ".tmp").iterdir()) == []

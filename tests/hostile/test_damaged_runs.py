@@ -1,7 +1,6 @@
 """One damaged run in a store: one row with its reason, and every other run is read as if nothing had happened."""
 
 import io
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -107,18 +106,6 @@ def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes)
     gathered = pictures.gather(frame, range(4), 100)
     assert (gathered.views, len(gathered.problems)) == (7, 1)
     assert set(hsv.samples(frame)["image"]) == {"1"}
-
-
-@pytest.mark.parametrize("kind", ["pipe", "device", "large"])
-def test_an_environment_that_is_no_small_object(bad: Path, kind: str) -> None:
-    path = bad / "environment.json"
-    if kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "device":
-        path.symlink_to("/dev/zero")
-    else:
-        path.write_text('{"packages": {}}' + " " * 2**21)
-    assert any("environment.json" in problem for problem in details.read(bad).problems)
 
 
 def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

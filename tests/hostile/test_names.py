@@ -18,7 +18,6 @@ NAMES = [
     "ünï-漢字",
     "x" * 250,
     "a'\"&<b>",
-    "\udcff",
 ]
 
 
@@ -33,7 +32,7 @@ def test_folders_of_any_name_are_found_read_and_told(tmp_path: Path) -> None:
         assert records.runs(root) == [run]
         assert find(name, root) == run
         assert len(records.read_metrics(run)) == 1
-        assert index.load(root)["run_id"].tolist() == ([] if name == "\udcff" else [name])
+        assert index.load(root)["run_id"].tolist() == [name]
         with pytest.raises(ValueError, match="no such run") as error:
             find("nothing-like-it", root)
         assert str(error.value).isprintable()

@@ -16,12 +16,6 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files count as settled as soon as they are written."""
-    monkeypatch.setattr(index, "SETTLED", -3600.0)
-
-
-@pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The runs that the index reads from now on."""
     seen: list[str] = []

@@ -73,9 +73,8 @@ def test_the_store_is_removed_under_a_running_job(store_: RunStore) -> None:
 def test_a_store_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for root in (tmp_path / "file", tmp_path / "file" / "runs"):
-        with pytest.raises(StoreError, match="cannot write"):
+        with pytest.raises(StoreError, match="cannot create the run's folder"):
             RunStore(root).claim("a", CONFIG)
     (tmp_path / "a").write_text("")
     with pytest.raises(StoreError, match="cannot create the run's folder"):
         RunStore(tmp_path).claim("a", CONFIG)
-    assert list((tmp_path / ".tmp").iterdir()) == []

@@ -68,7 +68,6 @@ def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> N
     assert again.run is not None
     assert len(records.read_metrics(again.dir)) == 0
     assert records.read_summary(again.dir)["psnr"] is None
-    assert list((store_.root / ".tmp").iterdir()) == []
     assert store_.claim("a", CONFIG, force=True).outcome == "busy"
     again.run.finish()
 
@@ -76,9 +75,8 @@ def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> N
 def test_a_missing_file_is_made_again(store_: RunStore) -> None:
     run = claimed(store_)
     run.interrupt()
-    for name in ("config.yaml", "eval.parquet", "status.json"):
+    for name in ("config.yaml", "eval.parquet", "status.json", "summary.parquet"):
         (run.dir / name).unlink()
-    (run.dir / "summary.parquet").write_bytes(b"")
     (run.dir / ".part-00000.parquet.0000.tmp").write_bytes(b"")
     run = claimed(store_)
     assert run.resumed
@@ -86,18 +84,6 @@ def test_a_missing_file_is_made_again(store_: RunStore) -> None:
     assert records.read_summary(run.dir)["run_id"] == "a"
     assert not list(run.dir.glob(".*"))
     run.finish()
-
-
-def test_leftovers_of_killed_processes_go(store_: RunStore) -> None:
-    claimed(store_).interrupt()
-    old, new = store_.root / ".tmp" / "old-a-0000000000000000", store_.root / ".tmp" / "new-a-0000000000000000"
-    old.mkdir()
-    new.mkdir()
-    os.utime(new, (0, 0))
-    fresh = store_.root / ".tmp" / "new-a-1111111111111111"
-    fresh.mkdir()
-    claimed(store_).finish()
-    assert list((store_.root / ".tmp").iterdir()) == [fresh]
 
 
 def test_no_hard_links(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:

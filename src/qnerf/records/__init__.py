@@ -14,8 +14,8 @@
       checkpoint.pt        and the one before it, checkpoint.prev.pt
       annotations.json     tags and note
       owner/               who may write (`owner.py`)
-    runs/.tmp/             folders that are being made or deleted
     runs/.index/           what `index` read of all runs
+    runs/.new-*            a folder that is being made; .deleted-*: one that is being deleted
 
 Who may write. `RunStore.claim` gives a run to one process, and only this owner writes into the folder. Everybody may
 read it at any moment. Two files are different: tags and note are changed by anyone, one after the other
@@ -27,10 +27,14 @@ of this package, or read again. A column's type is declared, so the tables of al
 
 What survives kill -9. Everything that was written: at most the metrics of the last few seconds are lost, and the run
 resumes from its last checkpoint. The rows logged after that checkpoint are dropped, so that no step appears twice. The
-next claim removes the temporary files. If the checkpoint is damaged, the one before it is used.
+next claim removes the temporary files.
 
-What a folder of another person can do. Nothing in it is executed. A damaged run is one damaged row of a table. Only
-what this package made is deleted (`deletion.py`).
+What a damaged file does. A run whose results cannot be read is one damaged row of a table. If the checkpoint is
+damaged, the one before it is used. Any other file that is needed to go on is named in one line: deleted, it is made
+again, or its rows are missing.
+
+What a folder of another person can do. Nothing in it is executed. Only what this package made is deleted
+(`deletion.py`).
 
 The file system must rename files and folders atomically and create hard links (or at least files) exclusively. Local
 file systems, NFS, Lustre, GPFS and SMB do; object stores mounted as folders do not.

@@ -1,15 +1,15 @@
 """checkpoint.pt and the one before it, checkpoint.prev.pt."""
 
 import io
+import os
 import pickle
-import textwrap
 import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from qnerf.records.files import StoreError, open_regular, preserve, replace, reporting
+from qnerf.records.files import StoreError, one_line, reading, replace, reporting
 
 
 class Checkpoints:
@@ -35,54 +35,53 @@ class Checkpoints:
             try:
                 torch.load(archive, weights_only=True)
             except pickle.UnpicklingError as error:
-                raise ValueError(f"checkpoint: expected tensors and plain values only: {_shortened(error)}") from error
+                raise ValueError(f"checkpoint: expected tensors and plain values only: {one_line(error)}") from error
             self._was_read_back = True
         replace(self.current, archive.getbuffer(), before_rename=self._keep_previous)
 
     def _keep_previous(self) -> None:
+        """Makes the current checkpoint the previous one. At every moment one of the two files is whole."""
         self._check_owner()
-        preserve(self.current, self.previous)
+        if not self.current.exists():
+            return
+        self.previous.unlink(missing_ok=True)
+        try:
+            os.link(self.current, self.previous)  # the current one stays until the new one replaces it
+        except OSError:  # this file system has no hard links
+            os.replace(self.current, self.previous)
 
     def load(self, check: Callable[[dict[str, Any]], None]) -> dict[str, Any] | None:
-        """The newest checkpoint that can be read and that passes `check`; None if no checkpoint can be read.
+        """The newest checkpoint that can be read; None if none can. A damaged one is renamed, with a warning.
 
-        check: raises ValueError if the content does not belong to the run. A checkpoint that is not used is renamed,
-        with a warning.
+        check: raises ValueError if the content does not belong to the run.
 
         Raises:
-            StoreError: a checkpoint can be read, but it does not belong to the run. All files stay as they are.
+            StoreError: the checkpoint does not belong to the run. All files stay as they are.
         """
-        refused: dict[Path, str] = {}
-        foreign = False
-        content = None
         for path in (self.current, self.previous):
             try:
-                loaded = load_archive(path)
+                content = load_archive(path)
+                check(content)
             except FileNotFoundError:
                 continue
             except OSError as error:
                 raise StoreError(f"{path}: cannot read: {error.strerror or error}") from error
-            except Exception as error:  # damaged archives raise many kinds of errors
-                refused[path] = f"damaged ({type(error).__name__}: {_shortened(error)})"
-                continue
-            try:
-                check(loaded)
+            except StoreError as error:
+                aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
+                with reporting(path):
+                    path.rename(aside)
+                self._warn(f"{error}; set aside as {aside.name}; {self._onward(path)}")
             except ValueError as error:
-                refused[path] = f"does not fit this run ({_shortened(error)})"
-                foreign = True
-                continue
-            content = loaded
-            break
-        if content is None and foreign:
-            reasons = "; ".join(f"{path}: {reason}" for path, reason in refused.items())
-            raise StoreError(f"{reasons}; the run's command with run.force=true does it over")
-        onward = "no other checkpoint: starting over" if content is None else "going on from the checkpoint before"
-        for path, reason in refused.items():
-            aside = path.with_name(f"damaged-{time.time_ns()}-{path.name}")
-            self._warn(f"{path}: {reason}; set aside as {aside.name}; {onward}")
-            with reporting(path):
-                path.rename(aside)
-        return content
+                advice = "delete it to go on from the checkpoint before; run.force=true does the run over"
+                raise StoreError(f"{path}: does not fit this run ({one_line(error)}); {advice}") from error
+            else:
+                return content
+        return None
+
+    def _onward(self, damaged: Path) -> str:
+        if damaged == self.current and self.previous.exists():
+            return "going on from the checkpoint before"
+        return "no other checkpoint: starting over"
 
 
 def load_archive(path: Path) -> dict[str, Any]:
@@ -91,20 +90,17 @@ def load_archive(path: Path) -> dict[str, Any]:
     The archive's checksums are compared. Shapes and values of the tensors are for the caller to check.
 
     Raises:
-        Exception: of any kind, if the file is damaged or something else.
+        StoreError: the file is damaged or something else.
+        OSError: it cannot be read.
     """
     import torch
 
-    with open_regular(path) as file:
+    with open(path, "rb") as file, reading(path):
         with zipfile.ZipFile(file) as archive:
             if (name := archive.testzip()) is not None:  # torch.load does not compare checksums
-                raise zipfile.BadZipFile(f"wrong checksum of {name}")
+                raise ValueError(f"wrong checksum of {name}")
         file.seek(0)
         content = torch.load(file, map_location="cpu", weights_only=True)
-    if not isinstance(content, dict):
-        raise pickle.UnpicklingError(f"expected a dict, got {type(content).__name__}")
+        if not isinstance(content, dict):
+            raise ValueError(f"expected a dict, got {type(content).__name__}")
     return content
-
-
-def _shortened(error: Exception) -> str:
-    return textwrap.shorten(str(error), 200, placeholder="...")

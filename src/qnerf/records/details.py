@@ -1,6 +1,5 @@
 """Everything about one run, as far as it can be read."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,12 +10,10 @@ import pandas as pd
 from qnerf.config.identity import flatten
 from qnerf.records import annotations
 from qnerf.records.annotations import Annotations
-from qnerf.records.files import StoreError, read_bytes, read_json, reporting
-from qnerf.records.owner import unix_time
+from qnerf.records.files import StoreError, read_json, reporting
 from qnerf.records.read import checked_status, read_config, read_evaluation, read_status, read_summary, state
 from qnerf.records.schemas import results
 
-MAX_OVERRIDES_BYTES = 2**20
 _T = TypeVar("_T")
 _U = TypeVar("_U")
 
@@ -54,7 +51,7 @@ class Details:
     @property
     def created(self) -> float | None:
         """Unix time."""
-        return unix_time(self.status.get("created"))
+        return self.status.get("created")
 
     @property
     def step(self) -> int:
@@ -89,15 +86,12 @@ def read(run_dir: str | Path) -> Details:
             return default
 
     nothing: dict[str, Any] = {}
-    checked = attempt(checked_status, folder / "status.json", None)
-    summary = attempt(read_summary, folder, None)
+    attempt(checked_status, folder, nothing)
+    summary = attempt(read_summary, folder, nothing)
+    if details.problems:
+        details.state = "damaged"
     details.config = attempt(read_config, folder, nothing)
-    for name, content in (("status.json", checked), ("summary.parquet", summary), ("config.yaml", details.config)):
-        if not content and os.path.lexists(folder / name):
-            details.state = "damaged"
-    details.results = {
-        name: value for name, value in results(summary or {}, details.config).items() if value is not None
-    }
+    details.results = {name: value for name, value in results(summary, details.config).items() if value is not None}
     # A run that has just started, or that another program wrote, may lack these two.
     if (overrides := folder / "overrides.txt").exists():
         details.overrides = attempt(read_overrides, overrides, [])
@@ -110,4 +104,4 @@ def read(run_dir: str | Path) -> Details:
 
 def read_overrides(path: Path) -> list[str]:
     """What the user typed to start the run, from its overrides.txt."""
-    return read_bytes(path, MAX_OVERRIDES_BYTES).decode(errors="backslashreplace").splitlines()
+    return path.read_text(errors="backslashreplace").splitlines()

@@ -9,13 +9,10 @@ import errno
 import json
 import os
 import secrets
-import stat
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
-
-MAX_JSON_BYTES = 2**20
-MAX_TABLE_BYTES = 2**28
+from typing import Any
 
 
 class StoreError(ValueError):
@@ -36,70 +33,30 @@ def reporting(path: Path, action: str = "write") -> Iterator[None]:
         raise StoreError(f"{path}: cannot {action}: {error.strerror or error}") from error
 
 
-def is_full(error: BaseException) -> bool:
-    """Whether a disk or a quota was full."""
-    cause = error if isinstance(error, OSError) else error.__cause__
-    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)
-
-
-def refuse_links(*paths: Path) -> None:
-    """StoreError for a link: what is written or deleted behind it may belong to somebody else."""
-    for path in paths:
-        if path.is_symlink():
-            raise StoreError(f"{path}: is a link, behind which nothing is written or deleted")
-
-
-def open_regular(path: Path, max_bytes: int | None = None) -> IO[bytes]:
-    """Opens a file for reading. A pipe is not waited for.
-
-    Raises:
-        StoreError: it is a folder, a pipe or a device, or larger than `max_bytes`.
-        OSError: it cannot be opened.
-    """
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+@contextlib.contextmanager
+def reading(label: object) -> Iterator[None]:
+    """Turns every error of a reader of damaged data into the StoreError "LABEL: damaged: REASON"."""
     try:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise StoreError(f"{path}: expected a file, got a folder, a pipe or a device")
-        if max_bytes is not None and status.st_size > max_bytes:
-            raise StoreError(f"{path}: larger than the {max_bytes:,} bytes that such a file may have")
-        return open(handle, "rb")
-    except BaseException:
-        os.close(handle)
+        yield
+    except StoreError:
         raise
-
-
-def require_file(path: Path) -> None:
-    """StoreError if there is something else than a file at the path, such as a pipe; nothing there is fine."""
-    refuse_links(path)
-    if path.exists() and not path.is_file():
-        raise StoreError(f"{path}: expected a file, got a folder, a pipe or a device")
-
-
-def read_bytes(path: Path, max_bytes: int) -> bytes:
-    """The whole file, opened by `open_regular`."""
-    with open_regular(path, max_bytes) as file:
-        return file.read(max_bytes)
+    except Exception as error:  # pyarrow, Pillow and PyTorch raise errors of many kinds for damaged files
+        raise StoreError(f"{label}: damaged: {textwrap.shorten(one_line(error), 200, placeholder='...')}") from error
 
 
 def parse_json(data: bytes) -> dict[str, Any]:
     """A JSON object; ValueError for anything else."""
-    try:
-        record = json.loads(data)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
+    record = json.loads(data)
     if not isinstance(record, dict):
         raise ValueError(f"expected an object, got {type(record).__name__}")
     return record
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A small JSON object; StoreError if the file holds anything else, OSError if it cannot be read."""
-    data = read_bytes(path, MAX_JSON_BYTES)
-    try:
+    """A JSON object; StoreError if the file holds anything else, OSError if it cannot be read."""
+    data = path.read_bytes()
+    with reading(path):
         return parse_json(data)
-    except ValueError as error:
-        raise StoreError(f"{path}: damaged: {error}") from error
 
 
 def json_bytes(record: Any) -> bytes:
@@ -178,7 +135,7 @@ def create(path: Path, data: bytes) -> bool:
         # A network file system may repeat a request that had succeeded. The link count tells.
         return temporary.stat().st_nlink == 2
     except OSError as error:
-        if isinstance(error, FileNotFoundError) or is_full(error):
+        if isinstance(error, FileNotFoundError) or error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise
         try:  # this file system has no hard links
             with open(path, "xb") as file:
@@ -189,18 +146,3 @@ def create(path: Path, data: bytes) -> bool:
         with contextlib.suppress(OSError):
             temporary.unlink()
     return True
-
-
-def preserve(path: Path, copy: Path) -> None:
-    """Replaces `copy` by what `path` is now, and leaves `path`: a hard link, or a rename where links do not exist."""
-    temporary = temporary_path(copy)
-    try:
-        os.link(path, temporary)
-    except FileNotFoundError:
-        return
-    except OSError:
-        with contextlib.suppress(FileNotFoundError):
-            os.replace(path, copy)
-        return
-    os.replace(temporary, copy)
-    temporary.unlink(missing_ok=True)  # the rename does nothing if both were links to one file already

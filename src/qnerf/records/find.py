@@ -4,7 +4,8 @@ import difflib
 import os
 from pathlib import Path
 
-from qnerf.records.location import existing_store, resolved
+from qnerf.records.location import existing_store
+from qnerf.records.printable import printable
 from qnerf.records.read import RUN_MARKERS, runs
 
 
@@ -16,18 +17,15 @@ def find(name: str | Path, store: str | Path = "runs", *, whole: bool = False) -
     whole: a part of an id is refused.
 
     Raises:
-        ValueError: no run or more than one, with the nearest ids; or a link to a run in another folder.
+        ValueError: no run or more than one, with the nearest ids.
     """
     text = str(name)
     if is_path(text):
-        folder = resolved(Path(name)) if Path(name).is_symlink() or ".." in Path(name).parts else Path(name)
-        if Path(name).is_symlink() and folder.parent != resolved(Path(name).parent):
-            raise ValueError(f"{text}: a link to {folder}; name that folder itself")
+        folder = Path(name).resolve()
         if not any((folder / file).exists() for file in RUN_MARKERS):
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder
-    folder = existing_store(store)
-    known = {path.name: path for path in runs(folder)}
+    known = {path.name: path for path in runs(existing_store(store))}
     if text in known:
         return known[text]
     matches = [run_id for run_id in known if text and text in run_id]
@@ -49,5 +47,4 @@ def is_path(name: str) -> bool:
 
 
 def _listed(names: list[str], limit: int = 4) -> str:
-    shown = [name if name.isprintable() else ascii(name) for name in names[:limit]]  # folders can have any name
-    return ", ".join(shown) + (f" and {len(names) - limit} more" if len(names) > limit else "")
+    return ", ".join(map(printable, names[:limit])) + (f" and {len(names) - limit} more" if len(names) > limit else "")

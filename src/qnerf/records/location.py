@@ -1,6 +1,5 @@
 """Where a store may be: in a folder of this machine."""
 
-import os
 import re
 from pathlib import Path
 
@@ -11,11 +10,6 @@ RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id as qnerf makes it. The folder of a renamed run may have any other name."""
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
-
-
-def resolved(path: Path) -> Path:
-    """The absolute path without links. One stays of links in a circle, for which `Path.resolve` raises RuntimeError."""
-    return Path(os.path.realpath(path))
 
 
 def store_folder(store: str | Path) -> Path:

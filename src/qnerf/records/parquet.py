@@ -1,27 +1,15 @@
 """Parquet files with columns of four kinds: whole numbers, numbers, booleans, text."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from qnerf.records.files import MAX_TABLE_BYTES, StoreError, one_line, read_bytes, reporting
+from qnerf.records.files import reading, reporting
 
 TYPES = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
 """Kind of a column -> its Arrow type in every file of a store."""
-
-
-@contextlib.contextmanager
-def reading(label: object) -> Iterator[None]:
-    """Turns every error of a reader of damaged data into the StoreError "LABEL: damaged: REASON"."""
-    try:
-        yield
-    except StoreError:
-        raise
-    except Exception as error:  # pyarrow and Pillow raise errors of many kinds for damaged files
-        raise StoreError(f"{label}: damaged: {one_line(error)}") from error
 
 
 def encode(table: pa.Table) -> bytes:
@@ -40,7 +28,7 @@ Kinds = Callable[[str], str | None]
 def read_table(path: Path, kinds: Kinds = lambda name: None) -> pa.Table:
     """A Parquet file in memory, see `typed`; StoreError if it is absent or damaged."""
     with reporting(path, "read"):
-        data = read_bytes(path, MAX_TABLE_BYTES)
+        data = path.read_bytes()
     with reading(path):
         # Not pq.read_table: if its threads still hold Python's buffer when the interpreter ends, the process aborts.
         table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)

@@ -5,15 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from qnerf.records.files import read_bytes, reporting
-from qnerf.records.parquet import reading
-
-MAX_BYTES = 2**28
+from qnerf.records.files import reading, reporting
 
 
 def listed(run_dir: str | Path) -> list[Path]:
-    """The pictures of a run, sorted by name; links are left out."""
-    return sorted(path for path in (Path(run_dir) / "images").glob("*.png") if path.is_file() and not path.is_symlink())
+    """The pictures of a run, sorted by name."""
+    return sorted((Path(run_dir) / "images").glob("*.png"))
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -21,6 +18,6 @@ def read_png(path: Path) -> np.ndarray:
     from PIL import Image  # listing runs does not need it
 
     with reporting(path, "read"):
-        data = read_bytes(path, MAX_BYTES)
+        data = path.read_bytes()
     with reading(path), Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         return np.asarray(image.convert("RGB"))

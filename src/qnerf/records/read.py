@@ -12,17 +12,17 @@ import yaml  # type: ignore[import-untyped]
 from qnerf.config.identity import plain
 from qnerf.metrics import quality_metrics
 from qnerf.records import owner
-from qnerf.records.files import StoreError, one_line, read_bytes, read_json, reporting
-from qnerf.records.location import RUN_ID
+from qnerf.records.files import StoreError, one_line, read_json, reporting
 from qnerf.records.parquet import read_table, require_columns
 from qnerf.records.schemas import METRICS_KINDS, METRICS_SCHEMA, TABLES, known_kind
 
-STATES = ("running", "finished", "interrupted", "failed")
+ENDED = ("finished", "interrupted", "failed")
+"""States of a run that nobody writes."""
+
 RUN_MARKERS = ("summary.parquet", "status.json", "config.yaml")
 """A folder with one of these files is a run."""
 
-MAX_CONFIG_BYTES = 2**18
-_PART = re.compile(r"part-([0-9]{5,9})\.parquet")
+_PART = re.compile(r"part-([0-9]{5,})\.parquet")
 
 
 def runs(root: str | Path) -> list[Path]:
@@ -44,16 +44,18 @@ def read_status(run_dir: str | Path) -> dict[str, Any]:
             return {}
 
 
-def checked_status(path: Path) -> dict[str, Any]:
-    """A status.json.
+def checked_status(run_dir: str | Path) -> dict[str, Any]:
+    """status.json.
 
     Raises:
-        StoreError: it is damaged, or the folder is a copy of another run, which would count as a further seed.
+        StoreError: it is absent or damaged, or the folder is a copy of another run, which would count as another seed.
     """
+    folder = Path(run_dir)
+    path = folder / "status.json"
     with reporting(path, "read"):
         record = read_json(path)
-    folder, original = path.parent, str(record.get("run_id"))
-    if RUN_ID.fullmatch(original) and original != folder.name and (folder.parent / original / path.name).exists():
+    original = str(record.get("run_id", folder.name))
+    if original != folder.name and (folder.with_name(original) / path.name).exists():
         raise StoreError(f"{folder}: is a copy of {original}, which is in this store, too")
     return record
 
@@ -64,43 +66,27 @@ def state(run_dir: str | Path, status: Mapping[str, Any] | None = None) -> str:
     status: what `read_status` returned, if the caller has it already.
     """
     directory = Path(run_dir)
-    status = read_status(directory) if status is None else status
-    stored = status.get("state")
-    if stored != "running":
-        return stored if stored in STATES else "interrupted"
-    if owner.is_alive(directory, status) and owner.is_owned(directory):
-        return "running"
-    # The owner was killed, or it has finished since status.json was read.
-    now = read_status(directory).get("state")
-    return now if now in STATES and now != "running" else "interrupted"
+    stored = (read_status(directory) if status is None else status).get("state")
+    if stored == "running":
+        if owner.living(directory) is not None:
+            return "running"
+        # The owner was killed, or it has finished since status.json was read.
+        stored = read_status(directory).get("state")
+    return stored if stored in ENDED else "interrupted"
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The configuration. YAML aliases and everything but plain values are refused."""
-    data = check_config(run_dir)
-    try:
-        return plain(yaml.load(data, Loader=_Loader))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise StoreError(f"{Path(run_dir) / 'config.yaml'}: not readable as YAML: {one_line(error)}") from error
-
-
-def check_config(run_dir: str | Path) -> bytes:
-    """config.yaml, if it is YAML with keys and values; StoreError otherwise. Takes a tenth of reading the values.
-
-    Aliases are refused: a few nested ones can expand to more than fits in memory.
-    """
+    """The configuration; StoreError if it is absent, or holds anything else than plain values."""
     path = Path(run_dir) / "config.yaml"
     with reporting(path, "read"):
-        data = read_bytes(path, MAX_CONFIG_BYTES)
+        data = path.read_bytes()
     try:
-        events = list(yaml.parse(data, Loader=_Loader))
+        config = plain(yaml.load(data, Loader=_Loader))
     except (yaml.YAMLError, ValueError) as error:
         raise StoreError(f"{path}: not readable as YAML: {one_line(error)}") from error
-    if not any(isinstance(event, yaml.MappingStartEvent) for event in events[2:3]):
+    if not isinstance(config, dict):
         raise StoreError(f"{path}: not readable as YAML: expected keys and values")
-    if any(isinstance(event, yaml.AliasEvent) for event in events):
-        raise StoreError(f"{path}: not readable as YAML: an alias is not allowed")
-    return data
+    return config
 
 
 _Safe: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # PyYAML can be built without its C library
@@ -129,8 +115,7 @@ def metric_parts(run_dir: str | Path) -> dict[int, Path]:
     """Number -> file of metrics/, in ascending order. Other names, such as copies of a sync program, are left out."""
     folder = Path(run_dir) / "metrics"
     with reporting(folder, "read"):
-        found = {int(match[1]): path for path in folder.iterdir() if (match := _PART.fullmatch(path.name))}
-    return {number: found[number] for number in sorted(found) if found[number].name == part_name(number)}
+        return {int(match[1]): path for path in sorted(folder.iterdir()) if (match := _PART.fullmatch(path.name))}
 
 
 def part_name(number: int) -> str:

@@ -11,7 +11,7 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +25,7 @@ from qnerf.config.identity import plain
 from qnerf.records import schemas
 from qnerf.records.checkpoints import Checkpoints
 from qnerf.records.environment import differences
-from qnerf.records.files import StoreError, json_bytes, preserve, read_json, replace, reporting
+from qnerf.records.files import StoreError, json_bytes, read_json, replace, reporting
 from qnerf.records.owner import HEARTBEAT_INTERVAL, Ownership, Process
 from qnerf.records.parquet import encode
 from qnerf.records.read import metric_parts, part_name, read_config, read_part, read_status, read_summary
@@ -59,15 +59,15 @@ class Run:
         self.dir = ownership.directory
         self.run_id = self.dir.name
         self.resumed = resumed
-        self.config = read_config(self.dir)
         self._types = dict(types or {})
         self._ownership = ownership
         self._checkpoints = Checkpoints(self.dir, ownership.check, self.warn)
+        with _advising_deletion():
+            self.config = read_config(self.dir)
+            self._results = schemas.results(read_summary(self.dir), self.config)
         self._status: dict[str, Any] = {"step": 0, "created": time.time()} | read_status(self.dir)
         self._status |= running_status(ownership)
-        self._results = schemas.results(read_summary(self.dir), self.config)
-        step = self._status["step"]
-        self._step = step if isinstance(step, int) else 0
+        self._step: int = self._status["step"]
         self._accepts_rows = not resumed
         self._closed = self._stopping = False
 
@@ -126,12 +126,14 @@ class Run:
     def resume(self, step: int) -> None:
         """Drops all rows after `step`, the step of the checkpoint from which training goes on; -1 drops all rows.
 
-        A damaged part is copied beside metrics/ with a warning. Its rows are lost; the rows of other parts stay.
+        Raises:
+            StoreError: a part is damaged.
         """
         with self._io:
             self._ownership.check()
             for number, path in metric_parts(self.dir).items():
-                table = self._read_or_set_aside(number, path)
+                with _advising_deletion():
+                    table = read_part(path)
                 remaining = table.filter(pc.less_equal(table["step"], step))
                 # The part is emptied, not removed: a reader may just have listed the folder and must find every file.
                 if remaining.num_rows < table.num_rows:
@@ -143,17 +145,6 @@ class Run:
             self._step = max(step, 0)
             self._accepts_rows = True
             self._write_status()
-
-    def _read_or_set_aside(self, number: int, path: Path) -> pa.Table:
-        try:
-            return read_part(path)
-        except StoreError as error:
-            aside = self.dir / f"damaged-{time.time_ns()}-{path.name}"
-            with reporting(path):
-                preserve(path, aside)
-            self._write_part(number, EMPTY_PART)
-            self.warn(f"{error}; set aside as {aside.name}, its rows are missing from now on")
-            return schemas.METRICS_SCHEMA.empty_table()
 
     def _write_part(self, number: int, data: bytes) -> None:
         # No temporary file in metrics/: a reader must not list a file that is gone when it opens it.
@@ -259,7 +250,7 @@ class Run:
             (self.dir / "checkpoint.prev.pt").unlink()
 
     def fail(self, error: str) -> None:
-        self._end("failed", " ".join(error.split()))
+        self._end("failed", " ".join(error.encode(errors="replace").decode().split()))
 
     def interrupt(self, step: int | None = None) -> None:
         """step: of the last checkpoint, if it is later than the last row."""
@@ -345,6 +336,15 @@ class Run:
         with self._io:
             self._status |= {"run_id": self.run_id, "step": self._step, "heartbeat": time.time()}
             self._write("status.json", json_bytes(self._status), durable=durable)
+
+
+@contextlib.contextmanager
+def _advising_deletion() -> Iterator[None]:
+    """Adds to the message about a damaged file how to go on."""
+    try:
+        yield
+    except StoreError as error:
+        raise StoreError(f"{error}; delete this file, and the run goes on without it") from error
 
 
 def _png(image: np.ndarray) -> bytes:

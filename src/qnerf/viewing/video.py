@@ -13,7 +13,7 @@ from PIL import Image
 
 from qnerf.config import memory
 from qnerf.records.deletion import refuse_runs
-from qnerf.records.files import replace, reporting, require_file, temporary_path
+from qnerf.records.files import replace, reporting, temporary_path
 
 MAX_WEBP = 16_383  # pixels along a side
 
@@ -29,8 +29,8 @@ def check(file: Path, width: int, height: int, frames: int) -> None:
         raise ValueError(f"{file}: expected a name that ends in .webp or .mp4, or a folder for PNG files")
     if kind == "" and file.exists():
         raise ValueError(f"{file}: exists already; expected a new folder for the PNG files")
-    if kind:
-        require_file(file)
+    if kind and file.is_dir():
+        raise ValueError(f"{file}: is a folder; expected a file")
     if kind == ".webp":
         if max(width, height) > MAX_WEBP:
             raise ValueError(f"{file}: a WebP has at most {MAX_WEBP:,} pixels a side, got {width} x {height}")

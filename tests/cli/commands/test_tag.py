@@ -52,7 +52,7 @@ def test_processes_that_tag_at_once_lose_nothing(make):
     assert set(annotations.read(run).tags) == {f"p{number}-{i}" for number in range(4) for i in range(10)}
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"tags": 3}', '{"tags": [1]}', '{"note": null}', "[" * 100_000])
+@pytest.mark.parametrize("content", ["", "[]", '{"tags": 3}', '{"tags": [1]}', '{"note": null}'])
 def test_a_damaged_file_is_told_and_left_alone(make, content):
     run = make("a")
     (run / annotations.FILE).write_text(content)
@@ -60,21 +60,6 @@ def test_a_damaged_file_is_told_and_left_alone(make, content):
         with pytest.raises(StoreError, match=r"annotations\.json"):
             touch()
     assert (run / annotations.FILE).read_text() == content
-
-
-def test_a_run_outside_the_store_is_not_reached_through_a_link_in_it(make, qnerf, tmp_path):
-    """Its path may be typed without looking. A link beside its run is the user's own."""
-    store, elsewhere = make("a").parent, make("b").rename(tmp_path / "b")
-    (store / "b").symlink_to(elsewhere)
-    (store / "best").symlink_to("a")
-    (tmp_path / "links").mkdir()
-    (tmp_path / "links" / "c").symlink_to(elsewhere)  # a store of nothing but links
-    for link in (store / "b", tmp_path / "links" / "c"):
-        done = qnerf("tag", str(link), "seen")
-        assert (done.code, done.out) == (2, "")
-        assert f"a link to {elsewhere}; name that folder itself" in done.err
-    assert not annotations.read(elsewhere).tags
-    assert qnerf("tag", str(store / "best"), "seen").out == "seen\n"
 
 
 @given(tag=st.text(min_size=1, max_size=64))

@@ -18,7 +18,6 @@ from qnerf.cli.text import console
 from qnerf.config.identity import flatten
 from qnerf.records import details, find, state
 from qnerf.records.environment import differences
-from qnerf.records.location import resolved
 from qnerf.records.printable import printable
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 @stoppable()
 def main(options: argparse.Namespace) -> int:
-    run = resolved(find(options.run, options.store))
+    run = find(options.run, options.store).resolve()
     if (now := state(run)) != "finished":
         raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
     config = stored(run, options.overrides)

@@ -7,7 +7,6 @@ from qnerf.cli.ends import stoppable, stopped_code
 from qnerf.cli.stored import run_stored, stored
 from qnerf.cli.text import console
 from qnerf.records import find, owner, state
-from qnerf.records.location import resolved
 from qnerf.records.printable import printable
 
 
@@ -22,7 +21,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 @stoppable()
 def main(options: argparse.Namespace) -> int:
-    run = resolved(find(options.run, options.store))
+    run = find(options.run, options.store).resolve()
     now = state(run)
     if now in ("finished", "running"):
         reason = "finished already" if now == "finished" else f"being written by {owner.describe(run)}"
