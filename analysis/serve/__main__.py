@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import secrets
 import socket
 import threading
 from collections.abc import Sequence
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from qnerf.cli.numbers import whole
 from qnerf.records.location import DEFAULT
+from qnerf.viewing.guard import LOCAL, Guard
 
 from .. import command
 from .answers import Answers
@@ -29,7 +29,6 @@ EXAMPLES = """\
   ssh -L 8090:localhost:8090 MACHINE      # then open http://localhost:8090 here
 """
 PORT = 8090
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -64,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _name_of(host: str) -> str:
     """What to open in a browser."""
-    if host in LOOPBACK:
+    if host in LOCAL:
         return "localhost"
     if host in ("0.0.0.0", "::"):  # all networks
         return socket.gethostname()
@@ -76,19 +75,18 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str]:
     try:
         import uvicorn
 
-        from .app import LOCAL, application
+        from .app import application
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
             raise
         raise ValueError("qnerf serve needs another package: pip install 'qnerf[serve]'") from error
     answers = Answers(WatchedStore(options.store), options.title)
-    token = secrets.token_urlsafe(24)
-    hosts = LOCAL if options.host in LOOPBACK else None
+    guard = Guard(options.host)
     config = uvicorn.Config(
-        application(answers, token, hosts), log_level="error", access_log=False, ws="none",
+        application(answers, guard), log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
-    return uvicorn.Server(config), token
+    return uvicorn.Server(config), guard.token
 
 
 if __name__ == "__main__":

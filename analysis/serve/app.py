@@ -1,12 +1,9 @@
 """What the live page asks for: the page, what changed, curves, pictures, tables of differences; and who may ask.
 
-Everything but tags and notes is only read. Every request has to bring the token of the address that was printed at the
-start, once in the address and then as a cookie: so neither another user of the machine nor a page of another site can
-ask anything. On this machine it must also name the machine as its host, and the page of a request must be this one's.
+Everything but tags and notes is only read. Who may ask is as for the viewer (`qnerf.viewing.guard`).
 """
 
-import hmac
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +18,12 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from qnerf.records import annotations
 from qnerf.records.files import one_line, parse_json
+from qnerf.viewing.guard import Guard
 
 from ..report import page
 from .answers import Answers
 
 HERE = Path(__file__).parent
-LOCAL = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "qnerf_token"
 MAX_BODY = 2**17  # bytes; a note has at most 10,000 characters
 OWN = ("live", "differences")
@@ -44,12 +41,8 @@ HEADERS = {
 }
 
 
-def application(answers: Answers, token: str, hosts: Collection[str] | None = LOCAL) -> ASGIApp:
-    """The server's application.
-
-    token: what a visitor has to bring, as `?token=` once and then as a cookie. hosts: names by which it may be asked;
-    None for any.
-    """
+def application(answers: Answers, guard: Guard) -> ASGIApp:
+    """The server's application, for visitors whom the guard lets in."""
     files = {
         "page.js": (
             "text/javascript",
@@ -61,7 +54,7 @@ def application(answers: Answers, token: str, hosts: Collection[str] | None = LO
 
     def home(request: Request) -> Response:
         if "token" in request.query_params:
-            return _with_cookie(request, token)
+            return _with_cookie(request, guard.token)
         return HTMLResponse(page.render(answers.page()))
 
     def file(request: Request) -> Response:
@@ -103,14 +96,14 @@ def application(answers: Answers, token: str, hosts: Collection[str] | None = LO
         Route("/annotate", annotate, methods=["POST"]),
     ]
     app = Starlette(routes=routes, exception_handlers=dict.fromkeys((KeyError, ValueError, OSError), _refusal))
-    return Guard(GZipMiddleware(app, minimum_size=2000, compresslevel=1), token, hosts)
+    return Guarded(GZipMiddleware(app, minimum_size=2000, compresslevel=1), guard)
 
 
-class Guard:
-    """Refuses visitors without the token or of another site, and adds `HEADERS` to every answer."""
+class Guarded:
+    """Refuses visitors whom the guard refuses, and adds `HEADERS` to every answer."""
 
-    def __init__(self, inner: ASGIApp, token: str, hosts: Collection[str] | None) -> None:
-        self._inner, self._token, self._hosts = inner, token, hosts
+    def __init__(self, inner: ASGIApp, guard: Guard) -> None:
+        self._inner, self._guard = inner, guard
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -123,23 +116,10 @@ class Guard:
                 message = {**message, "headers": [*message.get("headers", []), *more]}
             await send(message)
 
-        refusal = self._refusal(Request(scope))
+        request = Request(scope)
+        refusal = self._guard.refusal(f"{request.url.path}?{request.url.query}", request.headers)
         inner = self._inner if refusal is None else PlainTextResponse(refusal, 403)
         return await inner(scope, receive, with_headers)
-
-    def _refusal(self, request: Request) -> str | None:
-        """Why not; None for a visitor who may."""
-        host = request.headers.get("host", "")
-        origin = request.headers.get("origin")
-        if origin is not None and origin.partition("://")[2] != host:
-            return "a page of another site asked"
-        name = host if host.endswith("]") else host.rpartition(":")[0] or host
-        if self._hosts is not None and name not in self._hosts:
-            return f"expected one of {', '.join(self._hosts)} as host"
-        given = request.query_params.get("token") or request.cookies.get(_cookie(request), "")
-        if hmac.compare_digest(given.encode(), self._token.encode()):
-            return None
-        return "expected the token: open the address that qnerf serve printed"
 
 
 def _refusal(_: Request, error: Exception) -> Response:

@@ -118,7 +118,7 @@ def test_sampled_noise_agrees_with_density_matrices_within_its_standard_error() 
     for circuit, noise, batch in (
         (QIREN, Noise(depolarizing=0.02, two_qubit=0.05), 40),
         (ENCODED_FIRST, Noise(bit_flip=0.02, phase_damping=0.05, readout=0.03), 40),
-        (EVERYTHING, replace(MIXTURE, readout=(0.01, 0.05)), 30),
+        (EVERYTHING, replace(MIXTURE, readout=0.03), 30),
     ):
         layer, x = made(circuit, batch)
         with conditions(layer, noise=noise, method="density") as exact:
@@ -189,10 +189,6 @@ def test_density_matrices_of_reuploading_circuits_equal_default_mixed() -> None:
         with conditions(layer, noise=replace(noise, readout=0.03), method="density"):
             assert (layer(x)[:2] - expected).abs().max() < 1e-12
             assert (layer(x[:2]) - expected).abs().max() < 1e-12
-        with conditions(layer, noise=noise, method="density"):
-            without = layer(x)
-        with conditions(layer, noise=replace(noise, readout=(0.01, 0.04)), method="density"):
-            assert torch.allclose(layer(x), 0.95 * without + 0.03, atol=1e-12)
 
 
 def test_thermal_relaxation_is_that_of_pennylane() -> None:
@@ -222,9 +218,8 @@ def test_noise_that_is_impossible_is_one_line() -> None:
     for fields, message in (
         ({"t1": 1.0, "t2": 3.0, "one_qubit_time": 1.0}, "t2 expects at most 2 t1 = 2, got 3"),
         ({"t1": 1.0}, "also expect one_qubit_time"),
-        ({"readout": (0.1, 1.2)}, r"readout expects a probability in \[0, 1\], got 1.2"),
+        ({"readout": (0.1, 0.2)}, r"readout expects a probability in \[0, 1\], got \(0.1, 0.2\)"),
         ({"cross_talk": 0.1}, "unknown field 'cross_talk'; known: depolarizing"),
-        ({"readout": [0.1, 0.2, 0.3]}, "readout expects one probability or two"),
         ({"two_qubit": 2.0}, r"two_qubit expects a probability in \[0, 1\], got 2.0"),
         ({"t2": -1.0}, "t2 expects a time in seconds, got -1.0"),
         ({"t1": 0.0}, "t1 and t2 expect a time above 0"),
@@ -265,7 +260,7 @@ def test_layers_train_with_noise_that_is_right_on_average() -> None:
 
 def test_words_are_read_as_their_bit_strings_are() -> None:
     """A word is the parity of the bits that are read after its letters were turned to Z."""
-    noise = Noise(readout=(0.04, 0.1))
+    noise = Noise(readout=0.04)
     gates = (Gate("RX", (0,), (feature(0),)), Gate("CRY", (0, 1), (feature(1),)), Gate("CNOT", (1, 2)))
     words = Circuit("words", 3, operations=gates, observables=(((0, "Z"), (2, "Z")), ((2, "Z"),), ((1, "X"),)))
     tables = (Probabilities((0, 2)), Probabilities((1,)))
@@ -281,7 +276,3 @@ def test_words_are_read_as_their_bit_strings_are() -> None:
     torch.testing.assert_close(word[:, 1], bits[:, 0] - bits[:, 1] + bits[:, 2] - bits[:, 3])
     torch.testing.assert_close(word[:, 2], bits[:, 4] - bits[:, 5])
     torch.testing.assert_close(ground[0, :4], torch.tensor([0.96**2, 0.96 * 0.04, 0.96 * 0.04, 0.04**2]).double())
-    long = tuple((wire, "Z") for wire in range(11))
-    wide = QuantumLayer(Circuit("wide", 11, operations=(Gate("H", (0,)),), observables=(long,)))
-    with conditions(wide, noise=noise), pytest.raises(ValueError, match="at most 10 letters, got one of 11"):
-        wide(torch.zeros(1, 11))

@@ -8,7 +8,7 @@ import torch
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.bounds import Factor, NonNegativeFactor, PositiveInt, Share
+from qnerf.config.bounds import Factor, NonNegativeFactor, PositiveInt
 from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer, hardware_conditions
 from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, Spectral, Wires
@@ -190,7 +190,7 @@ class QirenHead(Head):
         center: bool = False,
         unitary: Literal["circuit", "local", "random"] = "circuit",
         shots: PositiveInt | None = None,
-        noise: dict[Field, NonNegativeFactor | list[Share] | None] | None = None,
+        noise: dict[Field, NonNegativeFactor | None] | None = None,
         patterns: PositiveInt = 4,
     ) -> None:
         super().__init__()

@@ -13,7 +13,7 @@ from qnerf.quantum.circuit import Circuit, Probabilities, values_of
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pauli_errors import Exact
 from qnerf.quantum.pennylane import check_shots
-from qnerf.quantum.readout import Measured, Readout, measured
+from qnerf.quantum.readout import Measured, as_read, measured
 from qnerf.quantum.simulator import simulator_of
 
 NoiseMethod = Literal["auto", "density", "sampled"]
@@ -127,12 +127,11 @@ def _expected(
 ) -> Tensor:
     """The exact values (B, values), with the errors of gates and of the readout."""
     noise = conditions.noise or Noise()
-    read = Readout(found.observables, noise)
-    own = replace(circuit, observables=read.observables)
+    own = replace(circuit, observables=found.observables)
     if own.observables != circuit.observables:
         exact = simulator_of(own)
     if conditions.is_sampled(own):
-        final = lambda values: found.outputs(read(values))  # noqa: E731
+        final = lambda values: found.outputs(as_read(found, values, noise))  # noqa: E731
         values, errors = pauli_errors.evaluate(
             exact, own, x, weights, noise, conditions.patterns, conditions.random, final
         )
@@ -143,7 +142,7 @@ def _expected(
         values = density.evaluate(own, x, weights, noise, conditions.noisy_coefficients)
     else:
         values = exact(x, weights)
-    return read(values)
+    return as_read(found, values, noise)
 
 
 def _drawn(found: Measured, expected: Tensor, conditions: Conditions) -> Tensor:

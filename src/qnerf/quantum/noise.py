@@ -32,7 +32,7 @@ class Noise:
     Args:
         depolarizing, amplitude_damping, phase_damping, bit_flip: probabilities in [0, 1], as PennyLane defines them.
         two_qubit: probability of the depolarizing channel after gates on two or more wires; None for `depolarizing`.
-        readout: probability that a wire is read wrongly, or two of them: of reading 1 for 0, and 0 for 1.
+        readout: probability that a wire is read wrongly.
         t1, t2: relaxation and dephasing times, seconds; t2 <= 2 t1. None: no relaxation, no dephasing beyond it.
         one_qubit_time, two_qubit_time: duration of a gate, seconds. Wires relax during their own gates; those that
             wait for others do not.
@@ -51,20 +51,15 @@ class Noise:
     phase_damping: float = 0.0
     bit_flip: float = 0.0
     two_qubit: float | None = None
-    readout: float | tuple[float, float] = 0.0
+    readout: float = 0.0
     t1: float | None = None
     t2: float | None = None
     one_qubit_time: float = 0.0
     two_qubit_time: float = 0.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.readout, list):
-            object.__setattr__(self, "readout", tuple(self.readout))
-        readout = self.readout if isinstance(self.readout, tuple) else (self.readout,)
-        if len(readout) > 2 or not readout:
-            raise ValueError(f"noise: readout expects one probability or two, got {self.readout!r}")
-        for name, value in [*((name, getattr(self, name)) for name in CHANNELS), *(("readout", p) for p in readout)]:
-            _check_probability(name, value)
+        for name in (*CHANNELS, "readout"):
+            _check_probability(name, getattr(self, name))
         if self.two_qubit is not None:
             _check_probability("two_qubit", self.two_qubit)
         for name in TIMES:
@@ -100,7 +95,7 @@ class Noise:
     @property
     def any(self) -> bool:
         """Whether anything goes wrong at all."""
-        return bool(self.gates or self.readout_factors != (1.0, 0.0))
+        return bool(self.gates or self.readout)
 
     @property
     def gates(self) -> bool:
@@ -142,12 +137,6 @@ class Noise:
         factors = [_pauli_factors(name, probability) for name, probability in self.after(wires)]
         x, y, z = (prod(each[letter] for each in factors) for letter in range(3))
         return (1 + x - y - z) / 4, (1 - x + y - z) / 4, (1 - x - y + z) / 4
-
-    @property
-    def readout_factors(self) -> tuple[float, float]:
-        """a and b of <Z> as it is read: a <Z> + b."""
-        up, down = self.readout if isinstance(self.readout, tuple) else (self.readout, self.readout)
-        return 1 - up - down, down - up
 
 
 def _check_probability(name: str, value: Any) -> None:

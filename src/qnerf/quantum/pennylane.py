@@ -164,7 +164,7 @@ def make_node(
     if shots is not None and diff_method != "parameter-shift":
         raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
     target = make_device(device, circuit.wires, seed, device_options)
-    if noise is not None and noise.readout_factors != (1.0, 0.0):
+    if noise is not None and noise.readout:
         raise ValueError("noise: readout expects another method than pennylane; there it is an option of the device")
     # Only backprop without channels can broadcast over the batch.
     broadcast = diff_method == "backprop" and (noise is None or not noise.gates)

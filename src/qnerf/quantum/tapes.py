@@ -2,7 +2,7 @@
 
 A tape is a list of operations and of measurements. PennyLane's own decompositions reduce the operations to the gates of
 `gates.GATES`. They run on expressions in place of the tape's numbers, once for all tapes that differ in numbers alone.
-What a measurement needs of the state is a few Pauli words or probabilities; `Measured` combines them.
+Expectation values and variances are outputs of the circuit as Hamiltonians.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +16,17 @@ import pennylane as qml
 import torch
 from torch import Tensor
 
-from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Operation, PauliWord, Probabilities, Weights
+from qnerf.quantum.circuit import (
+    Amplitudes,
+    Circuit,
+    Gate,
+    Hamiltonian,
+    Observable,
+    Operation,
+    Probabilities,
+    Weights,
+    values_of,
+)
 from qnerf.quantum.expressions import Expression, feature, weight
 from qnerf.quantum.gates import GATES, SHORT_NAMES
 from qnerf.quantum.simulator import Simulator
@@ -71,7 +81,7 @@ def execution_of(tape: Any, labels: Any) -> Execution:
     places = places_of(tape, labels)
     measured = _measurements_of(tape, places)
     numbers, described = _described_by(tape, places)
-    key = described, measured.key
+    key = described, measured.observables
     engine = _remembered(_engines, key, lambda: _engine(described, measured, len(places), numbers))
     return Execution(engine, numbers, measured)
 
@@ -318,62 +328,41 @@ class Measured:
     """
 
     def __init__(self, measurements: Iterable[Any], places: dict[Any, int]) -> None:
-        self.words: dict[PauliWord, int] = {}
-        self.tables: list[Probabilities] = []
-        self.parts: list[tuple[str, Any]] = []
+        self.kinds: list[Any] = []
+        outputs: list[Observable] = []
         for measurement in measurements:
             if not isinstance(measurement, MEASUREMENTS) or measurement.mv is not None:
                 name = type(measurement).__name__.removesuffix("MP")
                 raise ValueError(f"the measurement {name} is not computed; known: {KNOWN_MEASUREMENTS}")
+            self.kinds.append(type(measurement))
             if isinstance(measurement, qml.measurements.ProbabilityMP):
                 if measurement.obs is not None:
                     raise ValueError(f"probabilities of {measurement.obs.name} are not computed; give wires")
-                wires = tuple(places[wire] for wire in measurement.wires) or tuple(places.values())
-                self.tables.append(Probabilities(wires))
-                self.parts.append(("probabilities", len(self.tables) - 1))
+                outputs.append(
+                    Probabilities(tuple(places[wire] for wire in measurement.wires) or tuple(places.values()))
+                )
                 continue
             sentence = _sentence(measurement.obs)
+            outputs.append(_hamiltonian(sentence, places))
             if isinstance(measurement, qml.measurements.VarianceMP):
-                self.parts.append(
-                    ("variance", (self._terms(sentence, places), self._terms(sentence @ sentence, places)))
-                )
-            else:
-                self.parts.append(("mean", self._terms(sentence, places)))
-        self.key = tuple(self.words), tuple(self.tables)
-
-    def _terms(self, sentence: Any, places: dict[Any, int]) -> list[tuple[float, int | None]]:
-        """Each coefficient with the place of its word; None for the identity."""
-        terms: list[tuple[float, int | None]] = []
-        for word, coefficient in sentence.items():
-            letters = tuple(sorted((places[wire], letter) for wire, letter in word.items()))
-            place = self.words.setdefault(letters, len(self.words)) if letters else None
-            terms.append((float(np.real(coefficient)), place))
-        return terms
-
-    @property
-    def observables(self) -> tuple[PauliWord | Probabilities, ...]:
-        """What the circuit measures: a constant if nothing else is asked for."""
-        return (*self.words, *self.tables) or ((),)
+                outputs.append(_hamiltonian(sentence @ sentence, places))
+        self.observables: tuple[Observable, ...] = tuple(outputs) or ((),)  # a constant if nothing is asked for
 
     def results(self, values: Tensor) -> list[Tensor]:
         """The measurements, (B,) or (B, 2^k) each, from outputs of the circuit (B, outputs)."""
-        firsts = np.cumsum([len(self.words), *(2 ** len(table.wires) for table in self.tables)])
+        parts = iter(values.split(list(map(values_of, self.observables)), 1))
         out = []
-        for kind, part in self.parts:
-            if kind == "probabilities":
-                out.append(values[:, firsts[part] : firsts[part + 1]])
-            elif kind == "mean":
-                out.append(_combined(part, values))
-            else:
-                out.append(_combined(part[1], values) - _combined(part[0], values).square())
+        for kind in self.kinds:
+            value = next(parts)
+            if kind is qml.measurements.VarianceMP:
+                value = next(parts) - value.square()
+            out.append(value if kind is qml.measurements.ProbabilityMP else value[:, 0])
         return out
 
 
-def _combined(terms: list[tuple[float, int | None]], values: Tensor) -> Tensor:
-    total = values.new_zeros(values.shape[0])
-    for coefficient, place in terms:
-        total = total + coefficient * (values[:, place] if place is not None else 1)
-    return total
+def _hamiltonian(sentence: Any, places: dict[Any, int]) -> Hamiltonian:
+    words = [tuple(sorted((places[wire], letter) for wire, letter in word.items())) for word in sentence]
+    return Hamiltonian(tuple(float(np.real(coefficient)) for coefficient in sentence.values()), tuple(words))
 
 
 def _sentence(observable: Any) -> Any:

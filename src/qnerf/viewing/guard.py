@@ -1,8 +1,8 @@
-"""Who may use the viewer's page: who knows its token, on a page of its own.
+"""Who may use the page of the viewer, or of `qnerf serve`: who knows its token, on a page of its own.
 
 A browser lets any page open a WebSocket to this machine, and another user of the machine can reach its ports. So every
 request must bring the token that was printed, once in the address and then as a cookie; a page of another site is
-refused by its Origin; and a viewer for this machine alone wants to be called by a name of this machine (a foreign name
+refused by its Origin; and a server for this machine alone wants to be called by a name of this machine (a foreign name
 that points here is DNS rebinding).
 """
 
@@ -42,7 +42,7 @@ class Guard:
             given += [morsel.value for morsel in SimpleCookie(headers.get("Cookie", "")).values()]
             if any(hmac.compare_digest(one.encode(), self.token.encode()) for one in given):
                 return None
-        return "expected the token: open the address that qnerf view printed"
+        return "expected the token: open the address that was printed"
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
