@@ -97,7 +97,7 @@ def test_changed_defaults_and_records_are_named():
 def test_types_of_columns_are_those_of_annotations():
     types = column_types(composed("train.lr=1", "qiren.noise.bit_flip=0.1"))
     expected = {"seed": "int", "train.lr": "float", "color.qiren.center": "bool", "scene.path": "text"}
-    expected |= {"sampler.samples": "text", "color.qiren.shots": "int", "color.qiren.noise.readout": "text"}
+    expected |= {"sampler.samples": "text", "color.qiren.shots": "int", "color.qiren.noise.readout": "float"}
     assert {name: types[name] for name in expected} == expected
 
 
