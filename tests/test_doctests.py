@@ -3,8 +3,6 @@
 import doctest
 import importlib
 
-import pytest
-
 from tests.helpers.configs import ROOT
 
 PACKAGE = ROOT / "src" / "qnerf"
@@ -17,9 +15,9 @@ MODULES = sorted(
 )
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_the_examples_of_a_module_hold(name: str) -> None:
-    module = importlib.import_module(name)
-    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
-    assert result.attempted, "the examples are where doctest does not look, such as in a compiled function"
-    assert not result.failed
+def test_the_examples_of_a_module_hold() -> None:
+    for name in MODULES:
+        module = importlib.import_module(name)
+        result = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+        assert result.attempted, f"{name}: the examples are where doctest does not look, such as a compiled function"
+        assert not result.failed, name

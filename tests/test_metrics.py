@@ -82,9 +82,8 @@ def test_a_key_is_declared_once():
         declare(Metric("psnr", "another"))
 
 
-@pytest.mark.parametrize(
-    ("key", "heading", "text"),
-    [
+def test_columns_and_logged_keys_have_their_metrics():
+    for key, heading, text in (
         ("psnr", "PSNR, dB", "21.50"),
         ("eval/psnr", "evaluation PSNR, dB", "21.50"),
         ("validation/psnr", "validation PSNR, dB", "21.50"),
@@ -93,11 +92,9 @@ def test_a_key_is_declared_once():
         ("params.total", "parameters", "22"),
         ("train.lr", "train.lr", "21.5"),
         ("other/psnr", "other/psnr", "21.5"),
-    ],
-)
-def test_columns_and_logged_keys_have_their_metrics(key, heading, text):
-    metric = metric_of(key)
-    assert (metric.heading, metric.text(21.5)) == (heading, text)
+    ):
+        metric = metric_of(key)
+        assert (metric.heading, metric.text(21.5)) == (heading, text)
 
 
 def test_signs_and_thousands():

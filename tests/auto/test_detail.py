@@ -27,10 +27,10 @@ def test_the_finest_frequency_of_a_pattern_is_found(detail):
     assert detail / 40 < found < 2.2 * detail / 40 + 0.05
 
 
-@pytest.mark.parametrize(("value", "channels"), [(0, 3), (255, 3), (77, 3), (0, 4), (200, 4)])
-def test_images_without_detail_ask_for_nothing(value, channels):
-    assert finest_frequency(constant(value, channels=channels)) == 0
-    assert cells_per_world_unit(constant(value, channels=channels)) == 0
+def test_images_without_detail_ask_for_nothing():
+    for value, channels in ((0, 3), (255, 3), (77, 3), (0, 4), (200, 4)):
+        assert finest_frequency(constant(value, channels=channels)) == 0
+        assert cells_per_world_unit(constant(value, channels=channels)) == 0
 
 
 def test_noise_asks_for_all_that_pixels_can_show():

@@ -27,9 +27,8 @@ def hashed(**table) -> dict:
     }
 
 
-@pytest.mark.parametrize(
-    ("option", "world", "value"),
-    [
+def test_what_a_scene_is_found_to_need():
+    for option, world, value in (
         ("contraction.name", BALL, "box"),
         ("contraction.name", FLOOR, "linf"),
         ("contraction.name", constant(255, channels=4), "linf"),
@@ -45,13 +44,11 @@ def hashed(**table) -> dict:
         ("appearance", constant(0), 0),
         ("cameras.name", FLOOR, "fixed"),
         ("cameras.name", constant(0), "fixed"),
-    ],
-)
-def test_what_a_scene_is_found_to_need(option, world, value):
-    decision = decided(option, world)
-    assert decision.value == value
-    assert type(decision.value) is type(value)
-    assert all(type(number) is float for number in decision.because.values())
+    ):
+        decision = decided(option, world)
+        assert decision.value == value
+        assert type(decision.value) is type(value)
+        assert all(type(number) is float for number in decision.because.values())
 
 
 def test_poses_are_refined_where_they_are_off(poster):
@@ -92,12 +89,12 @@ def test_sharp_images_ask_for_a_finer_grid_of_more_levels():
     assert all(resolution % 16 == 0 for resolution in resolutions)
 
 
-@pytest.mark.parametrize(("least", "most"), [(16, 16), (16, 17), (16, 24), (16, 25), (16, 2048), (5, 1000), (64, 32)])
-def test_levels_grow_by_half_at_most(least, most):
-    count = decided("encoder.levels", FLOOR, hashed(min_resolution=least, max_resolution=most)).value
-    assert count >= 1
-    assert least * 1.5 ** (count - 1) >= most * (1 - 1e-9)
-    assert count == 1 or least * 1.5 ** (count - 2) < most
+def test_levels_grow_by_half_at_most():
+    for least, most in ((16, 16), (16, 17), (16, 24), (16, 25), (16, 2048), (5, 1000), (64, 32)):
+        count = decided("encoder.levels", FLOOR, hashed(min_resolution=least, max_resolution=most)).value
+        assert count >= 1
+        assert least * 1.5 ** (count - 1) >= most * (1 - 1e-9)
+        assert count == 1 or least * 1.5 ** (count - 2) < most
 
 
 def test_the_finest_grid_is_bounded():
@@ -107,22 +104,22 @@ def test_the_finest_grid_is_bounded():
     assert decided("encoder.max_resolution", constant(0), hashed(min_resolution=40)).value == 40
 
 
-@pytest.mark.parametrize(("pixels", "steps"), [(1, 3000), (30, 3000), (1000, 10**6), (1000, 300)])
-def test_tables_hold_as_many_numbers_as_there_are_colour_values_in_training(pixels, steps):
-    world = constant(0, views=11, width=pixels, height=pixels)
-    config = hashed(levels=6, features=2) | {"train": AUTO["train"] | {"steps": steps, "rays": 256}}
-    size = decided("encoder.log2_table_size", world, config).value
-    numbers, observed, drawn = 6 * 2 * 2**size, 3 * 10 * pixels**2, 3 * 256 * steps
-    values = min(observed, drawn)
-    assert 10 <= size <= 19
-    assert size in (10, 19) or values / 2 < numbers <= values
+def test_tables_hold_as_many_numbers_as_there_are_colour_values_in_training():
+    for pixels, steps in ((1, 3000), (30, 3000), (1000, 10**6), (1000, 300)):
+        world = constant(0, views=11, width=pixels, height=pixels)
+        config = hashed(levels=6, features=2) | {"train": AUTO["train"] | {"steps": steps, "rays": 256}}
+        size = decided("encoder.log2_table_size", world, config).value
+        numbers, observed, drawn = 6 * 2 * 2**size, 3 * 10 * pixels**2, 3 * 256 * steps
+        values = min(observed, drawn)
+        assert 10 <= size <= 19
+        assert size in (10, 19) or values / 2 < numbers <= values
 
 
-@pytest.mark.parametrize(("pixels", "steps"), [(1000, 3000), (100_000, 3000), (1_600_000, 6000), (2e12, 30_000)])
-def test_sixteen_times_the_pixels_take_twice_the_steps(pixels, steps):
-    measured = Measured(FLOOR)
-    measured.observed = 3 * int(pixels)
-    assert RULES["train.steps"](measured, AUTO).value == steps
+def test_sixteen_times_the_pixels_take_twice_the_steps():
+    for pixels, steps in ((1000, 3000), (100_000, 3000), (1_600_000, 6000), (2e12, 30_000)):
+        measured = Measured(FLOOR)
+        measured.observed = 3 * int(pixels)
+        assert RULES["train.steps"](measured, AUTO).value == steps
 
 
 @pytest.mark.parametrize(

@@ -31,13 +31,9 @@ def bent():
     return dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
 
 
-@pytest.mark.parametrize(
-    "world",
-    [floor(), constant(255, channels=4), constant(0, channels=4), contradicting(), bent()],
-    ids=["no alpha", "opaque", "transparent", "contradicting", "distorted"],
-)
-def test_without_silhouettes_that_bound_an_object_there_is_no_box(world):
-    assert box_half_extent(world) is None
+def test_without_silhouettes_that_bound_an_object_there_is_no_box():
+    for world in (floor(), constant(255, channels=4), constant(0, channels=4), contradicting(), bent()):
+        assert box_half_extent(world) is None
 
 
 def test_cameras_that_look_outward_see_no_bounded_object():

@@ -1,5 +1,6 @@
 """Trainings and sweeps from the command line: what they say, side by side, killed, stopped, shared with others."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -26,7 +27,6 @@ from tests.helpers.processes import Forked, call
 from tests.helpers.stores import vanish
 
 posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-ENDLESS = "train.steps=100000"
 
 
 def wait(ready: Callable[[], bool]) -> None:
@@ -184,20 +184,27 @@ def test_threads_come_from_slurm(qnerf, monkeypatch):
 
 
 @pytest.fixture
-def parallel(small: list[str]) -> Callable[..., "subprocess.Popen[str]"]:
-    """Starts a sweep of two jobs at a time, in a process group of its own."""
+def parallel(small: list[str]) -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
+    """Starts a sweep of two jobs at a time, in a process group of its own, which ends with the test."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason='needs pip install "qnerf[parallel]"')
+
+    started: list[subprocess.Popen[str]] = []
 
     def start(*overrides: str) -> "subprocess.Popen[str]":
         launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
         environment = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"}
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-m", "src.run", "-m", *launcher, *small, *overrides],
             cwd=ROOT, env=environment, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
+        started.append(process)
+        return process
 
-    return start
+    yield start
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def written(run: Path) -> tuple[int, int]:
@@ -207,45 +214,34 @@ def written(run: Path) -> tuple[int, int]:
 
 
 @posix
-def test_a_killed_sweep_does_only_what_is_missing(parallel, tmp_path):
+@pytest.mark.usefixtures("signals")
+def test_sweep_side_by_side_that_is_killed_goes_on_and_stops_with_checkpoints(parallel, tmp_path):
     store = tmp_path / "runs"
-    sweep = ("train.steps=3,200", "seed=0,1", "train.lr=1e-2")
+    sweep = ("train.steps=3,100000", "seed=0,1,2", "train.eps=1e-15,-1")
     process = parallel(*sweep)
-    wait(lambda: states(store).count("finished") == 2 and "running" in states(store))
+    wait(lambda: states(store).count("finished") == 3 and "running" in states(store))
     process.kill()
-    process.communicate()  # returns when no job holds the pipe any more: they have seen that the sweep is gone
-    assert set(states(store)) <= {"finished", "interrupted"}
+    process.communicate(timeout=60)  # returns when the last job has seen that the sweep is gone and let the pipe go
+    assert set(states(store)) == {"finished", "interrupted"}
     assert all((path / "checkpoint.pt").exists() for path in runs(store))
     finished = {path: written(path) for path in runs(store) if state(path) == "finished"}
-    again = parallel(*sweep, "train.eps=1e-15,-1")
-    stdout, stderr = again.communicate(timeout=200)
-    assert again.returncode == 1, stderr
-    assert "4 failed" in stderr
-    assert "train.eps" in stderr
-    assert "Traceback" not in stderr
-    assert stdout.startswith("8 jobs, 8 different runs\n")
-    assert {line.split(" | ")[0] for line in stdout.splitlines()[1:]} == set("01234567"), "each line says whose it is"
-    assert states(store) == ["finished"] * 4
+    again = parallel(*sweep)
+    wait(lambda: states(store).count("running") == 2)
+    wait(training(store, 5))
+    os.killpg(again.pid, signal.SIGINT)  # as Ctrl-C does in a terminal
+    stdout, stderr = again.communicate(timeout=300)
+    assert again.returncode == 130, stderr
+    assert "Traceback" not in stdout + stderr
+    assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
+    assert stdout.startswith("12 jobs, 12 different runs\n")
+    assert {line.split(" | ")[0] for line in stdout.splitlines()[1:]} >= set("024"), "each line says whose it is"
+    assert states(store) == ["finished"] * 3 + ["interrupted"] * 2, "the last job was not begun"
     assert {path: written(path) for path in finished} == finished
     assert all(steps(path) == list(range(1, len(steps(path)) + 1)) for path in runs(store))
+    assert all((path / "checkpoint.pt").exists() for path in runs(store))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     for path in runs(store):
         assert pd.read_json(path / "environment.json", typ="series")["threads"]["torch"] == max(cores // 2, 1)
-
-
-@posix
-@pytest.mark.usefixtures("signals")
-def test_jobs_side_by_side_stop_with_checkpoints(parallel, tmp_path):
-    store = tmp_path / "runs"
-    process = parallel(ENDLESS, "seed=0,1,2")
-    wait(training(store, 2))
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does in a terminal
-    stdout, stderr = process.communicate(timeout=300)
-    assert "Traceback" not in stdout + stderr
-    assert process.returncode == 130, stderr
-    assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
-    assert states(store) == ["interrupted"] * 2, "the third job was not begun"
-    assert all((path / "checkpoint.pt").exists() for path in runs(store))
 
 
 def test_failures_come_in_the_order_of_the_jobs_without_what_all_have_in_common(tmp_path):

@@ -30,9 +30,8 @@ from qnerf.training.trainer import Trainer
 from tests.helpers.configs import composed
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "same"),
-    [
+def test_id_tells_apart_what_acts():
+    for one, other, same in (
         ("field=classical qiren.layers=1", "field=classical qiren.layers=2", True),
         ("field=qcolor qiren.layers=1", "field=qcolor qiren.layers=2", False),
         ("density=amplitude color=mlp density.qiren.layers=1", "density=amplitude color=mlp", True),
@@ -52,22 +51,20 @@ from tests.helpers.configs import composed
         ("train.lr=1", "train.lr=1.0", True),
         ("scene=photograph head=mlp qiren.layers=1", "scene=photograph head=mlp qiren.layers=2", True),
         ("scene=photograph encoder=pe", "scene=photograph encoder=signed", False),
-    ],
-)
-def test_id_tells_apart_what_acts(one, other, same):
-    first, second = (run_id(composed(*typed.split()), "scene") for typed in (one, other))
-    assert (first == second) is same
+    ):
+        first, second = (run_id(composed(*typed.split()), "scene") for typed in (one, other))
+        assert (first == second) is same, (one, other)
 
 
 EVERY_HEAD = [[f"color={name}", "density=mlp"] for name in HEADS.names()]
 
 
-@pytest.mark.parametrize("typed", [[], ["field=qboth"], ["scene=photograph"], ["needs=auto"], *EVERY_HEAD])
-def test_acting_of_its_own_result_is_the_same(typed):
-    config = acting(composed(*typed))
-    assert acting(config) == config
-    assert decisive(config) == decisive(composed(*typed))
-    assert set(flatten(config)) <= set(column_types(config)) | {name for name in flatten(config) if "noise" in name}
+def test_acting_of_its_own_result_is_the_same():
+    for typed in ([], ["field=qboth"], ["scene=photograph"], ["needs=auto"], *EVERY_HEAD):
+        config = acting(composed(*typed))
+        assert acting(config) == config, typed
+        assert decisive(config) == decisive(composed(*typed))
+        assert set(flatten(config)) <= set(column_types(config)) | {name for name in flatten(config) if "noise" in name}
 
 
 def test_acting_has_no_options_of_others():
@@ -101,9 +98,8 @@ def test_types_of_columns_are_those_of_annotations():
     assert {name: types[name] for name in expected} == expected
 
 
-@pytest.mark.parametrize(
-    ("typed", "idle"),
-    [
+def test_without_effect_names_what_was_typed_in_vain():
+    for typed, idle in (
         ("field=qcolor color.directions=raw color.degree=2 color.direction_scale=0.5", ["color.degree=2"]),
         ("field=classical qiren.layers=1 ansatz=rx seed=1", ["qiren.layers=1", "ansatz=rx"]),
         ("field=qcolor qiren.layers=1 ansatz=rx color.qiren.gain=2 color.mlp.width=8", ["color.mlp.width=8"]),
@@ -112,16 +108,13 @@ def test_types_of_columns_are_those_of_annotations():
         ("encoder=hash hash.levels=4 sampler=proposal proposal.final=8 density.rates.mlp=2", []),
         ("scene=photograph head=mlp qiren.layers=1 head.mlp.width=8 head.activation=linear", ["qiren.layers=1"]),
         ("scene=photograph color.degree=2", ["color.degree=2"]),
-    ],
-)  # fmt: skip
-def test_without_effect_names_what_was_typed_in_vain(typed, idle):
-    overrides = typed.split()
-    assert without_effect(composed(*overrides), overrides) == idle
+    ):
+        overrides = typed.split()
+        assert without_effect(composed(*overrides), overrides) == idle
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_mistakes_are_one_line():
+    for change, message in (
         ({"extra": 1}, "config: unknown option extra; known: appearance"),
         ({"train": {"steps": 3}}, "train: missing lr"),
         ({"encoder": {"name": "hash", "levles": 3}}, "encoder=hash: unknown option levles=3; known: levels"),
@@ -129,12 +122,10 @@ def test_without_effect_names_what_was_typed_in_vain(typed, idle):
         ({"color": {"name": "mlp", "mlp": {"widht": 3}}}, r"color.mlp: unknown option widht=3; known: layers"),
         ({"numerics": None}, "numerics must be a group of options, got None"),
         ({"scene": {"name": "photograph"}}, "scene=photograph needs the group head; choose it with scene=photograph"),
-    ],
-)
-def test_mistakes_are_one_line(change, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        acting(composed() | change)
-    assert "\n" not in str(caught.value)
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            acting(composed() | change)
+        assert "\n" not in str(caught.value)
 
 
 def after_two_steps(config: dict[str, Any]) -> list[torch.Tensor]:

@@ -43,17 +43,14 @@ def test_clean_replaces_other_characters() -> None:
     assert {slug: clean(slug) for slug in pairs} == pairs
 
 
-@pytest.mark.parametrize(
-    ("images", "expected"),
-    [
+def test_pictures_have_names_of_their_own() -> None:
+    for images, expected in (
         (["images/1.png", "images/2.jpg"], ["images-1", "images-2"]),
         (["猫.png", "狗.png", "c.png"], ["run.0", "run.1", "c"]),
         (["a.1.png", "a.png", "a.jpg"], ["a.1", "a.1.1", "a.2"]),
         (["x" * 90 + "a", "x" * 90 + "b"], ["x" * 80 + ".0", "x" * 80 + ".1"]),
-    ],
-)
-def test_pictures_have_names_of_their_own(images: list[str], expected: list[str]) -> None:
-    assert picture_names(images) == expected
+    ):
+        assert picture_names(images) == expected
 
 
 def test_flatten() -> None:

@@ -114,37 +114,34 @@ def test_a_signal_s_metrics_are_declared(folder):
     assert re.fullmatch(r"error: Wave: metric '\w+est_error' must be one that .*; known: psnr.*\n", failed.stderr)
 
 
-@pytest.mark.parametrize("stored", [["a", "b"], "a", 3, {"a": 1}, None])
-def test_only_the_modules_that_the_user_names_are_imported(stored):
-    with pytest.raises(ValueError, match=r"^run: was trained with plugins="):
-        check_plugins("run", stored, [])
-    check_plugins("run", [], [])
-    check_plugins("run", ["a", "b"], ["b", "a"])
+def test_only_the_modules_that_the_user_names_are_imported():
+    for stored in (["a", "b"], "a", 3, {"a": 1}, None):
+        with pytest.raises(ValueError, match=r"^run: was trained with plugins="):
+            check_plugins("run", stored, [])
+        check_plugins("run", [], [])
+        check_plugins("run", ["a", "b"], ["b", "a"])
 
 
-@pytest.mark.parametrize("typed", ["plugins=a", "plugins=[1]", "+plugins={a: 1}", "plugins=[a],[b]"])
-def test_plugins_are_a_list_of_names(typed):
-    with pytest.raises(ValueError, match=r"expected a list of modules, such as plugins=\[my_module\]"):
-        typed_plugins([typed])
-    assert typed_plugins(["seed=1", "plugins=[a,b.c]"]) == ["a", "b.c"]
+def test_plugins_are_a_list_of_names():
+    for typed in ("plugins=a", "plugins=[1]", "+plugins={a: 1}", "plugins=[a],[b]"):
+        with pytest.raises(ValueError, match=r"expected a list of modules, such as plugins=\[my_module\]"):
+            typed_plugins([typed])
+        assert typed_plugins(["seed=1", "plugins=[a,b.c]"]) == ["a", "b.c"]
 
 
-@pytest.mark.parametrize(
-    ("group", "name", "key", "part"),
-    [
+def test_the_node_of_a_signature_is_what_conf_has():
+    """For components of the package, so that a plugin's node can be trusted."""
+    for group, name, key, part in (
         ("encoder", "pe", "encoder", "encoder"),
         ("head", "mlp", "head@density", "density"),
         ("head", "qfgn", "head@color", "color"),
         ("ansatz", "qiren", "ansatz", "qiren"),
         ("cameras", "se3", "cameras", "cameras"),
-    ],
-)
-def test_the_node_of_a_signature_is_what_conf_has(group, name, key, part):
-    """For components of the package, so that a plugin's node can be trusted."""
-    made, config = node(group, name), composed(f"{key}={name}", "train=paper")[part]
-    assert made.pop("defaults", ["base"]) == ["base"]
-    assert made == {option: config[option] for option in made}
-    assert group in ("head", "ansatz") or made == config
+    ):
+        made, config = node(group, name), composed(f"{key}={name}", "train=paper")[part]
+        assert made.pop("defaults", ["base"]) == ["base"]
+        assert made == {option: config[option] for option in made}
+        assert group in ("head", "ansatz") or made == config
 
 
 def test_an_option_without_a_default_has_to_be_given(monkeypatch):

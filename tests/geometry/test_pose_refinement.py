@@ -37,11 +37,11 @@ def test_exponentials_against_the_matrix_exponential(vector: tuple[float, ...], 
     torch.testing.assert_close(exp_se3(twist), exponential(twist_matrix(twist))[:3], rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("function", [exp_so3xr3, exp_se3])
-@pytest.mark.parametrize("scale", [0.0, 1e-9, 1e-3, 0.02, 0.6])
-def test_gradients_at_and_around_zero(function: object, scale: float) -> None:
-    motion = torch.tensor([[0.4, -1.0, 0.2, 0.3, -0.8, 0.5]], dtype=torch.float64) * scale
-    assert torch.autograd.gradcheck(function, motion.requires_grad_())  # type: ignore[arg-type]
+def test_gradients_at_and_around_zero() -> None:
+    for function in (exp_so3xr3, exp_se3):
+        for scale in (0.0, 1e-9, 1e-3, 0.02, 0.6):
+            motion = torch.tensor([[0.4, -1.0, 0.2, 0.3, -0.8, 0.5]], dtype=torch.float64) * scale
+            assert torch.autograd.gradcheck(function, motion.requires_grad_())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", CAMERAS.names())

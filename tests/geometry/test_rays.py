@@ -214,10 +214,10 @@ def test_a_scene_s_own_bounds_win():
     assert (float(rays.near[0]), float(rays.far[0])) == (0.25, 8.0)
 
 
-@pytest.mark.parametrize(("near", "far"), [(-1, 2), (2, 2), (math.nan, 2), (1, math.nan)])
-def test_bounds_in_the_wrong_order_are_refused(near, far):
-    with pytest.raises(ValueError, match="near must be at least 0 and below far"):
-        RayTable(scene(cameras()), near=near, far=far)
+def test_bounds_in_the_wrong_order_are_refused():
+    for near, far in ((-1, 2), (2, 2), (math.nan, 2), (1, math.nan)):
+        with pytest.raises(ValueError, match="near must be at least 0 and below far"):
+            RayTable(scene(cameras()), near=near, far=far)
 
 
 def test_colors_composite_straight_alpha():

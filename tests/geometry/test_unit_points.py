@@ -1,6 +1,5 @@
 """Points of rays in the unit cube: the compiled loop against rays, contraction and mask."""
 
-import pytest
 import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS, Box
@@ -24,19 +23,19 @@ def along(dtype: torch.dtype, longest: float) -> tuple[Rays, Samples]:
     return Rays(origins.to(dtype), directions.to(dtype), views, *bounds), Samples(edges, edges)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("name", CONTRACTIONS.names())
-@pytest.mark.parametrize("longest", [3.0, 1e6, 1e38])
-def test_the_loop_gives_the_points_of_the_modules_to_the_last_bit(dtype, name, longest):
-    rays, samples = along(dtype, longest)
-    contraction = CONTRACTIONS.build(name)
-    mask = SpaceMask(torch.rand(6, 6, 6, generator=torch.Generator().manual_seed(1)) < 0.5)
-    fast = unit_points(rays, samples, contraction, mask)
-    with plain():
-        slow = unit_points(rays, samples, contraction, mask)
-    torch.testing.assert_close(fast, slow, rtol=0, atol=0, equal_nan=True)
-    assert fast[0][5].isnan().all()
-    assert unit_points(rays, samples, contraction, None)[1] is None
+def test_the_loop_gives_the_points_of_the_modules_to_the_last_bit():
+    for dtype in (torch.float32, torch.float64):
+        for name in CONTRACTIONS.names():
+            for longest in (3.0, 1e6, 1e38):
+                rays, samples = along(dtype, longest)
+                contraction = CONTRACTIONS.build(name)
+                mask = SpaceMask(torch.rand(6, 6, 6, generator=torch.Generator().manual_seed(1)) < 0.5)
+                fast = unit_points(rays, samples, contraction, mask)
+                with plain():
+                    slow = unit_points(rays, samples, contraction, mask)
+                torch.testing.assert_close(fast, slow, rtol=0, atol=0, equal_nan=True)
+                assert fast[0][5].isnan().all()
+                assert unit_points(rays, samples, contraction, None)[1] is None
 
 
 def test_a_contraction_of_ones_own_is_called():

@@ -18,7 +18,7 @@ from hydra.core.override_parser.types import Override
 
 from qnerf.building.acting import decisive
 from qnerf.cli import main as cli
-from tests.helpers.configs import ROOT, composed
+from tests.helpers.configs import ROOT, SWEEPS, composed
 
 START = r"(?:python3? -m (?:src\.run|qnerf|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
 SETTINGS = r"(?:[A-Z_]+=\S+ )*"
@@ -73,17 +73,21 @@ CHECKED: set[str] = set()
 
 
 def check_training(words: list[str]) -> None:
-    """Its sweep is there, and the overrides that no command before it had are valid in its configuration."""
+    """Its sweep is there, and the overrides that no command before it had are valid in its configuration.
+
+    That the jobs of a sweep are valid is in tests/config/test_conf.py.
+    """
     flags = [words[words.index(flag) + 1] for flag in ("-cn", "--sweep") if flag in words]
     sweep = flags[0] if flags and flags[0] != "NAME" else ""
+    assert not sweep or (SWEEPS / f"{sweep}.yaml").is_file(), f"no sweep {sweep}"
     overrides = OverridesParser.create().parse_overrides([word for word in words if "=" in word])
     several = [each_value(override) for override in overrides if not override.key_or_group.startswith("hydra")]
     for number in range(max(map(len, several), default=1)):
         job = [values[min(number, len(values) - 1)] for values in several]
-        if CHECKED.issuperset({*job, sweep}):
+        if CHECKED.issuperset(job):
             continue
         decisive(composed(*job, sweep=sweep))  # what is `auto` is decided from the scene
-        CHECKED.update(job, [sweep])
+        CHECKED.update(job)
 
 
 def each_value(override: Override) -> list[str]:

@@ -109,25 +109,25 @@ class Everywhere(Field):
         return density * inside, geometry, evaluated
 
 
-@pytest.mark.parametrize("encoder", ["none", "hash"])
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_masked_field_is_the_whole_one_times_the_mask(encoder, share):
+def test_a_masked_field_is_the_whole_one_times_the_mask():
     """An MLP field: circuit heads normalise by the samples that they get."""
-    options = ["field=classical", f"encoder={encoder}", "appearance=2", "hash=C7", "density.initial=3"]
-    torch.manual_seed(0)
-    field = build_field(settings_of(composed(*options)), views=4, trained=[0, 1, 2]).double()
-    with torch.no_grad():
-        for parameter in field.encoder.parameters():
-            parameter.uniform_(-1, 1)
-    grid = torch.rand(8, 8, 8, generator=torch.Generator().manual_seed(1)) < share
-    spared = masked(field, grid)
-    field.__class__ = Everywhere
-    everywhere = masked(field, grid)
-    assert len(spared) == len(everywhere) > 10
-    for a, b in zip(spared, everywhere, strict=True):
-        torch.testing.assert_close(a.double(), b.double() * (spared[2][..., None] if b is everywhere[1] else 1))
-    assert bool(spared[2][:, -1].all())
-    assert bool(spared[2].all()) == (share == 1.0)
+    for encoder in ("none", "hash"):
+        for share in (0.0, 0.3, 1.0):
+            options = ["field=classical", f"encoder={encoder}", "appearance=2", "hash=C7", "density.initial=3"]
+            torch.manual_seed(0)
+            field = build_field(settings_of(composed(*options)), views=4, trained=[0, 1, 2]).double()
+            with torch.no_grad():
+                for parameter in field.encoder.parameters():
+                    parameter.uniform_(-1, 1)
+            grid = torch.rand(8, 8, 8, generator=torch.Generator().manual_seed(1)) < share
+            spared = masked(field, grid)
+            field.__class__ = Everywhere
+            everywhere = masked(field, grid)
+            assert len(spared) == len(everywhere) > 10
+            for a, b in zip(spared, everywhere, strict=True):
+                torch.testing.assert_close(a.double(), b.double() * (spared[2][..., None] if b is everywhere[1] else 1))
+            assert bool(spared[2][:, -1].all())
+            assert bool(spared[2].all()) == (share == 1.0)
 
 
 def test_heads_see_the_evaluated_samples_alone_and_each_ray_keeps_its_last(field, points):

@@ -101,14 +101,14 @@ def test_step_in_float64_makes_no_float32(tiny: Callable[..., dict[str, Any]], n
     assert stepped(tiny(*STEPS[name][0], "train.distortion=0.01", "numerics.dtype=float64")).found == {}
 
 
-@pytest.mark.parametrize("method", ["statevector", "lightcone"])
-@pytest.mark.parametrize("backend", ["compiled", "torch"])
-def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s(method: str, backend: str) -> None:
-    layer = QuantumLayer(3, 1, method=method, backend=backend)
-    assert layer(torch.zeros(2, 3)).dtype == torch.float32
-    assert layer(torch.zeros(2, 3, dtype=torch.float64)).dtype == torch.float64
-    assert layer(torch.zeros(2, 3, dtype=torch.bfloat16)).dtype == torch.float32
-    assert layer.double()(torch.zeros(2, 3)).dtype == torch.float64
-    circuit = ANSATZE.build("qiren", 3, 1)
-    weights = torch.zeros(circuit.rows, 3, 3)
-    assert lightcone.coefficients(circuit, weights).dtype == torch.float32
+def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s() -> None:
+    for method in ("statevector", "lightcone"):
+        for backend in ("compiled", "torch"):
+            layer = QuantumLayer(3, 1, method=method, backend=backend)
+            assert layer(torch.zeros(2, 3)).dtype == torch.float32
+            assert layer(torch.zeros(2, 3, dtype=torch.float64)).dtype == torch.float64
+            assert layer(torch.zeros(2, 3, dtype=torch.bfloat16)).dtype == torch.float32
+            assert layer.double()(torch.zeros(2, 3)).dtype == torch.float64
+            circuit = ANSATZE.build("qiren", 3, 1)
+            weights = torch.zeros(circuit.rows, 3, 3)
+            assert lightcone.coefficients(circuit, weights).dtype == torch.float32

@@ -186,9 +186,9 @@ def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer() -> None:
     torch.testing.assert_close(pickle.loads(pickle.dumps(layer))(x), peer(x))
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
+@pytest.mark.filterwarnings("ignore:Casting complex values")
+def test_from_qnode_falls_back_on_the_qnodes_device_and_says_so() -> None:
+    for change, reason in (
         (lambda node: qml.set_shots(node, 10), "finite shots are not computed"),
         (qml.transforms.merge_rotations, "transforms"),
         (lambda node: qml.QNode(node.func, qml.device("default.mixed", wires=2)), "another device than an exact sim"),
@@ -198,15 +198,12 @@ def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer() -> None:
             "the measurement State is not computed; known: exp",
         ),
         (lambda node: qml.QNode(measuring(lambda: (qml.measure(0), qml.probs(0))[1]), FREE), "MidMeasure"),
-    ],
-)
-@pytest.mark.filterwarnings("ignore:Casting complex values")
-def test_from_qnode_falls_back_on_the_qnodes_device_and_says_so(change: Any, reason: str) -> None:
-    layer = from_qnode(change(NODE), {"weights": (3, 2, 3)})
-    with pytest.warns(UserWarning, match=f"from_qnode runs .* on default.*: {reason}"):
-        first = layer(torch.rand(3, 2))
-    assert layer(torch.rand(3, 2)).shape == first.shape  # one warning for a layer
-    assert layer.runs_on.startswith("default.")
+    ):
+        layer = from_qnode(change(NODE), {"weights": (3, 2, 3)})
+        with pytest.warns(UserWarning, match=f"from_qnode runs .* on default.*: {reason}"):
+            first = layer(torch.rand(3, 2))
+        assert layer(torch.rand(3, 2)).shape == first.shape  # one warning for a layer
+        assert layer.runs_on.startswith("default.")
 
 
 @pytest.mark.filterwarnings("ignore:from_qnode runs")

@@ -51,23 +51,23 @@ def shell(points: Tensor) -> Tensor:
 COUNTS = {"proposal": 8, "vanilla": 20}
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("jitter", [False, True])
-@pytest.mark.parametrize("name", NAMES)
-def test_samples_are_ordered_within_the_bounds_and_keep_the_dtype(name: str, jitter: bool, dtype: torch.dtype) -> None:
-    generator = torch.Generator().manual_seed(0) if jitter else None
-    sampler = make(name, dtype)
-    found = sampler(make_rays(dtype=dtype), shell, generator=generator, step=0)
-    assert found.samples.mids.shape == (5, sampler.rendered_samples) == (5, COUNTS.get(name, 10))
-    for samples, _ in [(found.samples, None), *found.proposals]:
-        for edges in (samples.edges, samples.spacing):
-            assert edges.dtype == dtype
-            assert not edges.requires_grad
-            assert bool((edges.diff() >= 0).all())
-        assert bool((samples.spacing >= 0).all())
-        assert bool((samples.spacing <= 1).all())
-        assert bool((samples.edges >= 0.05 * (1 - 1e-6)).all())
-        assert bool((samples.edges <= 1000 * (1 + 1e-6)).all())
+def test_samples_are_ordered_within_the_bounds_and_keep_the_dtype() -> None:
+    for dtype in DTYPES:
+        for jitter in (False, True):
+            for name in NAMES:
+                generator = torch.Generator().manual_seed(0) if jitter else None
+                sampler = make(name, dtype)
+                found = sampler(make_rays(dtype=dtype), shell, generator=generator, step=0)
+                assert found.samples.mids.shape == (5, sampler.rendered_samples) == (5, COUNTS.get(name, 10))
+                for samples, _ in [(found.samples, None), *found.proposals]:
+                    for edges in (samples.edges, samples.spacing):
+                        assert edges.dtype == dtype
+                        assert not edges.requires_grad
+                        assert bool((edges.diff() >= 0).all())
+                    assert bool((samples.spacing >= 0).all())
+                    assert bool((samples.spacing <= 1).all())
+                    assert bool((samples.edges >= 0.05 * (1 - 1e-6)).all())
+                    assert bool((samples.edges <= 1000 * (1 + 1e-6)).all())
 
 
 @pytest.mark.parametrize("name", NAMES)

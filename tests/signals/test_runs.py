@@ -112,19 +112,16 @@ def test_options_of_a_field_are_not_in_the_id_of_a_signal(fit):
     assert run(fit("scene=photograph", "render.near=1", "geo_features=3")).run_id == outcome.run_id
 
 
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
+def test_mistakes_are_one_line():
+    for overrides, message in (
         (["scene.name=photograph"], "scene=photograph needs the group head; choose it with scene=photograph"),
         (["scene=photograph", "scene.name=poster"], "scene=poster"),
         (["scene=photograph", "train=quick", "sampler=proposal"], "train: "),
         (["scene=photograph", "head.activation=relu"], "activation: unknown name 'relu'"),
         (["scene=distance", "encoder=hash", "hash=auto"], "expects int"),
-    ],
-)
-def test_mistakes_are_one_line(overrides, message):
-    with pytest.raises(ValueError, match=message):
-        run(composed(*overrides))
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(composed(*overrides))
 
 
 def test_probes_refuse_a_signal_in_one_line(fit):

@@ -51,10 +51,10 @@ def windowed_ssim(image: Tensor, truth: Tensor, radius: int) -> float:
     return float(((2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))).mean())
 
 
-@pytest.mark.parametrize(("height", "width", "radius"), [(36, 64, 5), (11, 11, 5), (10, 30, 4), (5, 9, 2), (3, 3, 1)])
-def test_ssim_against_its_definition(height: int, width: int, radius: int) -> None:
-    image, truth = images(height, width)
-    assert ssim(image, truth) == pytest.approx(windowed_ssim(image, truth, radius), abs=1e-9)
+def test_ssim_against_its_definition() -> None:
+    for height, width, radius in ((36, 64, 5), (11, 11, 5), (10, 30, 4), (5, 9, 2), (3, 3, 1)):
+        image, truth = images(height, width)
+        assert ssim(image, truth) == pytest.approx(windowed_ssim(image, truth, radius), abs=1e-9)
 
 
 def test_ssim_of_identical_constant_and_tiny_images() -> None:
