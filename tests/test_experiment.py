@@ -15,7 +15,7 @@ from PIL import Image
 from qnerf import experiment
 from qnerf.building.acting import settings_of
 from qnerf.experiment import run
-from qnerf.records import details, read_metrics, read_status, state
+from qnerf.records import read_config, read_metrics, read_status, state
 from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Diverged, Trainer
@@ -48,7 +48,7 @@ def test_steps_that_are_left_to_the_scene_are_numbers_in_the_summary(tiny):
     config = tiny("train=large", "train.steps=auto", "hash=auto", "field=classical")
     outcome = run(config, stopping=lambda: True)
     assert outcome.summary["train.steps"] == 3000
-    assert details.read(outcome.path).steps == 3000
+    assert read_config(outcome.path)["train"]["steps"] == 3000
     assert pd.read_parquet(outcome.path / "summary.parquet")["train.steps"].dtype == "int64"
     again = run(config, stopping=lambda: True)
     assert (again.run_id, again.state) == (outcome.run_id, "interrupted")

@@ -65,8 +65,8 @@ def test_a_damaged_run_is_one_damaged_row(store: Path, bad: Path, damage: str) -
     frame = load.runs(store).set_index("run_id")
     assert frame["state"].value_counts().to_dict() == {"finished": 3, "damaged": 1}
     assert reason in frame["error"][bad.name]
-    assert details.read(bad).state == "damaged"
-    assert any(reason in problem for problem in details.read(bad).problems)
+    assert details.read(bad)["state"] == "damaged"
+    assert any(reason in problem for problem in details.read(bad)["problems"])
     assert "1 damaged" in ablation(load.runs(store), ["field"]).markdown()
     assert len(content.prepared(load.runs(store))) == 4
     content.dates(load.runs(store))

@@ -16,7 +16,6 @@ from qnerf.records import details, find
 from qnerf.records.printable import printable
 
 TITLES = ("key", "A", "B", "change")
-SECTIONS = ("configuration", "environment", "results")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,16 +28,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(options: argparse.Namespace) -> None:
     a, b = (details.read(find(name, options.store)) for name in (options.a, options.b))
-    environments = ({key: value for key, value in run.environment.items() if key != "command"} for run in (a, b))
-    pairs = ((a.flat, b.flat), tuple(map(flatten, environments)), (a.results, b.results))
-    sections = {name: differences(*pair) for name, pair in zip(SECTIONS, pairs, strict=True)}
+    for run in (a, b):
+        run["environment"].pop("command", None)
+    sections = {
+        "configuration": differences(flatten(a["config"]), flatten(b["config"])),
+        "environment": differences(flatten(a["environment"]), flatten(b["environment"])),
+        "results": differences(a["results"], b["results"]),
+    }
     if options.json:
-        print(as_json({"a": str(a.path), "b": str(b.path), "state": [a.state, b.state], **sections}))
+        print(as_json({"a": a["path"], "b": b["path"], "state": [a["state"], b["state"]], **sections}))
         return
     out = console()
     for letter, run in (("A", a), ("B", b)):
-        out.print(Text.assemble((f"{letter}  ", "bold"), printable(run.run_id), f"  {run.state}"), soft_wrap=True)
-        for problem in run.problems:
+        out.print(Text.assemble((f"{letter}  ", "bold"), printable(run["run_id"]), f"  {run['state']}"), soft_wrap=True)
+        for problem in run["problems"]:
             out.print(Text(f"   {printable(problem)}", "red"), soft_wrap=True)
     for name, found in sections.items():
         out.print(f"\n{name}" if found else f"\nno differences in {name}", style="bold cyan" if found else "")

@@ -58,7 +58,7 @@ def main(options: argparse.Namespace) -> int:
 
     from qnerf.records.reproduction import compare
 
-    then = details.read(run).environment
+    then = details.read(run)["environment"]
     config["threads"] = config.get("threads") or flatten(then).get("threads.torch")
     with tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
         config["store"] = store
@@ -67,7 +67,7 @@ def main(options: argparse.Namespace) -> int:
             print(f"{printable(run.name)}: not compared, the second run is {outcome.state}", file=sys.stderr)
             return stopped_code() if outcome.state == "interrupted" else FAILED
         compared = list(compare(run, outcome.path))
-        changed = differences(then, details.read(outcome.path).environment)
+        changed = differences(then, details.read(outcome.path)["environment"])
         different = {name: values for name, values in changed.items() if any(values)}
     return report(run, compared, different, options.tolerance)
 

@@ -11,11 +11,14 @@ from rich.text import Text
 from qnerf.cli.commands import add_run
 from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, styled
+from qnerf.config.identity import flatten
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
-from qnerf.records.details import Details
 from qnerf.records.printable import printable
+
+Run = dict[str, Any]
+"""What `details.read` gives."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,72 +31,53 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> None:
     run = details.read(find(options.run, options.store))
     if options.json:
-        print(as_json(as_object(run)))
+        print(as_json(run))
     else:
         show(console(), run, options.config)
 
 
-def as_object(run: Details) -> dict[str, Any]:
-    """The run as plain values; `evaluation` is a list of rows."""
-    return {
-        "run_id": run.run_id,
-        "path": str(run.path),
-        "state": run.state,
-        "error": run.error,
-        "problems": run.problems,
-        "step": run.step,
-        "tags": list(run.annotations.tags),
-        "note": run.annotations.note,
-        "results": run.results,
-        "evaluation": run.evaluation.to_dict("records"),
-        "overrides": run.overrides,
-        "config": run.config,
-        "environment": run.environment,
-        "status": run.status,
-    }
-
-
-def show(out: Console, run: Details, config: bool = False) -> None:
+def show(out: Console, run: Run, config: bool = False) -> None:
     _head(out, run)
     _results(out, run)
     _views(out, run)
     if config:
         _section(out, "configuration")
-        out.print(yaml.safe_dump(run.config, sort_keys=False).rstrip(), soft_wrap=True)
+        out.print(yaml.safe_dump(run["config"], sort_keys=False).rstrip(), soft_wrap=True)
     _environment(out, run)
     out.print()
-    _pair(out, "folder", str(run.path))
+    _pair(out, "folder", run["path"])
 
 
-def _head(out: Console, run: Details) -> None:
-    out.print(styled(run.run_id, "bold"), soft_wrap=True)
+def _head(out: Console, run: Run) -> None:
+    out.print(styled(run["run_id"], "bold"), soft_wrap=True)
     out.print(state_line(run), soft_wrap=True)
-    if run.error and run.state != "finished":
-        out.print(styled(run.error, "red", 2000), soft_wrap=True)
-    for problem in run.problems:
+    if run["error"] and run["state"] != "finished":
+        out.print(styled(run["error"], "red", 2000), soft_wrap=True)
+    for problem in run["problems"]:
         out.print(styled(problem, "red", 2000), soft_wrap=True)
-    if run.overrides:
-        _pair(out, "overrides", " ".join(run.overrides))
-    if run.annotations.tags:
-        _pair(out, "tags", ", ".join(run.annotations.tags), "magenta")
-    if run.annotations.note:
-        note = printable(run.annotations.note, NOTE_LENGTH, lines=True)
+    if run["overrides"]:
+        _pair(out, "overrides", " ".join(run["overrides"]))
+    if run["tags"]:
+        _pair(out, "tags", ", ".join(run["tags"]), "magenta")
+    if run["note"]:
+        note = printable(run["note"], NOTE_LENGTH, lines=True)
         _pair(out, "note", note, lines=True)
 
 
-def state_line(run: Details) -> Text:
+def state_line(run: Run) -> Text:
     """`finished  1,500 of 1,500 steps  started 12m ago on HOST, process 12`"""
-    line = styled(run.state, STATE_STYLES.get(run.state, ""))
-    line.append(f"  {count(run.step)} of {count(run.steps)} steps")
-    if run.created is not None:
-        line.append(f"  started {age(run.created)} ago")
-    if run.state == "running":
-        line.append(printable(f" on {run.status.get('host')}, process {run.status.get('pid')}", 200))
+    line = styled(run["state"], STATE_STYLES.get(run["state"], ""))
+    status, steps = run["status"], flatten(run["config"]).get("train.steps")
+    line.append(f"  {count(run['step'])} of {count(steps)} steps")
+    if "created" in status:
+        line.append(f"  started {age(status['created'])} ago")
+    if run["state"] == "running":
+        line.append(printable(f" on {status.get('host')}, process {status.get('pid')}", 200))
     return line
 
 
-def _results(out: Console, run: Details) -> None:
-    values = run.results
+def _results(out: Console, run: Run) -> None:
+    values = run["results"]
     metrics = [item for item in quality_metrics() if not missing(values.get(item.key))]
     parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
     if not metrics and not parts:
@@ -114,18 +98,18 @@ def _results(out: Console, run: Details) -> None:
         _pair(out, "per step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms")
 
 
-def _views(out: Console, run: Details) -> None:
-    views = run.evaluation
-    if not len(views) or "image" not in views:
+def _views(out: Console, run: Run) -> None:
+    views = run["evaluation"]
+    if not views:
         return
-    _section(out, f"held-out views after step {count(views['step'].iloc[0])}" if "step" in views else "held-out views")
-    metrics = [item for item in quality_metrics() if item.key in views and views[item.key].notna().any()]
+    _section(out, f"held-out views after step {count(views[0]['step'])}")
+    metrics = [item for item in quality_metrics() if not all(missing(view.get(item.key)) for view in views)]
     columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, metrics)]
-    print_table(out, columns, views.to_dict("records"))  # type: ignore[arg-type]
+    print_table(out, columns, views)
 
 
-def _environment(out: Console, run: Details) -> None:
-    environment = run.environment
+def _environment(out: Console, run: Run) -> None:
+    environment = run["environment"]
     if not environment:
         return
     _section(out, "environment")
