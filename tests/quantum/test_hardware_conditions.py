@@ -12,6 +12,7 @@ import torch
 from qnerf.quantum import hardware_conditions
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.noise import Noise
+from qnerf.quantum.pennylane import apply, measurements
 from tests.quantum.test_any_circuit import MIXED
 
 
@@ -77,54 +78,30 @@ def test_conditions_that_are_wrong_are_refused() -> None:
             pass
 
 
-def test_pennylane_differentiates_by_other_methods_too() -> None:
+def test_a_circuit_trains_on_any_device_of_pennylane() -> None:
     torch.manual_seed(0)
     layer = QuantumLayer(2, 1).double()
-    x = torch.randn(2, 2, dtype=torch.float64, requires_grad=True)
+    x = torch.randn(2, 2, dtype=torch.float64)
+    weights = torch.cat([layer.weights1.flatten(), layer.weights2.flatten()]).detach()
+    expected = torch.autograd.grad(layer(x).square().sum(), (layer.weights1, layer.weights2))
+    for method in ("parameter-shift", "adjoint"):
 
-    def gradients(model: QuantumLayer) -> tuple[torch.Tensor, ...]:
-        return torch.autograd.grad(model(x).square().sum(), (x, model.weights1, model.weights2))
+        @qml.qnode(qml.device("default.qubit", wires=2), diff_method=method)
+        def node(inputs: torch.Tensor, weights: torch.Tensor) -> list[Any]:
+            apply(layer.circuit, inputs, weights)
+            return measurements(layer.circuit)
 
-    for diff_method in ("parameter-shift", "adjoint"):
-        other = QuantumLayer(2, 1, method="pennylane", diff_method=diff_method).double()
-        other.load_state_dict(layer.state_dict())
-        for ours, theirs in zip(gradients(layer), gradients(other), strict=True):
-            torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-10)
+        model = qml.qnn.TorchLayer(node, {"weights": layer.circuit.size}, init_method={"weights": weights})
+        found = torch.stack([model(sample) for sample in x])
+        (ours,) = torch.autograd.grad(found.square().sum(), model.weights)
+        torch.testing.assert_close(ours, torch.cat([e.flatten() for e in expected]), rtol=0, atol=1e-10)
 
 
-def test_pennylane_devices_draw_shots_and_their_layers_can_be_copied() -> None:
-    options: dict[str, Any] = {"method": "pennylane", "diff_method": "parameter-shift", "shots": 50, "seed": 3}
-    layer = QuantumLayer(2, 1, **options)
+def test_the_layer_on_pennylane_has_shots_and_noise_and_can_be_copied() -> None:
+    layer = QuantumLayer(2, 1, method="pennylane", shots=50, noise={"readout": 0.02}, seed=3)
     x = torch.randn(3, 2)
-    expected = layer(x)
-    steps = (expected + 1) * 25
+    copies = pickle.loads(pickle.dumps(layer)), copy.deepcopy(layer)
+    steps = (layer(x) + 1) * 25
     assert torch.allclose(steps, steps.round(), atol=1e-4)
-    fresh = QuantumLayer(2, 1, **options)
-    fresh.load_state_dict(layer.state_dict())
-    for copied in (pickle.loads(pickle.dumps(fresh)), copy.deepcopy(fresh)):
-        assert torch.equal(copied(x), expected)
-
-
-def test_pennylane_devices_have_options_or_are_objects() -> None:
-    torch.manual_seed(0)
-    layer = QuantumLayer(2, 1)
-    x = torch.randn(2, 2)
-    device = qml.device("default.qubit", wires=3)
-    rightly: list[dict[str, Any]] = [{"device": device}, {"device_options": {"max_workers": None}}]
-    for options in rightly:
-        model = QuantumLayer(2, 1, method="pennylane", **options)
-        model.load_state_dict(layer.state_dict())
-        assert torch.allclose(model(x), layer(x), atol=1e-5)
-    wrongly: list[tuple[dict[str, Any], str]] = [
-        ({"device": device, "seed": 1}, "is given as an object"),
-        ({"device": qml.device("default.qubit", wires=1)}, "has 1 wires, the circuit needs 2"),
-        ({"device": 3}, "device expects str or Device, got 3"),
-        ({"device": "no.such"}, "cannot make 'no.such'.*installed: .*default.qubit"),
-        ({"device_options": {"colour": 1}}, "cannot make 'default.qubit'"),
-        ({"noise": Noise(readout=0.1)}, "an option of the device"),
-        ({"shots": 10}, "shots=10 expects diff_method=parameter-shift"),
-        ({"diff_method": "magic"}, "diff_method expects one of backprop, parameter-shift, adjoint, got 'magic'"),
-    ]
-    for options, message in wrongly:
-        with pytest.raises(ValueError, match=message):
-            QuantumLayer(2, 1, method="pennylane", **options)
+    for copied in copies:
+        assert torch.equal((copied(x) + 1) * 25, steps)

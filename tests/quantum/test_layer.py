@@ -129,7 +129,6 @@ MISTAKES: list[tuple[tuple[Any, ...], dict[str, Any], str]] = [
     ((3, 1), {"ansatz": "q"}, "ansatz: unknown name 'q'; known: cnot"),
     ((3, 1), {"init": "zero"}, "init: unknown name 'zero'; known: eighth, uniform"),
     ((8, 2), {"method": "lightcone"}, "depends on 8 inputs.*choose method=statevector or auto"),
-    ((3, 1), {"device_options": {"a": 1}}, "device_options expects method=pennylane, got method=auto"),
 ]
 
 

@@ -1,6 +1,5 @@
 """QuantumLayer: a batched circuit as an nn.Module."""
 
-import inspect
 from collections.abc import Callable
 from math import pi, prod
 from typing import Any, Literal
@@ -49,7 +48,7 @@ class QuantumLayer(nn.Module):
         wires: n, 1 to 1024; or a `Circuit`, which `spectral`, `ansatz` and `ansatz_options` then cannot change.
         spectral: S, encodings of the input (data re-uploadings), 1 to 64.
         method: auto takes the cheaper exact engine for the batch at hand (`cost` says which); lightcone evaluates
-            trigonometric polynomials, statevector simulates, pennylane runs a PennyLane device.
+            trigonometric polynomials, statevector simulates, pennylane runs PennyLane's default.qubit.
         ansatz: a name in `qnerf.quantum.circuit.ANSATZE`; by default qiren.
         ansatz_options: keyword-only parameters of that ansatz.
         init: a name in `qnerf.quantum.initial_angles.INITS`. Angles are drawn from torch's global generator.
@@ -61,8 +60,6 @@ class QuantumLayer(nn.Module):
             that `qnerf.quantum.measurement.Conditions` says with gradients=True.
         patterns: of Pauli errors, drawn anew in each call of a noisy circuit and shared by its samples.
         seed: of the shots and of the patterns; None draws from torch's global generator.
-        device, device_options, diff_method: of method=pennylane, see `qnerf.quantum.pennylane.make_node`. The device
-            then draws the shots, and `noise` becomes its channels.
 
     Parameters: the circuit names them (`Circuit.parameters`). Re-uploading circuits have `weights1` (S, L, n, 3) and
     `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in published QIREN checkpoints. L
@@ -91,9 +88,6 @@ class QuantumLayer(nn.Module):
         init: str = "uniform",
         ansatz_options: dict[str, Any] | None = None,
         backend: Backend = "auto",
-        device: str | pennylane.Device = "default.qubit",
-        device_options: dict | None = None,
-        diff_method: pennylane.DiffMethod = "backprop",
         shots: PositiveInt | None = None,
         noise: Noise | dict | NonNegativeFactor | None = None,
         patterns: PositiveInt = 4,
@@ -103,25 +97,13 @@ class QuantumLayer(nn.Module):
         self.circuit = _described(wires, spectral, ansatz, ansatz_options)
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
-        self._node: Callable[[Tensor, Tensor], Tensor] | None = None
-        of_device: dict[str, Any] = {"device": device, "device_options": device_options, "diff_method": diff_method}
-        measured: dict[str, Any] = {"shots": shots, "noise": Noise.of(noise), "seed": seed}
-        self._node_options = of_device | measured
-        if method == "pennylane":
-            if isinstance(device, str):
-                check_state(self.wires, f"device {device}")
-            self._node = pennylane.make_node(self.circuit, **self._node_options)
-        else:
-            defaults = inspect.signature(pennylane.make_node).parameters
-            for name, value in of_device.items():
-                if value != defaults[name].default:
-                    raise ValueError(f"{name} expects method=pennylane, got method={method}")
-            own = measurement.Conditions(**measured, patterns=patterns, gradients=True)
-            if own.noise is not None and own.noise.gates:
-                check_folds(self.circuit)
-            if own.shots is not None or own.noisy:
-                self.conditions = own
+        own = measurement.Conditions(shots, Noise.of(noise), seed, patterns=patterns, gradients=True)
+        if own.noise is not None and own.noise.gates:
+            check_folds(self.circuit)
+        if own.shots is not None or own.noisy:
+            self.conditions = own
         self._simulator = None if method == "pennylane" else Simulator(self.circuit, method, backend)
+        self._make_node()
         for name, values in _initial_weights(self.circuit, init).items():
             if hasattr(self, name):
                 raise ValueError(f"weights cannot be called {name}, which is an attribute of a layer")
@@ -159,8 +141,13 @@ class QuantumLayer(nn.Module):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
+        self._make_node()
+
+    def _make_node(self) -> None:
+        self._node: Callable[[Tensor, Tensor], Tensor] | None = None
         if self.method == "pennylane":
-            self._node = pennylane.make_node(self.circuit, **self._node_options)
+            check_state(self.wires, "device default.qubit")
+            self._node = pennylane.make_node(self.circuit)
 
     def forward(self, x: Tensor | None = None) -> Tensor:
         if torch.compiler.is_compiling():  # the engines are loops over NumPy arrays, which dynamo cannot follow

@@ -12,7 +12,6 @@ from qnerf.quantum import density, pauli_errors
 from qnerf.quantum.circuit import Circuit, Probabilities, values_of
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pauli_errors import Exact
-from qnerf.quantum.pennylane import check_shots
 from qnerf.quantum.readout import Measured, as_read, measured
 from qnerf.quantum.simulator import simulator_of
 
@@ -53,7 +52,10 @@ class Conditions:
     outputs: int = field(init=False, repr=False, default=0)
 
     def __post_init__(self) -> None:
-        check_shots(self.shots)
+        if self.shots is not None and (
+            isinstance(self.shots, bool) or not isinstance(self.shots, int) or self.shots < 1
+        ):
+            raise ValueError(f"shots expects a positive integer or None, got {self.shots!r}")
         if self.noise is not None and not isinstance(self.noise, Noise):
             raise ValueError(f"noise expects a Noise, a depolarizing probability or None, got {self.noise!r}")
         if self.method not in get_args(NoiseMethod):

@@ -124,8 +124,8 @@ def check_folds(circuit: Circuit) -> None:
     if not folds(circuit):
         raise ValueError(
             f"noise: errors are sampled in re-uploading circuits with a trainable rotation beside each gate, which "
-            f"circuit {circuit.name} is not; evaluate with conditions(..., method='density') or train a layer with "
-            "method='pennylane' and device='default.mixed'"
+            f"circuit {circuit.name} is not; evaluate with conditions(..., method='density') or train it on PennyLane's"
+            " default.mixed (docs/hardware.md)"
         )
 
 

@@ -1,4 +1,4 @@
-"""The circuit on PennyLane: the reference of the engines, and the way to other devices, their shots and their noise.
+"""The circuit on PennyLane: the reference of the engines, and the way to other devices.
 
 It is built from the circuit's description gate by gate, and shares nothing with the engines that it checks. PennyLane
 is imported on first use: `import qnerf` stays quick.
@@ -6,12 +6,11 @@ is imported on first use: `import qnerf` stays quick.
 
 from collections.abc import Callable
 from math import prod
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from qnerf.config.bounds import PositiveInt, Seed, checked
 from qnerf.quantum.circuit import (
     Amplitudes,
     Circuit,
@@ -20,29 +19,11 @@ from qnerf.quantum.circuit import (
     Observable,
     PauliWord,
     Probabilities,
+    values_of,
 )
 from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pauli_form import as_gates
-
-DiffMethod = Literal["backprop", "parameter-shift", "adjoint"]
-
-
-@runtime_checkable
-class Device(Protocol):
-    """A PennyLane device, without importing PennyLane."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def wires(self) -> Any: ...
-
-
-def check_shots(shots: int | None) -> None:
-    """ValueError unless `shots` is a positive integer or None."""
-    if shots is not None and (isinstance(shots, bool) or not isinstance(shots, int) or shots < 1):
-        raise ValueError(f"shots expects a positive integer or None, got {shots!r}")
 
 
 def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) -> None:
@@ -100,90 +81,28 @@ def measurements(circuit: Circuit) -> list[Any]:
     return [measurement(observable) for observable in circuit.observables]
 
 
-def _quantum_function(circuit: Circuit, noise: Noise | None) -> Callable[[Any, Any], list[Any]]:
+def _node(circuit: Circuit) -> Any:
+    """The circuit as a QNode of default.qubit, of x and flat weights."""
+    import pennylane as qml
+
     def quantum_function(x: Any, weights: Any) -> list[Any]:
-        apply(circuit, x, weights, noise)
+        apply(circuit, x, weights)
         return measurements(circuit)
 
-    return quantum_function
+    device = qml.device("default.qubit", wires=circuit.wires)
+    return qml.QNode(quantum_function, device, interface="torch", diff_method="backprop")
 
 
-def make_device(device: str | Device, wires: int, seed: int | None = None, options: dict | None = None) -> Any:
-    """A PennyLane device by its name with its own options, or the device itself.
-
-    Raises:
-        ValueError: an unknown name (the message lists the installed ones), options that the device refuses, or a device
-            that is given as an object with options, a seed or other wires.
-    """
-    import pennylane as qml
-
-    if not isinstance(device, str):
-        if options or seed is not None:
-            raise ValueError(f"device {device.name} is given as an object; give it its options and its seed there")
-        if device.wires and len(device.wires) < wires:
-            raise ValueError(f"device {device.name} has {len(device.wires)} wires, the circuit needs {wires}")
-        return device
-    name = device
-    try:
-        return qml.device(name, wires=wires, **(options or {}), **({} if seed is None else {"seed": seed}))
-    except Exception as error:
-        known = ", ".join(sorted(qml.plugin_devices))
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"device: PennyLane cannot make {name!r} ({first}); installed: {known}") from None
-
-
-@checked
-def make_node(
-    circuit: Circuit,
-    *,
-    device: str | Device = "default.qubit",
-    device_options: dict | None = None,
-    diff_method: DiffMethod = "backprop",
-    shots: PositiveInt | None = None,
-    noise: Noise | None = None,
-    seed: Seed | None = None,
-) -> Callable[[Tensor, Tensor], Tensor]:
-    """A function of x (B, features) in radians and flat weights that returns (B, outputs).
-
-    Args:
-        circuit: what is run.
-        device: any PennyLane device, by its name or as an object. Noise needs one that takes channels, such as
-            default.mixed.
-        device_options: of a device given by its name, such as {"readout_prob": 0.02} of default.mixed.
-        diff_method: backprop, parameter-shift (the only one with shots) or adjoint.
-        shots: of each circuit; None for exact expectation values.
-        noise: channels after every gate, which PennyLane refuses at the first call on a device without them; errors of
-            the readout are an option of the device instead.
-        seed: of the device's shots.
-
-    Raises:
-        ValueError: an unknown device or `diff_method`, or options that do not go together.
-    """
-    import pennylane as qml
-
-    if shots is not None and diff_method != "parameter-shift":
-        raise ValueError(f"shots={shots} expects diff_method=parameter-shift, got {diff_method!r}")
-    target = make_device(device, circuit.wires, seed, device_options)
-    if noise is not None and noise.readout:
-        raise ValueError("noise: readout expects another method than pennylane; there it is an option of the device")
-    # Only backprop without channels can broadcast over the batch.
-    broadcast = diff_method == "backprop" and (noise is None or not noise.gates)
-
-    node = qml.QNode(_quantum_function(circuit, noise), target, interface="torch", diff_method=diff_method)
-    if shots is not None:
-        node = qml.set_shots(node, shots)
-
-    sizes = [2 ** len(o.wires) if isinstance(o, Probabilities) else 1 for o in circuit.observables]
+def make_node(circuit: Circuit) -> Callable[[Tensor, Tensor], Tensor]:
+    """A function of x (B, features) in radians and flat weights that returns (B, outputs): default.qubit, exact."""
+    node = _node(circuit)
+    sizes = list(map(values_of, circuit.observables))
 
     def run(x: Tensor, weights: Tensor) -> Tensor:
         if x.shape[0] == 0:
             return x.new_zeros(0, circuit.outputs) + 0 * weights.sum()
-        if broadcast:
-            values = zip(node(x, weights), sizes, strict=True)
-            return torch.cat([value.reshape(-1, size).expand(len(x), size) for value, size in values], -1).to(x.dtype)
-        return torch.stack([torch.cat([value.flatten() for value in node(sample, weights)]) for sample in x]).to(
-            x.dtype
-        )
+        values = zip(node(x, weights), sizes, strict=True)
+        return torch.cat([value.reshape(-1, size).expand(len(x), size) for value, size in values], -1).to(x.dtype)
 
     return run
 
@@ -199,7 +118,5 @@ def draw(circuit: Circuit | Any) -> str:
     import pennylane as qml
 
     circuit = circuit if isinstance(circuit, Circuit) else circuit.circuit
-    node = qml.QNode(_quantum_function(circuit, None), qml.device("default.qubit", wires=circuit.wires))
-    return str(
-        qml.draw(node, decimals=None, max_length=200)(torch.ones(circuit.features or 0), torch.zeros(circuit.size))
-    )
+    node = qml.draw(_node(circuit), decimals=None, max_length=200)
+    return str(node(torch.ones(circuit.features or 0), torch.zeros(circuit.size)))
