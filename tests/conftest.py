@@ -152,5 +152,6 @@ def run_until(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, dict[str, Any]]
 
 
 @pytest.fixture(autouse=True)
-def _threads() -> None:
+def _threads_and_seed() -> None:
     torch.set_num_threads(min(2, torch.get_num_threads()))
+    torch.manual_seed(0)

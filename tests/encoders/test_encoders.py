@@ -227,7 +227,6 @@ def test_release_opens_one_level_after_the_other(count, progress, share):
 
 @pytest.mark.parametrize(("name", "options"), [("hash", TINY_HASH), ("pe", {"bands": 4, "include_input": True})])
 def test_released_features_are_the_encoders_times_their_weight(name, options):
-    torch.manual_seed(0)
     encoder = ENCODERS.build(name, 3, frequency_window=0.5, **options).double()
     points = torch.rand(6, 3, dtype=torch.float64)
     full = encoder(points)

@@ -53,7 +53,6 @@ def test_qrun_layer_is_a_fourier_series_of_each_unit():
 
 def test_tensor_train_is_multilinear_in_cosines_and_sines_of_its_angles():
     """So it is a sum over all 2^n choices of a cosine or a sine, each with a product of matrices as coefficient."""
-    torch.manual_seed(0)
     head = HEADS.build("tensor_train", 2, 2, sites=3, rank=2, input_scale=0.7).double()
     x = torch.randn(4, 2, dtype=torch.float64)
     angles = 0.7 * head.linear(x)
@@ -68,7 +67,6 @@ def test_tensor_train_is_multilinear_in_cosines_and_sines_of_its_angles():
 
 
 def test_qiren_controls_take_out_entanglers_and_training():
-    torch.manual_seed(0)
     local = HEADS.build("qiren", 3, 2, qubits=3, unitary="local").double().hybrid[0].circuit
     x = torch.randn(1, 3, dtype=torch.float64)
     jacobian = torch.autograd.functional.jacobian(local, x)[0, :, 0]

@@ -17,7 +17,6 @@ def test_heads_map_features_to_values_and_learn():
 
 
 def test_sum_layers_adds_the_measured_values_of_all_circuits():
-    torch.manual_seed(0)
     head = HEADS.build("qiren", 4, 2, layers=2, spectral=1, qubits=3, gain=2.5, sum_layers=True).double().eval()
     x = torch.randn(7, 4, dtype=torch.float64)
     first = head.hybrid[0](x)
@@ -29,7 +28,6 @@ def test_sum_layers_adds_the_measured_values_of_all_circuits():
 
 
 def test_input_scale_acts_after_the_normalisation():
-    torch.manual_seed(0)
     plain = HEADS.build("qiren", 4, 2, qubits=3).double().eval()
     torch.manual_seed(0)
     scaled = HEADS.build("qiren", 4, 2, qubits=3, input_scale=3.0).double().eval()
@@ -38,7 +36,6 @@ def test_input_scale_acts_after_the_normalisation():
 
 
 def test_qfgn_feeds_gaussian_weighted_fourier_features_to_the_circuit():
-    torch.manual_seed(0)
     layer = HEADS.build("qfgn", 4, 2, features=6, gamma=0.7, qubits=3).double().hybrid[0]
     x = torch.randn(5, 4, dtype=torch.float64)
     phases = x @ layer.frequencies.T
@@ -87,7 +84,6 @@ def test_centred_heads_start_at_0_for_the_mean_of_their_inputs():
 
 
 def test_statistics_of_the_first_step_stay():
-    torch.manual_seed(0)
     head = HEADS.build("qiren", 4, 2, qubits=3, statistics="first").double()
     norm = head.hybrid[0].norm
     first, second = torch.randn(64, 4, dtype=torch.float64), 5 + 3 * torch.randn(64, 4, dtype=torch.float64)
@@ -107,7 +103,6 @@ def test_statistics_of_the_first_step_stay():
 
 
 def test_mlp_that_is_deep_varies_at_the_start_as_its_initialisation_says():
-    torch.manual_seed(0)
     features = torch.randn(500, 21)
     for init, low, high in (("torch", 0.0, 0.05), ("he", 0.3, 10.0)):
         spreads = [HEADS.build("mlp", 21, 3, layers=8, width=64, init=init)(features).std(0).mean() for _ in range(8)]

@@ -101,7 +101,6 @@ def on_threads(count: int, compute: Callable[[], list[Tensor]]) -> list[Tensor]:
 @pytest.mark.parametrize("method", ["statevector", "lightcone"])
 def test_circuits_on_1_and_2_threads(method: str, dtype: torch.dtype) -> None:
     """The compiled engines sum over samples in 32 fixed parts. Those in plain PyTorch promise nothing."""
-    torch.manual_seed(0)
     layer = QuantumLayer(6, 1, method=method, backend="compiled").to(dtype)
     x = torch.randn(3001, 6, dtype=dtype, requires_grad=True)
 

@@ -40,7 +40,6 @@ def features(rows: int, offset: float = 0.0, spread: float = 1.0, seed: int = 0)
 
 
 def test_batches_of_1_are_refused_in_training_and_evaluated_as_in_any_other() -> None:
-    torch.manual_seed(0)
     head = HEADS.build("qiren", 4, 3, layers=1, spectral=1, qubits=3)
     for rows in (0, 1):
         with pytest.raises(ValueError, match=f"expected at least 2, got {rows}; raise train.rays") as caught:

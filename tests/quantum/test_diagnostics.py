@@ -22,7 +22,6 @@ GHZ = Circuit("ghz", 3, 1, 1, (Encoding("Y", (1.0, 0.0, 0.0)), Entangler("CNOT",
 
 def test_states_are_those_of_pennylane() -> None:
     """Of re-uploading circuits up to a rotation of each wire."""
-    torch.manual_seed(0)
     without = tuple(gate for gate in MIXED.operations if getattr(gate, "name", "") != "IsingXY")  # it takes no batch
     for circuit in (ANSATZE.build("cnot", 3, 2), replace(MIXED, operations=without)):
         layer = QuantumLayer(circuit).double()
@@ -41,7 +40,6 @@ def test_states_are_those_of_pennylane() -> None:
 
 
 def test_entanglement_of_product_and_ghz_states() -> None:
-    torch.manual_seed(0)
     product = d.entangling_capability(QuantumLayer(PRODUCT), states=20)
     assert product.mean == pytest.approx(0, abs=1e-12)
     quarter = torch.tensor([[pi / 2, 0.0, 0.0]])
@@ -52,7 +50,6 @@ def test_entanglement_of_product_and_ghz_states() -> None:
 
 
 def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() -> None:
-    torch.manual_seed(0)
     assert d.expressibility(QuantumLayer(IDLE), pairs=10) == pytest.approx(log(75))
     noise = torch.randn(2, 20_000, 8, dtype=torch.complex128)
     haar = noise / noise.norm(dim=-1, keepdim=True)
@@ -84,7 +81,6 @@ def test_effective_dimension_counts_directions() -> None:
 
 
 def test_tangent_kernel_of_a_linear_model_and_of_a_circuit() -> None:
-    torch.manual_seed(0)
     x = torch.randn(70, 3, dtype=torch.float64)
     linear = nn.Linear(3, 2).double()
     assert torch.allclose(d.tangent_kernel(linear, x), 2 * (x @ x.T + 1))
@@ -100,7 +96,6 @@ def test_tangent_kernel_of_a_linear_model_and_of_a_circuit() -> None:
 
 
 def test_surrogate_is_exact_where_it_covers_the_spectrum() -> None:
-    torch.manual_seed(0)
     layer = QuantumLayer(2, 2).double()
     fitted, tested = torch.randn(400, 2), torch.randn(200, 2)
     whole = d.surrogate(layer, fitted, tested, 13)  # (5^2 + 1) / 2
@@ -117,7 +112,6 @@ def test_surrogate_is_exact_where_it_covers_the_spectrum() -> None:
 
 def test_diagnostics_take_any_circuit() -> None:
     """A GHZ state by H and CNOTs, CRY by a trainable scale times a feature, and a frozen scale."""
-    torch.manual_seed(0)
     w, scale = Weights("w", (2,)), Weights("scale", (1,), initial=2.0)
     gates = (Gate("H", (0,)), Gate("CNOT", (0, 1)), Gate("CNOT", (1, 2)), Gate("RX", (2,), (w[0] * 0.0,)))
     ghz = QuantumLayer(Circuit("ghz", 3, operations=gates, observables=(((0, "X"),),), weights=(w,)))

@@ -35,7 +35,6 @@ def test_finite_shots_have_the_statistics_of_independent_draws() -> None:
 
 
 def test_shots_follow_the_seed_and_keep_nan_and_empty_batches() -> None:
-    torch.manual_seed(0)
     layer = QuantumLayer(2, 1)
     x = torch.randn(5, 2)
     x[1, 0] = float("nan")
@@ -79,7 +78,6 @@ def test_conditions_that_are_wrong_are_refused() -> None:
 
 
 def test_a_circuit_trains_on_any_device_of_pennylane() -> None:
-    torch.manual_seed(0)
     layer = QuantumLayer(2, 1).double()
     x = torch.randn(2, 2, dtype=torch.float64)
     weights = torch.cat([layer.weights1.flatten(), layer.weights2.flatten()]).detach()

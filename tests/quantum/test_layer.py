@@ -36,7 +36,6 @@ def test_examples_of_the_pages_on_hardware_and_diagnostics_run() -> None:
 
 
 def test_batches_of_any_shape() -> None:
-    torch.manual_seed(0)
     for spectral in (1, 2):
         layer = QuantumLayer(3, spectral)
         for shape in ((), (7,), (2, 3), (0,), (4, 0)):
@@ -52,7 +51,6 @@ def test_parameters_have_the_published_names_and_shapes() -> None:
 
 
 def test_methods_agree_through_one_checkpoint() -> None:
-    torch.manual_seed(0)
     layer = QuantumLayer(5, 1).double()
     x = torch.randn(6, 5, dtype=torch.float64)
     for options in ({"method": "lightcone"}, {"method": "statevector", "backend": "torch"}, {"method": "pennylane"}):
@@ -99,7 +97,6 @@ def test_initial_angles_follow_the_seed_and_eighth_moves_more_than_uniform() -> 
 
 
 def test_half_precision_inputs_and_autocast() -> None:
-    torch.manual_seed(0)
     layer = QuantumLayer(3, 1)
     x = torch.randn(4, 3)
     with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -109,7 +106,6 @@ def test_half_precision_inputs_and_autocast() -> None:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_cuda_equals_cpu() -> None:
-    torch.manual_seed(0)
     for spectral in (1, 2):
         layer = QuantumLayer(8, spectral).double()
         x = torch.randn(500, 8, dtype=torch.float64)

@@ -12,7 +12,7 @@ from qnerf.kernels.hashgrid import U
 from qnerf.kernels.jit import jit, run
 from qnerf.kernels.simd import intrinsic
 
-GRAIN = 2**15  # numbers that are worth waking a thread for
+GRAIN = 2**18  # numbers that are worth waking a thread for
 
 
 class Update(NamedTuple):

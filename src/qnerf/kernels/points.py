@@ -7,7 +7,7 @@ from torch import Tensor
 from qnerf.kernels.hashgrid import U, flat
 from qnerf.kernels.jit import jit, run
 
-GRAIN = 64  # rays that are worth waking a thread for
+GRAIN = 512  # rays that are worth waking a thread for
 CUBE, BOX = 0, 1  # contractions that the loop knows
 
 

@@ -17,7 +17,7 @@ from qnerf.kernels.exponentials import exp
 from qnerf.kernels.hashgrid import U, flat
 from qnerf.kernels.jit import jit, run
 
-GRAIN = 32  # rays that are worth waking a thread for
+GRAIN = 256  # rays that are worth waking a thread for
 KNOWN_ACTIVATIONS = ("trunc_exp", "softplus")  # of the raw density, by their numbers in `_density`
 BOUND = 15.0  # on the argument of trunc_exp's derivative
 STEEP = 40.0  # from here on softplus(x) is x

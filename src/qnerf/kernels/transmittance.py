@@ -15,7 +15,7 @@ from qnerf.kernels.exponentials import exp, expm1
 from qnerf.kernels.hashgrid import U, flat
 from qnerf.kernels.jit import jit, run
 
-GRAIN = 64  # rays that are worth waking a thread for
+GRAIN = 256  # rays that are worth waking a thread for
 
 
 class VolumeWeights(torch.autograd.Function):
