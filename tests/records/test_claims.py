@@ -2,13 +2,15 @@
 
 import errno
 import os
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
 from qnerf import records
-from qnerf.records import RunStore, annotations
+from qnerf.records import RunStore, annotations, store
+from qnerf.records.files import replace
 from tests.helpers.stores import CONFIG, claimed
 
 
@@ -70,6 +72,25 @@ def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> N
     assert records.read_summary(again.dir)["psnr"] is None
     assert store_.claim("a", CONFIG, force=True).outcome == "busy"
     again.run.finish()
+
+
+def test_a_kill_while_a_run_is_done_over_leaves_no_old_result(
+    store_: RunStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = claimed(store_)
+    run.save_checkpoint({"step": 1})
+    run.finish({"psnr": 20.0})
+
+    def killed(path: Path, *arguments: Any, **options: Any) -> None:
+        if path.name == "config.yaml":
+            raise KeyboardInterrupt
+        replace(path, *arguments, **options)
+
+    monkeypatch.setattr(store, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        store_.claim("a", CONFIG, force=True)
+    assert records.read_summary(run.dir)["psnr"] is None
+    assert not (run.dir / "checkpoint.pt").exists()
 
 
 def test_a_missing_file_is_made_again(store_: RunStore) -> None:

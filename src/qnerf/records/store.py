@@ -81,11 +81,11 @@ class RunStore:
         start = _Start(
             run_id,
             {
+                "summary.parquet": encode(schemas.summary(row, plain(config), types or {})),
                 "config.yaml": to_yaml(config).encode(),
                 "overrides.txt": "".join(f"{line}\n" for line in overrides).encode(),
                 "eval.parquet": encode(schemas.evaluation([], 0)),
                 f"metrics/{part_name(0)}": EMPTY_PART,
-                "summary.parquet": encode(schemas.summary(row, plain(config), types or {})),
             },
         )
         directory = self.root / run_id
@@ -179,20 +179,19 @@ class _Start:
             if anew or not (folder / name).exists():
                 ownership.check()
                 replace(folder / name, data, temporary_folder=folder, durable=False)
-            if anew and name == "status.json":
-                _delete_results(ownership, files.keys())
+            if anew and name == "status.json":  # without a checkpoint the run starts again after a kill
+                _delete(ownership, folder.glob("checkpoint*"))
+        if anew:
+            kept = {"annotations.json", *files}
+            results = (path for path in folder.rglob("*") if path.relative_to(folder).as_posix() not in kept)
+            _delete(ownership, (path for path in results if not path.is_dir() and path.parent != folder / "owner"))
 
 
-def _delete_results(ownership: Ownership, kept: Iterable[str]) -> None:
-    """Deletes what a training left. Without its checkpoints, which go first, it starts again after a kill."""
-    folder = ownership.directory
-    kept = {"annotations.json", *kept}
-    with reporting(folder, "delete the results"):
-        for path in sorted(folder.rglob("*"), key=lambda path: not path.name.startswith("checkpoint")):
-            name = path.relative_to(folder).as_posix()
-            if name not in kept and not name.startswith("owner/") and not path.is_dir():
-                ownership.check()
-                path.unlink()
+def _delete(ownership: Ownership, files: Iterable[Path]) -> None:
+    with reporting(ownership.directory, "delete the results"):
+        for path in list(files):
+            ownership.check()
+            path.unlink()
 
 
 @contextlib.contextmanager
