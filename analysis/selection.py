@@ -44,10 +44,30 @@ class Selection:
         return "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
 
 
-def select(frame: pd.DataFrame, metric: str = "psnr") -> Selection:
-    """The runs of `frame` (from `load.runs`) that finished with a finite `metric`; ValueError as `finite` raises it."""
-    runs, left_out = finite(frame, metric)
-    return Selection(runs.copy(), {reason: count for reason, count in left_out.items() if count})
+def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) -> Selection:
+    """The runs of `frame` (from `load.runs`) that finished with a finite `metric`.
+
+    rows: keys by which they will be grouped, as `check_keys` and `refuse_mixtures` want them. ValueError also where no
+    run finished so; the message counts the states and lists the metrics that runs have.
+    """
+    check_keys(frame, rows)
+    states = frame["state"].fillna("unknown").value_counts()
+    finished = frame[frame["state"] == "finished"]
+    if finished.empty:
+        raise ValueError(f"no finished runs among {len(frame)}: {states.to_dict()}")
+    if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
+        raise ValueError(f"no metric {metric!r}; the runs have {', '.join(measured(finished))}")
+    values = finished[metric].astype(float)
+    usable = finished[np.isfinite(values)].copy()
+    if usable.empty:
+        reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
+        why = f" ({reasons.iloc[0]})" if len(reasons) else ""
+        raise ValueError(f"no finished run of {len(finished)} has {metric}{why}; have: {', '.join(measured(finished))}")
+    if rows:
+        refuse_mixtures(usable, rows)
+    left_out: dict[str, int] = {str(name): count for name, count in states.drop("finished").items()}
+    left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
+    return Selection(usable, {reason: count for reason, count in left_out.items() if count})
 
 
 def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -67,28 +87,6 @@ def settings(runs: pd.DataFrame) -> pd.DataFrame:
     """The settings in which the runs differ, as text; "" where one does not act in a run."""
     differing = [name for name in configuration(runs) if runs[name].nunique(dropna=False) > 1]
     return runs[differing].map(lambda value: "" if value is None or value != value else str(value))
-
-
-def finite(frame: pd.DataFrame, metric: str) -> tuple[pd.DataFrame, dict[str, int]]:
-    """The runs that finished with a finite `metric`, and how many did not, by reason.
-
-    ValueError where none did; the message counts the states and lists the metrics that runs have.
-    """
-    states = frame["state"].fillna("unknown").value_counts()
-    finished = frame[frame["state"] == "finished"]
-    if finished.empty:
-        raise ValueError(f"no finished runs among {len(frame)}: {states.to_dict()}")
-    if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
-        raise ValueError(f"no metric {metric!r}; the runs have {', '.join(measured(finished))}")
-    values = finished[metric].astype(float)
-    usable = finished[np.isfinite(values)]
-    if usable.empty:
-        reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
-        why = f" ({reasons.iloc[0]})" if len(reasons) else ""
-        raise ValueError(f"no finished run of {len(finished)} has {metric}{why}; have: {', '.join(measured(finished))}")
-    left_out = states.drop("finished").to_dict()
-    left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
-    return usable, left_out
 
 
 def measured(runs: pd.DataFrame) -> list[str]:

@@ -50,13 +50,13 @@ def joined(paper: pd.DataFrame, frame: pd.DataFrame, keys: Sequence[str]) -> tup
     others = len(selection.runs) - len(ours)
     if others:
         notes.append(f"{others} finished runs have an architecture that is not in this table")
-    return table, (*notes, *filter(None, [selection.note]))
+    return table, (*notes, selection.note)
 
 
 def side_by_side(title: str, table: pd.DataFrame, columns: Mapping[str, str], notes: Sequence[str]) -> Table:
     """A table of the paper's `columns` (name -> heading), each metric of the paper's beside ours, and our seeds."""
     text = pd.DataFrame({heading: _text(table[name], "{:,.0f}") for name, heading in columns.items()})
-    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
+    bold = pd.DataFrame(index=text.index)
     for name in _OURS:
         (theirs, digits), heading = _THEIRS[name], metric_of(name).heading
         if theirs in table:
@@ -69,7 +69,6 @@ def side_by_side(title: str, table: pd.DataFrame, columns: Mapping[str, str], no
         ]
         bold[f"{heading}: ours"] = _best(table[f"ours_{name}_mean"], name)
     text["seeds"] = table["ours_seeds_n"].map(str)
-    bold = bold.reindex(columns=text.columns, fill_value=False)
     return Table(title, text, table, bold, tuple(notes))
 
 

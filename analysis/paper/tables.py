@@ -89,8 +89,7 @@ def hsv_tests(frame: pd.DataFrame) -> Table:
     text["KS: ours"] = [_ks(*row) for row in data[["mean", "std"]].itertuples(index=False)]
     text["seeds"] = data["seeds"].map(str)
     notes = (SETTING, "hue is treated as linear, as in the paper, though it is an angle")
-    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
-    return Table(PAPER_TABLES["hsv"][0], text, data, bold, (*notes, *filter(None, [selection.note])))
+    return Table(PAPER_TABLES["hsv"][0], text, data, notes=(*notes, selection.note))
 
 
 def _ks(mean: float, std: float) -> str:

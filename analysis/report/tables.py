@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ def over_seeds(frame: pd.DataFrame, baseline: str | Mapping[str, object] | None 
         baseline=baseline,
         title="Configurations over seeds",
     )
-    return Table(table.title, table.text, table.data, table.bold, (*table.notes, *filter(None, [not_shown])))
+    return replace(table, notes=(*table.notes, not_shown))
 
 
 def decisions(store: str | Path) -> ShownTable | None:
@@ -63,9 +63,8 @@ def decisions(store: str | Path) -> ShownTable | None:
             "" if value is None or value != value else f"{value:.4g}" if isinstance(value, float) else str(value)
         )
     )
-    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
     title = "Decided by qnerf decide: at most 5 % wrong over all looks"
-    return ShownTable(title, Table(title, text, found, bold, ("spent: the error rate of the last look",)))
+    return ShownTable(title, Table(title, text, found, notes=("spent: the error rate of the last look",)))
 
 
 def smallest_configurations(frame: pd.DataFrame) -> Table:

@@ -1,9 +1,8 @@
 """Tables over seeds, as DataFrame, Markdown, LaTeX or CSV: `qnerf tables runs --rows field,color`."""
 
-from .ablation import ablation, markdown
+from .ablation import ablation
 from .resources import resources
 from .scenes import across_scenes
-from .seeds import over_seeds
 from .smallest import smallest
 from .stability import stability
 from .table import Table

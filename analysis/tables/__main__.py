@@ -1,6 +1,7 @@
 """`qnerf tables STORE`: see `--help`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from inspect import signature
 
 from qnerf.cli.numbers import number
 from qnerf.metrics import METRICS
@@ -12,6 +13,7 @@ from .resources import RATE, resources
 from .scenes import across_scenes
 from .smallest import smallest
 from .stability import stability
+from .table import Table
 from .units import units
 
 DESCRIPTION = """\
@@ -30,6 +32,27 @@ EXAMPLES = """\
   {} runs --paper rgb --filter scene_name=poster
 """
 
+OPTIONS = ("values", "metric", "baseline", "within", "size", "rate")
+INSTEAD: dict[str, tuple[Callable[..., Table], str]] = {
+    "smallest": (smallest, "the smallest row within the tolerance of the best"),
+    "across-scenes": (
+        across_scenes,
+        "differences from --baseline on each scene, and over these scenes and scenes like them",
+    ),
+    "stability": (stability, "the worst seed of each row, and how many fail"),
+    "units": (units, "dead units and the spread of colours, of runs that `qnerf probe RUN units` probed"),
+    "resources": (
+        resources,
+        "quality, parameters, time and memory, and what `qnerf probe RUN cost` and `qnerf probe RUN shots=100 "
+        "noise=...` found: gates, depth, device hours, PSNR with finite shots and noisy gates",
+    ),
+}
+"""Option -> the function that makes the table, and what it shows."""
+
+
+def words(text: str) -> list[str]:
+    return text.split(",")
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = command.parser("tables", DESCRIPTION, EXAMPLES)
@@ -38,42 +61,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--rows",
         default="scene_name,field,color",
+        type=words,
         metavar="KEY,...",
         help="columns that distinguish the rows: any key of the configuration (color.qiren.spectral) or a short name "
         "(field, density, color, hash, qiren, train); default: %(default)s",
     )
     parser.add_argument(
         "--values",
+        type=words,
         metavar="NAME,...",
         help=f"columns to show; default: the metrics that the runs have, of {', '.join(METRICS)}",
     )
-    parser.add_argument("--metric", default="psnr", help="column that ranks the runs; default: %(default)s")
+    parser.add_argument("--metric", help="column that ranks the runs; default: psnr")
     command.add_baseline(
         parser,
         "compare each row with this one: the difference with its interval, and the verdict: better, worse, "
         "equivalent or undecided",
-    )
-    parser.add_argument(
-        "--smallest", "--needs", action="store_true", help="instead: the smallest row within the tolerance of the best"
-    )
-    parser.add_argument(
-        "--across-scenes",
-        action="store_true",
-        help="instead: differences from --baseline on each scene, and over these scenes and scenes like them",
-    )
-    parser.add_argument(
-        "--stability", action="store_true", help="instead: the worst seed of each row, and how many fail"
-    )
-    parser.add_argument(
-        "--units",
-        action="store_true",
-        help="instead: dead units and the spread of colours, of runs that `qnerf probe RUN units` probed",
-    )
-    parser.add_argument(
-        "--resources",
-        action="store_true",
-        help="instead of all metrics: quality, parameters, time and memory, and what `qnerf probe RUN cost` and `qnerf "
-        "probe RUN shots=100 noise=...` found: gates, depth, device hours, PSNR with finite shots and noisy gates",
     )
     parser.add_argument(
         "--within",
@@ -81,47 +84,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="DELTA",
         help="smallest difference that matters, in the metric's unit, for verdicts and --smallest; default: 0.5 dB",
     )
-    parser.add_argument(
-        "--size",
-        default="params.total",
-        help="for --smallest: the column to minimise, such as step_ms; default: %(default)s",
-    )
+    parser.add_argument("--size", help="for --smallest: the column to minimise, such as step_ms; default: params.total")
     parser.add_argument(
         "--rate",
         type=number(0, 1e12, above=True),
-        default=RATE,
-        help="for --resources: shots that a device takes in a second; default: %(default)s",
+        help=f"for --resources: shots that a device takes in a second; default: {RATE:g}",
     )
+    tables = parser.add_mutually_exclusive_group()
+    for name, (make, what) in INSTEAD.items():
+        tables.add_argument(f"--{name}", action="store_const", dest="make", const=make, help=f"instead: {what}")
     titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
-    parser.add_argument(
+    tables.add_argument(
         "--paper", choices=PAPER_TABLES, help=f"instead: a table of the paper with ours beside it. {titles}"
     )
     options = parser.parse_args(arguments)
-    frame = command.chosen(options)
-    rows = options.rows.split(",")
-    if options.paper:
-        table = PAPER_TABLES[options.paper][1](frame)
-    elif options.smallest:
-        table = smallest(frame, rows, metric=options.metric, within=options.within, size=options.size)
-    elif options.across_scenes:
-        if options.baseline is None:
-            raise ValueError("--across-scenes needs --baseline KEY=VALUE,...")
-        table = across_scenes(frame, rows, options.baseline, metric=options.metric, within=options.within)
-    elif options.stability:
-        if options.metric != "psnr":
-            raise ValueError(f"--stability counts dB of psnr, got --metric {options.metric}")
-        table = stability(frame, rows)
-    elif options.units:
-        table = units(frame, rows)
-    elif options.resources:
-        table = resources(
-            frame, rows, metric=options.metric, baseline=options.baseline, within=options.within, rate=options.rate
-        )
-    else:
-        values = options.values.split(",") if options.values else None
-        table = ablation(
-            frame, rows, metric=options.metric, values=values, baseline=options.baseline, within=options.within
-        )
+    make = PAPER_TABLES[options.paper][1] if options.paper else options.make or ablation
+    known = signature(make).parameters
+    given = {name: value for name in OPTIONS if (value := getattr(options, name)) is not None}
+    if unused := [f"--{name}" for name in given if name not in known]:
+        raise ValueError(f"{', '.join(unused)}: without effect on this table")
+    if "rows" in known:
+        given["rows"] = options.rows
+    table = make(command.chosen(options), **given)
     command.show(table, options.format)
 
 

@@ -6,7 +6,7 @@ import pandas as pd
 
 from qnerf.metrics import metric_of
 
-from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from ..selection import SCENES, label, select
 from ..step_times import incomparable_columns
 from ..verdict import Verdict, within_of
 from .differences import against, as_numbers, interval
@@ -29,15 +29,14 @@ def ablation(
     baseline: conditions on the row keys that exactly one row meets (one a scene, where scenes are among the rows); see
     `qnerf.records.filters`. The other rows then show their `metric` minus the baseline's with its interval, in the
     metric's unit, and the verdict. within: the smallest difference that matters; the metric may have one of its own.
-    Raises ValueError as `over_seeds` does, for a baseline that matches no row or several, and with a baseline for
-    infinite values.
+    values: the metrics that the runs have, unless given. Columns of `data` are (value, "mean" | "std" | "n"), ("seeds",
+    "n") and, with a baseline, ("difference", ...), in the values' own units. Raises ValueError as `select` does, for
+    unknown values, for a baseline that matches no row or several, and with a baseline for infinite values.
     """
-    check_keys(frame, rows)
-    selection = select(frame, metric)
+    selection = select(frame, metric, rows)
     runs = selection.runs
-    refuse_mixtures(runs, rows)
     table = aggregate(runs, rows, values_of(runs, metric, values))
-    notes = [selection.note] if selection.note else []
+    notes = [selection.note]
     verdicts = None
     if baseline is not None:
         if infinite := selection.left_out.get(f"infinite {metric}"):
@@ -49,11 +48,6 @@ def ablation(
     return compose(table, verdicts, title or f"{metric_of(metric).heading} over seeds", notes, metric, unranked)
 
 
-def markdown(table: pd.DataFrame) -> str:
-    """What `over_seeds` gives as Markdown: mean ± standard deviation, best in bold."""
-    return compose(table, None, "", [], "", {}).markdown()
-
-
 def compose(
     table: pd.DataFrame,
     verdicts: Sequence[Verdict | None] | None,
@@ -62,14 +56,14 @@ def compose(
     metric: str,
     unranked: Mapping[str, str],
 ) -> Table:
-    """The shown table of `over_seeds`' numbers and, where there is a baseline, the `verdicts` against it.
+    """The shown table of `aggregate`'s numbers and, where there is a baseline, the `verdicts` against it.
 
     unranked: values without a best row, and why.
     """
     names = [name for name in table.columns.get_level_values(0).unique() if name != "seeds"]
     seeds = table[("seeds", "n")]
     text = pd.DataFrame({name: table.index.get_level_values(name).map(label) for name in table.index.names})
-    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
+    bold = pd.DataFrame(index=text.index)
     for name in names:
         column = table[name]
         numbers = zip(column["mean"], column["std"], column["n"], seeds, strict=True)
@@ -81,10 +75,9 @@ def compose(
         text["verdict"] = ["" if found is None else found.text(metric) for found in verdicts]
         table = table.join(pd.concat({"difference": as_numbers(verdicts).set_index(table.index)}, axis=1))
     text["seeds"] = seeds.map("{:d}".format).to_numpy()
-    bold = bold.reindex(columns=text.columns, fill_value=False)
     single = int((seeds == 1).sum())
-    remarks = [f"n = 1 in {single} of {len(seeds)} rows: no spread"] if single else []
-    return Table(title, text, table, bold, (*notes, *remarks, *unranked.values()))
+    remark = f"n = 1 in {single} of {len(seeds)} rows: no spread" if single else ""
+    return Table(title, text, table, bold, (*notes, remark, *unranked.values()))
 
 
 def best(table: pd.DataFrame, name: str) -> pd.Series:

@@ -102,4 +102,4 @@ def _notes(frame: pd.DataFrame, rate: float, costs: int, measured: int, *damaged
     for count, probe in ((costs, "cost"), (measured, "shots=100,1000")):
         if count < circuits:
             notes.append(f"{circuits - count} of {circuits} runs with circuits lack it: qnerf probe RUN {probe}")
-    return [*notes, *filter(None, damaged)]
+    return [*notes, *damaged]

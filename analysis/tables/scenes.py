@@ -7,7 +7,7 @@ import pandas as pd
 
 from qnerf.metrics import metric_of
 
-from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from ..selection import SCENES, label, select
 from ..verdict import Verdict, over_scenes, within_of
 from .differences import against, as_numbers, interval
 from .table import Table
@@ -16,7 +16,7 @@ from .table import Table
 def across_scenes(
     frame: pd.DataFrame,
     rows: Sequence[str],
-    baseline: str | Mapping[str, object],
+    baseline: str | Mapping[str, object] | None = None,
     *,
     metric: str = "psnr",
     within: float | None = None,
@@ -26,15 +26,15 @@ def across_scenes(
     rows: as of `ablation`, with a key that names the scene. Notes count the verdicts. Rows of `data` that are means
     have no seeds. Raises ValueError as `ablation` does.
     """
-    check_keys(frame, rows)
+    if baseline is None:
+        raise ValueError("differences across scenes need a baseline, --baseline KEY=VALUE,...")
     scenes, others = ([key for key in rows if (key in SCENES) == wanted] for wanted in (True, False))
     if not scenes or not others:
         raise ValueError(f"rows: expected scene_name and a key that tells configurations apart, got {', '.join(rows)}")
-    selection = select(frame, metric)
-    refuse_mixtures(selection.runs, rows)
+    selection = select(frame, metric, rows)
     keys = selection.runs.groupby(list(rows), dropna=False).size().index.to_frame(index=False)
     verdicts, notes = against(selection.runs, rows, keys, baseline, metric, within_of(metric, within))
-    notes += filter(None, [selection.note])
+    notes.append(selection.note)
     telling = [key for key in others if keys[key].nunique(dropna=False) > 1] or others
     lines: list[tuple[str, str, Verdict]] = []
     for _, members in keys.groupby(others, dropna=False, sort=False):
@@ -59,5 +59,4 @@ def across_scenes(
             "seeds": ["{} / {}".format(*one.seeds) if any(one.seeds) else "" for one in found],
         }
     )
-    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
-    return Table("Differences across scenes", text, names.join(as_numbers(found)), bold, tuple(notes))
+    return Table("Differences across scenes", text, names.join(as_numbers(found)), notes=tuple(notes))

@@ -6,22 +6,7 @@ import pandas as pd
 
 from qnerf.metrics import METRICS, metric_of
 
-from ..selection import check_keys, finite, refuse_mixtures, select
-
-
-def over_seeds(
-    frame: pd.DataFrame, rows: Sequence[str], *, metric: str = "psnr", values: Sequence[str] | None = None
-) -> pd.DataFrame:
-    """Mean and standard deviation (n - 1) over the seeds of each group of finished runs with a finite `metric`.
-
-    Columns (value, "mean" | "std" | "n") and ("seeds", "n"), in the values' own units: dB, seconds, ms. A group of one
-    seed has no standard deviation. `values`: the metrics that the runs have, unless given. Raises ValueError for
-    an unknown key or value, where nothing is left, and where a group would mix scenes or configurations.
-    """
-    check_keys(frame, rows)
-    runs = select(frame, metric).runs
-    refuse_mixtures(runs, rows)
-    return aggregate(runs, rows, values_of(runs, metric, values))
+from ..selection import select
 
 
 def values_of(runs: pd.DataFrame, metric: str, asked: Sequence[str] | None) -> list[str]:
@@ -30,7 +15,7 @@ def values_of(runs: pd.DataFrame, metric: str, asked: Sequence[str] | None) -> l
         usual = [name for name, item in METRICS.items() if not item.on_request]
         return [name for name in dict.fromkeys([*usual, metric]) if name in runs.columns and _is_given(name, runs)]
     for name in asked:
-        finite(runs, name)  # refuses what is not there
+        select(runs, name)  # refuses what is not there
     return list(dict.fromkeys(asked))
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 
 from qnerf.metrics import metric_of
 
-from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from ..selection import SCENES, label, select
 from ..step_times import incomparable
 from ..verdict import compare, evaluations, method, within_of
 from .differences import interval
@@ -27,28 +27,24 @@ def smallest(
 
     within: how close, in the metric's unit; the metric may have one of its own. size: any number of a run, such as
     `params.total`, `params.color` or `step_ms`. The table shows the difference of the smallest group from the best and
-    the verdict: the loss is shown to be that small where they are equivalent. Raises ValueError as `over_seeds` does,
+    the verdict: the loss is shown to be that small where they are equivalent. Raises ValueError as `select` does,
     and for a size that is a time which is not comparable (`step_times.incomparable`).
     """
     within = within_of(metric, within)
-    check_keys(frame, rows)
     scenes = [key for key in rows if key in SCENES] or ["scene_name"]
     rows = [*scenes, *(key for key in rows if key not in scenes)]
     if len(rows) == len(scenes):
         raise ValueError(f"rows: expected a key that tells configurations apart, got only {', '.join(scenes)}")
     selection = select(frame, metric)
-    sized = select(selection.runs, size)
-    refuse_mixtures(sized.runs, rows)
+    sized = select(selection.runs, size, rows)
     if why := incomparable(sized.runs, size):
         raise ValueError(f"{why}; expected another size, such as params.total")
     data = _scenes(sized.runs, rows, scenes, metric, size, within)
-    left = [part.note for part in (selection, sized) if part.note]
     return Table(
         f"The smallest configuration of each scene within {within:g} of the best, by {metric_of(size).heading}",
-        text := _text(data, metric, size, within),
+        _text(data, metric, size, within),
         data,
-        pd.DataFrame(False, index=text.index, columns=text.columns),
-        (f"difference of the smallest from the best: {method(metric, within)}", *left),
+        notes=(f"difference of the smallest from the best: {method(metric, within)}", selection.note, sized.note),
     )
 
 

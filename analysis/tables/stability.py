@@ -6,7 +6,7 @@ import pandas as pd
 
 from qnerf.metrics import metric_of
 
-from ..selection import SCENES, check_keys, label, refuse_mixtures, select
+from ..selection import SCENES, label, select
 from .seeds import mean_and_spread
 from .table import Table
 
@@ -17,14 +17,11 @@ def stability(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
     """PSNR of the median, worst and best seed of each group of `rows`, and how many seeds slipped or collapsed.
 
     A run slipped if it is more than 1.5 dB below the median of its row. It collapsed if it is more than 5 dB below the
-    highest median of its scene. Raises ValueError as `over_seeds` does.
+    highest median of its scene. Raises ValueError as `select` does.
     """
-    check_keys(frame, rows)
-    selection = select(frame)
-    runs = selection.runs
-    refuse_mixtures(runs, rows)
+    selection = select(frame, rows=rows)
     scenes = [key for key in rows if key in SCENES]
-    groups = runs.groupby(list(rows), dropna=False)["psnr"]
+    groups = selection.runs.groupby(list(rows), dropna=False)["psnr"]
     data = groups.agg(["mean", "std", "median", "min", "max", "count"])
     data = data.rename(columns={"min": "worst", "max": "best", "count": "n"})
     best = data["median"].groupby(scenes, dropna=False).transform("max") if scenes else data["median"].max()
@@ -37,9 +34,8 @@ def stability(frame: pd.DataFrame, rows: Sequence[str]) -> Table:
         text[name] = data[name].map(metric_of("psnr").text).to_numpy()
     for name in ("slipped", "collapsed"):
         text[name] = [f"{count} of {n}" for count, n in zip(data[name], data["n"], strict=True)]
-    notes = [
+    note = (
         f"slipped: more than {SLIP:g} dB below the row's median; "
         f"collapsed: more than {COLLAPSE:g} dB below the highest median of the scene"
-    ]
-    bold = pd.DataFrame(False, index=text.index, columns=text.columns)
-    return Table("How often it fails", text, data, bold, (*notes, *filter(None, [selection.note])))
+    )
+    return Table("How often it fails", text, data, notes=(note, selection.note))

@@ -5,7 +5,7 @@ pandas' Styler escapes neither `[` and `*` after the end of a LaTeX row nor `|` 
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import pandas as pd
 
@@ -43,13 +43,21 @@ _MINUS = re.compile(r"(?<![\w.,)-])-(?=\.?\d)")
 
 @dataclass(frozen=True)
 class Table:
-    """`text` is what is shown, a cell a string; `bold` has its shape; `data` are the numbers behind it, a row a row."""
+    """`text` is what is shown, a cell a string; `data` are the numbers behind it, a row a row.
+
+    bold: which cells are bold, where any of a column is. Empty notes are left out.
+    """
 
     title: str
     text: pd.DataFrame
     data: pd.DataFrame
-    bold: pd.DataFrame
+    bold: pd.DataFrame = field(default_factory=pd.DataFrame)
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        whole = self.bold.reindex(index=self.text.index, columns=self.text.columns, fill_value=False)
+        object.__setattr__(self, "bold", whole)
+        object.__setattr__(self, "notes", tuple(filter(None, self.notes)))
 
     def markdown(self) -> str:
         """A table of GitHub's Markdown; the notes are paragraphs under it."""
@@ -66,7 +74,7 @@ class Table:
         """
         first = self.text.columns[0]
         shown = [name for name in self.text.columns if name == first or (self.text[name] != "").any()]
-        table = Table(self.title, self.text[shown], self.data, self.bold[shown], self.notes)
+        table = replace(self, text=self.text[shown])
         groups = [str(name).rpartition(": ")[0] for name in shown]
         heads = [
             (group, name.removeprefix(f"{group}: ")) if group and groups.count(group) > 1 else ("", name)

@@ -17,7 +17,7 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
 
     Dead: share of all hidden ReLU units that are 0 on all samples of 1,024 training rays. Spread: standard deviation
     of the values before the sigmoid over those samples. Runs that were not probed are left out. Raises ValueError as
-    `over_seeds` does, and where no run was probed.
+    `select` does, and where no run was probed.
     """
     selection = select(frame)
     tables, damaged = packed.probe_tables(selection.runs["path"], "units")
@@ -30,8 +30,8 @@ def units(frame: pd.DataFrame, rows: Sequence[str], *, head: str = "color") -> T
     notes = (
         f"of the {head} head, on 1,024 training rays; dead: hidden units that are 0 on all samples; spread: standard "
         "deviation of the raw values over the samples",
-        *([f"left out: {left} not probed"] if left else []),
-        *filter(None, [damaged]),
+        f"left out: {left} not probed" if left else "",
+        damaged,
     )
     return replace(made, notes=(*notes, *made.notes))
 

@@ -17,7 +17,7 @@ from qnerf.analysis.load import metrics, runs
 from qnerf.analysis.report import columns, content, curves, figures, page, parts, tables
 from qnerf.analysis.report.__main__ import main, page_content, parser
 from qnerf.analysis.report.pictures import Pictures, gather
-from qnerf.analysis.tables import Table, over_seeds
+from qnerf.analysis.tables import Table, ablation
 
 from tests.helpers.packed_stores import picture, write_run
 from tests.helpers.sweep import FIELDS, SEEDS
@@ -174,7 +174,7 @@ def test_the_page_holds_the_numbers_of_the_runs(html, frame):
     assert unpacked(data["columns"]["state"], len(frame)) == frame["state"].tolist()
     assert set(data["settings"]) >= {"seed", "train.steps", "color.qiren.layers"}
     assert not {"psnr", "params.color", "time.field_ms"} & set(data["settings"])
-    row = over_seeds(frame, ["field"]).loc["qcolor"]
+    row = ablation(frame, ["field"]).data.loc["qcolor"]
     assert f"{row['psnr', 'mean']:.2f} ± {row['psnr', 'std']:.2f}" in html
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from qnerf.analysis.load import runs
-from qnerf.analysis.tables import Table, ablation, across_scenes, markdown, over_seeds
+from qnerf.analysis.tables import Table, ablation, across_scenes
 from qnerf.analysis.tables.__main__ import main
 from qnerf.analysis.tables.ablation import best
 from qnerf.analysis.tables.table import latex_escape, markdown_escape
@@ -28,14 +28,15 @@ def store(tmp_path):
 
 
 def test_means_spreads_and_counts_are_those_of_the_runs(store):
-    table = over_seeds(runs(store), ["field", "color"])
+    made = ablation(runs(store), ["field", "color"])
+    table = made.data
     row = table.loc[("qcolor", "1L2S")]
     by_hand = [21.0, 22.5, 24.0]
     assert row["psnr"].tolist() == pytest.approx([np.mean(by_hand), np.std(by_hand, ddof=1), 3])
     assert row[("ssim", "mean")] == pytest.approx(np.mean(by_hand) / 40)
     assert row[("seeds", "n")] == 3
     assert row[("params.color", "mean")] == 491
-    lines = markdown(table).splitlines()
+    lines = made.markdown().splitlines()
     assert lines[0].startswith("| field | color | PSNR, dB | SSIM | encoder parameters |")
     assert lines[2].startswith("| classical | 3x64 | 21.50 ± 1.50 |")
     assert lines[3].startswith("| qcolor | 1L2S | **22.50 ± 1.50** |")
@@ -102,11 +103,11 @@ def test_a_value_that_only_some_seeds_have_says_how_many(store):
 def test_what_must_not_be_averaged_is_refused(store):
     frame = runs(store)
     with pytest.raises(ValueError, match=r"row poster mixes runs of different field \(classical, qcolor\)"):
-        over_seeds(frame, ["scene_name"])
+        ablation(frame, ["scene_name"])
     write_run(store, "qcolor", 3, config={"train": {"steps": 20}})
     with pytest.raises(ValueError, match=r"row qcolor mixes runs of different train.steps \(10, 20\)"):
-        over_seeds(runs(store), ["field"])
-    assert len(over_seeds(runs(store), ["field", "train.steps"])) == 3
+        ablation(runs(store), ["field"])
+    assert len(ablation(runs(store), ["field", "train.steps"]).data) == 3
 
 
 def test_scenes_stand_in_one_table_only_under_their_names(store):
@@ -147,8 +148,8 @@ def test_scenes_are_judged_one_by_one_and_together(tmp_path):
 def test_mistakes_are_named(store, tmp_path):
     frame = runs(store)
     for message, call in {
-        r"no run has a column 'colour'; did you mean color": lambda: over_seeds(frame, ["colour"]),
-        r"no finished runs among 6: \{'failed': 6\}": lambda: over_seeds(frame.assign(state="failed"), ["field"]),
+        r"no run has a column 'colour'; did you mean color": lambda: ablation(frame, ["colour"]),
+        r"no finished runs among 6: \{'failed': 6\}": lambda: ablation(frame.assign(state="failed"), ["field"]),
         r"no finished run of 6 has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
         r"no metric 'beauty'; the runs have .*psnr": lambda: ablation(frame, ["field"], values=["beauty"]),
         r"no metric 'color'": lambda: ablation(frame, ["field"], metric="color"),
@@ -275,4 +276,4 @@ def test_a_key_with_several_values_a_run_is_refused(store, capsys):
 def test_a_mixture_in_a_row_without_a_value_is_named(store):
     frame = runs(store).assign(note=np.nan)
     with pytest.raises(ValueError, match="row none mixes runs of different field"):
-        over_seeds(frame, ["note"])
+        ablation(frame, ["note"])
