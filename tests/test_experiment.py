@@ -13,13 +13,13 @@ import torch
 from PIL import Image
 
 from qnerf import experiment
-from qnerf.building.acting import settings_of
+from qnerf.building.scene import prepare
 from qnerf.experiment import run
 from qnerf.records import read_config, read_metrics, read_status, state
 from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Diverged, Trainer
-from tests.helpers.scenes import build_scene, write_scene
+from tests.helpers.scenes import write_scene
 
 REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
@@ -139,7 +139,7 @@ def test_a_run_says_where_its_world_is(tiny):
     outcome = run(tiny())
     content = json.loads((outcome.path / "dataparser_transforms.json").read_text())
     stored = torch.tensor(content["transform"], dtype=torch.float64)
-    scene = build_scene(settings_of(tiny()))
+    scene = prepare(tiny()).scene
     torch.testing.assert_close(content["scale"] * stored, scene.transform[:3])
     torch.testing.assert_close(stored[:, :3] @ stored[:, :3].T, torch.eye(3, dtype=torch.float64))
 

@@ -2,12 +2,11 @@
 
 import pandas as pd
 import pytest
-import torch
 
 from qnerf.experiment import run
 from qnerf.probes import trained
 from qnerf.records import read_config
-from tests.helpers.worlds import ball, balls, cameras, constant, ring, scene, write
+from tests.helpers.worlds import ball, cameras, constant, contradicting, ring, scene, write
 
 BALL = ball(views=12, size=32, focal=22.0, radius=0.25)
 AUTO = ("needs=auto", "field=classical", "visibility.alpha=auto", "visibility.resolution=12", "hash.log2_table_size=8")
@@ -19,7 +18,7 @@ def auto(tiny, tmp_path):
 
     def make(world, *overrides: str) -> dict:
         folder = tmp_path / "world"
-        path = str(folder) if folder.exists() else write(world, folder)
+        path = folder if folder.exists() else write(world, folder)
         return tiny("scene=nerfstudio", f"scene.path={path}", *AUTO, "hash=auto", *overrides)
 
     return make
@@ -42,12 +41,6 @@ def test_decisions_are_the_configuration_and_columns(auto):
 
 
 OUTWARD = scene(constant(9).images, cameras(ring(6, outward=True)))
-
-
-def contradicting():
-    of = cameras(ring(8), 32, 32, 29.0)
-    images = [balls(of, ((0, 0, 0.35 * (-1) ** view), 0.1))[view] for view in range(8)]
-    return scene(torch.stack(images), of)
 
 
 @pytest.mark.parametrize(

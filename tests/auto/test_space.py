@@ -1,6 +1,5 @@
 """Whether a scene is bounded, and where its rays are seen by enough cameras."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -9,7 +8,7 @@ import torch
 
 from qnerf.auto.space import MARGIN, Followed, box_half_extent, hull_bounds
 from qnerf.geometry.visibility import count_cameras
-from tests.helpers.worlds import BALL, ball, balls, cameras, constant, floor, look_at, ring, scene
+from tests.helpers.worlds import BALL, ball, balls, bent, cameras, constant, contradicting, floor, look_at, ring, scene
 
 
 @pytest.mark.parametrize("radius", [0.2, 0.4])
@@ -17,18 +16,6 @@ def test_the_box_holds_the_object_and_little_more(radius):
     of = cameras(ring(16), 64, 64, 45.0)
     half = box_half_extent(scene(balls(of, ((0, 0, 0), radius)), of))
     assert radius <= half < 2.2 * radius + 0.15
-
-
-def contradicting():
-    of = cameras(ring(8), 64, 64, 58.0)
-    images = [balls(of, ((0, 0, 0.35 * (-1) ** view), 0.05))[view] for view in range(8)]
-    return scene(torch.stack(images), of)
-
-
-def bent():
-    world = ball()
-    lens = torch.full_like(world.cameras.distortion, 0.01)
-    return dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
 
 
 def test_without_silhouettes_that_bound_an_object_there_is_no_box():

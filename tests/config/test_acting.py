@@ -20,14 +20,10 @@ from qnerf.building.acting import (
     run_id,
     without_effect,
 )
-from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import prepare
 from qnerf.config.identity import flatten
 from qnerf.heads import HEADS
-from qnerf.quantum import QuantumLayer
-from qnerf.timing import Stopwatch
-from qnerf.training.trainer import Trainer
 from tests.helpers.configs import composed
+from tests.helpers.trainer import trainer
 
 
 def test_id_tells_apart_what_acts():
@@ -130,14 +126,11 @@ def test_mistakes_are_one_line():
 
 def after_two_steps(config: dict[str, Any]) -> list[torch.Tensor]:
     """All parameters, and the loss of a third step."""
-    prepared = prepare(config)
-    model = build_model(prepared.settings, prepared.scene)
-    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
-    trainer = Trainer(model, ray_table(prepared.settings, prepared.scene), prepared.settings, watch)
+    taken = trainer(config)
     for _ in range(2):
-        trainer.take_step(measure=False)
-    loss = trainer.take_step(measure=True)["train/loss"]
-    return [*(parameter.detach().clone() for parameter in model.parameters()), torch.tensor(loss)]
+        taken.take_step(measure=False)
+    loss = taken.take_step(measure=True)["train/loss"]
+    return [*(parameter.detach().clone() for parameter in taken.model.parameters()), torch.tensor(loss)]
 
 
 IDLE = {

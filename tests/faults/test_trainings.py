@@ -207,22 +207,11 @@ def test_a_full_disk_stops_the_training_and_with_room_it_goes_on(
     assert_equal_runs(experiment.run(config).path, whole)
 
 
-def zero_moment(content: dict[str, Any]) -> None:
-    content["optimiser"][0]["exp_avg"] = torch.zeros(3)
-
-
-def negative_step(content: dict[str, Any]) -> None:
-    content["step"] = -5
-
-
-@pytest.mark.parametrize("change", [zero_moment, negative_step])
-def test_a_foreign_checkpoint_is_one_line_and_without_it_the_numbers_stay(
-    config: dict[str, Any], whole: Path, change: Callable[[dict[str, Any]], None]
-) -> None:
+def test_a_foreign_checkpoint_is_one_line_and_without_it_the_numbers_stay(config: dict[str, Any], whole: Path) -> None:
     run = interrupted(config, 5)
     path = run / "checkpoint.pt"
     content = torch.load(path, weights_only=True)
-    change(content)
+    content["optimiser"][0]["exp_avg"] = torch.zeros(3)
     torch.save(content, path)
     foreign = path.read_bytes()
     with pytest.raises(StoreError, match=r"does not fit this run .*; delete it to go on from the checkpoint") as error:

@@ -31,19 +31,12 @@ def formula(point, order):
 @EACH_DTYPE
 @settings(max_examples=200, deadline=None)
 @given(point=POINT)
-def test_contract_is_its_formula(order, dtype, point):
-    x = torch.tensor([point], dtype=dtype)
-    expected = torch.tensor([formula(x[0].tolist(), order)], dtype=torch.float64)
-    torch.testing.assert_close(contract(x, order).double(), expected, rtol=0, atol=8 * torch.finfo(dtype).eps)
-
-
-@EACH_ORDER
-@EACH_DTYPE
-@settings(max_examples=200, deadline=None)
-@given(point=POINT)
-def test_everything_finite_lands_in_the_cube_with_a_finite_gradient(order, dtype, point):
+def test_contract_is_its_formula_in_the_cube_with_a_finite_gradient(order, dtype, point):
     x = torch.tensor([point], dtype=dtype, requires_grad=True)
-    unit = (contract(x, order) + 2) / 4
+    contracted = contract(x, order)
+    expected = torch.tensor([formula(x[0].tolist(), order)], dtype=torch.float64)
+    torch.testing.assert_close(contracted.double(), expected, rtol=0, atol=8 * torch.finfo(dtype).eps)
+    unit = (contracted + 2) / 4
     assert unit.dtype == dtype
     assert ((unit >= 0) & (unit <= 1)).all()
     for axis in range(3):
@@ -62,13 +55,6 @@ def test_uncontract_is_the_inverse(order, dtype, point):
     largest = max(1.0, norm(x, order).item())
     # 2 - |f| = 1/|x| is known to some eps, so |x| to some eps |x| relative
     torch.testing.assert_close(back, x, rtol=0, atol=8 * torch.finfo(dtype).eps * largest**2)
-
-
-@EACH_ORDER
-def test_inside_nothing_moves(order):
-    x = torch.rand(1000, 3, generator=torch.Generator().manual_seed(0)) - 0.5
-    assert torch.equal(contract(x, order), x)
-    assert torch.equal(uncontract(x, order), x)
 
 
 @EACH_ORDER
@@ -139,6 +125,3 @@ def test_box():
     box = CONTRACTIONS.build("box", half_extent=2.0)
     x = torch.tensor([[-2.0, 0, 2], [-3, 1, 6]])
     assert box(x).tolist() == [[0, 0.5, 1], [-0.25, 0.75, 2]]
-    for bad in (0.0, -1.0, float("inf"), float("nan")):
-        with pytest.raises(ValueError, match="half_extent must be between 1e-06 and 1000000"):
-            CONTRACTIONS.build("box", half_extent=bad)

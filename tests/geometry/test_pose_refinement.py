@@ -95,10 +95,3 @@ def test_the_penalty_and_its_gradient_at_zero(name: str) -> None:
     with torch.no_grad():
         cameras.motion[0] = torch.tensor([3.0, 0, 4, 0, 0, 2])
     assert float(cameras.penalty().detach()) == pytest.approx((1e-2 * 5 + 1e-3 * 2) / 2)
-
-
-def test_bad_options_are_refused() -> None:
-    with pytest.raises(ValueError, match="rotation_penalty must be between 0 and 1000000, got -1"):
-        CAMERAS.build("so3xr3", 2, rotation_penalty=-1.0)
-    with pytest.raises(ValueError, match="unknown option"):
-        CAMERAS.build("fixed", 2, penalty=1.0)

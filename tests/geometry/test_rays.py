@@ -1,5 +1,6 @@
 """Pixels -> rays: axes, lens, poses, and the table that training draws from."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -21,36 +22,22 @@ IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
 FOX = torch.tensor([0.0578421, -0.0805099, -0.000980296, 0.00015575], dtype=torch.float64)
 
 
-def look_at(centre: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    backward = torch.nn.functional.normalize(centre - target, dim=0)
-    right = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([0, 0, 1.0]).double(), backward), dim=0)
-    return torch.stack([right, torch.linalg.cross(backward, right), backward, centre], dim=1)
-
-
-def cameras(views: int = 5, width: int = 7, height: int = 9, distortion: torch.Tensor = FOX, per_view: bool = False):
-    generator = torch.Generator().manual_seed(views)
-    centres = torch.randn(views, 3, generator=generator, dtype=torch.float64) + torch.tensor([3.0, 0, 0])
-    poses = torch.stack([look_at(centre, torch.zeros(3, dtype=torch.float64)) for centre in centres])
-    change = torch.rand(views, generator=generator, dtype=torch.float64) * per_view
-    return Cameras(
-        poses=poses,
+def cameras(views: int = 5, width: int = 7, height: int = 9, per_view: bool = False) -> Cameras:
+    change = torch.rand(views, generator=torch.Generator().manual_seed(views), dtype=torch.float64) * per_view
+    return dataclasses.replace(
+        worlds.cameras(worlds.ring(views, radius=3.0), width, height),
         fx=8 + change,
         fy=8.5 + change,
         cx=3.4 + change,
         cy=4.6 - change,
-        distortion=distortion.expand(views, 4),
-        width=width,
-        height=height,
+        distortion=FOX.expand(views, 4),
     )
 
 
 def scene(cams: Cameras, channels: int = 3, **options) -> Scene:
-    views = len(cams)
-    generator = torch.Generator().manual_seed(1)
-    images = torch.randint(0, 256, (views, cams.height, cams.width, channels), generator=generator).to(torch.uint8)
-    options = {"train": list(range(views - 1)), "eval": [views - 1]} | options
-    names = [f"{view}.png" for view in range(views)]
-    return Scene("test", images, cams, names=names, fingerprint="", transform=torch.eye(4).double(), **options)
+    size = len(cams), cams.height, cams.width, channels
+    images = torch.randint(0, 256, size, generator=torch.Generator().manual_seed(1)).to(torch.uint8)
+    return worlds.scene(images, cams, **options)
 
 
 def test_axes_are_those_of_opengl():

@@ -1,23 +1,40 @@
-"""A trainer of a configuration, without a store."""
+"""A model, its scene and a trainer from a configuration, without a store."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
-from qnerf.building.acting import settings_of
 from qnerf.building.model import build_model, ray_table
+from qnerf.building.scene import prepare
+from qnerf.config.settings import Settings
+from qnerf.geometry.rays import RayTable
+from qnerf.model.model import Model
 from qnerf.quantum import QuantumLayer
+from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Trainer
-from tests.helpers.scenes import build_scene
+
+
+class Built(NamedTuple):
+    """What a configuration describes."""
+
+    settings: Settings
+    scene: Scene
+    model: Model
+    table: RayTable
+    watch: Stopwatch
+
+
+def built(config) -> Built:
+    settings, scene = prepare(config).of_field()
+    model = build_model(settings, scene)
+    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
+    return Built(settings, scene, model, ray_table(settings, scene), watch)
 
 
 def trainer(config) -> Trainer:
-    settings = settings_of(config)
-    scene = build_scene(settings)
-    model = build_model(settings, scene)
-    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    return Trainer(model, ray_table(settings, scene), settings, watch)
+    settings, _, model, table, watch = built(config)
+    return Trainer(model, table, settings, watch)
 
 
 def same(one: Any, other: Any) -> bool:

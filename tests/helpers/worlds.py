@@ -9,19 +9,17 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from qnerf.geometry import camera_paths
 from qnerf.geometry.rays import camera_rays
 from qnerf.scenes import Cameras, Scene
 
 BALL = 0.4  # radius in world units
+INTRINSICS = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
 
 
 def look_at(centre, target) -> np.ndarray:
     """The pose (3, 4) of a camera at `centre` that looks at `target`, +z up."""
-    backward = np.array(centre, dtype=float) - target
-    backward /= np.linalg.norm(backward)
-    right = np.cross([0, 0, 1.0], backward)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(backward, right), backward, centre], axis=1)
+    return camera_paths.look_at(np.array(centre, dtype=float), np.array(target, dtype=float), np.array([0, 0, 1.0]))
 
 
 def ring(views: int, radius: float = 1.0, height: float = 0.5, outward: bool = False) -> np.ndarray:
@@ -79,6 +77,20 @@ def ball(views: int = 12, size: int = 64, focal: float = 58.0, radius: float = B
     return scene(balls(of, ((0, 0, 0), radius)), of)
 
 
+def contradicting() -> Scene:
+    """Silhouettes of a ball that is above the origin in every second view, and below it in the others."""
+    of = cameras(ring(8), 64, 64, 58.0)
+    images = [balls(of, ((0, 0, 0.35 * (-1) ** view), 0.05))[view] for view in range(8)]
+    return scene(torch.stack(images), of)
+
+
+def bent() -> Scene:
+    """A ball, seen through lenses that distort."""
+    world = ball()
+    lens = torch.full_like(world.cameras.distortion, 0.01)
+    return dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
+
+
 def texture(x: np.ndarray, y: np.ndarray, detail: float) -> np.ndarray:
     """A grey pattern in [0.2, 0.8]; `detail` is its finest frequency in cycles a world unit."""
     random = np.random.default_rng(0)
@@ -122,7 +134,7 @@ def turned(of: Scene, degrees: float, seed: int = 0) -> Scene:
     return dataclasses.replace(of, cameras=dataclasses.replace(of.cameras, poses=poses))
 
 
-def write(of: Scene, folder: Path) -> str:
+def write(of: Scene, folder: Path) -> Path:
     """The scene as a nerfstudio folder, which orients, centres and scales it anew."""
     (folder / "images").mkdir(parents=True)
     frames = []
@@ -130,7 +142,7 @@ def write(of: Scene, folder: Path) -> str:
         Image.fromarray(image.numpy()).save(folder / "images" / name)
         matrix = [*pose.tolist(), [0, 0, 0, 1]]
         frames.append({"file_path": f"images/{name}", "transform_matrix": matrix})
-    focal, size = float(of.cameras.fx[0]), (of.cameras.width, of.cameras.height)
-    transforms = {"fl_x": focal, "w": size[0], "h": size[1], "frames": frames}
+    transforms = {"w": of.cameras.width, "h": of.cameras.height, "frames": frames}
+    transforms |= {name: float(getattr(of.cameras, key)[0]) for name, key in INTRINSICS.items()}
     (folder / "transforms.json").write_text(json.dumps(transforms))
-    return str(folder)
+    return folder

@@ -63,20 +63,6 @@ def test_values_and_gradients_are_those_of_the_reference(dtype, **options):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=200 * eps * max(len(points), 1))
 
 
-def test_the_number_of_threads_does_not_change_a_bit():
-    points, inside, *layers = case(5000, 0.6, 4, 2, 16, 3, True, 1, torch.float32)
-    before, results = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            values = grid_mlp(points, inside, *layers)
-            upstream = torch.linspace(-1, 1, values.numel()).view_as(values)
-            results.append([values, *torch.autograd.grad(values, parameters(*layers), upstream)])
-    finally:
-        torch.set_num_threads(before)
-    assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
-
-
 def test_a_point_that_is_not_a_number_has_values_that_are_none():
     points, _, *layers = case(200, None, 2, 1, 4, 2, True, 1, torch.float32)
     points[3] = torch.nan

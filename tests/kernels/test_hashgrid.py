@@ -102,18 +102,6 @@ def test_levels_that_fit_are_indexed_without_collisions(encode):
 
 
 @BOTH
-@pytest.mark.parametrize("dense", [True, False])
-def test_zero_and_one_are_the_first_and_the_last_vertex(encode, dense):
-    cells = torch.tensor([2])
-    table = torch.arange(32.0).view(1, 32, 1)
-    corners = torch.tensor([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
-    index = (corners * 2).long()
-    i, j, k = index.unbind(-1)
-    rows = i + 3 * j + 9 * k if dense else (i ^ j * 2654435761 ^ k * 805459861) % 2**32 % 32
-    assert encode(corners, table, cells, dense)[:, 0].tolist() == rows.tolist()
-
-
-@BOTH
 def test_points_outside_are_moved_to_the_nearest_face(encode):
     _, table, cells = case(0, [3, 70], 7, 2)
     outside = torch.tensor(
@@ -140,22 +128,7 @@ def test_nan_gives_nan_and_touches_no_other_point(encode, features):
     assert not to_points[bad.isnan()].any()
 
 
-def test_the_same_bits_for_any_number_of_threads():
-    x, table, cells = case(5000, [16, 30, 60, 120, 250], 12, 2)
-    before = torch.get_num_threads()
-    results = []
-    try:
-        for threads in (1, 2, 3, 8):
-            torch.set_num_threads(threads)
-            results.append((hash_encode(x, table, cells), *gradients(hash_encode, x, table, cells)))
-    finally:
-        torch.set_num_threads(before)
-    for result in results[1:]:
-        for a, b in zip(results[0], result, strict=True):
-            assert torch.equal(a, b)
-
-
-def test_gradients_are_computed_where_they_are_needed_and_add_up():
+def test_gradients_are_computed_where_they_are_needed():
     x, table, cells = case(50, [4, 9], 8, 2)
     both = gradients(hash_encode, x, table, cells)
     points = x.clone().requires_grad_()
@@ -167,10 +140,6 @@ def test_gradients_are_computed_where_they_are_needed_and_add_up():
     parameter = torch.nn.Parameter(table.clone())
     hash_encode(x, parameter, cells).backward(weight)
     assert torch.equal(parameter.grad, both[1])
-    first = parameter.grad
-    hash_encode(x, parameter, cells).backward(weight)
-    assert parameter.grad is first
-    assert torch.equal(first, 2 * both[1])
 
 
 def test_strided_and_expanded_tensors():
@@ -181,12 +150,9 @@ def test_strided_and_expanded_tensors():
     out = hash_encode(x, leaf.transpose(1, 2), cells)
     assert torch.equal(out, expected)
     out.sum().backward()  # its gradient is an expanded scalar
-    assert torch.equal(leaf.grad.transpose(1, 2), gradients_of_sum(x, table, cells))
-
-
-def gradients_of_sum(x, table, cells):
-    table = table.clone().requires_grad_()
-    return torch.autograd.grad(hash_encode(x, table, cells).sum(), table)[0]
+    whole = table.clone().requires_grad_()
+    hash_encode(x, whole, cells).sum().backward()
+    assert torch.equal(leaf.grad.transpose(1, 2), whole.grad)
 
 
 WRONG: list[tuple[str, dict[str, torch.Tensor]]] = [

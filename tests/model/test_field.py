@@ -66,14 +66,6 @@ def test_a_view_without_an_embedding_gets_the_mean_of_the_trained_ones(field, po
     torch.testing.assert_close(unknown, mean)
 
 
-def test_the_mask_empties_space_and_stops_its_gradient(field, points):
-    grid = torch.zeros(2, 2, 2, dtype=torch.bool)
-    grid[1] = True
-    field.mask = SpaceMask(grid)
-    density = field.density(points)
-    assert torch.equal(density > 0, points[..., 0] > 0)
-
-
 def masked(field, grid) -> list[torch.Tensor]:
     """Density, geometry, the rendering on last_sample and on white, and the gradients of both, with the mask."""
     generator = torch.Generator().manual_seed(2)

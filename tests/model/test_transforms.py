@@ -9,14 +9,10 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call, jvp
 
-from qnerf.building.acting import settings_of
-from qnerf.building.model import build_model, ray_table
 from qnerf.geometry.contraction import CONTRACTIONS, Box
 from qnerf.geometry.unit_points import unit_points
-from qnerf.quantum import QuantumLayer
-from qnerf.timing import Stopwatch
 from qnerf.types import Rays, Samples
-from tests.helpers.scenes import build_scene
+from tests.helpers.trainer import built
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
 
@@ -30,13 +26,9 @@ MODELS = {
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_rendered_colours_along_a_direction_of_all_parameters(tiny: Callable[..., Any], name: str) -> None:
-    settings = settings_of(tiny("numerics.dtype=float64", *MODELS[name]))
-    scene = build_scene(settings)
-    model, table = build_model(settings, scene).eval(), ray_table(settings, scene)
-    rays, watch = (
-        table.view(0)[torch.arange(0, len(table.view(0)), 9)],
-        Stopwatch(torch.device("cpu"), model, QuantumLayer),
-    )
+    _, _, model, table, watch = built(tiny("numerics.dtype=float64", *MODELS[name]))
+    model.eval()
+    rays = table.view(0)[torch.arange(0, len(table.view(0)), 9)]
 
     def color(parameters: dict[str, Tensor]) -> Tensor:
         rendering, _, _ = functional_call(

@@ -1,4 +1,4 @@
-"""The contraction's derivative and its inverse from 0 over norm 1 to 1e30."""
+"""The contraction's derivative from 0 over norm 1 to 1e30."""
 
 import pytest
 import torch
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS
-from benchmarks.accuracy_cases.geometry import CONTRACTED, CONTRACTION_GRADIENT
+from benchmarks.accuracy_cases.geometry import CONTRACTION_GRADIENT
 from qnerf.geometry.contraction import ORDERS, contract
 from tests.helpers.hard_inputs import rounded
 
@@ -24,10 +24,8 @@ def scaled(axis: tuple[float, ...], size: float) -> Tensor:
 
 @EACH_ORDER
 @given(axis=AXES, size=SIZES)
-def test_contract_and_its_derivative_in_float32(order: str, axis: tuple[float, ...], size: float) -> None:
+def test_the_derivative_of_contract_in_float32(order: str, axis: tuple[float, ...], size: float) -> None:
     point = scaled(axis, size)
-    exact, found = (contract(point.to(dtype), order) for dtype in (torch.float64, torch.float32))
-    assert float((found.double() - exact).abs().max()) <= 2 * CONTRACTED
     jacobians = [
         torch.autograd.functional.jacobian(lambda x: contract(x, order), point.to(dtype)).double()
         for dtype in (torch.float64, torch.float32)

@@ -7,14 +7,22 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import product
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.hashgrid import hash_encode
+from qnerf.kernels.projection import GRAIN, count_views
 from qnerf.quantum import QuantumLayer
+from qnerf.rendering.pdf import sample_edges
+from qnerf.training.losses import distortion, interlevel
 from qnerf.training.trainer import Trainer
+from qnerf.types import Samples
 from tests.helpers.configs import ROOT
 from tests.helpers.trainer import trainer
 
@@ -71,15 +79,6 @@ def one_thread() -> None:
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_training_twice_in_one_process(tiny: Tiny) -> None:
-    config = tiny(*EVERYTHING)
-    first = digest(trained(config, 3).state())
-    torch.rand(7)  # what else the process does with random numbers does not count
-    assert digest(trained(config, 3).state()) == first
-    assert digest(trained({**config, "seed": 1}, 3).state()) != first
-
-
-@pytest.mark.usefixtures("one_thread")
 def test_training_in_a_fresh_process(tiny: Tiny) -> None:
     """With the same number of threads on the same machine: instruction sets and libraries choose the order of sums."""
     config = tiny(*EVERYTHING)
@@ -90,6 +89,7 @@ def test_training_in_a_fresh_process(tiny: Tiny) -> None:
     )
     assert child.returncode == 0, child.stderr
     assert child.stdout.split()[-1] == digest(trained(config, 3).state())
+    assert child.stdout.split()[-1] != digest(trained({**config, "seed": 1}, 3).state())
 
 
 def on_threads(count: int, compute: Callable[[], list[Tensor]]) -> list[Tensor]:
@@ -97,18 +97,47 @@ def on_threads(count: int, compute: Callable[[], list[Tensor]]) -> list[Tensor]:
     return compute()
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("method", ["statevector", "lightcone"])
-def test_circuits_on_1_and_2_threads(method: str, dtype: torch.dtype) -> None:
-    """The compiled engines sum over samples in 32 fixed parts. Those in plain PyTorch promise nothing."""
-    layer = QuantumLayer(6, 1, method=method, backend="compiled").to(dtype)
-    x = torch.randn(3001, 6, dtype=dtype, requires_grad=True)
+def loops() -> dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]]:
+    """Functions with compiled loops, and batches large enough to be shared among threads."""
+    cells, points, table = torch.tensor([16, 60, 250]), torch.rand(5000, 3), torch.rand(3, 2**10, 2)
+    layers = torch.randn(16, 6), torch.randn(16), torch.randn(3, 16), torch.randn(3)
+    places, inside = torch.rand(5000, 3), torch.rand(5000) < 0.6
+    samples, outer = (Samples(s, s) for s in (torch.rand(3000, count).sort(-1).values for count in (49, 97)))
+    weights, proposed = torch.rand(3000, 48) / 48, torch.rand(3000, 96) / 96
+    matrices = torch.randn(5, 3, 4, dtype=torch.float64)
 
-    def compute() -> list[Tensor]:
-        y = layer(x)
-        return [y, *torch.autograd.grad(y, [x, *layer.parameters()], torch.ones_like(y))]
+    def with_layers(table: Tensor, *parameters: Tensor) -> Tensor:
+        return grid_mlp(places, inside, Grid(table, cells, True), Layer(*parameters[:2]), Layer(*parameters[2:]))
 
-    assert all(torch.equal(a, b) for a, b in zip(on_threads(1, compute), on_threads(2, compute), strict=True))
+    found = {
+        "hash grid": (lambda *leaves: hash_encode(*leaves, cells), (points, table)),
+        "hash grid and MLP": (with_layers, (table, *layers)),
+        "distortion": (partial(distortion, samples), (weights,)),
+        "interlevel": (lambda proposed: interlevel(samples, weights, [(outer, proposed)]), (proposed,)),
+        "drawing": (lambda: sample_edges(outer.spacing, proposed, 49), ()),
+        "views": (lambda: count_views(torch.randn(3 * GRAIN + 5, 3).double(), matrices, 3, 2, 5), ()),
+    }
+    for method, dtype in product(("statevector", "lightcone"), (torch.float32, torch.float64)):
+        layer = QuantumLayer(6, 1, method=method, backend="compiled").to(dtype)
+        x = torch.randn(3001, 6, dtype=dtype)
+        found[f"{method} in {dtype}"] = (lambda x, *_, layer=layer: layer(x), (x, *layer.parameters()))
+    return found
+
+
+def test_compiled_loops_on_1_2_and_3_threads() -> None:
+    """They sum in fixed parts, whoever computes these. What is in plain PyTorch promises nothing."""
+    for name, (function, inputs) in loops().items():
+        leaves = [tensor.requires_grad_() for tensor in inputs]
+
+        def compute(function: Callable[..., Tensor] = function, leaves: list[Tensor] = leaves) -> list[Tensor]:
+            torch.manual_seed(0)
+            y = function(*leaves)
+            upstream = torch.linspace(-1, 1, y.numel(), dtype=y.dtype).view_as(y)
+            return [y, *(torch.autograd.grad(y, leaves, upstream) if leaves else ())]
+
+        one, two, three = (on_threads(count, compute) for count in (1, 2, 3))
+        assert all(map(torch.equal, one, two)), name
+        assert all(map(torch.equal, one, three)), name
 
 
 def test_batches_and_samples_on_1_and_2_threads(tiny: Tiny) -> None:

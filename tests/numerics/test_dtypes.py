@@ -98,7 +98,8 @@ def test_step_in_float32_makes_no_float64_but_on_purpose(
 
 @pytest.mark.parametrize("name", ["polynomials", "random features"])
 def test_step_in_float64_makes_no_float32(tiny: Callable[..., dict[str, Any]], name: str) -> None:
-    assert stepped(tiny(*STEPS[name][0], "train.distortion=0.01", "numerics.dtype=float64")).found == {}
+    watcher = stepped(tiny(*STEPS[name][0], "train.distortion=0.01", "numerics.dtype=float64"))
+    assert (watcher.known, watcher.found) == ({torch.float64, torch.complex128}, {})
 
 
 def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s() -> None:

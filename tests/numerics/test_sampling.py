@@ -115,9 +115,10 @@ def test_edges_of_every_sampler_are_ordered_from_near_0_to_far_1e6(
     generator = torch.Generator().manual_seed(seed)
     found = samplers[name](rays_between(0.0, 1e6, 4), density, generator=generator, step=2000)
     for samples in [found.samples, *(samples for samples, _ in found.proposals)]:
-        assert bool((samples.edges.diff() >= 0).all())
-        assert bool((samples.edges >= 0).all())
-        assert bool((samples.edges <= 1e6 * (1 + SPACED)).all())
+        for edges, far in ((samples.edges, 1e6 * (1 + SPACED)), (samples.spacing, 1)):
+            assert bool((edges.diff() >= 0).all())
+            assert bool((edges >= 0).all())
+            assert bool((edges <= far).all())
 
 
 @given(seed=seeds, bins=st.integers(1, 64), count=st.integers(1, 64), power=st.sampled_from([0, 1, 8, 40]))

@@ -4,11 +4,8 @@ import json
 import os
 import platform
 import re
-import signal
-import subprocess
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +13,6 @@ import pytest
 
 from qnerf import records
 from qnerf.records import Run, RunStore, StoreError, owner
-from tests.helpers.processes import start
 from tests.helpers.stores import CONFIG, claimed, vanish
 
 
@@ -181,46 +177,6 @@ def test_a_damaged_owner_file_is_watched_too(store_: RunStore) -> None:
     claim = RunStore(store_.root, watch=20).claim("a", CONFIG)
     thread.join()
     assert claim.outcome == "busy"
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no SIGSTOP on this platform")
-def test_a_stopped_owner_keeps_its_run_here_and_loses_it_to_another_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    process = start("replacing", str(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    try:
-        part = tmp_path / "a" / "metrics" / "part-00000.parquet"
-        wait_for(lambda: part.exists() and part.stat().st_size > 2_000)
-        process.send_signal(signal.SIGSTOP)
-        store = RunStore(tmp_path, every=60, watch=0.3)
-        assert store.claim("a", CONFIG).outcome == "busy"
-        monkeypatch.setattr(owner, "_boot_id", lambda: "another machine's")
-        monkeypatch.setattr(owner, "HEARTBEAT_LIMIT", 0.0)
-        claim = store.claim("a", CONFIG)
-        assert claim.outcome == "resumed"
-        assert claim.run is not None
-        claim.run.resume(-1)
-        content = {path: path.read_bytes() for path in (tmp_path / "a").rglob("*.parquet")}
-        process.send_signal(signal.SIGCONT)
-        _, errors = process.communicate(timeout=60)
-        assert process.returncode == 1
-        # It was stopped in a check of its ownership, or while it wrote a file that its successor has removed since.
-        assert re.search(
-            "taken over by another process; this one stops writing|part-.*: cannot write: No such file", errors
-        )
-        assert {path: path.read_bytes() for path in (tmp_path / "a").rglob("*.parquet")} == content
-        claim.run.finish()
-        assert records.state(tmp_path / "a") == "finished"
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_an_owner_that_was_frozen_while_it_wrote_does_not_rename(

@@ -5,18 +5,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qnerf.building.acting import settings_of
-from qnerf.building.model import build_model, ray_table
 from qnerf.heads.activations import DENSITY_ACTIVATIONS
 from qnerf.kernels import plain
 from qnerf.kernels.dispatch import report
-from qnerf.quantum import QuantumLayer
 from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.shading import SHADINGS, SMALL, shade
-from qnerf.timing import Stopwatch
 from qnerf.types import Samples
 from tests.helpers.configs import TINY
-from tests.helpers.scenes import build_scene
+from tests.helpers.trainer import built
 
 
 def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, Samples]:
@@ -105,27 +101,13 @@ def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, e
 def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, shading, field):
     """Then a shading may leave the colour head nothing at all to evaluate."""
     options = ["visibility.cameras=0", "occupancy.every=1", "visibility.resolution=4", "render.background=white"]
-    settings_ = settings_of(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
-    scene = build_scene(settings_)
-    model, table = build_model(settings_, scene).eval(), ray_table(settings_, scene)
+    _, _, model, table, watch = built(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
+    model.eval()
     model.field.mask.grid = torch.zeros_like(model.field.mask.grid)
-    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
     rays, _ = table.batch(16, torch.Generator().manual_seed(0))
     rendering, _, _ = model(rays, background="white", step=0, watch=watch)
     assert torch.equal(rendering.color, torch.ones(16, 3))
     assert torch.equal(rendering.accumulation, torch.zeros(16))
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("threshold", {"min_share": 1.0}, "min_share must be at least 0 and below 1, got 1.0"),
-        ("top", {"samples": 0}, "samples must be between 1 and 65536, got 0"),
-    ],
-)
-def test_bad_options_are_one_line(name, options, message):
-    with pytest.raises(ValueError, match=message):
-        SHADINGS.build(name, **options)
 
 
 def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_all_changes_nothing(config):
@@ -135,14 +117,11 @@ def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_
         options = (
             ["shading.min_share=0.0"] if shading == "threshold" else ["shading.samples=1"] if shading == "top" else []
         )
-        settings_ = settings_of(
+        _, _, model, table, watch = built(
             config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"shading={shading}", *options, *TINY)
         )
-        scene = build_scene(settings_)
-        model, table = build_model(settings_, scene), ray_table(settings_, scene)
         seen: list[int] = []
         model.field.color_head.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(len(inputs[0])))
-        watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
         rays, _ = table.batch(32, torch.Generator().manual_seed(0))
         colors = []
         for training in (True, False):

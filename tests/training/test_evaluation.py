@@ -2,23 +2,16 @@ import numpy as np
 import pytest
 import torch
 
-from qnerf.building.acting import settings_of
-from qnerf.building.model import build_model, ray_table
-from qnerf.quantum import QuantumLayer
-from qnerf.timing import Stopwatch
 from qnerf.training.evaluation import Evaluator, RenderedView, shade
-from tests.helpers.scenes import build_scene
+from tests.helpers.trainer import built
 
 
 @pytest.fixture
 def make(tiny):
-    settings = settings_of(tiny("field=qcolor", "qiren.qubits=3"))
-    scene = build_scene(settings)
-    model = build_model(settings, scene)
-    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
+    _, scene, model, table, watch = built(tiny("field=qcolor", "qiren.qubits=3"))
 
     def evaluator(chunk: int = 2048, background: str = "white") -> Evaluator:
-        return Evaluator(scene, ray_table(settings, scene), model, background=background, chunk=chunk, watch=watch)
+        return Evaluator(scene, table, model, background=background, chunk=chunk, watch=watch)
 
     return evaluator
 
@@ -82,13 +75,9 @@ def test_near_depth_is_brighter_than_far():
 
 @pytest.mark.parametrize("activation", ["linear", "scaled", "sigmoid"])
 def test_colours_are_clamped_in_evaluation_alone(tiny, activation):
-    settings = settings_of(tiny("field=qcolor", "qiren.qubits=3", f"color.activation={activation}"))
-    scene = build_scene(settings)
-    model = build_model(settings, scene)
+    _, scene, model, table, watch = built(tiny("field=qcolor", "qiren.qubits=3", f"color.activation={activation}"))
     with torch.no_grad():
         model.field.color_head.readout.bias.fill_(2.0)
-    watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
-    table = ray_table(settings, scene)
     evaluator = Evaluator(scene, table, model, background="white", chunk=2048, watch=watch)
     assert float(evaluator.render(scene.eval[0], step=0).color.max()) <= 1
     rendering, _, _ = model(table.view(scene.eval[0]), background="last_sample", step=0, watch=watch)

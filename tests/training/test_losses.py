@@ -1,10 +1,8 @@
-import pytest
 import torch
 
 from qnerf.training.losses import (
     distortion,
     interlevel,
-    mse,
 )
 from qnerf.types import Samples
 
@@ -16,29 +14,12 @@ def histogram(rays: int, bins: int, seed: int, dtype: torch.dtype = torch.float6
     return Samples(1 + 9 * s, s), w / w.sum(-1, keepdim=True)
 
 
-def test_mse() -> None:
-    color = torch.tensor([[0.0, 0.5, 1.0]])
-    assert float(mse(color, torch.zeros(1, 3))) == pytest.approx(1.25 / 3)
-
-
 def test_interlevel_of_a_proposal_without_gradient_and_of_none() -> None:
     samples, weights = histogram(2, 6, 0)
     loss = interlevel(samples, weights, [histogram(2, 4, 1)])
     assert not loss.requires_grad
     assert float(loss.detach()) > 0
     assert float(interlevel(samples, weights, [])) == 0
-
-
-def test_losses_do_not_depend_on_the_number_of_threads() -> None:
-    samples, weights = histogram(3000, 48, 0, torch.float32)
-    outer, proposed = histogram(3000, 96, 1, torch.float32)
-    results = []
-    for threads in (1, 2):
-        torch.set_num_threads(threads)
-        w, v = weights.clone().requires_grad_(), proposed.clone().requires_grad_()
-        losses = distortion(samples, w), interlevel(samples, w, [(outer, v)])
-        results.append([*losses, *torch.autograd.grad(losses[0], w), *torch.autograd.grad(losses[1], v)])
-    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
 def test_nan_weights_are_not_hidden() -> None:

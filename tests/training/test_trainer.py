@@ -57,14 +57,6 @@ def test_steps_lower_the_loss(tiny):
     assert sum(losses[-10:]) < 0.9 * sum(losses[:10])
 
 
-def test_parameters_and_gradients_stay_in_their_dtype(tiny):
-    for dtype in ("float32", "float64"):
-        taken = trainer(tiny("field=qboth", f"numerics.dtype={dtype}"))
-        taken.take_step(measure=False)
-        assert {p.dtype for p in taken.model.parameters()} == {getattr(torch, dtype)}
-        assert {p.grad.dtype for p in taken.model.parameters() if p.grad is not None} == {getattr(torch, dtype)}
-
-
 STOP = ("stop.every=2", "stop.share=0.1", "stop.rays=9", "field=classical")
 
 
