@@ -144,16 +144,6 @@ def test_a_run_says_where_its_world_is(tiny):
     torch.testing.assert_close(stored[:, :3] @ stored[:, :3].T, torch.eye(3, dtype=torch.float64))
 
 
-def test_a_finished_run_is_skipped_and_force_does_it_over(tiny):
-    first = run(tiny())
-    again = run(tiny())
-    assert (again.state, again.summary["train_s"]) == ("finished", first.summary["train_s"])
-    assert "finished already" in again.message
-    forced = run(tiny("run.force=true"))
-    assert forced.run_id == first.run_id
-    assert forced.message == ""
-
-
 @pytest.mark.parametrize("stop_at", [1, 5])
 def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, run_until, stop_at):
     """Also its occupancy, after a look, and the step at which it no longer gains."""

@@ -147,16 +147,6 @@ def test_a_signals_picture_has_three_panels(tmp_path):
         assert (np.stack(list(found.values())) == own).all()
 
 
-def test_a_damaged_picture_is_told_and_does_not_stop_the_others(tmp_path):
-    random = np.random.default_rng(0)
-    strip = picture(*random.integers(0, 255, (4, 5, 6, 3), dtype=np.uint8))
-    run = write_run(tmp_path, pictures={"one": strip, "two": strip})
-    (run / "images" / "one.png").write_bytes(b"\x89PNG broken")
-    found = gather(runs(tmp_path), [0], 100)
-    assert list(found.runs[0]) == ["two"]
-    assert "1 pictures are damaged" in found.note
-
-
 def test_every_configuration_gets_a_place_before_its_second_seed(frame):
     ordered = frame.loc[content.order(frame)]
     states = ordered["state"].tolist()

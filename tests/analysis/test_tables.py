@@ -56,13 +56,6 @@ def test_a_row_has_its_verdict_against_the_baseline(store):
     assert ablation(runs(store), ["field"], baseline="field=classical", within=5).text["verdict"][1] == "equivalent *"
 
 
-def test_an_infinite_value_has_no_verdict(store):
-    write_run(store, "qcolor", 4, [float("inf"), 20.0])
-    assert ablation(runs(store), ["field"]).notes == ("left out: 1 infinite psnr",)
-    with pytest.raises(ValueError, match="psnr of 1 runs is infinite"):
-        ablation(runs(store), ["field"], baseline={"field": "classical"})
-
-
 def test_one_seed_has_no_spread_and_says_so(store):
     frame = runs(store)
     table = ablation(frame[frame["seed"] == 0], ["field"], baseline={"field": "classical"})
@@ -153,9 +146,6 @@ def test_mistakes_are_named(store, tmp_path):
         r"no finished run of 6 has lpips; have: .*psnr, ssim": lambda: ablation(frame, ["field"], metric="lpips"),
         r"no metric 'beauty'; the runs have .*psnr": lambda: ablation(frame, ["field"], values=["beauty"]),
         r"no metric 'color'": lambda: ablation(frame, ["field"], metric="color"),
-        r"no row of 2 has field=qubit; there are field: classical, qcolor": lambda: ablation(
-            frame, ["field"], baseline={"field": "qubit"}
-        ),
         r"'seed' is not a row key; the rows are field": lambda: ablation(frame, ["field"], baseline={"seed": 0}),
         r"expected one row of the table that matches, got 2: 2x64, classical; 2x64, qcolor": lambda: ablation(
             frame, ["density", "field"], baseline={"density": "2x64"}
@@ -262,8 +252,6 @@ def test_the_command_prints_what_is_asked(store, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("field,psnr_mean,psnr_std,psnr_n")
     assert err.startswith("difference from classical")
-    with pytest.raises(ValueError, match="has seed=7; there are seed: 0, 1, 2"):
-        main([str(store), "--filter", "seed=7"])
     with pytest.raises(ValueError, match="baseline: 'run_id' is not a row key"):
         main([str(store), "--rows", "field", "--baseline", "seed"])
 

