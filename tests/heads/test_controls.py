@@ -1,8 +1,9 @@
-"""Controls of circuit heads, and QIREN beside a linear map."""
+"""Controls of circuit heads, QIREN beside a linear map, and angles that a network makes."""
 
 import itertools
 import math
 
+import pennylane as qml
 import torch
 
 from qnerf.heads import HEADS
@@ -96,6 +97,37 @@ def test_wire_per_feature_and_pairs_of_observables():
     torch.testing.assert_close(layer(x)[:, :4], single(x))
     plain = HEADS.build("qiren_bypass", 4, 2, spectral=1, qubits=3, bypass=False, from_zero=False)
     assert plain.bypass is None
+
+
+def test_hyper_runs_its_own_circuit_for_each_sample():
+    for unitary in ("circuit", "local"):
+        torch.manual_seed(0)
+        head = HEADS.build("hyper", 8, 2, layers=2, unitary=unitary, gain=2.0).double()
+        x = torch.randn(4, 8, dtype=torch.float64)
+        x[0, :3] = torch.tensor([0.0, 0.0, -1.0])  # a pole, where the longitude is any
+        longitude = torch.atan2(x[:, 1], x[:, 0])
+        latitude = torch.acos(torch.nn.functional.normalize(x[:, :3], dim=1)[:, 2])
+        angles = head.network(x[:, 3:]).view(4, 2, 3, 2)  # layer, wire, RZ and RY
+
+        @qml.qnode(qml.device("default.qubit", wires=3), interface="torch")
+        def values(start, turn, layers, entangled):
+            for wire in range(3):
+                qml.RY(start, wire)
+                qml.RZ(turn, wire)
+            for layer in layers:
+                for wire, (z, y) in enumerate(layer):
+                    qml.RZ(z, wire)
+                    qml.RY(y, wire)
+                for pair in ((0, 1), (1, 2), (2, 0)) if entangled else ():
+                    qml.CNOT(pair)
+            return [qml.expval(qml.Z(wire)) for wire in range(3)]
+
+        samples = zip(latitude, longitude, angles, strict=True)
+        expected = torch.stack([torch.stack(values(*one, unitary == "circuit")) for one in samples])
+        torch.testing.assert_close(head(x), head.readout(2 * expected))
+    moved = x.clone().requires_grad_()
+    head(moved).sum().backward()
+    assert torch.isfinite(moved.grad).all()
 
 
 def test_recipes_give_a_head_what_its_class_names():

@@ -2,6 +2,7 @@
 
 from qnerf.heads.amplitude import AmplitudeHead
 from qnerf.heads.base import HEADS, Head, chosen, head_options
+from qnerf.heads.hyper import HyperHead
 from qnerf.heads.mlp import MLPHead
 from qnerf.heads.qfgn import QFGNHead
 from qnerf.heads.qiren import HybridLayer, QirenHead
@@ -12,6 +13,6 @@ from qnerf.heads.surrogate import SurrogateHead
 from qnerf.heads.tensor_train import TensorTrainHead
 
 __all__ = [
-    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "MLPHead", "QFGNHead", "QRunHead", "QirenBypassHead",
+    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "HyperHead", "MLPHead", "QFGNHead", "QRunHead", "QirenBypassHead",
     "QirenHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen", "head_options",
 ]  # fmt: skip
