@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from qnerf.analysis.figures import FIGURES
+from qnerf.analysis import load
+from qnerf.analysis.figures import FIGURES, cheapest, stand_in_points
 
 from tests.helpers import commands, quotes
 from tests.helpers.configs import ROOT
@@ -128,6 +129,22 @@ def ladder_cell(row) -> str:
     """Milliseconds a step, PSNR, and the picture's error where the weights are the same."""
     psnr = f"{row.psnr:.2f} ± {row.psnr_std:.2f}" if row.n > 1 else f"{row.psnr:.2f}"
     return f"{row.step_ms:.0f} ms, {psnr}" + (f", {row.image_error:.1e}" if row.kind == "same weights" else "")
+
+
+def test_the_cheapest_stand_ins_of_a_circuit():
+    """Not worse, with the least CPU time: as the figure of the packed ladders has them."""
+    found = {}
+    for pack in ("ladder", "ladder_density", "ladder_color"):
+        table, _ = stand_in_points(load.runs(ROOT / "docs" / "results" / pack))
+        found |= {(pack, scene): cheapest(own, "cpu_s").split(": ")[-1] for scene, own in table.groupby("scene_name")}
+    assert found == {
+        ("ladder", "astronaut"): "siren3x18",
+        ("ladder", "camera"): "siren3x18",
+        ("ladder_density", "fox_64"): "2x29",
+        ("ladder_density", "poster"): "2x29",
+        ("ladder_color", "fox_64"): "all undecided or worse",
+        ("ladder_color", "poster"): "2x41",
+    }
 
 
 def test_what_documents_link_to_is_there():

@@ -18,7 +18,7 @@ from .forest import COLORS
 PARTS = ("head", "density", "color")
 CIRCUIT = r"\d+L\d+S"
 """The label of a QIREN head, which is the baseline where no other is given."""
-NOT_WORSE = ("better", "equivalent")
+NOT_WORSE = ("better", "equivalent", "not worse")
 
 
 def stand_in_points(
@@ -32,7 +32,8 @@ def stand_in_points(
 
     A rung is the label of a head. Of its configurations, such as learning rates, the best mean counts, on both sides.
     Columns scene_name, rung, `metric` and its _std, params, cpu_s (seconds of CPU in training), n, verdict, which is
-    "circuit" for the baseline. ValueError where the heads do not differ, or a scene has no baseline.
+    "circuit" for the baseline, and "not worse" where nothing else is decided and a loss of `within` is ruled out.
+    ValueError where the heads do not differ, or a scene has no baseline.
     """
     runs = select(frame, metric).runs
     part = next((one for one in PARTS if runs[one].nunique() > 1), None)
@@ -56,16 +57,17 @@ def stand_in_points(
         if len(found) != 1:
             raise ValueError(f"{scene}: expected one circuit, got {len(found)}: give --baseline, such as {part}=1L2S")
         others = int((table["scene_name"] == scene).sum()) - 1
-        judged = compare(
+        verdict = compare(
             groups[found[0]], groups[number], within_of(metric, within), metric=metric, comparisons=max(1, others)
-        )
-        verdicts.append("circuit" if number == found[0] else judged[0].kind)
+        )[0]
+        kind = "not worse" if verdict.excluded == "a loss" else verdict.kind
+        verdicts.append("circuit" if number == found[0] else kind)
     columns = ["scene_name", "rung", metric, f"{metric}_std", "params", "cpu_s", "n", "verdict"]
     return table.assign(verdict=verdicts)[columns], part
 
 
 def cheapest(table: pd.DataFrame, cost: str) -> str:
-    """Which of a scene's rungs has the least `cost` and is better than the circuit or equivalent to it, in words."""
+    """Which of a scene's rungs has the least `cost` and is one of `NOT_WORSE`, in words."""
     kept = table[table["verdict"].isin(NOT_WORSE)]
     if kept.empty:
         return "all undecided or worse"
@@ -90,6 +92,7 @@ def stand_ins(
     axes = figure.subplots(len(scenes), 2, sharey="row", squeeze=False)
     drawn = []
     looks = {"circuit": (style.ink(), "*")} | {kind: (color, "o") for kind, color in COLORS.items()}
+    looks["not worse"] = looks["equivalent"]
     for line, scene in zip(axes, scenes, strict=True):
         own = table[table["scene_name"] == scene]
         for ax, cost, heading in zip(line, ("params", "cpu_s"), ("parameters", "training, CPU s"), strict=True):
@@ -107,6 +110,7 @@ def stand_ins(
         f"{what}, each with its best settings; star: the circuit",
         points.seeds(table),
         method(metric, within_of(metric, within)),
+        "not worse: a loss of that size is ruled out",
     )
     write_names(figure, drawn)
     return figure
