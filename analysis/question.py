@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from .paper import PAPER_TABLES
 from .tables import Table, ablation, resources, units
-
-QUALITY = ("psnr", "ssim", "depth_error")
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,10 @@ class Question:
     rows: the keys that distinguish the rows of each table.
     baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
     metric: what the tables compare and rank; within: its smallest difference that matters, where not the usual one.
-    values: the columns; those that no run has are left out.
-    failures: whether to say which runs slipped or collapsed; units, hardware: whether to add the table of that name.
-    paper: the names of the paper's tables to add.
+    values: columns beside the metric; those that no run has are left out.
+    failures: whether to say which runs slipped or collapsed.
+    units, hardware, paper: whether its page shows another table in place of the comparison: of dead units, of shots and
+    noise, or the paper's table of that name.
     """
 
     title: str
@@ -29,34 +30,50 @@ class Question:
     baseline: Mapping[str, object] | None = None
     metric: str = "psnr"
     within: float | None = None
-    values: Sequence[str] = QUALITY
+    values: Sequence[str] = ()
     failures: bool = False
     units: bool = False
     hardware: bool = False
-    paper: Sequence[str] = ()
+    paper: str = ""
     other_baselines: Sequence[Mapping[str, object]] = ()
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """The tables of the question's runs, as `load.runs` gives them."""
+        """The comparisons with each baseline, of the question's runs as `load.runs` gives them."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
-        tables = [
-            ablation(frame, self.rows, metric=self.metric, values=values, baseline=self.baseline, within=self.within)
-        ]
-        for other in self.other_baselines:
-            tables.append(
-                ablation(
-                    frame, self.rows, metric=self.metric, values=(self.metric,), baseline=other, within=self.within
-                )
+        given = [(self.baseline, values), *((other, []) for other in self.other_baselines)]
+        return [
+            ablation(
+                frame,
+                self.rows,
+                metric=self.metric,
+                values=[self.metric, *names],
+                baseline=baseline,
+                within=self.within,
             )
-        wanted = ((self.units, units), (self.hardware, resources))
-        tables += [make(frame, self.rows) for wants, make in wanted if wants]
-        return tables + [PAPER_TABLES[name][1](frame) for name in self.paper]
+            for baseline, names in given
+        ]
+
+    def instead(self, frame: pd.DataFrame) -> Table | None:
+        """The table that its page shows in place of the comparisons, where it has one."""
+        if self.paper:
+            return PAPER_TABLES[self.paper][1](frame)
+        if self.units:
+            return units(frame, self.rows)
+        if self.hardware:
+            table = resources(frame, self.rows)
+            asked = [*self.rows, *(metric_of(name).heading for name in self.values)]
+            shown = [name for name in table.text if name in asked or name.startswith("PSNR")]
+            return Table(table.title, table.text[shown], table.data, table.bold[shown])
+        return None
 
     def table_command(self, name: str) -> str:
-        """The command that makes its first table from the packed runs in docs/results/`name`."""
-        command = f"qnerf tables docs/results/{name} --rows {','.join(self.rows)}"
+        """The command that makes its table from the packed runs in docs/results/`name`."""
+        command = f"qnerf tables docs/results/{name}"
+        if self.paper:
+            return f"{command} --paper {self.paper}"
+        command += f" --rows {','.join(self.rows)}" + " --units" * self.units + " --resources" * self.hardware
         if self.metric != "psnr":
-            command += f" --metric {self.metric} --values {','.join(self.values)}"
+            command += f" --metric {self.metric} --values {','.join((self.metric, *self.values))}"
         if self.within is not None:
             command += f" --within {self.within:g}"
         if self.baseline is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.metrics import metric_of, quality_metrics
+from qnerf.metrics import metric_of
 from qnerf.records.files import one_line, replace
 from qnerf.records.printable import printable
 
@@ -24,16 +24,18 @@ from .tables.table import markdown_escape
 INDEX = """\
 # Results
 
-One line a question: what its runs say, and the page with the table and the commands that train them. `qnerf results
-docs/results` writes all of these pages from the packed runs in `docs/results/`.
+One line a question: what its runs say, and the page with the table and the commands. `qnerf results docs/results`
+writes all of these pages from the packed runs in `docs/results/`.
 
-PSNR is the mean over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training; ± is the standard
-deviation over seeds. Verdicts compare with the baseline of the page, see [analysis.md](analysis.md#verdicts). The
-training commands are those of `poster`; add `scene=nerfstudio scene.path=DIR` for `fox_64`, the fox capture of
-instant-ngp at 36 x 64. Commands with `density.mlp.init=torch` reproduce runs from before `train=quick` gave MLPs He's
-initial weights; `proposal.samples=[128,64]` repeats runs from before it halved the samples of the proposal networks,
-which changes no PSNR. The runs of a table were not all trained at the same time, so compare step times with
-`python -m benchmarks.training` instead. {hardware}
+- PSNR is the mean over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training; ± is the standard
+  deviation over seeds. [analysis.md](analysis.md#verdicts) explains the verdicts.
+- A table without a column of seeds has every seed that its page names in each row.
+- The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
+- `density.mlp.init=torch` repeats runs from before `train=quick` gave MLPs He's initial weights.
+  `proposal.samples=[128,64]` repeats runs from before it halved the samples of the proposal networks, which changes no
+  PSNR.
+- The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
+  instead. {hardware}
 
 | question | what the runs say |
 |---|---|
@@ -84,42 +86,69 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
     """The page of a question's packed runs, and its line in the index."""
     frame = load.runs(folder)
     tables = question.tables(frame)
-    own = tables[: 1 + len(question.other_baselines)]
+    shown = question.instead(frame) or beside(tables, question)
+    commands = (*question.commands, question.table_command(folder.name))
+    parts = [f"# {question.title}", trained(frame)]
+    parts += ["\n".join(f"    {line}" for line in commands), without_repetition(shown, frame).markdown()]
+    if question.failures and (failed := failures(stability(frame, question.rows))):
+        parts.append(failed)
+    parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
+    parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
+    return "\n\n".join(parts) + "\n", verdicts(tables[0], question)
+
+
+def scene_key(rows: Sequence[str]) -> str:
+    """The key that tells the scenes of a question apart; empty where it has none."""
+    return next((key for key in rows if key in (*SCENES, "scene.shape")), "")
+
+
+def trained(frame: pd.DataFrame) -> str:
+    """`60 runs; train=quick, 1,500 steps; seeds 0 to 2.`"""
     steps = frame.groupby("train")["train.steps"].unique()
     budgets = "; ".join(
         f"`train={recipe}`, {', '.join(f'{n:,.0f}' for n in sorted(numbers))} steps"
         for recipe, numbers in steps.items()
     )
     seeds = sorted(frame["seed"].unique())
-    seeds = f"{seeds[0]:.0f} to {seeds[-1]:.0f}" if len(seeds) > 1 else f"{seeds[0]:.0f}"
-    parts = [f"# {question.title}", f"{len(frame)} runs; {budgets}; seeds {seeds}."]
-    parts.append("\n".join(f"    {line}" for line in (*question.commands, question.table_command(folder.name))))
-    if not (question.paper or question.hardware):
-        parts.append(beside(own, question).markdown())
-    parts += [f"**{table.title}**\n\n{table.markdown()}" for table in tables[len(own) :]]
-    if question.failures and (failed := failures(stability(frame, question.rows))):
-        parts.append(failed)
-    parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
-    parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
-    return "\n\n".join(parts) + "\n", verdicts(own[0], question)
+    seeds = f"seeds {seeds[0]:.0f} to {seeds[-1]:.0f}" if len(seeds) > 1 else f"seed {seeds[0]:.0f}"
+    return f"{len(frame)} runs; {budgets}; {seeds}."
+
+
+def without_repetition(table: Table, frame: pd.DataFrame) -> Table:
+    """The table without columns that say the same in all rows, which a note says once, and without empty ones.
+
+    The paper's numbers go where none of ours stand beside them, the number of seeds where each row has all of them.
+    """
+    text = table.text
+    empty = [name for name in text if not text[name].any()]
+    empty += [name.replace(": ours", ": paper") for name in empty]
+    alike = [name for name in text if len(text) > 1 and name not in empty and text[name].nunique() == 1]
+    shown = [name for name in text if name not in (*empty, *alike)]
+    said = {name: text[name].iloc[0] for name in alike}
+    if said.get("seeds") == str(frame["seed"].nunique()):
+        said.pop("seeds")
+    notes = [f"In each row: {'; '.join(f'{name} {value}' for name, value in said.items())}."] if said else []
+    return Table(table.title, text[shown], table.data, table.bold[shown], (*notes, *table.notes))
 
 
 def beside(tables: Sequence[Table], question: Question) -> Table:
-    """The question's tables as one: the metric of each scene, the verdicts against each baseline beside it, and the
-    other values of the question that do not say how good a run is."""
+    """The question's tables as one: the metric of each scene, the verdicts against each baseline, and other values.
+
+    The difference of two baselines is said once, in the row of the later one.
+    """
     first = tables[0].text
-    keys = [key for key in question.rows if key in first]
     own = metric_of(question.metric).heading
-    quality = {item.heading for item in quality_metrics()} - {own}
-    shown, bold = first[[*keys, own]].copy(), tables[0].bold[[*keys, own]].copy()
+    shown, bold = first[[*question.rows, own]].copy(), tables[0].bold[[*question.rows, own]].copy()
     for table, baseline in zip(tables, (question.baseline, *question.other_baselines), strict=True):
         if baseline is not None:
             heading = f"against {label(tuple(baseline.values()))}"
             shown[heading], bold[heading] = against(table.text, own), False
+            if table is not tables[0]:
+                shown.loc[first["verdict"] == "", heading] = ""
     for name in first.columns.difference(shown.columns, sort=False):
-        if name not in quality and name not in (f"difference, {own}", "verdict", "effect", "pairs"):
+        if name not in (f"difference, {own}", "verdict"):
             shown[name], bold[name] = first[name], tables[0].bold[name]
-    return by_scene(Table("", shown, tables[0].data, bold), keys)
+    return by_scene(Table("", shown, tables[0].data, bold), question.rows)
 
 
 def against(text: pd.DataFrame, metric: str) -> list[str]:
@@ -130,15 +159,15 @@ def against(text: pd.DataFrame, metric: str) -> list[str]:
 
 
 def by_scene(table: Table, keys: Sequence[str]) -> Table:
-    """The table with a row for what several rows of up to three scenes have in common.
+    """The table with a row for what several rows of two or three scenes have in common.
 
     The columns that differ between the scenes come once for each, as `SCENE: COLUMN`.
     """
     text = table.text
-    key = next((key for key in keys if key in (*SCENES, "scene.shape")), "")
+    key = scene_key(keys)
     rows = [name for name in keys if name != key]
     scenes = list(dict.fromkeys(text[key])) if key else []
-    if not rows or len(scenes) not in (1, 2, 3):
+    if not rows or len(scenes) not in (2, 3):
         return table
     parts = {scene: text[text[key] == scene].set_index(rows).drop(columns=key) for scene in scenes}
     marks = {scene: table.bold.loc[(text[key] == scene).to_numpy()] for scene in scenes}
@@ -147,7 +176,7 @@ def by_scene(table: Table, keys: Sequence[str]) -> Table:
     for name in next(iter(parts.values())).columns:
         columns = {scene: part[name].reindex(index) for scene, part in parts.items()}
         alike = pd.DataFrame({scene: list(column) for scene, column in columns.items()}).ffill(axis=1).bfill(axis=1)
-        if len(scenes) > 1 and (alike.nunique(axis=1) == 1).all() and not marks[scenes[0]][name].any():
+        if (alike.nunique(axis=1) == 1).all() and not marks[scenes[0]][name].any():
             shown[name], bold[name] = list(alike.iloc[:, 0]), False
             continue
         for scene, column in columns.items():
@@ -165,13 +194,13 @@ def failures(table: Table) -> str:
         if counts:
             name = " ".join(str(row[key]) for key in table.data.index.names)
             found.append(f"{markdown_escape(name)}: {' and '.join(counts)}")
-    return f"Runs that failed ({table.notes[0]}): {'; '.join(found)}." if found else ""
+    return f"Runs that [failed](../../words.md#from-this-project): {'; '.join(found)}." if found else ""
 
 
 def verdicts(table: Table, question: Question) -> str:
     """What the index says of a question: verdicts of a few rows, counts of many, the best rows without a baseline."""
     text = table.text
-    where = next((key for key in question.rows if key in (*SCENES, "scene.shape")), "")
+    where = scene_key(question.rows)
     scene = text[where] if where else pd.Series("", index=text.index)
     keys = [key for key in question.rows if key != where]
     name = text[keys].apply(", ".join, axis=1) if keys else scene

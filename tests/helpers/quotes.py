@@ -162,13 +162,18 @@ MEASURES = re.compile(r"(?:(.+): )?((?:PSNR|exact|KS|distance error|against).*)"
 
 
 def measured(page: str) -> Cells:
-    """A cell's words are those of its row, up to the first measured column, and of the scene in its heading."""
+    """A cell's words: of its row, up to the first measured column, of the scene in its heading, and of each row."""
     found = []
+    each = words_of(" ".join(re.findall(r"^In each row: (.*)\.$", page, re.MULTILINE)))
     for table in re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE):
         header, _, *rows = [[cell.strip() for cell in row.strip()[1:-1].split("|")] for row in table.splitlines()]
         start = next((i for i, name in enumerate(header) if MEASURES.fullmatch(name)), len(header))
         scenes = [match[1] or "" if (match := MEASURES.fullmatch(name)) else "" for name in header]
         for row in rows:
-            words = set(" ".join(row[:start]).replace("**", "").replace(", ", " ").casefold().split())
+            words = each | words_of(" ".join(row[:start]))
             found += [({*words, scene.casefold()}, text) for scene, text in list(zip(scenes, row, strict=True))[start:]]
     return found
+
+
+def words_of(text: str) -> set[str]:
+    return set(re.sub(r"\*\*|[,;](?= )", "", text).casefold().split())
