@@ -8,41 +8,28 @@ import pandas as pd
 from matplotlib.colors import rgb_to_hsv
 from scipy.stats import ks_2samp
 
-from qnerf.records.filters import require
-
 from .images import common_pictures, panels
-from .selection import refuse_mixtures, refuse_scenes, select
+from .selection import refuse_mixtures, refuse_scenes
 
 SOURCES = ("truth", "classical", "quantum")
 CHANNELS = ("hue", "saturation", "value")
 GREY = 0.05
 """A pixel of at most this saturation counts as grey: it has no hue."""
 
-CLASSICAL = {"field": "classical"}
-QUANTUM = {"field": "qcolor"}
 
-
-def samples(
-    frame: pd.DataFrame,
-    *,
-    classical: str | Mapping[str, object] = CLASSICAL,
-    quantum: str | Mapping[str, object] = QUANTUM,
-) -> pd.DataFrame:
+def samples(chosen: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """The pixels of the held-out views that all chosen runs have readable pictures of, one row each.
 
     Args:
-        frame: runs as `load.runs` gives them.
-        classical, quantum: conditions that choose the runs to compare; see `qnerf.records.filters`.
+        chosen: classical and quantum -> its runs, as `load.runs` gives them, of one configuration.
 
     Returns:
         Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which occurs once),
         image, and hue (in turns; NaN for a grey pixel), saturation and value, all in [0, 1].
 
     Raises:
-        ValueError: nothing is chosen, or several scenes or configurations, or runs that have no view in common.
+        ValueError: the runs are of several scenes or configurations, or have no view in common.
     """
-    finished = select(frame).runs
-    chosen = {"classical": require(finished, classical), "quantum": require(finished, quantum)}
     for source, runs in chosen.items():
         refuse_mixtures(runs.assign(source=source), ["source"])
     both = pd.concat(chosen.values())

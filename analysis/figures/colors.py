@@ -1,16 +1,12 @@
 """Hue, saturation and value of truth, classical and quantum renderings."""
 
-from collections.abc import Mapping
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MultipleLocator
-
-from qnerf.records.filters import require
+from matplotlib.ticker import MultipleLocator
 
 from .. import hsv, style
-from ..selection import select
+from ..selection import refuse_scenes, select
 from . import points
 
 EDGES = {
@@ -22,34 +18,22 @@ EDGES = {
 _COLORS = {"classical": style.FIELDS["classical"][0], "quantum": style.FIELDS["qcolor"][0]}
 
 
-def chosen(
-    frame: pd.DataFrame, classical: Mapping[str, object] | None = None, quantum: Mapping[str, object] | None = None
-) -> dict[str, pd.DataFrame]:
-    """The finished runs of one classical and one quantum configuration.
+def chosen(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """The finished runs of the classical and of the quantum configuration of highest PSNR.
 
-    classical, quantum: columns and values that choose the runs; None: the configuration of highest PSNR. Raises
-    ValueError if one of the kinds has no run, or if there are several scenes.
+    Raises:
+        ValueError: one of the kinds has no run, or there are several scenes.
     """
     runs = select(frame).runs
-    if runs["scene_name"].nunique() > 1:
-        raise ValueError(f"{runs['scene_name'].nunique()} scenes ({', '.join(points.scenes(runs))}): filter on one")
+    refuse_scenes(runs, [])
     kinds = runs["field"].map(points.kind)
     result = {}
-    for kind, conditions in (("classical", classical), ("quantum", quantum)):
+    for kind in ("classical", "quantum"):
         own = runs[kinds == kind]
         if own.empty:
             raise ValueError(f"no finished {kind} run to compare; fields: {', '.join(sorted(runs['field'].unique()))}")
-        if conditions is not None:
-            result[kind] = require(own, conditions)
-        else:
-            result[kind] = own.loc[list(points.points(own, ["psnr"]).iloc[0]["runs"])]
+        result[kind] = own.loc[list(points.points(own, ["psnr"]).iloc[0]["runs"])]
     return result
-
-
-def hsv_samples(runs: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """`hsv.samples` of the runs that `chosen` returns."""
-    classical, quantum = ({"field": runs[kind]["field"].iloc[0]} for kind in ("classical", "quantum"))
-    return hsv.samples(pd.concat(runs.values()), classical=classical, quantum=quantum)
 
 
 def hsv_histograms(samples: pd.DataFrame) -> pd.DataFrame:
@@ -67,60 +51,32 @@ def hsv_histograms(samples: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def turn(center: float, hues: np.ndarray) -> np.ndarray:
-    """The signed shorter way around the circle from `center` to each hue, turns in [-0.5, 0.5)."""
-    return (hues - center + 0.5) % 1 - 0.5
-
-
-def hue_center(samples: pd.DataFrame) -> float:
-    """The truth's mean direction in turns, rounded so that the opposite side of the circle is an edge of a bin."""
-    truth = samples.loc[samples["source"] == "truth", "hue"].dropna().to_numpy()
-    bins = len(EDGES["hue"]) - 1
-    mean = np.angle(np.exp(2j * np.pi * truth).sum()) / (2 * np.pi) % 1  # the direction of the sum of unit vectors
-    return float(round(mean * bins) / bins)
-
-
 @style.styled
-def hsv_study(
-    frame: pd.DataFrame, classical: Mapping[str, object] | None = None, quantum: Mapping[str, object] | None = None
-) -> Figure:
-    """Distributions of hue, saturation and value: truth, classical, quantum.
-
-    classical, quantum: columns and values that choose the runs; None: the configuration of highest PSNR.
-    """
-    runs = chosen(frame, classical, quantum)
-    samples = hsv_samples(runs)
-    histograms, center = hsv_histograms(samples), hue_center(samples)
+def hsv_study(frame: pd.DataFrame) -> Figure:
+    """Distributions of hue, saturation and value: truth, and the best classical and quantum configuration."""
+    runs = chosen(frame)
+    samples = hsv.samples(runs)
+    histograms = hsv_histograms(samples)
     figure = style.new(style.PAGE, 2.4)
-    axes = figure.subplots(1, 3)
     colors = {"truth": style.ink(), **_COLORS}
-    for ax, channel in zip(axes, hsv.CHANNELS, strict=True):
+    for ax, channel in zip(figure.subplots(1, 3), hsv.CHANNELS, strict=True):
         unit = 360 if channel == "hue" else 1
         for source, dashes in zip(hsv.SOURCES, ("-", "-.", "--"), strict=True):
             curve = histograms[(histograms["channel"] == channel) & (histograms["source"] == source)]
-            middle = (curve["left"] + curve["right"]) / 2
-            if channel == "hue":
-                curve = curve.assign(middle=center + turn(center, middle.to_numpy())).sort_values("middle")
-                middle = curve["middle"]
+            middle = (curve["left"] + curve["right"]) / 2 * unit
             density, spread = curve["density"] / unit, curve["density_std"] / unit
-            ax.plot(middle * unit, density, dashes, color=colors[source], label=source)
-            if curve["n"].iloc[0] > 1:
-                between = (density - spread, density + spread)
-                ax.fill_between(middle * unit, *between, color=colors[source], alpha=0.2, lw=0)
-        hue = channel == "hue"
-        ax.set_xlim(*((center - 0.5) * unit, (center + 0.5) * unit) if hue else (0, 1))
-        ax.set_ylim(0, None)
-        ax.set_xlabel("hue, degrees" if hue else f"{channel}, of 1")
-        ax.set_ylabel("density per degree" if hue else "density")
-    axes[0].xaxis.set_major_locator(MultipleLocator(90))
-    axes[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:.0f}"))
+            ax.plot(middle, density, dashes, color=colors[source], label=source)
+            ax.fill_between(middle, density - spread, density + spread, color=colors[source], alpha=0.2, lw=0)
+        ax.set(xlim=(0, unit), ylim=(0, None))
+        ax.set_xlabel("hue, degrees" if channel == "hue" else f"{channel}, of 1")
+        ax.set_ylabel("density per degree" if channel == "hue" else "density")
+    figure.axes[0].xaxis.set_major_locator(MultipleLocator(90))
     style.legend(figure)
     style.footnote(
         figure,
         *(f"{kind}: {_described(own)}" for kind, own in runs.items()),
         points.notation([" ".join(map(_described, runs.values()))]),
         "bands: ± standard deviation over seeds" if histograms["n"].max() > 1 else "n = 1 seed: no bands",
-        "the circle of hues is cut open opposite to the truth's mean",
         "grey pixels have no hue: "
         + ", ".join(f"{source} {share:.0%}" for source, share in hsv.greys(samples).items()),
         select(frame).note,

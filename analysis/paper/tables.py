@@ -74,13 +74,12 @@ def hash_encoding_configurations(frame: pd.DataFrame) -> Table:
 def hsv_tests(frame: pd.DataFrame) -> Table:
     """Kolmogorov-Smirnov statistics of hue, saturation and value: the paper's, and ours for the same two fields."""
     selection = select(frame)
-    runs = [selection.runs.merge(pd.DataFrame([counts])) for counts in HSV_FIELDS.values()]
+    runs = {kind: selection.runs.merge(pd.DataFrame([counts])) for kind, counts in HSV_FIELDS.items()}
     data = printed("hsv")
-    if not all(map(len, runs)):
+    if not all(map(len, runs.values())):
         data = data.assign(mean=float("nan"), std=float("nan"), seeds=0)
     else:
-        pixels = hsv.samples(pd.concat(runs), classical=HSV_FIELDS["classical"], quantum=HSV_FIELDS["quantum"])
-        tests = hsv.tests(pixels)
+        tests = hsv.tests(hsv.samples(runs))
         ours = tests.groupby(["channel", "pair"], as_index=False)["ks"].agg(["mean", "std", "size"])
         data = data.merge(ours.rename(columns={"size": "seeds"}), on=["channel", "pair"], how="left")
     text = data[["channel", "pair"]].copy()

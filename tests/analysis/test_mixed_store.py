@@ -57,7 +57,7 @@ def test_every_page(mixed_store, tmp_path):
 
 def test_colours_of_a_scene_without_a_circuit_field(mixed_store):
     frame = load.runs(mixed_store, {"scene_name": "ring"})
-    assert len(hsv.samples(frame))
+    assert len(hsv.samples(figures.colors.chosen(frame)))
 
 
 def test_tracked_runs_stand_beside_the_others(mixed_store, capsys):

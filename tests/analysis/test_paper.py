@@ -89,7 +89,7 @@ def test_the_hsv_study_is_ours_for_the_papers_fields(tmp_path):
         write_run(tmp_path, field, columns=columns, pictures=views)
     frame = runs(tmp_path)
     table = PAPER_TABLES["hsv"][1](frame)
-    tests = hsv.tests(hsv.samples(frame, quantum={"field": "qdensity"}))
+    tests = hsv.tests(hsv.samples({kind: frame[frame["field"] == HSV_FIELDS[kind]["field"]] for kind in HSV_FIELDS}))
     wanted = tests[(tests["channel"] == "hue") & (tests["pair"] == "truth - quantum")]["ks"].item()
     row = table.text.set_index(["channel", "pair"]).loc[("hue", "truth - quantum")]
     assert row.tolist() == ["0.0805", "< 1e-06", f"{wanted:.4f}", "1"]

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 from qnerf.analysis import hsv, images, load, packed
+from qnerf.analysis.figures import colors
 from qnerf.analysis.figures.files import draw
 from qnerf.analysis.report import content, pictures
 from qnerf.analysis.tables import ablation
@@ -106,7 +107,7 @@ def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes)
     gathered = pictures.gather(frame, range(4), 100)
     assert (gathered.views, len(gathered.problems)) == (7, 1)
     assert "1 pictures are damaged" in gathered.note
-    assert set(hsv.samples(frame)["image"]) == {"1"}
+    assert set(hsv.samples(colors.chosen(frame))["image"]) == {"1"}
 
 
 def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
