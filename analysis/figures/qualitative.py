@@ -2,12 +2,13 @@
 
 import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from qnerf.config.identity import picture_names
 
@@ -67,59 +68,50 @@ def _are_readable(pictures: Iterable[Path]) -> bool:
 def qualitative_grid(frame: pd.DataFrame, views: int = 2, most: int = 4) -> Figure:
     """truth | render | error | depth of a typical run of each configuration: a row per run, a block per scene."""
     shown = qualitative_panels(typical(frame, most), views)
-    blocks = [_Block(str(scene), rows) for scene, rows in shown.groupby("scene_name")]
-    figure = Figure(figsize=(style.PAGE, sum(block.height for block in blocks) + _FOOT))
+    scenes = list(shown.groupby("scene_name"))
+    heights = [_height(rows) for _, rows in scenes]
+    figure = style.new(style.PAGE, sum(heights) + _FOOT)
+    for part, (scene, rows) in zip(
+        figure.subfigures(len(scenes), 1, squeeze=False, height_ratios=heights), scenes, strict=True
+    ):
+        part[0].suptitle(scene, fontsize=8)
+        _draw(part[0], rows)
     depth = "" if shown["signal"].all() else "; depth: near is bright"
     note = f"each run is the one of median PSNR among its configuration's seeds{depth}"
     style.footnote(figure, note, points.notation(shown["name"]), select(frame).note)
-    top = figure.get_figheight()
-    for block in blocks:
-        block.draw(figure, top)
-        top -= block.height
     return figure
+
+
+def _titles(rows: pd.DataFrame) -> Sequence[str]:
+    return TITLES[:-1] if rows["signal"].any() else TITLES
+
+
+_LEFT, _HEAD, _LINE, _FOOT = 1.3, 0.4, 0.18, 0.2  # inches beside the pictures, above and under them
+
+
+def _height(rows: pd.DataFrame) -> float:
+    """Inches of a scene's block, in which the pictures are as wide as the page allows."""
+    height, width = split(rows["picture"].iloc[0], _titles(rows))[0].shape[:2]
+    widest = min(1.6, (style.PAGE - _LEFT) / len(_titles(rows)) / rows["image"].nunique())
+    return _HEAD + rows["name"].nunique() * (widest * height / width + _LINE)
+
+
+def _draw(figure: SubFigure, rows: pd.DataFrame) -> None:
+    titles, images = _titles(rows), rows["image"].nunique()
+    axes = figure.subplots(rows["name"].nunique(), len(titles) * images, squeeze=False)
+    for line, (name, runs) in zip(axes, rows.groupby("name", sort=False), strict=True):
+        text = "\n".join([*_lines(str(name)), f"seed {runs['seed'].iloc[0]}"])
+        line[0].set_ylabel(text, fontsize=style.NOTE, rotation=0, ha="right", va="center")
+        for panels, (_, run) in zip(np.split(line, images), runs.iterrows(), strict=True):
+            for ax, pixels in zip(panels, split(run["picture"], titles), strict=True):
+                ax.imshow(pixels)
+                ax.set(xticks=[], yticks=[], frame_on=False)
+            panels[1].set_xlabel(f"{run['psnr']:.2f} dB", fontsize=style.NOTE, labelpad=1)
+    for ax, title in zip(axes[0], [*titles] * images, strict=True):
+        ax.set_title(title, fontsize=style.MARK, pad=2)
 
 
 def _lines(name: str) -> list[str]:
     """The name in lines that fit beside the pictures, a head or a setting in a line of its own."""
     parts = re.split(r" (?=density |colour )|(?<=,) ", name)
     return [line for part in parts for line in textwrap.wrap(part, 24)]
-
-
-_LEFT, _GAP, _HEAD, _LINE, _FOOT = 1.3, 0.03, 0.42, 0.16, 0.32  # inches
-
-
-class _Block:
-    """The pictures of one scene, placed by hand: panels of equal size without gaps between rows."""
-
-    def __init__(self, scene: str, rows: pd.DataFrame) -> None:
-        self.scene, self.rows = scene, rows
-        self.grid = rows.pivot(index="name", columns="image", values="picture").loc[rows["name"].unique()]
-        self.titles = TITLES[:-1] if rows["signal"].any() else TITLES
-        columns = len(self.titles) * self.grid.shape[1]
-        tall, wide = split(rows["picture"].iloc[0], self.titles)[0].shape[:2]
-        self.width = min(1.6, (style.PAGE - _LEFT - _GAP * columns) / columns)
-        self.tall = self.width * tall / wide
-        self.height = _HEAD + len(self.grid) * (self.tall + _LINE)
-
-    def draw(self, figure: Figure, top: float) -> None:
-        """top: inches from the lower edge of the figure."""
-        width, height = figure.get_size_inches()
-        figure.text(_LEFT / width, (top - 0.14) / height, self.scene, fontsize=8)
-        for row, (name, line) in enumerate(self.grid.iterrows()):
-            y = top - _HEAD - row * (self.tall + _LINE) - self.tall
-            run = self.rows[self.rows["name"] == name]
-            psnr = dict(zip(run["image"], run["psnr"], strict=True))
-            x, middle = (_LEFT - 0.06) / width, (y + self.tall / 2) / height
-            text = "\n".join(_lines(str(name))) + f"\nseed {run['seed'].iloc[0]}"
-            figure.text(x, middle, text, fontsize=style.NOTE, ha="right", va="center")
-            for view, (image, picture) in enumerate(line.to_dict().items()):
-                for column, (title, panel) in enumerate(zip(self.titles, split(picture, self.titles), strict=True)):
-                    x = _LEFT + (len(self.titles) * view + column) * (self.width + _GAP)
-                    ax = figure.add_axes((x / width, y / height, self.width / width, self.tall / height))
-                    ax.imshow(panel, aspect="auto")
-                    ax.set_axis_off()
-                    if row == 0:
-                        ax.set_title(title, fontsize=style.MARK, pad=2)
-                    if title == "render":
-                        text = f"{psnr[image]:.2f} dB"
-                        ax.text(0.5, -0.02, text, transform=ax.transAxes, fontsize=style.NOTE, ha="center", va="top")
