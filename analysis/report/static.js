@@ -13,7 +13,7 @@ source = {
   async plotly() {
     const bytes = Uint8Array.from(atob($("plotly").textContent), (c) => c.charCodeAt(0));
     const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-    const script = element("script");
+    const script = element("script", { nonce: document.querySelector("script[nonce]").nonce });
     script.textContent = await new Response(unpacked).text();
     document.head.append(script);
   },

@@ -10,11 +10,12 @@ from typing import Any
 import plotly.offline
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from qnerf.records import annotations
 from qnerf.records.files import one_line, parse_json
@@ -25,7 +26,6 @@ from .answers import Answers
 
 HERE = Path(__file__).parent
 COOKIE = "qnerf_token"
-MAX_BODY = 2**17  # bytes; a note has at most 10,000 characters
 OWN = ("live", "differences")
 SCRIPTS = ("data", "live", *page.SHARED, "differences", "start")
 HEADERS = {
@@ -41,7 +41,7 @@ HEADERS = {
 }
 
 
-def application(answers: Answers, guard: Guard) -> ASGIApp:
+def application(answers: Answers, guard: Guard) -> Starlette:
     """The server's application, for visitors whom the guard lets in."""
     files = {
         "page.js": (
@@ -84,7 +84,7 @@ def application(answers: Answers, guard: Guard) -> ASGIApp:
         return HTMLResponse(page.table(answers.differences(*asked)))
 
     async def annotate(request: Request) -> Response:
-        wanted = parse_json(await _body(request))
+        wanted = parse_json(await request.body())
         run = answers.store.path(request.query_params["run"])
         written = await run_in_threadpool(_annotate, run, wanted)
         return JSONResponse({"tags": written.tags, "note": written.note})
@@ -95,31 +95,20 @@ def application(answers: Answers, guard: Guard) -> ASGIApp:
         *(Route(f"/{make.__name__}", make) for make in (changes, curves, keys, views, picture, differences)),
         Route("/annotate", annotate, methods=["POST"]),
     ]
-    app = Starlette(routes=routes, exception_handlers=dict.fromkeys((KeyError, ValueError, OSError), _refusal))
-    return Guarded(GZipMiddleware(app, minimum_size=2000, compresslevel=1), guard)
 
+    async def guarded(request: Request, answer: RequestResponseEndpoint) -> Response:
+        refusal = guard.refusal(f"{request.url.path}?{request.url.query}", request.headers)
+        response = await answer(request) if refusal is None else PlainTextResponse(refusal, 403)
+        for name, value in HEADERS.items():
+            response.headers.setdefault(name, value)
+        return response
 
-class Guarded:
-    """Refuses visitors whom the guard refuses, and adds `HEADERS` to every answer."""
-
-    def __init__(self, inner: ASGIApp, guard: Guard) -> None:
-        self._inner, self._guard = inner, guard
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            return await self._inner(scope, receive, send)
-
-        async def with_headers(message: Any) -> None:
-            if message["type"] == "http.response.start":
-                known = {name.lower() for name, _ in message.get("headers", [])}
-                more = [(k.lower().encode(), v.encode()) for k, v in HEADERS.items() if k.lower().encode() not in known]
-                message = {**message, "headers": [*message.get("headers", []), *more]}
-            await send(message)
-
-        request = Request(scope)
-        refusal = self._guard.refusal(f"{request.url.path}?{request.url.query}", request.headers)
-        inner = self._inner if refusal is None else PlainTextResponse(refusal, 403)
-        return await inner(scope, receive, with_headers)
+    middleware = [
+        Middleware(BaseHTTPMiddleware, dispatch=guarded),
+        Middleware(GZipMiddleware, minimum_size=2000, compresslevel=1),
+    ]
+    refusals: dict[Any, Any] = dict.fromkeys((KeyError, ValueError, OSError), _refusal)
+    return Starlette(routes=routes, middleware=middleware, exception_handlers=refusals)
 
 
 def _refusal(_: Request, error: Exception) -> Response:
@@ -140,22 +129,8 @@ def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:
     return annotations.read(run)
 
 
-async def _body(request: Request) -> bytes:
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > MAX_BODY:
-            raise ValueError(f"expected at most {MAX_BODY:,} bytes")
-    return data
-
-
-def _cookie(request: Request) -> str:
-    """Its name tells servers on other ports of the same machine apart."""
-    return f"{COOKIE}_{request.url.port or 80}"
-
-
 def _with_cookie(request: Request, token: str) -> Response:
-    """Keeps the token out of the address bar."""
+    """Keeps the token out of the address bar. The cookie's name tells servers on other ports of this machine apart."""
     response = RedirectResponse("/", 303)
-    response.set_cookie(_cookie(request), token, httponly=True, samesite="strict")
+    response.set_cookie(f"{COOKIE}_{request.url.port or 80}", token, httponly=True, samesite="strict")
     return response
