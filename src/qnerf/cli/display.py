@@ -9,11 +9,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from qnerf.cli.commands.show import pair, results
 from qnerf.cli.text import duration, measured
-from qnerf.config.checks import is_number
 from qnerf.config.identity import flatten
 from qnerf.experiment import Display, Outcome
-from qnerf.metrics import metric_of, quality_metrics
+from qnerf.metrics import metric_of
 from qnerf.records.printable import printable
 
 BESIDE = 118  # characters beside a bar
@@ -114,39 +114,20 @@ def described(config: Mapping[str, Any], parameters: Mapping[str, int], defaults
 
 
 def print_outcome(console: Console, outcome: Outcome, prefix: str = "", brief: bool = False) -> None:
-    """Prints a short table: quality on the held-out views, parameters of each part, training time, the run's folder.
+    """Prints the results as `qnerf show` does, and the run's folder.
 
-    That a run was interrupted goes to standard error, behind `prefix`. brief: no table of a run that was finished
+    That a run was interrupted goes to standard error, behind `prefix`. brief: no results of a run that was finished
     before.
     """
     if outcome.state == "interrupted":
         print(prefix + printable(outcome.message), file=sys.stderr)
     elif outcome.message:
         console.print(outcome.message, highlight=False, markup=False, soft_wrap=True)
-    summary = outcome.summary
     # Evaluations during training are not the result.
     if outcome.state != "finished" or (brief and outcome.message):
         return
-    if missing := [
-        key for key in ("eval_views", "params.total", "train_s", "step_ms") if not is_number(summary.get(key))
-    ]:
-        console.print(f"no number for {', '.join(missing)} in its summary", highlight=False, markup=False)
-        return
-    fitted = "head" in summary  # a signal
-    views = "the whole picture" if fitted else f"{summary['eval_views']:.0f} held-out views"
-    rows = [
-        (item.label, item.with_unit(value), views if item.key == "psnr" else item.explanation)
-        for item in quality_metrics()
-        if (value := summary.get(item.key)) is not None
-    ]
-    counts = {key.removeprefix("params."): value for key, value in summary.items() if key.startswith("params.")}
-    parts = {name: int(value) for name, value in counts.items() if value is not None}
-    listed = ", ".join(f"{name} {count:,}" for name, count in parts.items() if count and name != "total")
-    rows.append(("parameters", f"{parts['total']:,}", listed))
-    step = f"{metric_of('step_ms').with_unit(summary['step_ms'])} per step, median"
-    rows.append(("training", f"{summary['train_s']:.1f} s", step))
-    panels = "truth | fit | error" if fitted else "truth | render | error | depth"
-    rows += [("run", str(outcome.path), ""), ("pictures", str(outcome.path / "images"), panels)]
-    first, second = max(len(row[0]) for row in rows), max(len(row[1]) for row in rows[:-2])
-    for title, value, more in rows:
-        console.print(f"  {title:<{first}}  {value:<{second}}  {more}".rstrip(), soft_wrap=True)
+    for name, text in results(outcome.summary):
+        pair(console, name, text)
+    panels = "truth | fit | error" if "head" in outcome.summary else "truth | render | error | depth"
+    pair(console, "folder", str(outcome.path))
+    pair(console, "pictures", f"{outcome.path / 'images'}, {panels}")

@@ -1,6 +1,7 @@
 """`qnerf show RUN`: everything about one run."""
 
 import argparse
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -45,7 +46,7 @@ def show(out: Console, run: Run, config: bool = False) -> None:
         out.print(yaml.safe_dump(run["config"], sort_keys=False).rstrip(), soft_wrap=True)
     _environment(out, run)
     out.print()
-    _pair(out, "folder", run["path"])
+    pair(out, "folder", run["path"])
 
 
 def _head(out: Console, run: Run) -> None:
@@ -56,12 +57,12 @@ def _head(out: Console, run: Run) -> None:
     for problem in run["problems"]:
         out.print(styled(problem, "red", 2000), soft_wrap=True)
     if run["overrides"]:
-        _pair(out, "overrides", " ".join(run["overrides"]))
+        pair(out, "overrides", " ".join(run["overrides"]))
     if run["tags"]:
-        _pair(out, "tags", ", ".join(run["tags"]), "magenta")
+        pair(out, "tags", ", ".join(run["tags"]), "magenta")
     if run["note"]:
         note = printable(run["note"], NOTE_LENGTH, lines=True)
-        _pair(out, "note", note, lines=True)
+        pair(out, "note", note, lines=True)
 
 
 def state_line(run: Run) -> Text:
@@ -77,25 +78,32 @@ def state_line(run: Run) -> Text:
 
 
 def _results(out: Console, run: Run) -> None:
-    values = run["results"]
+    if lines := list(results(run["results"])):
+        _section(out, "results")
+        for name, text in lines:
+            pair(out, name, text)
+
+
+def results(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Title and text of what a summary says: quality, parameters, times."""
     metrics = [item for item in quality_metrics() if not missing(values.get(item.key))]
-    parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
-    if not metrics and not parts:
-        return
-    _section(out, "results")
     if metrics:
-        texts = (f"{item.label} {measured(values[item.key], item, unit=True)}" for item in metrics)
-        _pair(out, "held out", "   ".join(texts))
+        texts = [f"{item.label} {measured(values[item.key], item, unit=True)}" for item in metrics]
+        views = "" if missing(values.get("eval_views")) else f"views {count(values['eval_views'])}"
+        yield (
+            ("fit", "   ".join(texts)) if "head" in values else ("held out", "   ".join(filter(None, [*texts, views])))
+        )
+    parts = {key.removeprefix("params."): value for key, value in values.items() if key.startswith("params.")}
     if parts:
         listed = "   ".join(f"{name} {count(value)}" for name, value in parts.items() if value and name != "total")
-        _pair(out, "parameters", f"{count(parts.get('total'))}: {listed}")
+        yield "parameters", f"{count(parts.get('total'))}: {listed}"
     step = metric_of("step_ms")
     if not missing(values.get("train_s")):
         a_step = f"{measured(values.get('step_ms'), step, unit=True)} per step, {step.explanation}"
-        _pair(out, "training", f"{duration(values['train_s'])}   {a_step}")
+        yield "training", f"{duration(values['train_s'])}   {a_step}"
     times = {key[5:-3]: value for key, value in values.items() if key.startswith("time.") and key.endswith("_ms")}
     if times:
-        _pair(out, "per step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms")
+        yield "per step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms"
 
 
 def _views(out: Console, run: Run) -> None:
@@ -115,13 +123,13 @@ def _environment(out: Console, run: Run) -> None:
     _section(out, "environment")
     git, cpu, gpu, threads = (_dict(environment.get(name)) for name in ("git", "cpu", "gpu", "threads"))
     if git.get("commit"):
-        _pair(out, "code", f"{git['commit']}{', with changes (dirty.diff)' if git.get('dirty') else ''}")
+        pair(out, "code", f"{git['commit']}{', with changes (dirty.diff)' if git.get('dirty') else ''}")
     parts = [environment.get("host"), cpu.get("model"), f"cores {cpu.get('usable')}", f"threads {threads.get('torch')}"]
     names = gpu.get("names")
-    _pair(out, "machine", ", ".join(map(str, [*parts, *(names if isinstance(names, list) else [])])))
+    pair(out, "machine", ", ".join(map(str, [*parts, *(names if isinstance(names, list) else [])])))
     packages = _dict(environment.get("packages"))
     versions = "  ".join(f"{name} {version}" for name, version in packages.items() if version)
-    _pair(out, "versions", f"python {environment.get('python')}  {versions}")
+    pair(out, "versions", f"python {environment.get('python')}  {versions}")
 
 
 def _section(out: Console, title: str, more: str = "") -> None:
@@ -129,7 +137,7 @@ def _section(out: Console, title: str, more: str = "") -> None:
     out.print(Text.assemble((title, "bold cyan"), f"  {printable(more)}" if more else ""), soft_wrap=True)
 
 
-def _pair(out: Console, name: str, text: str, style: str = "", lines: bool = False) -> None:
+def pair(out: Console, name: str, text: str, style: str = "", lines: bool = False) -> None:
     """A name and its text, which is wrapped beside the name on a terminal."""
     body = Text(text if lines else printable(text), style)
     if not out.is_terminal:
