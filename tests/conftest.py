@@ -13,7 +13,7 @@ import hypothesis
 import pytest
 import torch
 
-from tests.helpers.configs import TINY, composed
+from tests.helpers.configs import MOMENT, TINY, composed
 from tests.helpers.scenes import write_scene
 
 # Examples are the same in every run; how long one takes is nobody's promise.
@@ -110,20 +110,8 @@ def tiny(tiny_scene: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
     def make(*overrides: str, sampler: Sequence[str] = TINY) -> dict[str, Any]:
         chosen = [item.split("=")[0] for item in overrides]
         scene = [] if "scene" in chosen else ["scene=nerfstudio", f"scene.path={tiny_scene}"]
-        visibility = [] if "visibility.resolution" in chosen else ["visibility.resolution=16"]
-        return composed(
-            *scene,
-            *(() if "sampler" in chosen else sampler),
-            *visibility,
-            "hash=C7",
-            "train.steps=2",
-            "train.rays=8",
-            "train.eval_every=0",
-            "train.log_every=1",
-            f"store={tmp_path / 'runs'}",
-            "device=cpu",
-            *overrides,
-        )
+        small = () if "sampler" in chosen else sampler
+        return composed(*scene, *small, *MOMENT, f"store={tmp_path / 'runs'}", *overrides)
 
     return make
 
@@ -152,6 +140,9 @@ def run_until(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, dict[str, Any]]
 
 
 @pytest.fixture(autouse=True)
-def _threads_and_seed() -> None:
-    torch.set_num_threads(min(2, torch.get_num_threads()))
+def _threads_and_seed() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(min(2, before))
     torch.manual_seed(0)
+    yield
+    torch.set_num_threads(before)

@@ -108,9 +108,9 @@ def fast_and_plain(function: Function, reference: Function | None = None) -> dic
     return {"fast": function, "plain": reference or plainly(function)}
 
 
-def rounded(tensor: Tensor) -> Tensor:
-    """The nearest numbers that float32 holds, in float64."""
-    return tensor.to(torch.float32).to(torch.float64)
+def rounded(values: object) -> Tensor:
+    """The nearest numbers that float32 holds, in float64: what both dtypes can start from."""
+    return torch.as_tensor(values, dtype=torch.float32).double()
 
 
 def modules() -> dict[str, ModuleType]:

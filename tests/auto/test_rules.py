@@ -122,18 +122,15 @@ def test_sixteen_times_the_pixels_take_twice_the_steps():
         assert RULES["train.steps"](measured, AUTO).value == steps
 
 
-@pytest.mark.parametrize(
-    ("option", "table", "message"),
-    [
+def test_numbers_by_hand_that_a_rule_cannot_use_are_one_line():
+    for option, table, message in (
         ("encoder.max_resolution", {"min_resolution": "auto"}, "encoder.min_resolution must be .* got 'auto'"),
         ("encoder.levels", {"min_resolution": 0, "max_resolution": 64}, "encoder.min_resolution must be .* got 0"),
         ("encoder.log2_table_size", {"levels": 3, "features": 1.5}, "encoder.features must be .* got 1.5"),
-    ],
-)
-def test_numbers_by_hand_that_a_rule_cannot_use_are_one_line(option, table, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        decided(option, FLOOR, hashed(**table))
-    assert "\n" not in str(caught.value)
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            decided(option, FLOOR, hashed(**table))
+        assert "\n" not in str(caught.value)
 
 
 def test_a_positional_encoding_reaches_the_images_finest_detail():

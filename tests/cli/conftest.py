@@ -9,13 +9,7 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 
 from qnerf.cli import launch, main, sweep
-from tests.helpers.configs import TINY
-
-SMALL = [
-    *TINY, "hash=C7", "field=classical", "train.rays=8", "train.eval_every=0", "train.log_every=1", "train.steps=2",
-    "device=cpu", "visibility.resolution=16",
-]  # fmt: skip
-"""A training of a moment."""
+from tests.helpers.configs import MOMENT, TINY
 
 
 @dataclass
@@ -58,4 +52,5 @@ def qnerf(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
 @pytest.fixture
 def small(tiny_scene: Path, tmp_path: Path) -> list[str]:
     """A training of a moment in the store tmp_path/runs."""
-    return [*SMALL, "scene=nerfstudio", f"scene.path={tiny_scene}", f"store={tmp_path / 'runs'}"]
+    scene = ("scene=nerfstudio", f"scene.path={tiny_scene}", f"store={tmp_path / 'runs'}")
+    return [*TINY, *MOMENT, *scene, "field=classical"]

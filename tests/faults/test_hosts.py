@@ -5,15 +5,12 @@ from functools import partial
 from pathlib import Path
 
 from qnerf import records
-from tests.helpers.configs import TINY
+from tests.helpers.configs import MOMENT, TINY
 from tests.helpers.hosts import other_machine
 from tests.helpers.processes import Forked
 from tests.helpers.scenes import write_scene
 
-SMALL = [
-    *TINY, "scene=nerfstudio", "hash=C7", "train.rays=8", "train.log_every=1", "train.eval_every=0", "device=cpu",
-    "train.checkpoint_every=0.02", "visibility.resolution=16", "threads=1", "run.progress=false",
-]  # fmt: skip
+SMALL = [*TINY, *MOMENT, "scene=nerfstudio", "train.checkpoint_every=0.02", "threads=1", "run.progress=false"]
 
 
 def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path: Path) -> None:

@@ -21,16 +21,15 @@ from qnerf import experiment, records
 from qnerf.records import StoreError
 from qnerf.records.read import read_evaluation
 from tests.helpers import processes
-from tests.helpers.configs import TINY, composed
+from tests.helpers.configs import MOMENT, TINY, composed
 from tests.helpers.scenes import write_scene
 from tests.helpers.trainer import same
 
 FULL = os.environ.get("QNERF_FAULTS") == "full"
 
 SHORT = [
-    *TINY, "field=qcolor", "hash=C7", "cameras=so3xr3", "appearance=2", "train.steps=30", "train.rays=8", "device=cpu",
-    "train.log_every=1", "train.eval_every=12", "train.checkpoint_every=0.02", "threads=1",
-    "visibility.resolution=16",
+    *TINY, *MOMENT, "field=qcolor", "cameras=so3xr3", "appearance=2", "train.steps=30", "train.eval_every=12",
+    "train.checkpoint_every=0.02", "threads=1",
 ]  # fmt: skip
 
 

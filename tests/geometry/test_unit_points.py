@@ -38,32 +38,18 @@ def test_the_loop_gives_the_points_of_the_modules_to_the_last_bit():
                 assert unit_points(rays, samples, contraction, None)[1] is None
 
 
-def test_a_contraction_of_ones_own_is_called():
+def test_a_contraction_and_a_mask_of_ones_own_are_called():
     class Half(Box):
         def forward(self, points: torch.Tensor) -> torch.Tensor:
             return super().forward(points) / 2
 
-    rays, samples = along(torch.float32, 3.0)
-    halved, whole = (unit_points(rays, samples, contraction, None)[0] for contraction in (Half(), Box()))
-    torch.testing.assert_close(2 * halved, whole, equal_nan=True)
-
-
-def test_rays_keep_their_gradient():
-    rays, samples = along(torch.float64, 3.0)
-    moved = Rays(
-        rays.origins.requires_grad_(), *(getattr(rays, name) for name in ("directions", "cameras", "near", "far"))
-    )
-    unit, _ = unit_points(moved, samples, Box(), None)
-    unit.sum().backward()
-    assert rays.origins.grad is not None
-
-
-def test_a_mask_of_ones_own_is_called():
     class Outside(SpaceMask):
         def forward(self, unit: torch.Tensor) -> torch.Tensor:
             return ~super().forward(unit)
 
     rays, samples = along(torch.float32, 3.0)
+    halved, whole = (unit_points(rays, samples, contraction, None)[0] for contraction in (Half(), Box()))
+    torch.testing.assert_close(2 * halved, whole, equal_nan=True)
     cells = torch.rand(6, 6, 6, generator=torch.Generator().manual_seed(1)) < 0.5
     own, usual = (unit_points(rays, samples, Box(), kind(cells))[1] for kind in (Outside, SpaceMask))
     assert torch.equal(own, ~usual)

@@ -17,7 +17,6 @@ from selenium.webdriver.support.wait import WebDriverWait  # noqa: E402
 ARGUMENTS = (
     "--headless",
     "--no-sandbox",
-    "--disable-gpu",
     "--disable-dev-shm-usage",
     "--no-first-run",
     "--disable-background-networking",
@@ -27,11 +26,11 @@ ARGUMENTS = (
 
 
 @contextlib.contextmanager
-def chromium(profile):
-    """A browser whose own files are in the folder `profile`."""
+def chromium(profile, *more):
+    """A browser whose own files are in the folder `profile`; `more` arguments of its command."""
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
-    for argument in (*ARGUMENTS, f"--user-data-dir={profile}"):
+    for argument in (*ARGUMENTS, *more, f"--user-data-dir={profile}"):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))

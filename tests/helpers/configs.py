@@ -28,6 +28,17 @@ TINY = (
 )
 """A proposal sampler small enough for a unit test."""
 
+MOMENT = (
+    "hash=C7",
+    "train.steps=2",
+    "train.rays=8",
+    "train.eval_every=0",
+    "train.log_every=1",
+    "visibility.resolution=16",
+    "device=cpu",
+)
+"""Two steps of training, of a moment."""
+
 
 def composed(*overrides: str, sweep: str = "") -> dict[str, Any]:
     """The resolved configuration that these overrides give on the command line, `-cd sweeps -cn sweep` where named."""

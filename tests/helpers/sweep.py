@@ -5,7 +5,7 @@ from pathlib import Path
 
 import qnerf
 from qnerf.experiment import run
-from tests.helpers.configs import TINY, composed
+from tests.helpers.configs import MOMENT, TINY, composed
 from tests.helpers.packed_stores import write_run
 from tests.helpers.scenes import write_scene
 
@@ -18,10 +18,11 @@ def sweep(folder: Path) -> Path:
     store = folder / "sweep"
     if store.exists():
         return store
-    scene = write_scene(folder / "ring", width=12, height=9)
+    scene = ["scene=nerfstudio", f"scene.path={write_scene(folder / 'ring', width=12, height=9)}", f"store={store}"]
+    small = [*TINY, *MOMENT, "train.steps=6", "train.eval_every=3", "qiren=1L2S", "qiren.qubits=3"]
     for field in FIELDS:
         for seed in SEEDS:
-            run(composed(*TINY, *_settings(store, scene), f"field={field}", f"seed={seed}"))
+            run(composed(*scene, *small, f"field={field}", f"seed={seed}"))
     write_run(store, "qcolor", 7, scene="ring", state="failed")
     write_run(store, "qcolor", 8, scene="ring", state="interrupted")
     return store
@@ -49,17 +50,3 @@ def mixed(folder: Path) -> Path:
                 tracked.log(1, loss=0.5)
                 tracked.finish(psnr=psnr + 0.1 * seed, accuracy=0.9)
     return store
-
-
-def _settings(store: Path, scene: Path) -> list[str]:
-    steps = ["train.steps=6", "train.rays=8", "train.eval_every=3", "train.log_every=1"]
-    return [
-        *steps,
-        "hash=C7",
-        "qiren=1L2S",
-        "qiren.qubits=3",
-        "device=cpu",
-        "scene=nerfstudio",
-        f"scene.path={scene}",
-        f"store={store}",
-    ]

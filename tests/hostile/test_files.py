@@ -99,15 +99,10 @@ def test_hostile_yaml_is_refused(run: Path, tmp_path: Path) -> None:
     assert records.read_config(run) == CONFIG  # with the command's own
 
 
-def test_text_in_yaml_stays_text(run: Path, tmp_path: Path) -> None:
-    """A date, as Hydra takes it, and what hostile values a configuration may hold as values."""
+def test_a_date_in_yaml_stays_text(run: Path) -> None:
+    """As Hydra takes it."""
     (run / "config.yaml").write_text("a: 2001-01-01\nb: 2001-99-99\n")
     assert records.read_config(run) == {"a": "2001-01-01", "b": "2001-99-99"}
-    config = {"a": "!!python/object/apply:os.system ['x']", "b": "*a", "c": "&a 1", "d": "<<", "e\n": "\x1b[2J"}
-    claim = store(tmp_path).claim("b", config)
-    assert claim.run is not None
-    assert records.read_config(claim.dir) == config
-    claim.run.finish()
 
 
 def test_what_is_no_table_is_damaged(run: Path) -> None:

@@ -25,13 +25,6 @@ def _square(start, stop, values, out):
         out[i] += values[i] ** 2
 
 
-@pytest.fixture
-def threads():
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
 @given(items=st.integers(0, 1000), parts=st.integers(1, 40))
 def test_split_covers_every_item_once_in_nearly_equal_parts(items, parts):
     ranges = split(items, parts)
@@ -44,33 +37,29 @@ def test_split_covers_every_item_once_in_nearly_equal_parts(items, parts):
 @settings(max_examples=40, deadline=None)
 @given(items=st.integers(0, 300), count=st.integers(1, 5), grain=st.none() | st.integers(1, 400))
 def test_every_item_is_worked_on_once_whatever_the_threads(items, count, grain):
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(count)
-        values, out = np.arange(items, dtype=float), np.zeros(items)
-        run(_square, items, values, out, grain=grain)
-    finally:
-        torch.set_num_threads(before)
+    torch.set_num_threads(count)
+    values, out = np.arange(items, dtype=float), np.zeros(items)
+    run(_square, items, values, out, grain=grain)
     np.testing.assert_array_equal(out, values**2)
 
 
-def test_thread_count_may_change_between_calls(threads):
+def test_thread_count_may_change_between_calls():
     for count in (1, 4, 2, 8, 3):
-        threads(count)
+        torch.set_num_threads(count)
         seen = []
         run(lambda start, stop, ranges: ranges.append((start, stop)), 100, seen)
         assert sorted(seen) == split(100, count)
 
 
-def test_grain_keeps_small_loops_on_the_calling_thread(threads):
-    threads(2)
+def test_grain_keeps_small_loops_on_the_calling_thread():
+    torch.set_num_threads(2)
     seen = []
     run(lambda start, stop: seen.append((start, stop, threading.current_thread())), 100, grain=64)
     assert seen == [(0, 100, threading.current_thread())]
 
 
-def test_a_part_may_run_kernels_itself(threads):
-    threads(2)
+def test_a_part_may_run_kernels_itself():
+    torch.set_num_threads(2)
     out = np.zeros((4, 64))
 
     def outer(start, stop):
@@ -84,8 +73,8 @@ def test_a_part_may_run_kernels_itself(threads):
     np.testing.assert_array_equal(out, 1)
 
 
-def test_many_threads_run_kernels_at_once(threads):
-    threads(2)
+def test_many_threads_run_kernels_at_once():
+    torch.set_num_threads(2)
     outs = [np.zeros(500) for _ in range(6)]
 
     def work(out):
@@ -104,8 +93,8 @@ def test_many_threads_run_kernels_at_once(threads):
 
 
 @pytest.mark.parametrize("part", [0, 1])
-def test_a_failure_in_any_part_is_raised_after_all_parts_ended(threads, part):
-    threads(2)
+def test_a_failure_in_any_part_is_raised_after_all_parts_ended(part):
+    torch.set_num_threads(2)
     ended = []
 
     def kernel(start, stop):
@@ -192,11 +181,11 @@ def _python(code: str, *folders: Path, **environment: str) -> subprocess.Complet
     return subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, timeout=120)
 
 
-def test_loops_keep_their_threads_where_pytorch_has_one(threads):
+def test_loops_keep_their_threads_where_pytorch_has_one():
     def counts() -> tuple[int, int]:
         return torch.get_num_threads(), loop_threads()
 
-    threads(3)
+    torch.set_num_threads(3)
     with one_torch_thread(False):
         assert counts() == (3, 3)
     with one_torch_thread():
@@ -205,12 +194,12 @@ def test_loops_keep_their_threads_where_pytorch_has_one(threads):
             assert counts() == (1, 3)
         assert counts() == (1, 3)
     assert counts() == (3, 3)
-    threads(2)
+    torch.set_num_threads(2)
     assert loop_threads() == 2
 
 
-def test_one_torch_thread_is_of_the_thread_that_asks_for_it(threads):
-    threads(3)
+def test_one_torch_thread_is_of_the_thread_that_asks_for_it():
+    torch.set_num_threads(3)
     seen = []
     with one_torch_thread():
         other = threading.Thread(target=lambda: (torch.set_num_threads(2), seen.append(loop_threads())))

@@ -5,8 +5,8 @@ import math
 import pandas as pd
 
 from benchmarks.accuracy import beyond, measure, page, relative
-from benchmarks.accuracy_cases import every
-from tests.helpers.hard_inputs import held, rounded
+from benchmarks.accuracy_cases import every, rounded
+from tests.helpers.hard_inputs import held
 
 CASES = every()
 

@@ -6,10 +6,9 @@ from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
-from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.geometry import CONTRACTION_GRADIENT
 from qnerf.geometry.contraction import ORDERS, contract
-from tests.helpers.hard_inputs import rounded
 
 EACH_ORDER = pytest.mark.parametrize("order", ORDERS)
 ULPS = st.integers(-4, 4).map(lambda steps: 1 + steps * EPS / 2)

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from itertools import product
 from typing import Any
@@ -64,13 +64,6 @@ def digest(state: dict[str, Any]) -> str:
 
     visit({key: value for key, value in state.items() if key not in ("step_seconds", "torch_random")})
     return found.hexdigest()
-
-
-@pytest.fixture(autouse=True)
-def _threads_as_before() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture

@@ -5,10 +5,9 @@ import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
 
-from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.geometry import HARMONICS
 from qnerf.encoders import spherical_harmonics
-from tests.helpers.hard_inputs import rounded
 
 LONGEST = 1e12
 """Its cube, which the fourth band has, is below the largest float32 by two digits."""

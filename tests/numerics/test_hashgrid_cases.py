@@ -6,11 +6,11 @@ from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
-from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.encoding import FEATURES
 from qnerf.kernels import plain
 from qnerf.kernels.hashgrid import FINEST, hash_encode
-from tests.helpers.hard_inputs import rounded, seeds
+from tests.helpers.hard_inputs import seeds
 
 POINT_GRADIENTS = 32 * EPS
 """Relative to resolution times the largest upstream, with entries below 1: four differences of corners, whose sums may

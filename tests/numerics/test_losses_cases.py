@@ -8,12 +8,11 @@ import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
 
-from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.losses import LOSSES
 from qnerf.kernels import plain
 from qnerf.training.losses import distortion, interlevel
 from qnerf.types import Samples
-from tests.helpers.hard_inputs import rounded
 
 PLAIN = 64 * EPS
 """Of the plain forms, relative to the sum of all products: they add at most 12 numbers, each of up to 5 roundings."""

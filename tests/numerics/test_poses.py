@@ -8,10 +8,10 @@ from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
-from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.geometry import MOTION, ROTATION
 from qnerf.geometry.rotations import exp_se3, exp_so3, exp_so3xr3
-from tests.helpers.hard_inputs import rounded, seeds
+from tests.helpers.hard_inputs import seeds
 
 ANGLE_GRADIENTS = 1e-4
 """Relative to the largest derivative, up to a turn: what is asked for."""

@@ -10,13 +10,13 @@ from hypothesis import given, target
 from hypothesis import strategies as st
 from torch import Tensor
 
-from benchmarks.accuracy_cases import EPS
+from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.rendering import PIXELS, WEIGHT_GRADIENTS, WEIGHTS, SmallField
 from qnerf.config.settings import BACKGROUNDS
 from qnerf.heads.activations import trunc_exp
 from qnerf.rendering.render import render, volume_weights, volume_weights_reference
 from qnerf.types import Samples
-from tests.helpers.hard_inputs import TINY, distance, rounded, seeds
+from tests.helpers.hard_inputs import TINY, distance, seeds
 
 PARAMETER_GRADIENTS = 1e-4
 """Of a field's parameters, each tensor relative to its largest: what is asked for."""

@@ -197,14 +197,10 @@ def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> 
 def test_float32_threads_and_blocks() -> None:
     fast, plain = layers(MIXED)
     exact = results(plain, 700)
-    threads = torch.get_num_threads()
     single, found = fast.float(), []
-    try:
-        for count in (1, 2):
-            torch.set_num_threads(count)
-            found.append(results(single, 700, torch.float32))
-    finally:
-        torch.set_num_threads(threads)
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        found.append(results(single, 700, torch.float32))
     assert all(map(torch.equal, *found))
     for one, expected in zip(found[0], exact, strict=True):
         torch.testing.assert_close(one.double(), expected, rtol=1e-4, atol=1e-5)
@@ -236,6 +232,10 @@ def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
     return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
 
 
+def layered(operation: Any, observables: Any = (((0, "Z"),),)) -> Circuit:
+    return Circuit("wrong", 2, 1, 2, (operation,), observables)
+
+
 MISTAKES: list[tuple[Callable[[], Any], str]] = [
     (lambda: Gate("RW", (0,)), "unknown gate 'RW'; known: X, Y, Z, H"),
     (lambda: Gate("CNOT", (0,)), r"CNOT expects 2 wires, got \(0,\)"),
@@ -260,6 +260,14 @@ MISTAKES: list[tuple[Callable[[], Any], str]] = [
     (lambda: of(measured=Probabilities((0, 0))), "probabilities of wires .* need different wires below 2"),
     (lambda: of(measured=Hamiltonian((1.0,), (((0, "A"),),))), "letters X, Y, Z"),
     (lambda: QuantumLayer(Circuit("c", 1, observables=((),), weights=(Weights("forward", (1,)),))), "an attribute"),
+    (lambda: layered(Rotations(9)), "rotations use row 9, weights have rows 0..3"),
+    (lambda: layered(Entangler("CY", ((0, 1),))), "unknown gate 'CY'; known: CZ, CNOT"),
+    (lambda: layered(Entangler("CZ", ((0, 2),))), r"pair \(0, 2\) needs two different wires below 2"),
+    (lambda: layered(Encoding("W", (1.0, 1.0))), "unknown axis 'W'; known: X, Y, Z"),
+    (lambda: layered(Encoding("Z", (1.0,))), "encoding needs 2 finite scales"),
+    (lambda: layered("RX"), "unknown operation 'RX'; known: Rotations, Entangler, Encoding, Gate, Amplitudes"),
+    (lambda: layered(Rotations(0), observables=()), "needs at least one observable"),
+    (lambda: layered(Rotations(0), observables=(((0, "Z"), (0, "Z")),)), "has more than one letter on a wire"),
 ]
 
 

@@ -24,9 +24,8 @@ RUNS = pd.DataFrame(
 )
 
 
-@pytest.mark.parametrize(
-    ("condition", "chosen"),
-    [
+def test_what_is_chosen() -> None:
+    for condition, chosen in (
         ("field=qcolor", "bc"),
         ("field!=qcolor", "ad"),
         ("field=qcolor qiren.layers>2", "c"),
@@ -60,15 +59,12 @@ RUNS = pd.DataFrame(
         ({"mixed": True}, "c"),
         ({"tags": "good"}, "bc"),
         ({"tags": ["old", "new"]}, "c"),
-    ],
-)  # fmt: skip
-def test_what_is_chosen(condition: str | dict, chosen: str) -> None:
-    assert "".join(filters.require(RUNS, condition)["run_id"]) == chosen
+    ):  # fmt: skip
+        assert "".join(filters.require(RUNS, condition)["run_id"]) == chosen, condition
 
 
-@pytest.mark.parametrize(
-    ("condition", "told"),
-    [
+def test_what_is_told_when_nothing_is_chosen() -> None:
+    for condition, told in (
         ("field=qboth", "no run of 4 has field=qboth; there are field: classical, qcolor"),
         ("psnr>30 seed=1", "psnr: 20.0, 21.5, 25.0; seed: 0, 1, 2, 3"),
         ({"field": "qboth", "seed": 1}, "has field=qboth, seed=1; there are field: classical, qcolor; seed: 0, 1"),
@@ -79,12 +75,10 @@ def test_what_is_chosen(condition: str | dict, chosen: str) -> None:
         ({"qiren.layer": 1}, "no run has a column 'qiren.layer'; did you mean qiren.layers"),
         ("psnr>high", "filter 'psnr>high': psnr>high: > compares numbers, got 'high'"),
         ("field='qcolor", "filter .*: No closing quotation"),
-    ],
-)  # fmt: skip
-def test_what_is_told_when_nothing_is_chosen(condition: str | dict, told: str) -> None:
-    with pytest.raises(ValueError, match=told) as error:
-        filters.require(RUNS, condition)
-    assert "\n" not in str(error.value)
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=told) as error:
+            filters.require(RUNS, condition)
+        assert "\n" not in str(error.value)
 
 
 def test_many_values_are_told_in_short() -> None:

@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -15,15 +14,6 @@ from qnerf.types import Rays
 NAMES = SAMPLERS.names()
 SMALL = {"samples": [16, 12], "final": 8, "levels": 2, "max_resolutions": [24, 32], "log2_table_size": 8}
 DTYPES = [torch.float32, torch.float64]
-
-
-@pytest.fixture
-def one_thread() -> Iterator[None]:
-    """Many steps on tiny tensors: a second OpenMP thread only costs."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def make(name: str, dtype: torch.dtype = torch.float32, **options: Any) -> Any:
@@ -106,7 +96,8 @@ def test_vanilla_looks_where_the_density_is() -> None:
     assert float(inside.double().mean()) > 3 * float((shell(rays.along(even.mids)) > 0).double().mean())
 
 
-def test_proposals_learn_where_the_density_is(one_thread: None) -> None:
+def test_proposals_learn_where_the_density_is() -> None:
+    torch.set_num_threads(1)  # in many steps on tiny tensors a second one only costs
     rays = make_rays(64, near=0.05, far=10.0)
     sampler = make("proposal", samples=[32, 24], final=16, log2_table_size=12, anneal_steps=0)
     optimiser = torch.optim.Adam(sampler.parameters(), lr=1e-2)

@@ -196,19 +196,15 @@ def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):
 
 
 def test_small_steps_run_pytorch_on_one_thread(tiny, monkeypatch):
-    before = torch.get_num_threads()
     torch.set_num_threads(3)
-    try:
-        for few, expected in ((True, [1]), (False, [3])):
-            monkeypatch.setattr("qnerf.training.trainer.few_products", lambda *_, few=few: few)
-            taken = trainer(tiny("field=classical"))
-            seen = []
-            taken.model.register_forward_hook(lambda *_, seen=seen: seen.append(torch.get_num_threads()))
-            taken.take_step(measure=False)
-            assert torch.get_num_threads() == 3
-            assert seen == expected
-    finally:
-        torch.set_num_threads(before)
+    for few, expected in ((True, [1]), (False, [3])):
+        monkeypatch.setattr("qnerf.training.trainer.few_products", lambda *_, few=few: few)
+        taken = trainer(tiny("field=classical"))
+        seen = []
+        taken.model.register_forward_hook(lambda *_, seen=seen: seen.append(torch.get_num_threads()))
+        taken.take_step(measure=False)
+        assert torch.get_num_threads() == 3
+        assert seen == expected
 
 
 def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):

@@ -9,7 +9,7 @@ import torch
 from qnerf.experiment import run
 from qnerf.probes import Trained, load
 from qnerf.viewing.frames import Renderer
-from tests.helpers.configs import TINY, composed
+from tests.helpers.configs import MOMENT, TINY, composed
 from tests.helpers.scenes import write_scene
 
 CENTRE, RADIUS = torch.tensor([0.1, -0.05, 0.0]), 0.4
@@ -19,15 +19,8 @@ CENTRE, RADIUS = torch.tensor([0.1, -0.05, 0.0]), 0.4
 def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("viewing")
     scene = write_scene(folder / "scene", width=12, height=8)
-    options = [
-        "hash=C7",
-        "train.steps=3",
-        "train.rays=8",
-        "train.eval_every=0",
-        "device=cpu",
-        f"store={folder / 'runs'}",
-    ]
-    return run(composed("scene=nerfstudio", f"scene.path={scene}", *TINY, *options)).path
+    own = ("scene=nerfstudio", f"scene.path={scene}", f"store={folder / 'runs'}", "train.steps=3")
+    return run(composed(*TINY, *MOMENT, *own)).path
 
 
 @pytest.fixture(scope="session")

@@ -27,19 +27,7 @@ from tests.helpers.configs import TINY, composed
 from tests.helpers.scenes import write_scene
 
 DEADLINE = 60.0  # seconds, for a busy machine
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-BROWSER = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=900,700",
-)
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=900,700")
 
 
 def camera(trained, view: int = 0, width: int = 12) -> Camera:
@@ -206,16 +194,11 @@ def test_the_server_asks_its_guard(viewer):
 class Page:
     """The viewer's page in a real browser."""
 
-    def __init__(self, address: str, folder) -> None:
-        from selenium import webdriver
+    def __init__(self, driver, address: str) -> None:
         from selenium.webdriver.common.by import By
         from selenium.webdriver.support.wait import WebDriverWait
 
-        options = webdriver.ChromeOptions()
-        options.binary_location = CHROMIUM
-        for argument in (*BROWSER, f"--user-data-dir={folder}"):
-            options.add_argument(argument)
-        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.driver = driver
         self.wait = WebDriverWait(self.driver, DEADLINE, 0.2)
         self.driver.get(address)
         self.canvas = self.wait.until(lambda _: self.driver.find_elements(By.TAG_NAME, "canvas"))[0]
@@ -237,19 +220,16 @@ class Page:
 
 @pytest.fixture
 def browse(tmp_path):
-    pytest.importorskip("selenium", reason="selenium is not installed")
-    if not (CHROMIUM and DRIVER):
-        pytest.skip("chromium and chromedriver are not installed")
-    pages = []
+    from tests.helpers.browser import chromium
 
-    def opened(viewer: Viewer) -> Page:
-        pages.append(Page(viewer.address, tmp_path / "browser"))
-        viewer.cameras.value = False
-        return pages[-1]
+    with chromium(tmp_path / "browser", *WEBGL) as driver:
 
-    yield opened
-    for page in pages:
-        page.driver.quit()
+        def opened(viewer: Viewer) -> Page:
+            page = Page(driver, viewer.address)
+            viewer.cameras.value = False
+            return page
+
+        yield opened
 
 
 @pytest.mark.filterwarnings("default")

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import pytest
 
 from qnerf.cli import main
 from qnerf.records import Run, RunStore
+from tests.cli.conftest import Done as CommandDone
 
 ENVIRONMENT = {
     "git": {"commit": "c0ffee", "branch": "main", "dirty": False},
@@ -94,12 +94,7 @@ def running(tmp_path: Path) -> Iterator[Run]:
         yield run
 
 
-@dataclass
-class Done:
-    code: int
-    out: str
-    err: str
-
+class Done(CommandDone):
     @property
     def json(self) -> Any:
         return json.loads(self.out)

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qnerf import experiment, records
-from qnerf.cli import main
 from qnerf.records.environment import differences
 from qnerf.records.reproduction import compare, relative_difference
 
@@ -33,14 +32,12 @@ def run(tiny: Callable[..., dict[str, Any]]) -> Path:
 
 
 @pytest.fixture
-def reproduce(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+def reproduce(qnerf) -> Callable[..., tuple[int, str]]:
     """`reproduce(run, "--tolerance", 1e-3)`: exit code and output."""
 
     def call(run: Path, *arguments: object) -> tuple[int, str]:
-        capsys.readouterr()
-        code = main.dispatch("reproduce", [run.name, "--store", str(run.parent), *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return code, out + err
+        done = qnerf("reproduce", run.name, *arguments)
+        return done.code, done.out + done.err
 
     return call
 

@@ -46,14 +46,12 @@ def edit(run: Path, change: Callable[[Config], object]) -> Config:
 
 
 @pytest.fixture
-def resume(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+def resume(qnerf) -> Callable[..., tuple[int, str]]:
     """`resume(run, "threads=2")`: exit code and what was said."""
 
     def call(run: Path, *overrides: str) -> tuple[int, str]:
-        capsys.readouterr()
-        code = main.dispatch("resume", [run.name, *overrides, "--store", str(run.parent)])
-        out, err = capsys.readouterr()
-        return code, out + err
+        done = qnerf("resume", run.name, *overrides)
+        return done.code, done.out + done.err
 
     return call
 
