@@ -49,8 +49,8 @@ def samples(chosen: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         for source, runs in chosen.items():
             for path, seed in zip(runs["path"], runs["seed"], strict=True):
                 strip = strips[path]
-                pieces.append(pixels(strip.render).assign(source=source, seed=seed, image=image))
-        pieces.append(pixels(strip.truth).assign(source="truth", seed=None, image=image))
+                pieces.append(pixels(strip["render"]).assign(source=source, seed=seed, image=image))
+        pieces.append(pixels(strip["truth"]).assign(source="truth", seed=None, image=image))
     if not pieces:
         raise ValueError(damaged[0])
     table = pd.concat([piece.astype({"seed": "Int64"}) for piece in pieces], ignore_index=True)

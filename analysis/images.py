@@ -2,20 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from qnerf.records.pictures import listed, read_png
 
-
-class Panels(NamedTuple):
-    """The four panels of a picture, each (H, W, 3) uint8 at the resolution of the view."""
-
-    truth: np.ndarray
-    render: np.ndarray
-    error: np.ndarray
-    depth: np.ndarray
+PANELS = ("truth", "render", "error", "depth")
 
 
 def pictures(run: str | Path) -> dict[str, Path]:
@@ -29,11 +21,6 @@ def common_pictures(runs: Iterable[str]) -> tuple[list[str], dict[str, dict[str,
     return sorted(set.intersection(*map(set, stored.values()))), stored
 
 
-def panels(picture: str | Path) -> Panels:
-    """The panels, without the enlargement. Raises ValueError if the file is not such a picture."""
-    return Panels(*split(picture, Panels._fields))
-
-
 def split(picture: str | Path, names: Sequence[str]) -> list[np.ndarray]:
     """The panels of these names, which stand side by side. A signal's picture has no depth. ValueError as `panels`."""
     pixels = read_png(Path(picture))
@@ -44,13 +31,16 @@ def split(picture: str | Path, names: Sequence[str]) -> list[np.ndarray]:
     return np.split(pixels[::factor, ::factor], len(names), axis=1)
 
 
-def named_panels(picture: str | Path, *, signal: bool) -> dict[str, np.ndarray]:
-    """The panels by name. A signal's picture is truth | fit | error. ValueError as `panels`."""
-    names = Panels._fields[: 3 if signal else 4]
+def panels(picture: str | Path, *, signal: bool = False) -> dict[str, np.ndarray]:
+    """The panels by name, each (H, W, 3) uint8 at the resolution of the view, without the enlargement.
+
+    A signal's picture is truth | fit | error. ValueError if the file is not such a picture.
+    """
+    names = PANELS[: 3 if signal else 4]
     return dict(zip(names, split(picture, names), strict=True))
 
 
-def enlargement(pixels: np.ndarray, count: int = len(Panels._fields)) -> int:
+def enlargement(pixels: np.ndarray, count: int = len(PANELS)) -> int:
     """Side in pixels of the equal squares that make up a picture (H, count * W, 3): views are enlarged unblended."""
     height, width = pixels.shape[0], pixels.shape[1] // count
     rows = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=(1, 2))) + 1

@@ -24,7 +24,7 @@ def write_predictions(runs: pd.DataFrame, folder: Path) -> list[Path]:
         stored = pictures(path)
         for view, picture in stored.items():
             shown = panels(picture)
-            for kind, pixels in (("color", shown.render), ("gt-color", shown.truth)):
+            for kind, pixels in (("color", shown["render"]), ("gt-color", shown["truth"])):
                 make_folder(folder / name / kind)
                 Image.fromarray(pixels).save(folder / name / kind / f"{view}.png")
         if stored:

@@ -225,17 +225,12 @@ def legend(figure: Figure | SubFigure) -> None:
     room, beside = whole.get_figwidth() * 72 - size, 4.6 * size  # beside: the handle, and gaps between columns
     most = int((room - beside) / (0.56 * size))
     names = [textwrap.fill(printable(name), most, break_long_words=False) for name in handles]
-    widths = [max(text_width(line, size) for line in name.split("\n")) + beside for name in names]
-    columns = next(n for n in range(len(names), 0, -1) if n == 1 or _columns_width(widths, n) <= room)
+    widest = max(text_width(line, size) for name in names for line in name.split("\n")) + beside
+    columns = max(1, min(len(names), int(room // widest)))
     drawn = figure.legend(list(handles.values()), names, loc="outside upper left", ncols=columns)
     drawn.set_gid("legend")
     lines = sum(sorted((name.count("\n") + 1 for name in names), reverse=True)[: -(-len(names) // columns)])
     whole.set_figheight(whole.get_figheight() + lines * 1.7 * size / 72)
-
-
-def _columns_width(widths: list[float], columns: int) -> float:
-    """Matplotlib fills columns from the top; the first ones are longer where the entries do not divide evenly."""
-    return sum(max(column, default=0.0) for column in map(list, np.array_split(widths, columns)))
 
 
 def footnote(figure: Figure, *parts: str) -> None:

@@ -82,7 +82,7 @@ def build(overrides: str) -> tuple[Trainer, Evaluator]:
 
 def in_turn(
     steps: Sequence[Callable[[], object]],
-    contexts: Sequence[AbstractContextManager[None]],
+    contexts: Sequence[Callable[[], AbstractContextManager[None]]],
     rounds: int,
     block: int,
 ) -> list[float]:
@@ -93,7 +93,7 @@ def in_turn(
     times: list[list[float]] = [[] for _ in steps]
     for count in range(1 + rounds):
         for step, context, seconds in zip(steps, contexts, times, strict=True):
-            with context:
+            with context():
                 step()
                 for _ in range(block):
                     start = time.perf_counter()
@@ -101,17 +101,6 @@ def in_turn(
                     if count:
                         seconds.append(time.perf_counter() - start)
     return [median(seconds) for seconds in times]
-
-
-class Plain(AbstractContextManager[None]):
-    """A reusable `kernels.plain`."""
-
-    def __enter__(self) -> None:
-        self.inside = kernels.plain()
-        self.inside.__enter__()
-
-    def __exit__(self, *error: object) -> None:
-        self.inside.__exit__(None, None, None)
 
 
 def warmed(overrides: str) -> tuple[Trainer, Evaluator]:
@@ -141,7 +130,7 @@ def ratios(rounds: int) -> Iterator[Row]:
     for name, (above, below) in RATIOS.items():
         slow = "PennyLane" in name
         first, second = build(above)[0], warmed(below)[0]
-        contexts = [Plain() if name.startswith("plain") else nullcontext(), nullcontext()]
+        contexts = [kernels.plain if name.startswith("plain") else nullcontext, nullcontext]
         sides = [partial(trainer.take_step, measure=False) for trainer in (first, second)]
         pair = in_turn(sides, contexts, rounds=3 if slow else max(rounds // 4, 3), block=2 if slow else 5)
         yield ratio(name, *pair)
@@ -152,7 +141,7 @@ def ratios(rounds: int) -> Iterator[Row]:
             partial(evaluator.render, view, trainer.step),
             partial(trainer.take_step, measure=False),
         ]
-        image, step = in_turn(functions, [nullcontext()] * 2, rounds=max(rounds // 4, 3), block=5)
+        image, step = in_turn(functions, [nullcontext] * 2, rounds=max(rounds // 4, 3), block=5)
         rays = len(trainer.table.view(view)), trainer.train.rays
         name = f"evaluation / training, microseconds a ray, {overrides}"
         yield ratio(name, image / rays[0], step / rays[1])

@@ -11,8 +11,6 @@ from ..figures.files import collecting
 from ..style import rendered
 
 PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
-MAX_SVG = 1_000_000  # bytes; a figure of ten thousand points is smaller as PNG
-KINDS = {"svg": "image/svg+xml", "png": "image/png"}
 
 
 @dataclass(frozen=True)
@@ -43,14 +41,5 @@ def draw(name: str, frame: pd.DataFrame, baseline: str | None = None) -> tuple[l
 
 def embedded(title: str, figure: Figure) -> Drawn:
     width, height = (round(inches * PIXELS_AN_INCH) for inches in figure.get_size_inches())
-    return Drawn(title, data_uri(*encoded(figure)), width, height)
-
-
-def encoded(figure: Figure) -> tuple[str, bytes]:
-    """As SVG, or as PNG where that would be too large."""
-    svg = rendered(figure, "svg")
-    return ("svg", svg) if len(svg) <= MAX_SVG else ("png", rendered(figure, "png"))
-
-
-def data_uri(kind: str, data: bytes) -> str:
-    return f"data:{KINDS[kind]};base64,{base64.b64encode(data).decode()}"
+    image = base64.b64encode(rendered(figure, "svg")).decode()
+    return Drawn(title, f"data:image/svg+xml;base64,{image}", width, height)

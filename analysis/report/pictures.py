@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from ..images import named_panels, pictures
+from ..images import panels, pictures
 
 MAX_VIEWS = 1000
 MAX_BYTES = 20 * 2**20
@@ -70,7 +70,7 @@ def gather(frame: pd.DataFrame, order: Iterable[int], max_views: int, *, budget:
             stored = {}
         for view, path in stored.items():
             try:
-                result.add(row, view, named_panels(path, signal=signal))
+                result.add(row, view, panels(path, signal=signal))
             except ValueError as error:
                 result.problems.append(str(error))
     return result

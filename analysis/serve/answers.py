@@ -16,7 +16,7 @@ import qnerf
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records import filters, read_config
 
-from ..images import named_panels, pictures
+from ..images import panels, pictures
 from ..load import metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
@@ -160,7 +160,7 @@ def _curves(folder: Path, _stamp: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def _panels(path: Path, _stamp: str | None) -> dict[str, np.ndarray]:
-    return named_panels(path, signal="head" in read_config(path.parents[1]))
+    return panels(path, signal="head" in read_config(path.parents[1]))
 
 
 def _stamp(path: Path) -> str | None:

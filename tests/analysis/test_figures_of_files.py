@@ -51,7 +51,7 @@ def test_the_grid_shows_the_stored_panels_of_median_runs(frame):
     drawn = [ax.images[0].get_array() for ax in figure.axes]
     assert len(drawn) == 4 * len(shown) == 8
     for number, picture in enumerate(shown["picture"]):
-        for column, panel in enumerate(panels(picture)):
+        for column, panel in enumerate(panels(picture).values()):
             np.testing.assert_array_equal(drawn[4 * number + column], panel)
     row = shown.iloc[0]
     measured = pd.read_parquet(row["picture"].parents[1] / "eval.parquet").set_index("image")["psnr"]
@@ -65,7 +65,7 @@ def test_hsv_curves_are_densities_of_the_stored_pixels(frame):
     areas = ((table["right"] - table["left"]) * table["density"]).groupby([table["channel"], table["source"]]).sum()
     np.testing.assert_allclose(areas, 1)
     path = frame[frame["field"] == "classical"]["path"].iloc[0]
-    truth = np.concatenate([hsv.pixels(panels(file).truth)["value"] for file in pictures(path).values()])
+    truth = np.concatenate([hsv.pixels(panels(file)["truth"])["value"] for file in pictures(path).values()])
     own = table[(table["channel"] == "value") & (table["source"] == "truth")]
     expected = np.histogram(truth, [*own["left"], own["right"].iloc[-1]], density=True)[0]
     np.testing.assert_allclose(own["density"], expected)

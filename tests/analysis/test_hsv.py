@@ -33,7 +33,7 @@ def test_panels_are_the_pixels_that_were_drawn(tmp_path, factor):
     drawn = [noise() for _ in range(4)]
     run = write_run(tmp_path, pictures={"a": picture(*drawn, factor=factor)})
     assert list(pictures(run)) == ["a"]
-    for panel, pixels in zip(panels(pictures(run)["a"]), drawn, strict=True):
+    for panel, pixels in zip(panels(pictures(run)["a"]).values(), drawn, strict=True):
         np.testing.assert_array_equal(panel, pixels)
 
 

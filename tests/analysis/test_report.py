@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from qnerf.analysis.images import named_panels, panels, pictures
+from qnerf.analysis.images import panels, pictures
 from qnerf.analysis.load import metrics, runs
 from qnerf.analysis.report import columns, content, curves, figures, page, parts, tables
 from qnerf.analysis.report.__main__ import main, page_content, parser
@@ -125,7 +125,7 @@ def test_pictures_are_the_runs_own_and_the_truth_is_there_once(frame):
         assert list(stored) == views[row]
         for view, path in stored.items():
             for kind, place in found.runs[row][view].items():
-                assert (pixels(found.files[place]["uri"]) == getattr(panels(path), kind)).all()
+                assert (pixels(found.files[place]["uri"]) == panels(path)[kind]).all()
 
 
 def test_pictures_stop_at_their_number_and_their_bytes_and_say_so(frame):
@@ -140,7 +140,7 @@ def test_a_signals_picture_has_three_panels(tmp_path):
     parts = np.random.default_rng(0).integers(0, 255, (4, 8, 12, 3), dtype=np.uint8)
     for signal, own in ((True, parts[:3]), (False, parts)):
         run = write_run(tmp_path, seed=len(own), pictures={"one": picture(*own)})
-        found = named_panels(run / "images" / "one.png", signal=signal)
+        found = panels(run / "images" / "one.png", signal=signal)
         assert list(found) == ["truth", "render", "error", "depth"][: len(own)]
         assert (np.stack(list(found.values())) == own).all()
 

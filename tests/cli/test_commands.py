@@ -93,7 +93,7 @@ def test_probe_names_a_wrong_option(qnerf) -> None:
     Path("a-run/status.json").write_text("{}")
     for option, message in {
         "shot=3": "unknown option 'shot'; known: shots, noise, p, views, seed",
-        "shots=many": "shots expects numbers with commas between them, got 'many'",
+        "shots=many": "shots[0] expects int, got 'many'",
         "spectra": "unknown probe 'spectra'; known: spectrum",
     }.items():
         done = qnerf("probe", "./a-run", option)

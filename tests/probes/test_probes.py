@@ -291,8 +291,8 @@ def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, 
         (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
         (["spectrum"], "neither of its heads has a re-uploading circuit"),
         (["shots=10"], "neither of its heads has a re-uploading circuit"),
-        (["views=-1"], "views expects one number of at least 0, got '-1'"),
-        (["shots=10", "seed=1,2"], "seed expects one number of at least 0, got '1,2'"),
+        (["views=-1"], "views must be between 0 and 1000000000, got -1"),
+        (["shots=10", "seed=1,2"], "seed expects int, got '1,2'"),
         (["noise=thermal"], "noise=thermal also expects probabilities, such as p=0.001,0.01"),
     ):
         assert message in refused(*arguments)

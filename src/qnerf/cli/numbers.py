@@ -3,21 +3,22 @@
 import argparse
 import math
 from collections.abc import Callable
+from typing import Any
 
 MAX_COUNT = 10**9
 
 
-def number(low: float, high: float, *, above: bool = False) -> Callable[[str], float]:
-    """A finite number from `low` to `high`; above: `low` itself is refused."""
+def number(low: float, high: float, *, above: bool = False, kind: type = float) -> Callable[[str], Any]:
+    """A finite number from `low` to `high`; above: `low` itself is refused; kind: int for whole numbers."""
 
-    def parse(text: str) -> float:
+    def parse(text: str) -> Any:
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
             value = math.nan
         if not low <= value <= high or (above and value == low):
-            start = f"above {low:g}" if above else f"from {low:g}"
-            raise argparse.ArgumentTypeError(f"expected a number {start} to {high:g}, got {text!r:.60}")
+            what = f"a {'whole ' * (kind is int)}number {'above' if above else 'from'} {low:,g} to {high:,g}"
+            raise argparse.ArgumentTypeError(f"expected {what}, got {text!r:.60}")
         return value
 
     return parse
@@ -25,17 +26,7 @@ def number(low: float, high: float, *, above: bool = False) -> Callable[[str], f
 
 def whole(low: int, high: int) -> Callable[[str], int]:
     """A whole number from `low` to `high`."""
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"expected a whole number from {low:,} to {high:,}, got {text!r:.60}")
-        return value
-
-    return parse
+    return number(low, high, kind=int)
 
 
 count = whole(0, MAX_COUNT)

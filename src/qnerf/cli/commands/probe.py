@@ -1,16 +1,26 @@
 """`qnerf probe RUN shots=100,1000 noise=depolarizing p=0.001,0.01 readout=0.02`, or `qnerf probe RUN rays`."""
 
 import argparse
+import contextlib
+from collections.abc import Mapping
 from typing import Any
 
 from qnerf.cli.commands import STORED, add_run
 from qnerf.cli.stored import load_stored, split
-from qnerf.config.bounds import PositiveInt, Share, check
+from qnerf.config.bounds import NonNegativeInt, PositiveInt, Share, check
 from qnerf.records import find
 
 DIAGNOSTICS = ("expressibility", "entangling", "fisher", "kernel", "surrogate")
 PROBES = ("spectrum", "encoding", "rays", "units", "cost", *DIAGNOSTICS)
-DEFAULTS = {"shots": "", "noise": "depolarizing", "p": "", "views": "0", "seed": "0", "patterns": "100"}
+DEFAULTS: dict[str, Any] = {"shots": [], "noise": "depolarizing", "p": [], "seed": 0}
+KINDS: dict[str, Any] = {
+    "shots": list[PositiveInt],
+    "noise": str,
+    "p": list[Share],
+    "views": NonNegativeInt,
+    "seed": NonNegativeInt,
+    "patterns": PositiveInt,
+}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,8 +48,9 @@ def main(options: argparse.Namespace) -> None:
     run = find(options.run, options.store)
     own, overrides = split(options.options)
     names = [option for option in own if "=" not in option]
-    settings = [option for option in own if "=" in option]
-    _check(names, settings)
+    settings = dict(option.split("=", 1) for option in own if "=" in option)
+    if unknown := [name for name in names if name not in PROBES]:
+        raise ValueError(f"unknown probe {unknown[0]!r}; known: {', '.join(PROBES)}")
     conditions, counts = _conditions(settings) if settings or not names else (None, {})
 
     from qnerf.probes import probe
@@ -62,44 +73,28 @@ def main(options: argparse.Namespace) -> None:
         print(f"rows in {trained.folder / FILE}")
 
 
-def _check(names: list[str], settings: list[str]) -> None:
-    for name in names:
-        if name not in PROBES:
-            raise ValueError(f"unknown probe {name!r}; known: {', '.join(PROBES)}")
-    if settings:
-        from qnerf.probes.shots_and_noise import OTHERS
-
-        for key in (setting.partition("=")[0] for setting in settings):
-            if key not in (*DEFAULTS, *OTHERS):
-                raise ValueError(f"unknown option {key!r}; known: {', '.join((*DEFAULTS, *OTHERS))}")
-
-
-def _conditions(settings: list[str]) -> tuple[list[Any], dict[str, int]]:
+def _conditions(settings: Mapping[str, str]) -> tuple[list[Any], dict[str, int]]:
     """The conditions to measure under, and the numbers of views and patterns."""
-    from qnerf.probes.shots_and_noise import grid
+    from qnerf.probes.shots_and_noise import OTHERS, grid
 
-    chosen = dict(option.split("=", 1) for option in settings)
-    values = DEFAULTS | chosen
-    shots, p = _numbers(int, "shots", values["shots"]), _numbers(float, "p", values["p"])
-    views, seed, patterns = (_one(key, values[key]) for key in ("views", "seed", "patterns"))
-    others = {key: _one(key, text, float) for key, text in chosen.items() if key not in DEFAULTS}
-    if "noise" in chosen and not p:
-        raise ValueError(f"noise={values['noise']} also expects probabilities, such as p=0.001,0.01")
-    check("shots", shots, list[PositiveInt])
-    check("p", p, list[Share])
-    check("patterns", patterns, PositiveInt)
-    return grid(shots, values["noise"], p, seed, others), {"views": views, "patterns": patterns}
-
-
-def _one(name: str, text: str, kind: type = int) -> Any:
-    numbers = _numbers(kind, name, text)
-    if len(numbers) != 1 or not numbers[0] >= 0:
-        raise ValueError(f"{name} expects one number of at least 0, got {text!r}")
-    return numbers[0]
+    kinds = KINDS | dict.fromkeys(OTHERS, float)
+    given: dict[str, Any] = {}
+    for key, text in settings.items():
+        if key not in kinds:
+            raise ValueError(f"unknown option {key!r}; known: {', '.join(kinds)}")
+        numbers = [_number(part) for part in text.split(",")]
+        single = numbers[0] if len(numbers) == 1 else text
+        given[key] = numbers if key in ("shots", "p") else single
+        check(key, given[key], kinds[key])
+    if "noise" in given and "p" not in given:
+        raise ValueError(f"noise={given['noise']} also expects probabilities, such as p=0.001,0.01")
+    counts: dict[str, int] = {key: given.pop(key) for key in ("views", "patterns") if key in given}
+    chosen = {key: given.pop(key, default) for key, default in DEFAULTS.items()}
+    return grid(**chosen, others=given), counts
 
 
-def _numbers(kind: type, name: str, text: str) -> list[Any]:
-    try:
-        return [kind(part) for part in text.split(",") if part]
-    except ValueError:
-        raise ValueError(f"{name} expects numbers with commas between them, got {text!r}") from None
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
