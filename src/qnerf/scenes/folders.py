@@ -47,7 +47,7 @@ class SceneFolder:
         """The image file that `name` stands for; None if it does not exist.
 
         A backslash may stand for a slash, the suffix may be missing or written twice, and letter case and Unicode form
-        may differ. An absolute path stands for a file inside the folder, also if the folder has moved since.
+        may differ. A path that leads to nothing outside stands for a file inside the folder, which has moved since.
 
         Raises:
             ValueError: the name leads out of the folder, or stands for several files.
@@ -73,7 +73,6 @@ class SceneFolder:
     def _places(self, name: str) -> Iterator[str]:
         """Relative paths that a name may stand for, the most likely one first."""
         slashed = re.sub(r"^[A-Za-z]:/", "/", name.replace("\\", "/"))
-        absolute = posixpath.isabs(slashed)
         if "\\" in name and (self.path / name).is_file():
             yield name
         root = os.path.abspath(self.path)
@@ -82,12 +81,12 @@ class SceneFolder:
             if os.path.commonpath([base, target]) == base:
                 yield os.path.relpath(target, base)
                 return
-        if not absolute or os.path.exists(target):
+        if any(os.path.exists(target + suffix) for suffix in SUFFIXES):
             raise ValueError(
                 f"{self.path}: image {name!r} lies outside the scene's folder; copy it into the folder, and write its "
                 "path relative to the folder"
             )
-        parts = posixpath.normpath(slashed).strip("/").split("/")
+        parts = [part for part in posixpath.normpath(slashed).split("/") if part not in ("", "..")]
         for first in range(len(parts)):
             yield "/".join(parts[first:])
 
