@@ -8,9 +8,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from qnerf.auto.poses import distances, epipolar_error, fundamental, matched, warning
 from qnerf.geometry.rays import project
+from qnerf.scenes.normalise import normalise
 from tests.helpers.worlds import ball, constant, floor, turned
 
 FLOOR = floor(views=3)
@@ -19,14 +21,36 @@ FLOOR = floor(views=3)
 def test_warnings_name_what_is_wrong_and_following_them_ends_them(poster):
     assert warning(poster) is None
     assert "do not fit the images" in str(warning(turned(poster, 10.0)))
-    of = poster.cameras
-    turned_axes = of.poses * torch.tensor([1.0, -1, -1, 1])
-    inverse = torch.linalg.inv(
-        torch.nn.functional.pad(of.poses, (0, 0, 0, 1)) + torch.diag(torch.tensor([0.0, 0, 0, 1]))
-    )
+    of, flip, turn = poster.cameras, np.diag([1.0, -1, -1, 1]), np.eye(4)
+    turn[:3, :3], turn[:3, 3] = Rotation.from_euler("xyz", [1, 2, 3]).as_matrix(), (5, -2, 9)
+    source = turn @ np.stack([np.vstack([pose, [0, 0, 0, 1]]) for pose in of.poses.numpy()])
+    colmap = np.linalg.inv(source @ flip)
+
+    def read(poses):
+        """The scene as a reader gives it of a file with these poses."""
+        normal, similarity = normalise(poses[:, :3])
+        cameras = dataclasses.replace(of, poses=torch.from_numpy(normal))
+        return dataclasses.replace(poster, cameras=cameras, transform=torch.from_numpy(similarity))
+
+    def reordered(poses, by):
+        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+        changed = poses.copy()
+        changed[:, :3, :3] = Rotation.from_quat(np.roll(quaternions, by, axis=1)).as_matrix()
+        return changed
+
+    def of_colmap(poses):
+        return np.linalg.inv(poses) @ flip
+
+    for wrong, text, cured in (
+        (source @ flip, "OpenCV's axes", lambda poses: poses @ flip),
+        (np.linalg.inv(source), "from the world to the camera", np.linalg.inv),
+        (np.linalg.inv(source @ flip), "inverted", lambda poses: np.linalg.inv(poses) @ flip),
+        (of_colmap(np.linalg.inv(colmap)), "inverted", lambda poses: of_colmap(poses @ flip)),
+        (of_colmap(reordered(colmap, -1)), "qx qy qz qw", lambda _: of_colmap(reordered(reordered(colmap, -1), 1))),
+    ):
+        assert text in str(warning(read(wrong)))
+        assert warning(read(cured(wrong))) is None
     for wrong, text in (
-        ({"poses": turned_axes}, "OpenCV's axes"),
-        ({"poses": inverse[:, :3]}, "from the world to the camera"),
         ({"cx": 0 * of.cx, "cy": 0 * of.cy}, "the principal point seems to be wrong"),
         ({"fx": 2.1 * of.fx, "fy": 2.1 * of.fy}, "the focal length seems to be wrong (about 0.5 times fl_x would fit"),
     ):
@@ -79,7 +103,8 @@ def test_images_without_features_cannot_tell(world):
 
 def test_the_smallest_images_are_no_error():
     for width, height in ((1, 1), (3, 2), (8, 6)):
-        images = torch.randint(0, 256, (6, height, width, 3), dtype=torch.uint8)
+        noise = torch.Generator().manual_seed(0)
+        images = torch.randint(0, 256, (6, height, width, 3), dtype=torch.uint8, generator=noise)
         world = constant(0, width=width, height=height)
         assert epipolar_error(dataclasses.replace(world, images=images)).pairs == 0
         assert matched(*(image.double().mean(-1).numpy() / 255 for image in images[:2])).shape == (0, 2, 2)

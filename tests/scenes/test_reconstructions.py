@@ -93,10 +93,14 @@ def test_a_reconstruction_is_the_scene_that_it_was_written_from(tmp_path: Path) 
 
 def test_smaller_images_stand_in(posed: Path) -> None:
     expected = build("nerfstudio", posed)
-    write_llff(posed, factor=4)
+    write_text(posed)
+    write_llff(posed, factor=4, from_text=posed / "sparse/0")
     (posed / "images").rename(posed / "images_4")
     same(build("llff", posed), expected)
     same(build("llff", posed, images="images_4"), expected)
+    for file in (posed / "images_4").iterdir():
+        file.rename(file.with_suffix(".bmp"))
+    same(build("colmap", posed, images="images_4"), expected)
 
 
 def test_photographs_may_lie_in_the_scene_s_folder_itself(posed: Path) -> None:
@@ -236,9 +240,13 @@ def test_llff_takes_its_lens_from_the_model_beside_it(posed: Path) -> None:
 
 
 def test_bad_llff_folders_are_one_line(posed: Path) -> None:
-    write_llff(posed)
+    write_text(posed)
+    write_llff(posed, from_text=posed / "sparse/0")
     (posed / "images" / "000.png").unlink()
-    refused("llff", posed, "poses_bounds.npy has 9 poses, but ", "images has 8 images")
+    refused(
+        "llff", posed, "poses_bounds.npy has 9 poses, but ", "images has 8 images; it has sparse/0/images.txt: use "
+    )
+    build("colmap", posed, skip_missing=True)
     np.save(posed / "poses_bounds.npy", np.zeros((9, 3)))
     refused("llff", posed, "expected an array of V x 17 numbers")
     (posed / "poses_bounds.npy").write_bytes(b"hello")
@@ -255,13 +263,14 @@ def test_a_folder_without_the_file_is_told_what_it_holds(tmp_path: Path) -> None
             ("sparse/0/images.bin", "it has sparse/0/images.bin: use scene=colmap"),
             ("images/0.JPG", "it has 1 images without poses: `qnerf capture "),
             ("walk.mp4", "it has a video: `qnerf capture "),
+            ("dense/0/sparse/images.txt", "a folder in it is a scene: use scene=colmap scene.path='"),
         )
     ):
         folder = tmp_path / f"a folder {number}"
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / file).touch()
         for kind in ("nerfstudio", "llff", "colmap", "blender"):
-            if f"scene={kind}" in hint:
+            if f"scene={kind}" in hint and "scene.path" not in hint:
                 assert "use scene=" not in refused(kind, folder)
             else:
                 refused(kind, folder, hint, "'" if "capture" in hint else "")

@@ -179,7 +179,15 @@ def test_names_that_stand_for_several_files_or_for_none_inside_are_refused(tiny_
     build(tiny_scene)
     outside = tiny_scene.parent / "outside.png"
     shutil.copy(tiny_scene / NAMES[2], outside)
-    for name in ("../outside.png", "../outside", str(outside), str(outside)[:-4], "images/../../outside.png", "..", "/etc/passwd"):
+    for name in (
+        "../outside.png",
+        "../outside",
+        str(outside),
+        str(outside)[:-4],
+        "images/../../outside.png",
+        "..",
+        "/etc/passwd",
+    ):
         change_frame(tiny_scene, file_path=name)
         refused(tiny_scene, repr(name), "outside the scene's folder; copy it into the folder, and write its path")
     outside.rename(tiny_scene / "inside.png")

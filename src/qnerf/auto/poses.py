@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial.transform import Rotation
 from skimage.feature import SIFT, match_descriptors
 from skimage.measure import ransac
 from skimage.transform import FundamentalMatrixTransform, rescale
@@ -27,7 +28,8 @@ SMALL = 256  # pixels: smaller images are enlarged to this height before matchin
 
 
 FACTORS = tuple(2 ** (step / 4) for step in range(-12, 13) if step)  # by which a focal length may be wrong
-AXES, DIRECTION, CENTRE, FOCAL = "axes", "direction", "centre", "focal"
+AXES, DIRECTION, BOTH, QUATERNIONS = "axes", "direction", "both", "quaternions"
+CENTRE, FOCAL = "centre", "focal"
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ def epipolar_error(scene: Scene) -> Epipolar:
 
     Lens distortion is not removed; it adds to all distances alike.
     """
-    changed = {"": scene.cameras, **changes(scene.cameras)}
+    changed = {"": scene.cameras, **changes(scene)}
     found = [pair_error(scene, changed, a, b) for a, b in subset(neighbours(scene), PAIRS)]
     known = np.array([pair for pair in found if pair is not None]).reshape(-1, 1 + len(changed))
     if len(known) == 0:
@@ -54,18 +56,30 @@ def epipolar_error(scene: Scene) -> Epipolar:
     return Epipolar(given, best, len(known), dict(zip(list(changed)[1:], others, strict=True)))
 
 
-def changes(cameras: Cameras) -> dict[str, Cameras]:
+def changes(scene: Scene) -> dict[str, Cameras]:
     """The cameras with one thing changed that files often have wrong.
 
-    Turned axes, as if they were OpenCV's; poses as if they were from the world to the camera; the principal point in
-    the middle of the image; the focal length times a number, which follows the name.
+    In the source's world, whose origin matters if a pose is inverted: turned axes, as if they were OpenCV's; poses as
+    if they were from the world to the camera; both; quaternions of COLMAP's poses whose real part came last. Then the
+    principal point in the middle of the image, and the focal length times a number, which follows the name.
     """
-    poses = cameras.poses
-    inverse = poses[:, :, :3].mT
+    cameras, flip = scene.cameras, np.diag([1.0, -1.0, -1.0, 1.0])
+    similarity = scene.transform.numpy()
+    poses = np.tile(np.eye(4), (len(cameras), 1, 1))
+    poses[:, :3] = cameras.poses.numpy()
+    poses = np.linalg.inv(similarity) @ poses
+    poses[:, :3, :3] *= np.linalg.norm(similarity[:3, 0])
+    inverse, colmap = np.linalg.inv(poses), np.linalg.inv(poses @ flip)
+    colmap[:, :3, :3] = Rotation.from_quat(np.roll(Rotation.from_matrix(colmap[:, :3, :3]).as_quat(), 1, 1)).as_matrix()
+    others = {
+        AXES: poses @ flip,
+        DIRECTION: inverse,
+        BOTH: inverse @ flip,
+        QUATERNIONS: np.linalg.inv(colmap) @ flip,
+    }
     middle = cameras.all_sizes.to(torch.float64).unbind(1)
     return {
-        AXES: replace(cameras, poses=poses * torch.tensor([1.0, -1, -1, 1])),
-        DIRECTION: replace(cameras, poses=torch.cat([inverse, -inverse @ poses[:, :, 3:]], dim=2)),
+        **{name: replace(cameras, poses=torch.from_numpy(changed[:, :3])) for name, changed in others.items()},
         CENTRE: replace(cameras, cx=middle[0] / 2, cy=middle[1] / 2),
         **{
             f"{FOCAL} {factor:.3g}": replace(cameras, fx=cameras.fx * factor, fy=cameras.fy * factor)
@@ -98,6 +112,10 @@ EXPLANATIONS = {
     "transform_matrix by -1)",
     DIRECTION: "the poses seem to be from the world to the camera, and those from the camera to the world are expected "
     "(invert each transform_matrix)",
+    BOTH: "the poses seem to be inverted: expected are those from the camera to the world, with OpenGL's axes (invert "
+    "each transform_matrix, then multiply its columns 2 and 3 by -1), and in COLMAP's images.txt those from the world "
+    "to the camera (invert each)",
+    QUATERNIONS: "the quaternions seem to be in the order qx qy qz qw, and images.txt holds qw qx qy qz",
     CENTRE: "the principal point seems to be wrong (cx and cy are in pixels; left out, it is the middle of the image)",
     FOCAL: "the focal length seems to be wrong (about {factor} times fl_x would fit; it is in pixels of the images)",
 }

@@ -144,12 +144,15 @@ def contents(folder: Path, besides: Collection[str] = ()) -> str:
 
     besides: files of the format that was looked for, which is not advised again.
     """
-    for kind, files in FORMATS.items():
-        found = next((file for file in files if (folder / file).is_file()), None)
-        if found is not None and not set(besides) & set(files):
-            return f"; it has {found}: use scene={kind}"
+    held = [(kind, file) for kind, files in FORMATS.items() for file in files if (folder / file).is_file()]
+    if other := next(((kind, file) for kind, file in held if not set(besides) & set(FORMATS[kind])), None):
+        return f"; it has {other[1]}: use scene={other[0]}"
     for place in (folder / "images", folder):
         if found_images := photographs(place):
             return f"; it has {len(found_images)} images without poses: {capture_hint(place)}"
+    inside = [] if held else sorted(place for depth in ("*/", "*/*/") for place in folder.glob(depth))
+    for place, kind in ((place, kind) for place in inside for kind in FORMATS):
+        if any((place / file).is_file() for file in FORMATS[kind]):
+            return f"; a folder in it is a scene: use scene={kind} scene.path={shlex.quote(str(place))}"
     videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS)
     return f"; it has a video: {capture_hint(videos[0])}" if videos else ""

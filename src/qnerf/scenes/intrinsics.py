@@ -15,6 +15,7 @@ from qnerf.scenes.normalise import MAX_ENTRY
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 FISHEYE = ("OPENCV_FISHEYE",)
 CURE = "undistort the images first, with `qnerf capture` or COLMAP's image_undistorter"
+CURE_MODEL = f"{CURE}; cut panoramas into pinhole images"
 SIZE = ("w", "h")
 FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
 CENTRE = ("cx", "cy")
@@ -54,7 +55,7 @@ def stated_intrinsics(lens: Mapping[str, Any], label: str) -> dict[str, float]:
     model = lens.get("camera_model")
     if model is not None and model not in (*PERSPECTIVE, *FISHEYE):
         known = ", ".join((*PERSPECTIVE, *FISHEYE))
-        raise ValueError(f"{label}: camera model {_short(model)} is not supported; known: {known}; {CURE}")
+        raise ValueError(f"{label}: camera model {_short(model)} is not supported; known: {known}; {CURE_MODEL}")
     said = lens.get("is_fisheye")
     if said not in (None, False, True):
         raise ValueError(f"{label}: is_fisheye must be true or false, got {_short(said)}")

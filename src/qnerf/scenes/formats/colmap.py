@@ -1,6 +1,7 @@
 """A COLMAP reconstruction: cameras and images, binary or text, and the photographs."""
 
 import math
+import posixpath
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from qnerf.config.bounds import Count
 from qnerf.scenes.base import SCENES, Scene
 from qnerf.scenes.folders import FORMATS, SceneFolder, contents
-from qnerf.scenes.intrinsics import CURE
+from qnerf.scenes.intrinsics import CURE_MODEL
 from qnerf.scenes.loading import Capture, PosedImage, load_scene
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
@@ -55,7 +56,7 @@ def colmap(
     Args:
         path: the folder.
         images: folder of the photographs inside `path`, such as images_4. Where it lacks one, `path` itself, images_2,
-            images_4 and images_8 are searched. Smaller images than the model's are fine.
+            images_4 and images_8 are searched. Smaller images than the model's are fine, and another suffix.
         model: folder of the model inside `path`; None: sparse/0, sparse, colmap/sparse/0, or `path` itself.
         downscale: integer factor by which images are reduced, with an area filter.
         width: that of images which are wider, in pixels; the area filter reduces them to it.
@@ -82,7 +83,7 @@ def posed_image(folder: SceneFolder, images: str, frame: dict[str, Any]) -> Pose
     own, named = frame["file_path"], f"{images}/{frame['file_path']}"
     file = folder.image(named)
     name = named if file or folder.image(own) is None else own
-    file = file or folder.image(own) or folder.smaller(named)
+    file = file or folder.image(own) or folder.image(posixpath.splitext(named)[0]) or folder.smaller(named)
     return PosedImage(name, file, np.array(frame["transform_matrix"]), frame)
 
 
@@ -267,5 +268,5 @@ def _model(file: Path, kind: int | str) -> tuple[str, str]:
     known = {key: entry for number, entry in MODELS.items() for key in (number, entry[0])}
     if kind not in known:
         names = ", ".join(name for name, _ in MODELS.values())
-        raise ValueError(f"{file}: camera model {kind} is not supported; known: {names}; {CURE}")
+        raise ValueError(f"{file}: camera model {kind} is not supported; known: {names}; {CURE_MODEL}")
     return known[kind]

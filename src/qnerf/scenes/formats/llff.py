@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from qnerf.config.bounds import Count
 from qnerf.scenes.base import SCENES, Scene
-from qnerf.scenes.folders import FORMATS, SMALLER, SceneFolder, photographs
+from qnerf.scenes.folders import FORMATS, SMALLER, SceneFolder, contents, photographs
 from qnerf.scenes.formats.colmap import find_model, read_model
 from qnerf.scenes.loading import Capture, PosedImage, load_scene
 
@@ -50,7 +50,10 @@ def llff(
     places = [folder.path / images, *(folder.path / f"{images}_{factor}" for factor in SMALLER)]
     found = next((names for place in places if (names := photographs(place))), [])
     if len(found) != len(table):
-        raise ValueError(f"{file} has {len(table)} poses, but {folder.path / images} has {len(found)} images")
+        raise ValueError(
+            f"{file} has {len(table)} poses, but {folder.path / images} has {len(found)} images"
+            f"{contents(folder.path, [FILE])}"
+        )
     listed = [posed_image(folder, image, row) for image, row in zip(found, table, strict=True)]
     posed, remarks, read = with_lenses(folder, listed)
     capture = Capture("llff", folder, file, posed, remarks=remarks, read=[FILE, *read])

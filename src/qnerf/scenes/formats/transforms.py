@@ -145,7 +145,7 @@ def read_matrix(source: Mapping[str, Any], label: str) -> NDArray:
         if not is_file_number(value):
             raise ValueError(
                 f"{label}: transform_matrix must hold numbers of at most {MAX_ENTRY:g}, not NaN or infinity, got "
-                f"{_short(value)}"
+                f"{_short(value)}; leave out frames whose pose is not known"
             )
     return np.array(rows, dtype=np.float64)
 
