@@ -132,7 +132,7 @@ def without_repetition(table: Table, frame: pd.DataFrame) -> Table:
 
 
 def beside(tables: Sequence[Table], question: Question) -> Table:
-    """The question's tables as one: the metric of each scene, the verdicts against each baseline, and other values.
+    """The question's tables as one: the metric, the verdicts against each baseline, the means of other values.
 
     The difference of two baselines is said once, in the row of the later one.
     """
@@ -147,7 +147,7 @@ def beside(tables: Sequence[Table], question: Question) -> Table:
                 shown.loc[first["verdict"] == "", heading] = ""
     for name in first.columns.difference(shown.columns, sort=False):
         if name not in (f"difference, {own}", "verdict"):
-            shown[name], bold[name] = first[name], tables[0].bold[name]
+            shown[name], bold[name] = first[name].str.partition(" ± ")[0], tables[0].bold[name]
     return by_scene(Table("", shown, tables[0].data, bold), question.rows)
 
 
