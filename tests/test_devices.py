@@ -8,12 +8,8 @@ import torch
 from torch import Tensor
 from torch.utils import backend_registration
 
-from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import prepare
-from qnerf.quantum import QuantumLayer
-from qnerf.timing import Stopwatch
-from qnerf.training.trainer import Trainer
 from tests.helpers.configs import ROOT, TINY, composed
+from tests.helpers.trainer import trainer
 
 
 def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
@@ -38,12 +34,10 @@ def test_a_gpu_has_the_loss_and_gradients_of_the_cpu(field: str) -> None:
 def loss_and_gradients(field: str, device: str) -> tuple[Tensor, list[Tensor]]:
     """Of a step in float64 without jitter, on the CPU."""
     config = composed("scene=poster", *TINY, f"field={field}", "hash=C7", "numerics.dtype=float64", f"device={device}")
-    settings, scene = prepare(config).of_field()
-    model = build_model(settings, scene).train()
-    watch = Stopwatch(settings.torch_device, model, QuantumLayer)
-    trainer = Trainer(model, ray_table(settings, scene), settings, watch)
-    rays, pixels = trainer.table.batch(64, torch.Generator().manual_seed(0), model.cameras)
-    rendering, sampled, _ = model(rays, background="last_sample", step=0, watch=watch)
-    loss = torch.stack(list(trainer.loss_terms(rendering, sampled, pixels[..., :3]).values())).sum()
+    taken = trainer(config)
+    model = taken.model
+    rays, pixels = taken.table.batch(64, torch.Generator().manual_seed(0), model.cameras)
+    rendering, sampled, _ = model(rays, background="last_sample", step=0, watch=taken.watch)
+    loss = torch.stack(list(taken.loss_terms(rendering, sampled, pixels[..., :3]).values())).sum()
     loss.backward()
     return loss.detach().cpu(), [p.grad.cpu() for p in model.parameters() if p.grad is not None]

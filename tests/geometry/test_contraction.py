@@ -29,7 +29,7 @@ def formula(point, order):
 
 @EACH_ORDER
 @EACH_DTYPE
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(point=POINT)
 def test_contract_is_its_formula_in_the_cube_with_a_finite_gradient(order, dtype, point):
     x = torch.tensor([point], dtype=dtype, requires_grad=True)
@@ -47,7 +47,7 @@ def test_contract_is_its_formula_in_the_cube_with_a_finite_gradient(order, dtype
 
 @EACH_ORDER
 @EACH_DTYPE
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(point=st.tuples(*[st.floats(-1e3, 1e3)] * 3))
 def test_uncontract_is_the_inverse(order, dtype, point):
     x = torch.tensor([point], dtype=dtype)

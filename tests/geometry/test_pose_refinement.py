@@ -1,6 +1,6 @@
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from torch import Tensor
@@ -28,7 +28,6 @@ def twist_matrix(twist: Tensor) -> Tensor:
     return torch.cat([top, torch.zeros(1, 4, dtype=twist.dtype)])
 
 
-@settings(deadline=None)
 @given(vector=vectors, scale=st.sampled_from([0.0, 1e-12, 1e-6, 1e-3, 0.03, 0.1, 1.0]))
 def test_exponentials_against_the_matrix_exponential(vector: tuple[float, ...], scale: float) -> None:
     rotation = torch.tensor(vector, dtype=torch.float64) * scale

@@ -64,7 +64,6 @@ points = st.lists(st.tuples(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9)), min_siz
 
 
 @given(points, coefficients)
-@settings(deadline=None)
 def test_the_jacobian_of_the_lens_is_that_of_autograd(ideal, lens):
     lens = torch.tensor(lens, dtype=torch.float64)
     for point in torch.tensor(ideal, dtype=torch.float64):
@@ -82,7 +81,6 @@ def test_the_lens_of_opencv_by_hand():
 
 
 @given(st.integers(0, 4), st.floats(0, 7), st.floats(0, 9), st.floats(0.1, 50), st.booleans())
-@settings(deadline=None)
 def test_points_on_a_ray_project_to_its_pixel(view, x, y, distance, per_view):
     cams = cameras(per_view=per_view)
     pixel, views = torch.tensor([[x, y]], dtype=torch.float64), torch.tensor([view])
@@ -123,7 +121,7 @@ def test_a_batch_holds_the_colours_of_the_pixels_its_rays_go_through(channels):
     height=st.integers(1, 6),
     train=st.lists(st.integers(0, 4), min_size=1, max_size=5, unique=True),
 )
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_pixels_kept_apart_are_never_drawn_and_all_others_are(stride, width, height, train):
     """All draws there are: `randint` is replaced by counting."""
     total = len(train) * width * height

@@ -18,12 +18,10 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.overrides import TorchFunctionMode
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
-from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import prepare
 from qnerf.quantum import QuantumLayer
-from qnerf.timing import Stopwatch
 from qnerf.training.losses import distortion, interlevel, mse
 from tests.helpers.configs import TINY, composed
+from tests.helpers.trainer import built
 
 DEVICE = "elsewhere"
 CASES = (("qiren", 1, None), ("qiren", 2, 0.1), ("cnot", 2, None), ("rx", 2, None))  # ansatz, re-uploadings, noise
@@ -97,13 +95,11 @@ def step(field: str) -> None:
         "scene=poster", *TINY, f"field={field}", "qiren.qubits=3", "hash=C7", "train.rays=8", "shading=none",
         "visibility.cameras=0", "device=cpu",
     )  # fmt: skip
-    settings, scene = prepare(config).of_field()
-    model = build_model(settings, scene).train()
-    rays, pixels = ray_table(settings, scene).batch(8, torch.Generator().manual_seed(0), model.cameras)
+    _, _, model, table, watch = built(config)
+    rays, pixels = table.batch(8, torch.Generator().manual_seed(0), model.cameras)
     with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():
         moved(model)
         rays, pixels = on_device(rays), pixels.detach().to(DEVICE)
-        watch = Stopwatch(torch.device("cpu"), model, QuantumLayer)
         rendering, sampled, _ = model(rays, background="last_sample", step=0, watch=watch)
         losses = [
             mse(rendering.color, pixels[..., :3]),

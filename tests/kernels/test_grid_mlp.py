@@ -43,7 +43,7 @@ def parameters(grid, hidden, out):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(**CASES)
 def test_values_and_gradients_are_those_of_the_reference(dtype, **options):
     points, inside, *layers = case(**options, dtype=dtype)

@@ -43,7 +43,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(**CASES)
 def test_features_are_those_of_the_reference_to_the_last_bit(
     dtype, points, resolutions, log2_size, features, dense, seed
@@ -56,7 +56,7 @@ def test_features_are_those_of_the_reference_to_the_last_bit(
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(**CASES)
 def test_gradients_are_those_of_the_reference(dtype, points, resolutions, log2_size, features, dense, seed):
     """Both add the same terms in another order: they differ by at most 4 eps times the sum of the largest terms."""

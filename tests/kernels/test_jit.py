@@ -34,7 +34,7 @@ def test_split_covers_every_item_once_in_nearly_equal_parts(items, parts):
     assert not sizes or max(sizes) - min(sizes) <= 1
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(items=st.integers(0, 300), count=st.integers(1, 5), grain=st.none() | st.integers(1, 400))
 def test_every_item_is_worked_on_once_whatever_the_threads(items, count, grain):
     torch.set_num_threads(count)

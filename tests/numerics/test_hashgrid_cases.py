@@ -8,7 +8,6 @@ from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.encoding import FEATURES
-from qnerf.kernels import plain
 from qnerf.kernels.hashgrid import FINEST, hash_encode
 from tests.helpers.hard_inputs import seeds
 
@@ -37,10 +36,9 @@ def encoded(dtype: torch.dtype, point: Tensor, table: Tensor, cells: Tensor, ups
     return [t.detach().double() for t in (out, *torch.autograd.grad(out, leaves, upstream.to(dtype)))]
 
 
-@pytest.mark.parametrize("form", ["fast", "plain"])
 @given(where=coordinates(), seed=seeds, features=st.sampled_from([1, 2, 3]))
 def test_float32_features_and_gradients_at_cell_borders(
-    form: str, where: tuple[int, list[float]], seed: int, features: int
+    where: tuple[int, list[float]], seed: int, features: int
 ) -> None:
     """The cell is that of float64, so that the gradient, which jumps at a border, is too."""
     generator = torch.Generator().manual_seed(seed)
@@ -48,11 +46,7 @@ def test_float32_features_and_gradients_at_cell_borders(
     upstream = rounded(2 * torch.rand(1, features, generator=generator) - 1)
     arguments = rounded([where[1]]), table, torch.tensor([where[0]]), upstream
     exact = encoded(torch.float64, *arguments)
-    if form == "fast":
-        found = encoded(torch.float32, *arguments)
-    else:
-        with plain():
-            found = encoded(torch.float32, *arguments)
+    found = encoded(torch.float32, *arguments)
     largest = float(upstream.abs().max())
     scales = (FEATURES, POINT_GRADIENTS * where[0] * features * largest, TABLE_GRADIENTS * largest)
     errors = [float((a - b).abs().max()) / scale for a, b, scale in zip(found, exact, scales, strict=True) if scale]

@@ -1,6 +1,7 @@
 """The regularisers with coincident edges and weights of nothing, against sums over all pairs."""
 
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -35,10 +36,7 @@ def evaluated(form: str, function, *tensors: np.ndarray) -> tuple[float, np.ndar
     """A loss of (1, K) float32 tensors and its gradient in the first."""
     first, *others = (torch.from_numpy(t).float()[None] for t in tensors)
     first.requires_grad_()
-    if form == "plain":
-        with plain():
-            loss = function(first, *others)
-    else:
+    with plain() if form == "plain" else nullcontext():
         loss = function(first, *others)
     (gradient,) = torch.autograd.grad(loss, first)
     return float(loss.detach()), gradient[0].double().numpy()

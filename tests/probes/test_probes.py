@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from qnerf.building.model import build_model, ray_table
-from qnerf.building.scene import prepare
+from qnerf.building.model import ray_table
 from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
@@ -26,6 +25,7 @@ from qnerf.quantum.cones import find_cones
 from qnerf.quantum.diagnostics import weights_of
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
+from tests.helpers.trainer import built
 
 
 def layer(wires: int, spectral: int, seed: int = 0, ansatz: str = "qiren") -> QuantumLayer:
@@ -40,8 +40,8 @@ def of(table: pd.DataFrame, output: int, wire: int) -> np.ndarray:
 
 def untrained(config) -> Trained:
     """A model as it is built, in the place of a trained one."""
-    made = prepare(config)
-    return Trained(Path(), made.settings, made.scene, build_model(made.settings, made.scene).eval(), 0)
+    made = built(config)
+    return Trained(Path(), made.settings, made.scene, made.model.eval(), 0)
 
 
 def command(monkeypatch, *arguments: str) -> int:

@@ -162,7 +162,7 @@ operations = st.lists(
 )
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(operations)
 def test_store_that_changes_reads_as_if_read_for_the_first_time(
     tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[str, str, Any, bool]]

@@ -52,7 +52,7 @@ def test_config_reads_back_the_same_with_every_reader(store_: RunStore) -> None:
     run.interrupt()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | st.integers() | st.floats() | st.text()))
 def test_any_text_and_number_survives_yaml(config: dict) -> None:
     # repr, because nan differs from itself

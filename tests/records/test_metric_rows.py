@@ -74,7 +74,7 @@ def test_parts_close_and_stay(store_: RunStore, monkeypatch: pytest.MonkeyPatch)
     run.finish()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(1, 7), st.integers(0, 30), st.integers(-1, 32), st.integers(0, 12))
 def test_resume_drops_exactly_what_lies_beyond(
     tmp_path_factory: pytest.TempPathFactory, part_rows: int, steps: int, last_step: int, more: int

@@ -26,7 +26,7 @@ def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tens
 
 
 @pytest.mark.parametrize("background", ["last_sample", "white"])
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 40), least=st.sampled_from([0.0, 1e-4, 1e-2, 0.3]))
 def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, seed, samples, least):
     weights, color, intervals = along(6, samples, seed)
@@ -54,7 +54,7 @@ def test_a_head_gets_two_samples_where_one_ray_alone_meets_something(name, optio
     assert int(mask.sum()) >= 2
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
 def test_top_keeps_the_largest_shares(seed, samples, most):
     share = color_shares(along(5, samples, seed)[0], "last_sample")
@@ -65,7 +65,7 @@ def test_top_keeps_the_largest_shares(seed, samples, most):
 
 
 @pytest.mark.parametrize("name", ["none", "threshold", "top"])
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**20),
     samples=st.integers(1, 12),
@@ -135,7 +135,7 @@ def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_
     torch.testing.assert_close(rendered["threshold"][0], rendered["none"][0], rtol=1e-5, atol=1e-6)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 30), parts=st.integers(1, 40))
 def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
     """A colour that is linear in the features is exact: the features are means weighted by the shares."""
@@ -152,7 +152,7 @@ def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("activation", ["trunc_exp", "softplus"])
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**20),
     samples=st.integers(2, 30),

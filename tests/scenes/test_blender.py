@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,7 @@ import torch
 from tests.helpers import scenes
 from tests.helpers.scenes import change, write_scene
 
-
-def build(folder: Path, **options):
-    return scenes.build("blender", folder, **options)
-
-
-def refused(folder: Path, *needles: str, **options) -> str:
-    return scenes.refused("blender", folder, *needles, **options)
+build, refused = partial(scenes.build, "blender"), partial(scenes.refused, "blender")
 
 
 @pytest.fixture

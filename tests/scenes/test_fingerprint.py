@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from qnerf.scenes import SCENES, Scene
+from qnerf.scenes import SCENES
+from tests.helpers import scenes
 
 # Rotations by quarter turns: no machine rounds them.
 POSES = (
@@ -40,21 +42,17 @@ def folder(tmp_path: Path) -> Path:
     return write(tmp_path / "scene")
 
 
-def build(folder: Path, **options: Any) -> Scene:
-    return SCENES.build("nerfstudio", path=str(folder), **options)
+build = partial(scenes.build, "nerfstudio")
 
 
-def edited(folder: Path, change: Callable[[dict[str, Any]], object]) -> str:
-    """The fingerprint after `change` of transforms.json, which is put back."""
+def edited(folder: Path, edit: Callable[[dict[str, Any]], object]) -> str:
+    """The fingerprint after an edit of transforms.json, which is put back."""
     file = folder / "transforms.json"
     before = file.read_text()
-    content = json.loads(before)
-    change(content)
-    file.write_text(json.dumps(content))
-    try:
-        return build(folder).fingerprint
-    finally:
-        file.write_text(before)
+    scenes.change(folder, edit)
+    found = build(folder).fingerprint
+    file.write_text(before)
+    return found
 
 
 def test_golden_fingerprints(folder: Path) -> None:

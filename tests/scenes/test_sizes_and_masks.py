@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,7 @@ SIZES = [(8, 6), (6, 8), (8, 6), (12, 9), (8, 6), (6, 8)]
 BLACK = 2  # columns of each mask
 
 
-def build(folder: Path, **options: Any) -> Scene:
-    return scenes.build("nerfstudio", folder, **options)
+build = partial(scenes.build, "nerfstudio")
 
 
 @pytest.fixture
