@@ -15,7 +15,7 @@ from PIL import Image
 from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.experiment import run
-from qnerf.records import read_config, read_metrics, read_status, state
+from qnerf.records import read_config, read_metrics, read_status, runs, state
 from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Diverged, Trainer
@@ -88,7 +88,7 @@ def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
 def test_there_are_pictures_after_the_first_evaluation(tiny, run_until):
     config = tiny("train.steps=6", "train.eval_every=2", "train.eval_views=1")
     run_until(3, config)
-    (folder,) = (path for path in Path(config["store"]).iterdir() if not path.name.startswith("."))
+    (folder,) = runs(config["store"])
     assert len(list((folder / "images").glob("*.png"))) == 1
 
 
@@ -223,7 +223,7 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
     config = tiny("train.steps=6", "train.checkpoint_every=0")
     with pytest.raises(Diverged, match="nan at step 3, in the parameters of 'color'"):
         run(config)
-    (folder,) = (path for path in Path(config["store"]).iterdir() if not path.name.startswith("."))
+    (folder,) = runs(config["store"])
     assert read_status(folder)["state"] == "failed"
     assert "step 3" in read_status(folder)["error"]
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)

@@ -20,10 +20,13 @@ def claimed(store: RunStore, name: str = "a", **options: Any) -> Run:
     return claim.run
 
 
-def vanish(run: Run) -> None:
-    """Leaves the run as a killed process would: nothing more is written and its owner is not alive."""
+def vanish(run: Run, **left: Any) -> None:
+    """Leaves the run as a killed process would: nothing more is written and its owner is not alive.
+
+    left: what its files say about their owner; default: that a process with its number started at another time.
+    """
     run._stop()
     run._closed = True
     for path in [run.dir / "status.json", *run.dir.glob("owner/*.json")]:
-        record = json.loads(path.read_text()) | {"started": "1"}
+        record = json.loads(path.read_text()) | (left or {"started": "1"})
         path.write_text(json.dumps(record))

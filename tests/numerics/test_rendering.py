@@ -110,21 +110,6 @@ def test_pixels_of_the_worst_ray(ray: list[tuple[float, float, float]], backgrou
         assert bool((rendering.depth <= edges.max()).all())
 
 
-@pytest.mark.parametrize("thickness", [0.1, 5.0, 60.0])
-def test_pixels_and_gradients_of_ten_thousand_samples(thickness: float) -> None:
-    generator = torch.Generator().manual_seed(0)
-    sigma = rounded(torch.rand(2, 10_000, generator=generator) * 2 * thickness)
-    edges = rounded(torch.linspace(0, 1, 10_001).expand(2, -1))
-    colors = rounded(torch.rand(2, 10_000, 3, generator=generator))
-    found = []
-    for dtype in (torch.float32, torch.float64):
-        leaf, samples = sigma.to(dtype).requires_grad_(), Samples(edges.to(dtype), edges.to(dtype))
-        pixel = render(volume_weights(leaf, samples.deltas), colors.to(dtype), samples, background="white")[0].color
-        found.append((pixel, *torch.autograd.grad(pixel.sum(), leaf)))
-    assert distance(found[0][0], found[1][0]) <= PIXELS
-    assert distance(found[0][1], found[1][1]) <= 1e-4 * float(found[1][1].abs().max())
-
-
 FIELDS = {
     "none": {},
     "pe": {},

@@ -65,11 +65,7 @@ def test_a_contender_whose_file_the_owner_removes_finds_the_run_owned(
 
 def elsewhere(run: Run, age: float) -> None:
     """Leaves the run as a process on another machine would have, `age` seconds ago by its own clock."""
-    run._stop()
-    run._closed = True
-    for path in [run.dir / "status.json", *run.dir.glob("owner/*.json")]:
-        record = json.loads(path.read_text()) | {"host": "other", "boot": "other", "heartbeat": time.time() - age}
-        path.write_text(json.dumps(record))
+    vanish(run, host="other", boot="other", heartbeat=time.time() - age)
 
 
 def last_written(run: Run, age: float) -> None:

@@ -125,13 +125,6 @@ def test_proposals_learn_in_the_steps_that_the_schedule_names() -> None:
         assert not sampler(make_rays(), shell, step=9).proposals[0][1].requires_grad
 
 
-def test_a_fully_annealed_first_step_samples_evenly() -> None:
-    """Exponent 0 makes every weight 1, whatever the networks say: the intervals of each level are of equal length."""
-    found = make("proposal", torch.float64)(make_rays(dtype=torch.float64), shell, step=0)
-    lengths = found.samples.spacing.diff()
-    torch.testing.assert_close(lengths, lengths[:, :1].expand_as(lengths), rtol=1e-9, atol=0)
-
-
 def test_the_mask_empties_proposals() -> None:
     sampler = make("proposal")
     sampler.mask = half_space()

@@ -17,7 +17,7 @@ from qnerf.encoders import ENCODERS
 from qnerf.experiment import SignalTask, run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
-from qnerf.records import details
+from qnerf.records import details, runs
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
@@ -66,17 +66,13 @@ def test_the_hash_grid_of_pixels_is_the_plane_z_0_of_one_of_points():
 def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
     config = fit("scene=photograph", "head=qiren", "train.points=50")
     whole = run(config | {"store": str(tmp_path / "whole")}).summary
-    left = iter([False, False, True])
-    assert run(config, stopping=lambda: next(left)).state == "interrupted"
-    assert stored(tmp_path / "runs" / run_name(tmp_path / "runs"))["train"]["points"] == 50
+    steps = iter([False, False, True])
+    assert run(config, stopping=lambda: next(steps)).state == "interrupted"
+    (left,) = runs(tmp_path / "runs")
+    assert stored(left)["train"]["points"] == 50
     resumed = run(config)
     assert resumed.state == "finished"
     assert resumed.summary["psnr"] == whole["psnr"]
-
-
-def run_name(store) -> str:
-    (name,) = (path.name for path in store.iterdir() if not path.name.startswith("."))
-    return name
 
 
 def test_the_eikonal_error_is_that_of_the_gradient(fit):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +10,7 @@ from torch import nn
 
 from qnerf import experiment
 from qnerf.building.acting import decisive
-from qnerf.records import read_status
+from qnerf.records import read_status, runs
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged, Loop
 from tests.helpers.trainer import trainer
@@ -109,5 +108,5 @@ def test_a_run_that_diverges_goes_on_with_checks_and_names_the_part(tiny: Tiny) 
     assert decisive(config) == decisive(checked)
     with pytest.raises(Diverged, match=r" in the (in|out)puts of ") as caught:
         experiment.run(checked)
-    (folder,) = (path for path in Path(config["store"]).iterdir() if (path / "config.yaml").exists())
+    (folder,) = runs(config["store"])
     assert read_status(folder)["error"] == str(caught.value)
