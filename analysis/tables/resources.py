@@ -40,13 +40,14 @@ def resources(
     measured, also_damaged = packed.probe_tables(runs["path"], HARDWARE)
     steps = frame.set_index("path")["train.steps"]
     found = {path: cost_of(table, float(steps[path]), rate) for path, table in costs.items()}
-    for condition, column in _ordered(measured).items():
+    conditions = _ordered(measured)
+    for condition, column in conditions.items():
         for path, table in measured.items():
             own = means(table).set_index(CONDITION)["psnr"]
             if condition in own.index:
                 found.setdefault(path, {})[column] = own[condition]
     probed = pd.DataFrame.from_dict(found, orient="index")
-    probed = probed[[*(name for name in probed if name.startswith("cost.")), *_ordered(measured).values()]]
+    probed = probed[[*(name for name in probed if name.startswith("cost.")), *conditions.values()]]
     quality = [item.key for item in quality_metrics()]
     values = [name for name in dict.fromkeys((metric, *quality, *GIVEN)) if name in runs and runs[name].notna().any()]
     own = frame.join(probed, on="path")
@@ -89,11 +90,16 @@ def condition_name(shots: int, noise: str, p: float) -> str:
 
 
 def _ordered(measured: Mapping[str, pd.DataFrame]) -> dict[tuple[int, str, float], str]:
-    """Condition -> its column: shots alone first, then by noise, its p and shots. The exact one is the run's PSNR."""
+    """Condition -> its column: shots alone first, then by noise, its p and shots.
+
+    The exact one is the run's PSNR, and has a column where fewer views were measured than the run has.
+    """
     every = [row for table in measured.values() for row in table[CONDITION].drop_duplicates().itertuples(index=False)]
     order = sorted({tuple(row) for row in every}, key=lambda row: (row[1] != "none", row[1], row[2], row[0]))
     names = {condition: condition_name(*condition) for condition in order}
-    return {condition: f"psnr @ {name}" for condition, name in names.items() if name != "exact"}
+    fewer = any(table["image"].nunique() < len(packed.views(path)) for path, table in measured.items())
+    titles = names | {condition: "exact, the same views" for condition, name in names.items() if name == "exact"}
+    return {condition: f"psnr @ {titles[condition]}" for condition in order if fewer or names[condition] != "exact"}
 
 
 def _notes(frame: pd.DataFrame, rate: float, costs: int, measured: int, *damaged: str) -> list[str]:

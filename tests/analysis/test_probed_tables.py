@@ -70,6 +70,11 @@ def test_a_row_has_quality_cost_hardware_and_verdict(store):
     assert row["cost.train_hours", "mean"] == pytest.approx(360 * steps / 3600)
     assert "1 of 2 runs with circuits lack it: qnerf probe RUN cost" in table.notes
     assert table.text.set_index("field").loc["classical", "gates"] == ""
+    write_run(store, "qcolor", 2, [26.0] * 3)
+    one = pd.DataFrame(measured(0, "none", 0.0, 20.0) + measured(100, "none", 0.0, 19.0))
+    one.to_parquet(next(store.glob("*qcolor-s2")) / "eval_hardware.parquet", index=False)
+    fewer = resources(load.runs(store, "seed=2"), ["field"]).text.iloc[0]  # two of its three views
+    assert fewer[["PSNR, exact, the same views, dB", "PSNR, 100 shots, dB"]].tolist() == ["20.00", "19.00"]
 
 
 def test_dead_units_and_spread_are_means_over_layers_and_seeds(store):
