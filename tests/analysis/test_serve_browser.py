@@ -4,23 +4,10 @@ import pytest
 from qnerf.analysis.serve import store as serve_store
 
 from qnerf.records import RunStore, annotations
-from tests.helpers.browser import (
-    by_id,
-    choose,
-    chromium,
-    column,
-    errors,
-    heads,
-    opened,
-    overflow,
-    requested,
-    rows,
-    wait,
-)
+from tests.helpers.browser import chromium
 from tests.helpers.packed_stores import write_run
 from tests.helpers.serving import EVIL, served
 
-By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
 Keys = pytest.importorskip("selenium.webdriver.common.keys", reason="selenium is not installed").Keys
 
 
@@ -45,52 +32,52 @@ def live(browser, tmp_path, monkeypatch):
 
 def test_a_run_appears_trains_and_finishes_without_a_reload(browser, live):
     store, address = live
-    opened(browser, address, plots=False)
-    assert len(rows(browser)) == 6
+    browser.opened(address, plots=False)
+    assert len(browser.rows()) == 6
     browser.execute_script("window.sameDocument = true")
     run = RunStore(store).claim("new", {"seed": 0, "train": {"steps": 10}, "experiment": EVIL}).run
     run.log(1, 0.1, {"eval/psnr": 12.0})
     run.flush()
-    wait(browser, lambda: "running" in column(browser, heads(browser).index("state")))
-    wait(browser, lambda: "held-out PSNR 12.00 dB at step 1" in by_id(browser, "training").text)
+    browser.wait(lambda: "running" in browser.column(browser.heads().index("state")))
+    browser.wait(lambda: "held-out PSNR 12.00 dB at step 1" in browser.by_id("training").text)
     browser.execute_script("document.getElementById('curves-section').scrollIntoView({behavior: 'instant'})")
     drawn = "return (document.getElementById('curves-plot').data ?? []).map((t) => t.y.length)"
-    choose(browser, "state", "running")
-    wait(browser, lambda: browser.execute_script(drawn) == [1])
+    browser.choose("state", "running")
+    browser.wait(lambda: browser.execute_script(drawn) == [1])
     run.log(2, 0.2, {"eval/psnr": 13.0})
     run.flush()
-    wait(browser, lambda: browser.execute_script(drawn) == [2])
+    browser.wait(lambda: browser.execute_script(drawn) == [2])
     run.finish({"psnr": 40.0})
-    choose(browser, "state", "")
-    wait(browser, lambda: column(browser, 2)[0] == "40.00")
+    browser.choose("state", "")
+    browser.wait(lambda: browser.column(2)[0] == "40.00")
     assert browser.execute_script("return window.sameDocument")
-    assert {address.rpartition("/")[0] for address in requested(browser)} == {address}
-    assert errors(browser) == []
+    assert {address.rpartition("/")[0] for address in browser.requested()} == {address}
+    assert browser.errors() == []
 
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_page_is_used_by_keyboard_alone(browser, live, width):
     store, address = live
-    opened(browser, f"{address}/#filter=qcolor-s1", width, "dark", plots=False)
-    wait(browser, lambda: len(rows(browser)) == 1)
-    assert overflow(browser) == 0
-    by_id(browser, "csv").send_keys(Keys.TAB, Keys.TAB)  # the scrolling table, its first heading
+    browser.opened(f"{address}/#filter=qcolor-s1", width, "dark", plots=False)
+    browser.wait(lambda: len(browser.rows()) == 1)
+    assert browser.overflow() == 0
+    browser.by_id("csv").send_keys(Keys.TAB, Keys.TAB)  # the scrolling table, its first heading
     for _ in range(40):
         if browser.switch_to.active_element.tag_name == "a":
             break
         browser.switch_to.active_element.send_keys(Keys.TAB)
     browser.switch_to.active_element.send_keys(Keys.ENTER)
-    wait(browser, lambda: by_id(browser, "detail").get_attribute("open"))
-    tags, note = (browser.find_element(By.CSS_SELECTOR, f".editor {name}") for name in ("input", "textarea"))
+    browser.wait(lambda: browser.by_id("detail").get_attribute("open"))
+    tags, note = (browser.one(f".editor {name}") for name in ("input", "textarea"))
     tags.send_keys("good", Keys.TAB, EVIL)
     assert browser.switch_to.active_element == note
     note.send_keys(Keys.TAB, Keys.ENTER)
-    wait(browser, lambda: "saved" in by_id(browser, "detail-body").text)
+    browser.wait(lambda: "saved" in browser.by_id("detail-body").text)
     assert annotations.read(store / "poster-qcolor-s1") == annotations.Annotations(("good",), EVIL)
     browser.switch_to.active_element.send_keys(Keys.ESCAPE)
-    by_id(browser, "filter").clear()
-    by_id(browser, "row-keys").send_keys("field", Keys.TAB, "field=classical", Keys.ENTER)
-    table = wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#differences-table tbody tr"))
+    browser.by_id("filter").clear()
+    browser.by_id("row-keys").send_keys("field", Keys.TAB, "field=classical", Keys.ENTER)
+    table = browser.wait(lambda: browser.all("#differences-table tbody tr"))
     assert "+0.75 ±" in table[1].text
-    assert overflow(browser) == 0
-    assert errors(browser) == []
+    assert browser.overflow() == 0
+    assert browser.errors() == []
