@@ -116,29 +116,6 @@ def tiny(tiny_scene: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
     return make
 
 
-@pytest.fixture
-def run_until(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, dict[str, Any]], None]:
-    """`run_until(step, config)` trains to that step and dies there: what is left is the last checkpoint."""
-
-    def until(step: int, config: dict[str, Any]) -> None:
-        from qnerf.experiment import run
-        from qnerf.training.trainer import Trainer
-
-        take_step = Trainer.take_step
-
-        def dying(self: Trainer, measure: bool) -> dict[str, float]:
-            if self.step == step:
-                raise KeyboardInterrupt
-            return take_step(self, measure)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(Trainer, "take_step", dying)
-            with pytest.raises(KeyboardInterrupt):
-                run(config)
-
-    return until
-
-
 @pytest.fixture(autouse=True)
 def _threads_and_seed() -> Iterator[None]:
     before = torch.get_num_threads()

@@ -20,6 +20,7 @@ from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.trainer import Diverged, Trainer
 from tests.helpers.scenes import write_scene
+from tests.helpers.stopping import interrupted
 
 REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
@@ -85,10 +86,9 @@ def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
     assert np.asarray(Image.open(pictures[0])).shape == (240, 4 * 320, 3)
 
 
-def test_there_are_pictures_after_the_first_evaluation(tiny, run_until):
+def test_there_are_pictures_after_the_first_evaluation(tiny):
     config = tiny("train.steps=6", "train.eval_every=2", "train.eval_views=1")
-    run_until(3, config)
-    (folder,) = runs(config["store"])
+    folder = interrupted(config, 3)
     assert len(list((folder / "images").glob("*.png"))) == 1
 
 
@@ -145,7 +145,7 @@ def test_a_run_says_where_its_world_is(tiny):
 
 
 @pytest.mark.parametrize("stop_at", [1, 5])
-def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, run_until, stop_at):
+def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, stop_at):
     """Also its occupancy, after a look, and the step at which it no longer gains."""
     options = ["field=qboth", "qiren.qubits=2", "cameras=so3xr3", "appearance=2", "train.steps=12"]
     options += [
@@ -158,7 +158,7 @@ def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path,
     options += ["stop.every=2", "stop.share=0.1", "stop.rays=9", "stop.patience=2", "stop.min_gain_db=50"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    run_until(stop_at, parts)
+    interrupted(parts, stop_at + 1)
     torch.rand(3)  # whatever the process did in between
     resumed = run(parts)
 

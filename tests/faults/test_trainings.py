@@ -9,7 +9,7 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from qnerf.records.read import read_evaluation
 from tests.helpers import processes
 from tests.helpers.configs import MOMENT, TINY, composed
 from tests.helpers.scenes import write_scene
+from tests.helpers.stopping import At, interrupted
 from tests.helpers.trainer import same
 
 FULL = os.environ.get("QNERF_FAULTS") == "full"
@@ -139,17 +140,6 @@ def test_the_same_command_twice_at_once_is_one_training(job: Path) -> None:
 # Trainings that meet something broken
 
 
-class At(experiment.Display):
-    """Calls `action` after a step."""
-
-    def __init__(self, step: int, action: Callable[[], Any]) -> None:
-        self.when, self.action = step, action
-
-    def step(self, step: int, metrics: Any) -> None:
-        if step == self.when:
-            self.action()
-
-
 @pytest.fixture(scope="module")
 def training(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Eight steps. Its store is the one of an undisturbed run, `whole`."""
@@ -167,16 +157,6 @@ def whole(training: dict[str, Any]) -> Path:
 @pytest.fixture
 def config(training: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
     return training | {"store": str(tmp_path / "runs")}
-
-
-def stop() -> None:
-    raise KeyboardInterrupt
-
-
-def interrupted(config: dict[str, Any], step: int) -> Path:
-    with pytest.raises(KeyboardInterrupt):
-        experiment.run(config, display=At(step, stop))
-    return only_run(Path(config["store"]))
 
 
 @pytest.fixture

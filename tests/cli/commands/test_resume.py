@@ -10,31 +10,14 @@ import pytest
 from qnerf import experiment, records
 from qnerf.cli import main
 from qnerf.records import read_metrics, read_status, state, store
+from tests.helpers.stopping import interrupted
 
 Config = dict[str, Any]
-
-
-class Stop(experiment.Display):
-    def __init__(self, at: int, error: BaseException) -> None:
-        self.at, self.error = at, error
-
-    def step(self, step: int, metrics: Any) -> None:
-        if step == self.at:
-            raise self.error
 
 
 @pytest.fixture
 def config(tiny: Callable[..., Config]) -> Config:
     return tiny("train.steps=6", "train.checkpoint_every=0", "threads=1")
-
-
-def stopped(config: Config, error: BaseException | None = None) -> Path:
-    """A run that came to its fourth step."""
-    error = error or KeyboardInterrupt()
-    with pytest.raises(type(error)):
-        experiment.run(config, display=Stop(4, error))
-    (run,) = records.runs(config["store"])
-    return run
 
 
 def edit(run: Path, change: Callable[[Config], object]) -> Config:
@@ -62,7 +45,7 @@ def losses(run: Path) -> list[float]:
 
 def test_what_failed_goes_on(config, tmp_path, resume):
     whole = experiment.run(config | {"store": str(tmp_path / "whole")})
-    run = stopped(config, RuntimeError("the machine is on fire"))
+    run = interrupted(config, 4, RuntimeError("the machine is on fire"))
     assert state(run) == "failed"
     code, said = resume(run)
     assert code == 0
@@ -75,7 +58,7 @@ def test_what_failed_goes_on(config, tmp_path, resume):
 def test_from_any_folder_and_although_it_was_started_with_force(config, tmp_path, monkeypatch, resume):
     """The stored configuration says store=runs and run.force=true: neither counts now."""
     monkeypatch.chdir(tmp_path)
-    run = stopped(config | {"store": "runs", "run": config["run"] | {"force": True}}).resolve()
+    run = interrupted(config | {"store": "runs", "run": config["run"] | {"force": True}}, 4).resolve()
     created = read_status(run)["created"]
     monkeypatch.chdir("/")
     assert resume(run)[0] == 0
@@ -92,7 +75,7 @@ def test_a_finished_run_is_left_alone(config, resume):
 
 
 def test_how_it_is_executed_may_change_and_what_it_computes_may_not(config, resume):
-    run = stopped(config)
+    run = interrupted(config, 4)
     before = (run / "status.json").read_bytes()
     for override, message in {
         "seed=1": "seed=1: cannot change what the run computes; known: scene.path, threads, device",
@@ -111,7 +94,7 @@ def test_how_it_is_executed_may_change_and_what_it_computes_may_not(config, resu
 
 
 def test_another_scene_or_configuration_is_another_run(config, tiny_scene, resume):
-    run = stopped(config)
+    run = interrupted(config, 4)
     stored = (run / "config.yaml").read_text()
     changes: dict[str, Callable[[Config], object]] = {
         "config.yaml is not the configuration that the run was started with": lambda c: c["train"].update(lr=0.5),
@@ -133,7 +116,7 @@ def test_another_scene_or_configuration_is_another_run(config, tiny_scene, resum
 
 
 def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scene, tmp_path, resume, capsys):
-    run = stopped(config)
+    run = interrupted(config, 4)
     tiny_scene.rename(tmp_path / "moved")
     moved, store = f"scene.path={tmp_path / 'moved'}", ["--store", str(run.parent)]
     code, said = resume(run)
@@ -154,7 +137,7 @@ def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scen
 
 
 def test_options_that_conf_or_the_run_does_not_spell_out_are_known(tiny, resume):
-    run = stopped(tiny("train.steps=6", "contraction.name=box", "+contraction.half_extent=2.0", "threads=1"))
+    run = interrupted(tiny("train.steps=6", "contraction.name=box", "+contraction.half_extent=2.0", "threads=1"), 4)
     edit(run, lambda config: config["encoder"].pop("dense"))
     code, said = resume(run)
     assert code == 0, said

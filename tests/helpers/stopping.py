@@ -1,0 +1,33 @@
+"""Trainings that are stopped at a step."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from qnerf import experiment, records
+
+
+class At(experiment.Display):
+    """Calls `action` after a step."""
+
+    def __init__(self, step: int, action: Callable[[], Any]) -> None:
+        self.when, self.action = step, action
+
+    def step(self, step: int, metrics: Any) -> None:
+        if step == self.when:
+            self.action()
+
+
+def interrupted(config: dict[str, Any], step: int, error: BaseException | None = None) -> Path:
+    """The run of a training that ends by an error, default: Ctrl-C, after this step and before it is saved."""
+    error = error or KeyboardInterrupt()
+
+    def fail() -> None:
+        raise error
+
+    with pytest.raises(type(error)):
+        experiment.run(config, display=At(step, fail))
+    (run,) = records.runs(config["store"])
+    return run
