@@ -19,6 +19,7 @@ class Question:
     baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
     metric: what the tables compare and rank; within: its smallest difference that matters, where not the usual one.
     values: columns beside the metric; those that no run has are left out.
+    best_of: the row key of which a page shows the best value alone, where rows are otherwise alike.
     failures: whether to say which runs slipped or collapsed.
     units, hardware, paper: whether its page shows another table in place of the comparison: of dead units, of shots and
     noise, or the paper's table of that name.
@@ -31,6 +32,7 @@ class Question:
     metric: str = "psnr"
     within: float | None = None
     values: Sequence[str] = ()
+    best_of: str = ""
     failures: bool = False
     units: bool = False
     hardware: bool = False

@@ -148,7 +148,21 @@ def beside(tables: Sequence[Table], question: Question) -> Table:
     for name in first.columns.difference(shown.columns, sort=False):
         if name not in (f"difference, {own}", "verdict"):
             shown[name], bold[name] = first[name].str.partition(" ± ")[0], tables[0].bold[name]
-    return by_scene(Table("", shown, tables[0].data, bold), question.rows)
+    kept = at_best(tables[0], question) if question.best_of else slice(None)
+    notes = (
+        (f"Of rows that differ in {question.best_of} alone, the best one and the baseline.",)
+        if question.best_of
+        else ()
+    )
+    return by_scene(Table("", shown[kept], tables[0].data, bold[kept], notes), question.rows)
+
+
+def at_best(table: Table, question: Question) -> pd.Series:
+    """Which rows have the best value of the key `best_of`, or are the baseline."""
+    means = metric_of(question.metric).sign * table.data[(question.metric, "mean")]
+    others = [key for key in question.rows if key != question.best_of]
+    best = pd.Series((means == means.groupby(level=others).transform("max")).to_numpy(), table.text.index)
+    return best if question.baseline is None else best | (table.text["verdict"] == "")
 
 
 def against(text: pd.DataFrame, metric: str) -> list[str]:
@@ -183,7 +197,7 @@ def by_scene(table: Table, keys: Sequence[str]) -> Table:
             heading = f"{scene}: {name}"
             shown[heading] = list(column.fillna(""))
             bold[heading] = list(marks[scene][name].set_axis(parts[scene].index).reindex(index, fill_value=False))
-    return Table(table.title, shown, table.data, bold)
+    return Table(table.title, shown, table.data, bold, table.notes)
 
 
 def failures(table: Table) -> str:

@@ -82,7 +82,7 @@ PAGE = """\
 | qcolor | 24.71 ± 0.67 | 27.10 ± 0.48 | -1.24 ± 0.52 worse * | -0.06 ± 0.39 equivalent | 10 |
 """
 PROSE = """\
-It gives 24.71 ± 0.67 and 27.10 ± 0.48 dB <!-- results seeds: fox qcolor; room qcolor -->
+It gives 24.71 ± 0.67 and 27.10 ± 0.48 dB <!-- results seeds: fox/room qcolor -->
 and loses 1.24 ± 0.52 dB <!-- results seeds: fox classical - qcolor -->
 or changes by -0.06 ± 0.39 dB. <!-- results seeds: room qcolor - classical -->
 
@@ -106,7 +106,7 @@ def test_quoted_numbers_in_wrong_rows_are_found():
         ("27.1 |", "27.4 |"),
         ("and 27.10 ± 0.48 dB", "dB"),  # a row without its number
         (" <!-- results seeds: room qcolor - classical -->", ""),  # no source
-        ("results seeds: fox qcolor", "results sedes: fox qcolor"),
+        ("results seeds: fox/room", "results sedes: fox/room"),
         ("room qcolor - classical", "room qcolor - qdensity"),
     ):
         assert PROSE.count(one) == 1, one

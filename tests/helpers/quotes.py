@@ -6,8 +6,9 @@ The writer names the rows in an HTML comment after the numbers:
 
 `rates` is the page docs/results/rates/README.md. The words pick cells of its tables: a scene and the keys of a row.
 ` - ` and the words of another row ask for the difference of the two, whatever its sign. Several rows are separated by
-`;`: each number has to be in one of them, and each of them has to have a number. A comment covers the numbers since the
-comment before it, or since the start of its paragraph, list item or table row.
+`;`: each number has to be in one of them, and each of them has to have a number. `fox_64/poster 0.33 - 1` stands for a
+row of each scene. A comment covers the numbers since the comment before it, or since the start of its paragraph, list
+item or table row.
 
 `<!-- each row, results recipe: fox_64 {2} - quick_recipe -->` above a table covers every row without a comment of its
 own; {2} stands for the second cell of the row.
@@ -100,12 +101,18 @@ def quoted(text: str, more: str = "") -> list[str]:
 
 def unsourced(numbers: Sequence[str], names: str, source_of: Callable[[str], Holds]) -> list[str]:
     try:
-        sources = {name.strip(): source_of(name.strip()) for name in names.split(";")}
+        sources = {name: source_of(name) for part in names.split(";") for name in of_each_scene(part.strip())}
     except LookupError as error:
         return [str(error.args[0])]
     lost = [number for number in numbers if not any(holds(number) for holds in sources.values())]
     idle = [name for name, holds in sources.items() if not any(map(holds, numbers))]
     return [f"{number!r} is not in {names}" for number in lost] + [f"no number is from {name!r}" for name in idle]
+
+
+def of_each_scene(name: str) -> list[str]:
+    """`fox_64/poster 0.33 - 1` is a row of each of the two scenes."""
+    scenes, space, row = name.partition(" ")
+    return [name] if "/" not in scenes or not space else [f"{scene} {row}" for scene in scenes.split("/")]
 
 
 def on_page(pages: dict[str, Cells], page: str, name: str) -> Holds:
