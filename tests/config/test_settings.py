@@ -28,6 +28,8 @@ BAD = {
     "store=": "store must not be empty",
     "train.eps=1e-310": "train.eps must be between 1e-30 and 1000000.0, got 1e-310",
     "train.rates.color=[1]": "train.rates.color expects float, got [1] (list)",
+    "shading=threshold shading.min_share=1": "min_share must be at least 0 and below 1, got 1",
+    "sampler.samples=[]": "sampler.samples must not be empty",
     "density.initial=abc": "density.initial expects float, got 'abc' (str)",
     "encoder.levels=[1]": "encoder.levels expects int, got [1] (list)",
 }
@@ -36,5 +38,5 @@ BAD = {
 def test_a_bad_value_is_one_line():
     for override, message in BAD.items():
         with pytest.raises(ValueError, match=re.escape(message)) as caught:
-            settings_of(composed(override))
+            settings_of(composed(*override.split()))
         assert "\n" not in str(caught.value)
