@@ -32,7 +32,6 @@ class Entry:
     options: keyword arguments of `function`.
     paper: whether the paper has such a figure.
     one_scene: whether each scene gets a figure of its own, as with a probe.
-    hint: the command that trains the runs it needs, if its error messages do not name one.
     """
 
     title: str
@@ -41,7 +40,6 @@ class Entry:
     probe: str = ""
     paper: bool = False
     one_scene: bool = False
-    hint: str = ""
 
     def draw(self, runs: pd.DataFrame, *, theme: str = "light", **judged: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
@@ -64,7 +62,6 @@ class Entry:
 
 
 _COLOR, _DENSITY = {"part": "color"}, {"part": "density"}
-_TRAIN = "`qnerf run -m {}` trains some".format
 
 FIGURES = {
     "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr, paper=True),
@@ -72,37 +69,20 @@ FIGURES = {
     "capacity_density": Entry(
         "PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY, paper=True
     ),
-    "depth": Entry(
-        "PSNR against the depth of the colour head",
-        psnr_vs_depth,
-        paper=True,
-        hint=_TRAIN("field=qcolor qiren.layers=1,2,3"),
-    ),
-    "width": Entry(
-        "PSNR against the width of the colour head", psnr_vs_width, paper=True, hint=_TRAIN("color.mlp.width=16,32,64")
-    ),
+    "depth": Entry("PSNR against the depth of the colour head", psnr_vs_depth, paper=True),
+    "width": Entry("PSNR against the width of the colour head", psnr_vs_width, paper=True),
     "density_width": Entry(
-        "PSNR against the width of the density head",
-        psnr_vs_width,
-        {"head": "density"},
-        paper=True,
-        hint=_TRAIN("density.mlp.width=16,32,64"),
+        "PSNR against the width of the density head", psnr_vs_width, {"head": "density"}, paper=True
     ),
-    "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True, hint=_TRAIN("hash=C1,C3,C5,C7")),
+    "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True),
     "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
     "time": Entry("PSNR against wall time", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest),
-    "stand_ins": Entry(
-        "A circuit head and its stand-ins, with verdicts", stand_ins, hint="`qnerf run --sweep ladder` trains some"
-    ),
+    "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),
     "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid, paper=True),
     "hsv": Entry(
-        "Hue, saturation and value of truth, classical and quantum renderings",
-        hsv_study,
-        paper=True,
-        one_scene=True,
-        hint="`qnerf run -m field=classical,qcolor` trains both kinds",
+        "Hue, saturation and value of truth, classical and quantum renderings", hsv_study, paper=True, one_scene=True
     ),
     "sampling": Entry("Sampling strategies along a ray", sampling_strategies, probe="rays", paper=True),
     "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding", paper=True),

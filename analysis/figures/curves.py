@@ -82,28 +82,29 @@ def psnr_vs_time(frame: pd.DataFrame, most: int = MOST) -> Figure:
 
 def _of_best(frame: pd.DataFrame, most: int, key: str, curve: Callable[[Sequence[str]], pd.DataFrame]) -> pd.DataFrame:
     """`curve` of the runs of each of the best configurations, with the columns scene_name and name."""
-    table, _ = points.best(_having(select(frame).runs, key), ["psnr"], most)
+    table, _ = _best(frame, most, key)
     curves = [curve(frame["path"][row["runs"]]).assign(**row[["scene_name", "name"]]) for _, row in table.iterrows()]
     return pd.concat(curves, ignore_index=True)
 
 
-def _having(runs: pd.DataFrame, key: str) -> pd.DataFrame:
-    """The runs that have logged this key, readably. Raises ValueError with the reason if none has."""
-    problems: list[str] = []
-    readable = [_has(path, key, problems) for path in runs["path"]]
-    if not any(readable):
-        raise ValueError(problems[0])
-    return runs[readable]
+def _best(frame: pd.DataFrame, most: int, key: str) -> tuple[pd.DataFrame, str]:
+    """`points.best` of the runs that have logged this key, readably, and a note on names and on what is left out.
 
-
-def _has(path: str, key: str, problems: list[str]) -> bool:
-    try:
-        if len(metrics(path, key)):
-            return True
-        problems.append(f"{path}: has not logged {key}")
-    except ValueError as error:
-        problems.append(str(error))
-    return False
+    ValueError with the reason if none has.
+    """
+    selection = select(frame)
+    problems: dict[str, str] = {}
+    for path in selection.runs["path"]:
+        try:
+            if metrics(path, key).empty:
+                problems[path] = f"{path}: has not logged {key}"
+        except ValueError as error:
+            problems[path] = str(error)
+    if len(problems) == len(selection.runs):
+        raise ValueError(next(iter(problems.values())))
+    table, rest = points.best(selection.runs[~selection.runs["path"].isin(list(problems))], ["psnr"], most)
+    damaged = f"left out: {len(problems)} with missing or damaged metrics" if problems else ""
+    return table, "; ".join(filter(None, [rest, damaged, points.notation(table["name"]), selection.note]))
 
 
 def _losses(paths: Sequence[str]) -> pd.DataFrame:
@@ -156,11 +157,7 @@ def _panels(
     sharey: bool = False,
 ) -> tuple[Figure, np.ndarray, str]:
     """A panel per scene, in which `draw` draws each configuration in a look of its own; the figure's last footnote."""
-    runs = select(frame).runs
-    readable = _having(runs, key)
-    left = len(runs) - len(readable)
-    damaged = f"left out: {left} with missing or damaged metrics" if left else ""
-    table, rest = points.best(readable, ["psnr"], most)
+    table, notes = _best(frame, most, key)
     figure, axes = style.panels(table["scene_name"].nunique(), 2.6, sharey=sharey)
     fields = dict(zip(table["name"], table["field"], strict=True))
     looks = dict(zip(fields, style.looks(fields.values()), strict=True))
@@ -169,5 +166,4 @@ def _panels(
             draw(ax, name, curve, **looks[name])
         ax.set_title(scene)
     style.legend(figure)
-    notes = [points.seeds(table, spread), rest, damaged, points.notation(table["name"]), select(frame).note]
-    return figure, axes, "; ".join(filter(None, notes))
+    return figure, axes, f"{points.seeds(table, spread)}; {notes}".removesuffix("; ")

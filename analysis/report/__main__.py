@@ -15,7 +15,6 @@ from qnerf.records.files import replace
 
 from .. import command, output
 from ..load import runs
-from ..packed import is_packed
 from . import content, curves, page, parts, pictures
 
 DESCRIPTION = """\
@@ -88,7 +87,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
         "note": drawn.note,
         "absent": {
-            "pictures": content.no_pictures(drawn, not most, is_packed(options.store)),
+            "pictures": content.no_pictures(drawn),
             "curves": content.no_curves(logged),
         },
         "parts": sections,

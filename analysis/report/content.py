@@ -98,20 +98,10 @@ def dates(frame: pd.DataFrame) -> str:
     return f"started {first}" if first == last else f"started {first} to {last}"
 
 
-def no_pictures(drawn: pictures.Pictures, asked: bool, pack: bool) -> str:
+def no_pictures(drawn: pictures.Pictures) -> str:
     """Why there are no pictures; empty where there are some."""
-    if drawn.files:
-        return ""
-    if asked:
-        return "Left out by --max-images 0."
-    if pack:
-        return "Packed runs have no pictures: `qnerf report` of the store that was packed shows them."
-    if drawn.left_out:
-        return f"The pictures of {drawn.left_out:,} runs were left out: more than --max-images allows."
-    damaged = f"; {len(drawn.problems)} are damaged, the first {drawn.problems[0]}" if drawn.problems else ""
-    return (
-        f"No run has pictures in images/{damaged}: training writes them at its end, `qnerf run run.force=true` again."
-    )
+    absent = "No run has pictures on this page: packed runs have none, and --max-images 0 leaves them out."
+    return "" if drawn.files else f"{absent} {drawn.note}".strip()
 
 
 def no_curves(logged: dict[int, Any]) -> str:

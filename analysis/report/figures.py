@@ -33,7 +33,6 @@ def draw(name: str, frame: pd.DataFrame, baseline: str | None = None) -> tuple[l
         own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
         with collecting(absent, own):
             drawn.append(embedded(own, entry.draw(runs, baseline=baseline)))
-    absent = {own: "; ".join(filter(None, [reason, entry.hint])) for own, reason in absent.items()}
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}
     return drawn, [f"{own}: {reason}" for own, reason in absent.items()]

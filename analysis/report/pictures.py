@@ -33,8 +33,8 @@ class Pictures:
 
     @property
     def note(self) -> str:
-        """The text under the pictures: how to read them, and which are missing."""
-        parts = ["Difference: the absolute difference of both pictures, times 4. Depth: near is bright."]
+        """Which pictures are missing."""
+        parts = []
         if self.left_out:
             parts.append(f"{self.left_out:,} runs have no pictures here: the page is full at {self.views:,} views.")
         if self.problems:

@@ -66,8 +66,9 @@ class Answers:
         boot, _, number = since.rpartition("-")
         if boot != self._boot or not number.isdecimal():
             return {"reload": True}
-        found = self.store.changes(int(number))
-        return {"version": f"{self._boot}-{found.version}", "rows": found.rows, "removed": found.removed}
+        version, changed = self.store.changes(int(number))
+        rows = {run: row for run, row in changed.items() if row is not None}
+        return {"version": f"{self._boot}-{version}", "rows": rows, "removed": sorted(changed.keys() - rows.keys())}
 
     def keys(self, runs: Iterable[str]) -> dict[str, str]:
         """What any of these runs has logged: key -> heading."""

@@ -6,8 +6,6 @@ page asks.
 
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +21,10 @@ from ..load import completed
 from ..report import content
 from ..report.columns import plain
 
+Row = dict[str, Any]
+"""The values of a run by column."""
 FRESH = 0.5
 """Seconds for which a look at the store is good enough for the next question."""
-
-
-@dataclass(frozen=True)
-class Changes:
-    """What a page does not know yet.
-
-    rows: run -> column -> value, whole rows. removed: runs that are gone.
-    """
-
-    version: int
-    rows: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()
 
 
 class WatchedStore:
@@ -53,22 +41,16 @@ class WatchedStore:
         self._lock = threading.Lock()
         self._stamps: Stamps = index.scan(self.folder)
         frame = index.load(self.folder)
-        self._rows: dict[str, dict[str, Any]] = {}
-        self._changed: dict[str, int] = {}  # run -> version in which its row changed last
-        self._removed: dict[str, int] = {}
+        self._rows: dict[str, tuple[int, Row | None]] = {}  # version of a run's last change, and its row
         self._version = 0
         self._looked = time.monotonic()
         self._alive = set(frame.loc[frame["state"] == "running", "run_id"]) if len(frame) else set()
 
-    def changes(self, since: int) -> Changes:
-        """What changed after a version."""
+    def changes(self, since: int) -> tuple[int, dict[str, Row | None]]:
+        """The version, and the runs that changed after `since`, each with its whole row; None: it is gone."""
         with self._lock:
             self._look()
-            return Changes(
-                self._version,
-                {run: self._rows[run] for run, version in self._changed.items() if version > since},
-                tuple(run for run, version in self._removed.items() if version > since),
-            )
+            return self._version, {run: row for run, (version, row) in self._rows.items() if version > since}
 
     def frame(self) -> tuple[int, pd.DataFrame]:
         """The version, and the table of all runs as `load.runs` gives it, with the names of their configurations.
@@ -94,34 +76,21 @@ class WatchedStore:
         if time.monotonic() - self._looked < FRESH:
             return
         stamps = index.scan(self.folder)
-        changed = {run for run, stamp in stamps.items() if self._stamps.get(run) != stamp}
-        changed |= self._alive & stamps.keys()
-        gone = self._stamps.keys() - stamps.keys()
-        self._stamps = stamps
-        self._looked = time.monotonic()
-        rows = self._read(sorted(changed))
-        different = {run: row for run, row in rows.items() if self._rows.get(run) != row}
-        if not different and not gone:
-            return
-        self._version += 1
-        self._rows |= different
-        self._changed |= dict.fromkeys(different, self._version)
-        for run in different:
-            self._removed.pop(run, None)
-            self._alive.discard(run)
-            if different[run].get("state") == "running":
-                self._alive.add(run)
-        for run in gone:
-            self._removed[run] = self._version
-            for known in (self._rows, self._changed):
-                known.pop(run, None)
-            self._alive.discard(run)
+        changed = [run for run, stamp in stamps.items() if self._stamps.get(run) != stamp or run in self._alive]
+        rows = self._read(changed) | dict.fromkeys(self._stamps.keys() - stamps.keys())
+        self._stamps, self._looked = stamps, time.monotonic()
+        different = {run: row for run, row in rows.items() if run not in self._rows or self._rows[run][1] != row}
+        if different:
+            self._version += 1
+            self._rows |= {run: (self._version, row) for run, row in different.items()}
+            running = {run for run, row in different.items() if row is not None and row.get("state") == "running"}
+            self._alive = self._alive - different.keys() | running
 
-    def _read(self, runs: list[str]) -> dict[str, dict[str, Any]]:
+    def _read(self, runs: list[str]) -> dict[str, Row | None]:
         if not runs:
             return {}
         shown = content.described(completed(index.load_runs(self.folder, runs)))
-        rows = {}
+        rows: dict[str, Row | None] = {}
         for record in shown.drop(columns=["store", "scene"], errors="ignore").to_dict("records"):
             row = {str(name): plain(value) for name, value in record.items()}
             rows[record["run_id"]] = {name: value for name, value in row.items() if value is not None}

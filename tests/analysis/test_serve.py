@@ -83,17 +83,17 @@ def test_the_watched_table_is_that_of_a_new_reader(many, tmp_path, monkeypatch):
     store = tmp_path / "runs"
     first = write_run(store)
     watched = WatchedStore(store)
-    version = watched.changes(0).version
+    version, _ = watched.changes(0)
     write_run(store, seed=1)
     annotations.change_tags(first, ["good"])
-    found = watched.changes(version)
-    assert {name: row.get("tags") for name, row in found.rows.items()} == {
+    _, found = watched.changes(version)
+    assert {name: row.get("tags") for name, row in found.items()} == {
         first.name: ["good"],
         "poster-classical-s1": None,
     }
     assert set(watched.frame()[1]["configuration"]) == {"classical"}
     (store / "poster-classical-s1").rename(tmp_path / "elsewhere")
-    assert watched.changes(version).removed == ("poster-classical-s1",)
+    assert watched.changes(version)[1]["poster-classical-s1"] is None
     _, frame = watched.frame()
     _, fresh = WatchedStore(store).frame()
     assert frame.equals(fresh[frame.columns])
