@@ -20,15 +20,9 @@ GREY = 0.05
 def samples(chosen: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """The pixels of the held-out views that all chosen runs have readable pictures of, one row each.
 
-    Args:
-        chosen: classical and quantum -> its runs, as `load.runs` gives them, of one configuration.
-
-    Returns:
-        Columns source (truth | classical | quantum), seed (of the run; missing for the truth, which occurs once),
-        image, and hue (in turns; NaN for a grey pixel), saturation and value, all in [0, 1].
-
-    Raises:
-        ValueError: the runs are of several scenes or configurations, or have no view in common.
+    chosen: classical and quantum -> its runs, as `load.runs` gives them, of one configuration and scene. Columns source
+    (truth | classical | quantum), seed (of the run; missing for the truth, which occurs once), image, and hue (turns;
+    NaN for a grey pixel), saturation and value, all in [0, 1]. ValueError where the runs have no view in common.
     """
     for source, runs in chosen.items():
         refuse_mixtures(runs.assign(source=source), ["source"])

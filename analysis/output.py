@@ -6,13 +6,7 @@ from qnerf.records.deletion import holds_runs, refuse_runs
 
 
 def make_folder(folder: Path, *, store: bool = True) -> None:
-    """Makes the folder and those above it.
-
-    store: whether it may be one that holds runs.
-
-    Raises:
-        ValueError: the folder is a run's, or in one, or a store.
-    """
+    """Makes the folder and those above it; ValueError for one of a run, or without `store` for one that holds runs."""
     refuse_runs(folder)
     if not store and holds_runs(folder):
         raise ValueError(f"{folder}: expected a folder of its own, this is one of runs")

@@ -24,12 +24,9 @@ BINS = 50  # points of a training curve
 def loss_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
     """Mean squared colour error against steps, over the seeds of the `most` best configurations of each scene.
 
-    The training error is averaged over up to `BINS` equal spans of steps. The error of held-out views is
-    10^(-PSNR / 10), a geometric mean over the views. Steps that some seed did not reach are left out.
-
-    Returns:
-        Columns step (the last of its span), n, mse (geometric mean over seeds), mse_low and mse_high (one standard
-        deviation of its logarithm; NaN for one seed), split (train | eval), scene_name, name.
+    The training error is averaged over up to `BINS` equal spans of steps; the error of held-out views is
+    10^(-PSNR / 10). Columns step (the last of its span), n, mse (geometric mean over seeds), mse_low and mse_high (one
+    standard deviation of its logarithm; NaN for one seed), split (train | eval), scene_name, name.
     """
     return _of_best(frame, most, "train/mse", _losses)
 

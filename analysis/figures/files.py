@@ -25,11 +25,8 @@ def check_names(names: Sequence[str]) -> None:
 def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence[str], **options: Any) -> None:
     """Writes the named figures, or all of them if `names` is empty, into the folder `out`; options as `Entry.draw`.
 
-    Prints the files that it wrote, and a line for each figure that cannot be drawn; the others are drawn.
-
-    Raises:
-        ValueError: a format is unknown, a figure that was named cannot be drawn for any scene, or a file cannot be
-            written.
+    Prints the files that it wrote, and a line for each figure that cannot be drawn. ValueError for an unknown format,
+    or where a figure that was named cannot be drawn for any scene.
     """
     make_folder(out)
     failed = []

@@ -17,16 +17,10 @@ _NOTATIONS = {
 
 
 def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) -> pd.DataFrame:
-    """One row per scene and configuration; within a scene, the highest mean of the first value comes first.
+    """One row per scene and configuration of the runs; within a scene, the highest mean of the first value comes first.
 
-    Args:
-        runs: the runs of `select`.
-        values: columns to average over the seeds.
-        keep: columns to copy from the first run.
-
-    Returns:
-        Columns scene_name, `LABELS`, train.steps, `keep`; per value its mean and <value>_std (n - 1; NaN for one seed);
-        n, the number of seeds; runs, their row numbers in `runs`; name, a short text unlike that of any other row.
+    Columns scene_name, `LABELS`, train.steps and `keep` of the first run; per value its mean and <value>_std (n - 1;
+    NaN for one seed); n, the number of seeds; runs, their row numbers; name, a short text unlike that of any other row.
     """
     table = _grouped(runs, values, keep)
     return table.assign(name=names(table, runs))

@@ -15,12 +15,8 @@ from .probed import having, probed
 def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
     """PSNR under each measured condition, over the seeds of each configuration.
 
-    Only views that a run has under each of its conditions count.
-
-    Returns:
-        Columns shots (0: exact), noise ("none" or a channel), p (probability of a gate error), psnr (dB, mean over
-        views, then over seeds), psnr_std (over seeds; NaN for one), n (seeds measured under this condition),
-        scene_name, name, field, seeds (seeds measured under any condition).
+    Columns shots, noise and p as of `means`, psnr (dB, mean over views, then over seeds), psnr_std (over seeds; NaN for
+    one), n (seeds measured under this condition), scene_name, name, field, seeds (measured under any condition).
     """
     runs = having(select(frame).runs, HARDWARE)
     parts = []

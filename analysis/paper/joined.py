@@ -25,17 +25,8 @@ def printed(name: str) -> pd.DataFrame:
 def joined(paper: pd.DataFrame, frame: pd.DataFrame, keys: Sequence[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """The rows of `paper`, each with our finished runs that agree with it in all `keys`, and notes for under the table.
 
-    Args:
-        paper: the paper's rows.
-        frame: our runs as `load.runs` gives them.
-        keys: columns of both.
-
-    Returns:
-        `paper` with the columns ours_<value>_<mean | std | n> and ours_seeds_n, which is 0 if there is no such run. The
-        notes say which settings our runs had and which runs were left out.
-
-    Raises:
-        ValueError: the runs of a row mix scenes or configurations.
+    The columns ours_<value>_<mean | std | n> and ours_seeds_n are added, 0 if there is no such run. The notes say which
+    settings our runs had and what was left out. ValueError where the runs of a row mix scenes or configurations.
     """
     selection = select(frame)
     architectures = paper[list(keys)].dropna().drop_duplicates()

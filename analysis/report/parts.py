@@ -1,6 +1,6 @@
 """The sections of tables and figures below the interactive part of the page."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,11 +14,8 @@ from ..verdict import within_of
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, decisions, over_seeds, smallest_configurations
 
-COLOURS = ("hsv",)
 INTERACTIVE = ("loss", "time")
 """Figures that the page's own curves show; `qnerf figures` writes them."""
-PAPER_FIGURES = tuple(name for name, entry in FIGURES.items() if entry.paper and name not in (*COLOURS, *INTERACTIVE))
-OTHER_FIGURES = tuple(name for name, entry in FIGURES.items() if name not in (*PAPER_FIGURES, *COLOURS, *INTERACTIVE))
 
 
 @dataclass
@@ -33,24 +30,17 @@ class Part:
     figures: list[Drawn] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
 
-    def draw(self, names: Iterable[str], frame: pd.DataFrame, baseline: str | None = None) -> None:
-        for name in names:
-            drawn, absent = draw(name, frame, baseline)
-            self.figures += drawn
-            self.absent += absent
-
 
 def parts(frame: pd.DataFrame, baseline: str | None) -> list[Part]:
     """Tables and figures of the store, in the order of the page; baseline: None for the classical configuration."""
     configurations = Part("tables", "Tables", "Configurations over seeds")
-    configurations.tables = [attempt("Mean ± standard deviation over seeds", over_seeds, frame, baseline)]
+    small = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
+    configurations.tables = [
+        attempt("Mean ± standard deviation over seeds", over_seeds, frame, baseline),
+        attempt(small, smallest_configurations, frame),
+    ]
     if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
         configurations.tables.append(decided)
-    smallest = Part("smallest", "Smallest", "The smallest configuration that is nearly the best")
-    title = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
-    smallest.tables = [attempt(title, smallest_configurations, frame)]
-    colours = Part("colours", "Colours", "Colours: truth, classical, quantum")
-    colours.draw(COLOURS, frame)
     paper = Part("paper", "Paper", "The paper's tables and figures, with ours")
     without = []
     for title, make in PAPER_TABLES.values():
@@ -59,10 +49,13 @@ def parts(frame: pd.DataFrame, baseline: str | None) -> list[Part]:
         without += [] if tables else [title]
     if without:
         paper.text = f"No run is a row of: {'; '.join(without)}."
-    paper.draw(PAPER_FIGURES, frame)
     more = Part("more", "Figures", "More figures")
-    more.draw(OTHER_FIGURES, frame, baseline)
-    return [configurations, smallest, colours, paper, more]
+    for name in [name for name in FIGURES if name not in INTERACTIVE]:
+        drawn, absent = draw(name, frame, baseline)
+        part = paper if FIGURES[name].paper else more
+        part.figures += drawn
+        part.absent += absent
+    return [configurations, paper, more]
 
 
 def beside_ours(title: str, make: Callable[[pd.DataFrame], Table], frame: pd.DataFrame) -> list[ShownTable]:

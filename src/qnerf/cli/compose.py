@@ -68,9 +68,6 @@ def arguments_for_hydra(arguments: Sequence[str]) -> tuple[list[str], dict[str, 
 
     >>> arguments_for_hydra(["seed=0", "-m", "density=qiren"])[0]
     ['-m', 'seed=0', 'head@density=qiren']
-
-    Raises:
-        ValueError: what Hydra cannot read; the message says what to type instead.
     """
     from hydra._internal.utils import get_args_parser
 

@@ -72,12 +72,9 @@ def stored(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def run_stored(run: Path, config: dict[str, Any], name: str | None = None) -> "Outcome":
-    """Trains with the stored `config`, which may be changed in `CHANGEABLE` options, and shows the progress.
+    """Trains with the stored `config`, which may be changed in `CHANGEABLE` options.
 
-    name: the run's id, to continue it.
-
-    Raises:
-        ValueError: the scene or the stored configuration has changed.
+    name: the run's id, to continue it. ValueError where the scene or the stored configuration has changed.
     """
     from qnerf import experiment
     from qnerf.cli.display import LiveDisplay
@@ -88,13 +85,8 @@ def run_stored(run: Path, config: dict[str, Any], name: str | None = None) -> "O
 
 
 def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = True) -> "Trained":
-    """The model of a run's last checkpoint, with its scene.
-
-    unfinished: also of a run that is being trained or was interrupted.
-
-    Raises:
-        ValueError: as for `stored`, `check_identity` and `qnerf.probes.load`.
-    """
+    """The model of a run's last checkpoint, with its scene; ValueError as of `stored`, `_prepared` and
+    `qnerf.probes.load`."""
     from qnerf.probes import load, require_loadable
 
     require_loadable(run, unfinished=unfinished)

@@ -30,11 +30,8 @@ KEYS = ["shots", "noise", "p", "seed"]
 class Condition:
     """How circuits are measured: `shots` 0 is exact, `noise` "none" is without noise.
 
-    `others` are further fields of `Noise` with their values, such as ("readout", 0.02). Their text joins the channel in
-    the column noise.
-
-    Raises:
-        ValueError: an unknown channel, no probability, one without the other, or values that `Noise` refuses.
+    `others` are further fields of `Noise` with their values, such as ("readout", 0.02). ValueError for an unknown
+    channel, no probability, one without the other, or values that `Noise` refuses.
     """
 
     shots: int = 0
@@ -106,18 +103,11 @@ def evaluate_hardware(
 ) -> pd.DataFrame:
     """Renders a finished run's held-out views under each condition and adds the rows to its eval_hardware.parquet.
 
-    Args:
-        trained: the run.
-        conditions: rows of the same condition and image that the table already has are replaced.
-        views: render the first so many held-out views; 0 for all.
-        patterns: of Pauli errors for each call of a circuit, where density matrices are too slow, see `Conditions`.
-        tell: takes a line of progress.
+    Rows of the same condition and image are replaced. Returns the whole table: image, the image metrics, and `KEYS`.
+    ValueError where the run has no circuit, or the table is damaged.
 
-    Returns:
-        The whole table: image, psnr, ssim, lpips, lpips_reason, depth_error, depth_error_median, and `KEYS`.
-
-    Raises:
-        ValueError: the run has no circuit, or the table is damaged.
+    views: render the first so many; 0 for all. patterns: of Pauli errors for each call of a circuit, where density
+    matrices are too slow, see `Conditions`. tell: takes a line of progress.
     """
     folder, scene, model = trained.folder, trained.scene, trained.model
     trained.circuits()  # ValueError without circuits

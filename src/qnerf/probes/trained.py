@@ -128,13 +128,8 @@ def require_loadable(folder: Path, *, unfinished: bool = False) -> None:
 def load(run: str | Path, prepared: Prepared | None = None, *, unfinished: bool = False) -> Trained:
     """Builds the run's scene and model and loads its last checkpoint.
 
-    Args:
-        run: the run's folder.
-        prepared: the run's configuration and scene, if they are read already.
-        unfinished: take also the checkpoint of a run that is being trained, or was interrupted.
-
-    Raises:
-        ValueError: not a finished run, one without a checkpoint, or its scene or checkpoint cannot be read.
+    prepared: the run's configuration and scene, if they are read already. unfinished: take also the checkpoint of a run
+    that is being trained, or was interrupted. ValueError where there is none, or the scene or it cannot be read.
     """
     folder = Path(run)
     require_loadable(folder, unfinished=unfinished)

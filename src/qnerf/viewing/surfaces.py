@@ -43,12 +43,8 @@ class Hits:
 def ray_ends(renderer: Renderer, limit: int, within: float = WITHIN) -> Hits:
     """Where evenly spread rays of all training views end: at their median depth.
 
-    Args:
-        limit: number of rays, at most, unless that is less than one a view.
-        within: largest absolute coordinate that is kept.
-
-    Raises:
-        ValueError: no ray ends within.
+    limit: number of rays, at most, unless that is less than one a view. within: largest absolute coordinate that is
+    kept; ValueError where no ray ends within.
     """
     trained = renderer.trained
     parts = []
@@ -100,13 +96,8 @@ def mesh(renderer: Renderer, hits: Hits, cells: int = CELLS, level: float | None
     The grid spans the points but for the outermost percent on each side. Only the triangles stay that training views
     see: behind a wall, where no ray gets, a field may hold anything.
 
-    Args:
-        hits: of `ray_ends`.
-        cells: of the grid along its longest side.
-        level: density per world unit; None: half of the light is absorbed within a twentieth of the longest side.
-
-    Raises:
-        ValueError: the density passes the level nowhere, or there is too little memory.
+    cells: of the grid along its longest side. level: density per world unit; None: half of the light is absorbed within
+    a twentieth of the longest side. ValueError where the density passes the level nowhere, or memory is too small.
     """
     low, high = (np.percentile(hits.points.double().numpy(), share, axis=0) for share in (1, 99))
     margin = 0.05 * (high - low).max()
@@ -142,11 +133,7 @@ def sampled(
 
 
 def marched(grid: NDArray, low: NDArray, cell: float, level: float) -> Surface:
-    """The surface, without colours, where densities on a grid pass a level.
-
-    Raises:
-        ValueError: they do so nowhere.
-    """
+    """The surface, without colours, where densities on a grid pass a level; ValueError where they do so nowhere."""
     from skimage.measure import marching_cubes
 
     logarithms = np.log(np.maximum(grid, 1e-6))

@@ -39,10 +39,8 @@ def sharpen(
 ) -> bool:
     """Shows ever sharper pictures of what is to be seen now, until that changes; returns whether all were shown.
 
-    Args:
-        version: a number that changes with the camera and with what is shown.
-        draw: a picture of a width, or None where the function that it gets was true in between.
-        widths: of the pictures, in pixels. The first picture is always completed.
+    version: a number that changes with the camera and with what is shown. draw: a picture of a width, or None where the
+    function that it gets was true in between. widths: pixels; the first picture is always completed.
     """
     start = version()
 
@@ -129,15 +127,10 @@ def quaternion(pose: NDArray) -> NDArray:
 
 
 class Viewer:
-    """The server of the page. It runs in threads of its own until `stop`.
+    """The server of the page, of one run or two runs of one scene. It runs in threads of its own until `stop`.
 
-    Args:
-        renderers: of one run, or of two runs of one scene.
-        host, port: where the page is.
-        width: of the sharpest picture, pixels.
-
-    Raises:
-        ValueError: viser is not installed, the port is taken, or the runs are of different scenes.
+    width: of the sharpest picture, pixels. ValueError where viser is not installed, the port is taken, or the runs are
+    of different scenes.
     """
 
     def __init__(self, renderers: Sequence[Renderer], host: str = "127.0.0.1", port: int = 8080, width: int = 640):
