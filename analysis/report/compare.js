@@ -128,13 +128,12 @@ function drawDifferences(runs) {
     : `${count} of ${DATA.settings.length} settings differ${results.length ? "; then the results" : ""}.`;
 }
 
-/** The best run, and the best of another configuration on the same scene, with the same seed where there is one. */
+/** The best run with pictures, and the best of another configuration on the same scene, with the same seed if there is one. */
 function firstPair() {
-  const finished = selection.runs.filter((run) => value("scene_name", run) === DATA.scenes[0] && value("state", run) === "finished");
-  const pictured = DATA.pictures.none ? finished : finished.filter((run) => DATA.pictures.runs[run]);
-  const best = pictured[0] ?? finished[0];
-  if (best === undefined) return [];
-  const others = (pictured.length ? pictured : finished).filter((run) => value("configuration", run) !== value("configuration", best));
+  const pictured = (run) => DATA.pictures.none || DATA.pictures.runs[run];
+  const finished = selection.runs.filter((run) => value("state", run) === "finished" && value("scene_name", run) === DATA.scenes[0] && pictured(run));
+  const [best] = finished;
+  const others = finished.filter((run) => value("configuration", run) !== value("configuration", best));
   return [best, others.find((run) => value("seed", run) === value("seed", best)) ?? others[0]].filter((run) => run !== undefined);
 }
 

