@@ -1,6 +1,7 @@
 """checkpoint.pt and the one before it."""
 
 import logging
+import threading
 
 import numpy as np
 import pytest
@@ -32,8 +33,13 @@ def test_checkpoints_rotate(store_: RunStore) -> None:
 
 def test_a_checkpoint_that_could_not_be_read_back_is_refused(store_: RunStore) -> None:
     run = claimed(store_)
-    with pytest.raises(ValueError, match="checkpoint: expected tensors and plain values only"):
-        run.save_checkpoint({"random": np.random.default_rng(0).bit_generator})
+    cases = {"numpy": np.ones(2), "Linear": torch.nn.Linear(1, 1), "<lambda>": lambda: 1, "lock": threading.Lock()}
+    for name, value in cases.items():
+        with pytest.raises(
+            ValueError, match=f"expected tensors and plain values only, got .*{name}.*state_dict"
+        ) as caught:
+            run.save_checkpoint({"value": value})
+        assert "\n" not in str(caught.value)
     assert not list(run.dir.glob("*checkpoint*"))
     run.finish()
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from qnerf.analysis import load
@@ -79,3 +80,20 @@ def test_tracked_run_has_one_writer_and_its_own_checkpoints(tmp_path: Path) -> N
             pass
     with pytest.raises(StoreError, match="expected a step and a state"), qnerf.track({}, name="a", store=tmp_path):
         pass
+
+
+def test_numbers_may_be_numpy_s_and_pytorch_s_but_a_seed_is_whole(tmp_path: Path) -> None:
+    for seed in ("x", 1.5):
+        with (
+            pytest.raises(ValueError, match="seed: expected a whole number, got"),
+            qnerf.track({"seed": seed}, name="a", store=tmp_path),
+        ):
+            pass
+    assert not records.runs(tmp_path)
+    with qnerf.track({"seed": np.int64(1)}, name="a", store=tmp_path) as run:
+        run.log(1, loss=torch.ones((), requires_grad=True))
+        run.finish(psnr=torch.tensor(20.0), ssim=np.float32(0.5))
+        with pytest.raises(StoreError, match="finished already"):
+            run.log(2, loss=1.0)
+    assert (records.read_summary(run.path)["psnr"], records.read_summary(run.path)["seed"]) == (20.0, 1)
+    assert qnerf.load("a-", store=tmp_path).eval()["ssim"].tolist() == [0.5]

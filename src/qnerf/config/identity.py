@@ -9,8 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePath, PurePosixPath
 from typing import Any
 
-import numpy as np
-
 SLUG_LENGTH = 80
 DIGITS = 10  # hexadecimal
 
@@ -21,7 +19,7 @@ def plain(value: Any, name: str = "config") -> Any:
         return {str(key): plain(item, f"{name}.{key}") for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item, f"{name}[{i}]") for i, item in enumerate(value)]
-    if isinstance(value, np.generic):
+    if getattr(value, "shape", None) == ():  # of NumPy or PyTorch
         return plain(value.item(), name)
     if isinstance(value, PurePath):
         return str(value)

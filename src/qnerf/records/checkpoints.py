@@ -3,6 +3,7 @@
 import io
 import os
 import pickle
+import re
 import time
 import zipfile
 from collections.abc import Callable
@@ -29,14 +30,18 @@ class Checkpoints:
         import torch
 
         archive = io.BytesIO()
-        torch.save(content, archive)
-        if not self._was_read_back:  # content that cannot be loaded should fail now, not when the run is resumed
-            archive.seek(0)
-            try:
+        try:
+            torch.save(content, archive)
+            if not self._was_read_back:  # content that cannot be loaded should fail now, not when the run is resumed
+                archive.seek(0)
                 torch.load(archive, weights_only=True)
-            except pickle.UnpicklingError as error:
-                raise ValueError(f"checkpoint: expected tensors and plain values only: {one_line(error)}") from error
-            self._was_read_back = True
+                self._was_read_back = True
+        except (pickle.PickleError, AttributeError, TypeError) as error:
+            known = re.search(r"GLOBAL (\S+)", str(error))
+            raise ValueError(
+                f"checkpoint: expected tensors and plain values only, got {known[1] if known else one_line(error)};"
+                " give a module's state_dict(), torch.as_tensor() of an array"
+            ) from error
         replace(self.current, archive.getbuffer(), before_rename=self._keep_previous)
 
     def _keep_previous(self) -> None:

@@ -97,8 +97,10 @@ def _array(name: str, values: list[Any], kind: str | None) -> pa.Array | None:
         encodable = iter([text.encode(errors="replace").decode() for text in texts])
         return pa.array([None if value is None else next(encodable) for value in values], TYPES[kind])
     allowed = (bool,) if kind == "bool" else (int, float)
+    expected = {"int": "a whole number", "float": "a number", "bool": "true or false"}[kind]
     for value in filled:
-        if not isinstance(value, allowed) or (kind != "bool" and isinstance(value, bool)):
-            raise ValueError(f"{name}: expected {'true or false' if kind == 'bool' else 'a number'}, got {value!r:.60}")
+        broken = kind == "int" and isinstance(value, float) and not value.is_integer()
+        if broken or not isinstance(value, allowed) or (kind != "bool" and isinstance(value, bool)):
+            raise ValueError(f"{name}: expected {expected}, got {value!r:.60}")
     number = {"int": int, "float": float, "bool": bool}[kind]
     return pa.array([None if value is None else number(value) for value in values], TYPES[kind])

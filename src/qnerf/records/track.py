@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from qnerf.config.checks import is_number
-from qnerf.config.identity import clean, digest, flatten
+from qnerf.config.identity import clean, digest, plain
 from qnerf.metrics import metric_of
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.environment import capture, dirty_diff
@@ -17,7 +17,7 @@ from qnerf.records.read import read_evaluation
 from qnerf.records.store import RunStore
 from qnerf.records.writer import Run
 
-WHOLE = ("seed", "train.steps")
+WHOLE = {"seed": "int", "train.steps": "int"}
 """Options that are whole numbers in other runs, too. Any other number of a configuration is a float."""
 
 
@@ -48,9 +48,8 @@ def track(
             process writes the run.
     """
     grouped = _grouped(config)
-    types = {key: "int" for key, value in flatten(grouped).items() if key in WHOLE and isinstance(value, int)}
     run_id = f"{clean(name)}-{digest(grouped, name)}"
-    claim = RunStore(store).claim(run_id, grouped, columns={"field": name}, types=types, force=force)
+    claim = RunStore(store).claim(run_id, grouped, columns={"field": name}, types=WHOLE, force=force)
     if claim.outcome == "busy":
         raise StoreError(claim.message)
     if claim.run is None:
@@ -104,11 +103,12 @@ class Tracked:
         """
         if self.record is None:
             return
-        measured = {**(results or {}), **more}
+        measured = plain({**(results or {}), **more}, "summary")
         if read_evaluation(self.path).empty:
             numbers = {key: value for key, value in measured.items() if is_number(value) and _is_quality(key)}
             self.record.write_eval([{"image": "all", **numbers}])
         self.record.finish({"steps": self._step, "train_s": self.seconds, **measured})
+        self.record = None
 
     def _writer(self) -> Run:
         if self.record is None:

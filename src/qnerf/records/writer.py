@@ -360,7 +360,7 @@ def _png(image: np.ndarray) -> bytes:
 def _number(key: str, value: Any) -> float:
     try:
         if not isinstance(value, str):
-            return float(value)
+            return float(value.detach() if hasattr(value, "detach") else value)
     except (TypeError, ValueError, RuntimeError):
         pass
     raise ValueError(f"log: {key} expects a number, got {value!r}")
