@@ -26,7 +26,7 @@ edit. Only who has the printed address can open it. Needs the extra serve.
 EXAMPLES = """\
   {}
   {} runs --port 9000
-  ssh -L 8090:localhost:8090 MACHINE      # then open http://localhost:8090 here
+  ssh -L 8090:localhost:8090 MACHINE      # then open the printed address here
 """
 PORT = 8090
 
@@ -76,6 +76,7 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str]:
         import uvicorn
 
         from .app import application
+        from .prompt import Prompt
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
             raise
@@ -83,7 +84,7 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str]:
     answers = Answers(WatchedStore(options.store), options.title)
     guard = Guard(options.host)
     config = uvicorn.Config(
-        application(answers, guard), log_level="error", access_log=False, ws="none",
+        application(answers, guard), http=Prompt, log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
     return uvicorn.Server(config), guard.token

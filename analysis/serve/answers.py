@@ -2,7 +2,6 @@
 
 import io
 import secrets
-import threading
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -41,7 +40,6 @@ class Answers:
         self.store = store
         self._title = title
         self._boot = secrets.token_hex(4)  # versions of an earlier server mean nothing
-        self._tables = threading.Lock()  # one table at a time
 
     def page(self) -> dict[str, Any]:
         """The values of the page's template."""
@@ -127,8 +125,7 @@ class Answers:
             least = float(within) if within.strip() else None
         except ValueError:
             raise ValueError(f"within: expected a positive number, got {within!r:.40}") from None
-        with self._tables:
-            return ShownTable("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
+        return ShownTable("", ablation(chosen, keys, metric=metric, baseline=baseline or None, within=least))
 
     def _logged(self, run: str) -> dict[str, Any]:
         folder = self.store.path(run)

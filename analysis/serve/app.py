@@ -3,6 +3,7 @@
 Everything but tags and notes is only read. Who may ask is as for the viewer (`qnerf.viewing.guard`).
 """
 
+import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.middleware.gzip import GZipMiddleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
@@ -26,6 +27,7 @@ from .answers import Answers
 
 HERE = Path(__file__).parent
 COOKIE = "qnerf_token"
+MAX_BODY = 100_000  # bytes that a note and tags may take
 OWN = ("live", "differences")
 SCRIPTS = ("data", "live", *page.SHARED, "differences", "start")
 HEADERS = {
@@ -52,10 +54,13 @@ def application(answers: Answers, guard: Guard) -> Starlette:
         "style.css": ("text/css", page.file("style.css")),
     }
 
-    def home(request: Request) -> Response:
+    turn = asyncio.Lock()  # what takes long is made one at a time, so that threads are left for the rest
+
+    async def home(request: Request) -> Response:
         if "token" in request.query_params:
             return _with_cookie(request, guard.token)
-        return HTMLResponse(page.render(answers.page()))
+        async with turn:
+            return HTMLResponse(await run_in_threadpool(lambda: page.render(answers.page())))
 
     def file(request: Request) -> Response:
         kind, text = files[request.url.path[1:]]
@@ -79,12 +84,13 @@ def application(answers: Answers, guard: Guard) -> Starlette:
         seconds = 3600 if query["panel"] == "preview" else 10  # the address of a preview tells its version
         return Response(data, media_type=kind, headers={"Cache-Control": f"private, max-age={seconds}"})
 
-    def differences(request: Request) -> Response:
+    async def differences(request: Request) -> Response:
         asked = (request.query_params.get(name, "") for name in ("filter", "rows", "baseline", "metric", "within"))
-        return HTMLResponse(page.table(answers.differences(*asked)))
+        async with turn:
+            return HTMLResponse(await run_in_threadpool(lambda: page.table(answers.differences(*asked))))
 
     async def annotate(request: Request) -> Response:
-        wanted = parse_json(await request.body())
+        wanted = parse_json(await _body(request))
         run = answers.store.path(request.query_params["run"])
         written = await run_in_threadpool(_annotate, run, wanted)
         return JSONResponse({"tags": written.tags, "note": written.note})
@@ -107,13 +113,22 @@ def application(answers: Answers, guard: Guard) -> Starlette:
         Middleware(BaseHTTPMiddleware, dispatch=guarded),
         Middleware(GZipMiddleware, minimum_size=2000, compresslevel=1),
     ]
-    refusals: dict[Any, Any] = dict.fromkeys((KeyError, ValueError, OSError), _refusal)
+    refusals: dict[Any, Any] = dict.fromkeys((KeyError, ValueError, OSError, ClientDisconnect), _refusal)
     return Starlette(routes=routes, middleware=middleware, exception_handlers=refusals)
 
 
 def _refusal(_: Request, error: Exception) -> Response:
     """One line for what was asked wrongly, or what a run lacks."""
     return PlainTextResponse(f"expected {error}" if isinstance(error, KeyError) else one_line(error), 400)
+
+
+async def _body(request: Request) -> bytes:
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_BODY:
+            raise ValueError(f"expected at most {MAX_BODY:,} bytes")
+    return body
 
 
 def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:

@@ -1,15 +1,20 @@
 """The live page's server: what changed, curves, differences, tags and notes, and who may ask."""
 
+import concurrent.futures
 import json
 import re
+import socket
+import threading
 import urllib.error
 import urllib.parse
 import urllib.request
 
 import numpy as np
 import pytest
+from qnerf.analysis.serve import prompt
 from qnerf.analysis.serve import store as serve_store
 from qnerf.analysis.serve.__main__ import main
+from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
 from qnerf.analysis.tables import ablation
 
@@ -149,6 +154,35 @@ def test_nobody_asks_without_the_token_of_the_printed_address(many, host):
         with opener.open(f"{address}/?token={token}", timeout=30) as answer:
             assert answer.geturl() == f"{address}/"
             assert "default-src 'none'; script-src 'self'" in answer.headers["Content-Security-Policy"]
+
+
+def test_one_client_cannot_keep_others_waiting(many, monkeypatch):
+    """Half requests are closed; bodies are bounded; many tables at once leave threads to the rest."""
+    monkeypatch.setattr(prompt, "WITHIN", 0.1)
+    begun, free = threading.Event(), threading.Event()
+
+    def slow(*_):
+        begun.set()
+        free.wait(30)
+        raise ValueError("slow")
+
+    monkeypatch.setattr(Answers, "differences", slow)
+    with served(many) as (address, token), concurrent.futures.ThreadPoolExecutor(60) as clients:
+        place = urllib.parse.urlsplit(address)
+        head = f"POST /annotate?token={token} HTTP/1.1\r\nHost: {place.netloc}\r\nContent-Length: 9\r\n\r\n"
+        for half in ("", "GET / HT", head, head + "{"):
+            with socket.create_connection((place.hostname, place.port), timeout=30) as one:
+                one.sendall(half.encode())
+                assert one.recv(100) == b""
+        assert ask(f"{address}/annotate?run=x", {"Origin": address}, b" " * 200_000) == (
+            400,
+            "expected at most 100,000 bytes",
+        )
+        tables = [clients.submit(ask, f"{address}/differences") for _ in range(60)]
+        assert begun.wait(30)
+        assert ask(f"{address}/changes?since=")[0] == 200
+        free.set()
+        assert {table.result()[0] for table in tables} == {400}
 
 
 def test_mistakes_are_one_line(tmp_path):

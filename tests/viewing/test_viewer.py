@@ -170,6 +170,8 @@ def test_requests_without_the_token_or_from_another_site_are_refused():
         (query, own | {"Origin": "null"}, "another site"),
         (query, {"Host": "example.org"}, "as host"),
         (query, {}, "as host"),
+        (query, {"Host": "[::1"}, "expected one Host"),
+        (query, own | {"Origin": "http://[::1"}, "expected one Host"),
     ):
         assert reason in guard.refusal(path, headers), (path, headers)
 

@@ -32,10 +32,14 @@ class Guard:
             path: with the query.
             headers: a mapping that ignores the case of names.
         """
-        host, origin = headers.get("Host", ""), headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        try:
+            host, origin = headers.get("Host", ""), headers.get("Origin")
+            name, site = urlsplit(f"//{host}").hostname, None if origin is None else urlsplit(origin).netloc
+        except (ValueError, LookupError):  # no address; twice
+            return "expected one Host and at most one Origin"
+        if site not in (None, host):
             return "a page of another site asked"
-        if self.local and urlsplit(f"//{host}").hostname not in LOCAL:
+        if self.local and name not in LOCAL:
             return f"expected one of {', '.join(LOCAL)} as host"
         with contextlib.suppress(CookieError):
             given = parse_qs(urlsplit(path).query).get("token", [])
@@ -57,7 +61,8 @@ class Guard:
                     return connection.respond(403, refusal + "\n")
                 response = process_request(connection, request)
                 if response is not None:
-                    response.headers["Set-Cookie"] = f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+                    name = f"{COOKIE}_{connection.local_address[1]}"  # a browser keeps those of all ports together
+                    response.headers["Set-Cookie"] = f"{name}={self.token}; HttpOnly; SameSite=Strict; Path=/"
                 return response
 
             return serve(*arguments, process_request=process, **options)
