@@ -56,7 +56,7 @@ def test_a_start_says_what_is_trained_and_an_end_what_came_of_it(qnerf, small):
     assert len(start) <= 12
     said = {line.split()[0]: line for line in start}
     assert "held out" in said["scene"]
-    assert re_count(said["density"]) > 0
+    assert int(said["density"].split()[-2].replace(",", "")) > 0
     assert "mlp" in said["density"]
     assert "train.steps=3" in said["changed"]
     assert "runs/" in said["run"]
@@ -66,10 +66,6 @@ def test_a_start_says_what_is_trained_and_an_end_what_came_of_it(qnerf, small):
         assert word in done.out
     again = qnerf("run", *small, "train.steps=3", "qfgn.scale=2")
     assert (again.code, "scene" in again.out.split()) == (0, False)
-
-
-def re_count(line: str) -> int:
-    return int(line.split()[-2].replace(",", ""))
 
 
 def test_cfg_job_prints_the_configuration_that_acts(qnerf, small):
