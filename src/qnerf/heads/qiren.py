@@ -49,6 +49,7 @@ class Normalisation(nn.BatchNorm1d):
         self.statistics = statistics
 
     def forward(self, x: Tensor) -> Tensor:
+        x = x.to(self.running_mean.dtype)  # under autocast, a linear map before this returns half precision
         if self.statistics == "first":
             return self._forward_first(x)
         mean = x.detach().mean(0) if self.training else self.running_mean
