@@ -1,13 +1,14 @@
 """Adam in a compiled loop against PyTorch's: training/optimiser.py."""
 
-from types import SimpleNamespace
-
 import pytest
 import torch
 from torch import nn
 
+from qnerf.config.settings import Fit, SignalRates
 from qnerf.kernels import plain
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients
+
+TRAIN = Fit(rates=SignalRates(), steps=6, lr=1e-2, lr_final=1e-2, eps=1e-15, points=1)
 
 
 def trained(dtype: torch.dtype, steps: int) -> tuple[list[nn.Parameter], torch.optim.Optimizer]:
@@ -16,7 +17,7 @@ def trained(dtype: torch.dtype, steps: int) -> tuple[list[nn.Parameter], torch.o
     shapes = ((1000, 3), (7,), (5, 4))
     parameters = [nn.Parameter(torch.randn(shape, generator=generator, dtype=dtype)) for shape in shapes]
     groups = [{"params": parameters[:1], "name": "a"}, {"params": parameters[1:], "name": "b"}]
-    optimiser = build_optimiser(groups, SimpleNamespace(lr=1e-2, eps=1e-15))  # type: ignore[arg-type]
+    optimiser = build_optimiser(groups, TRAIN)
     optimiser.param_groups[1]["lr"] = 3e-3
     for step in range(steps):
         for parameter in parameters[: 2 if step < 2 else 3]:

@@ -204,7 +204,8 @@ class Common:
 
     @property
     def dtype(self) -> torch.dtype:
-        return torch.float64 if self.numerics.dtype == "float64" else torch.float32
+        dtype: torch.dtype = getattr(torch, self.numerics.dtype)
+        return dtype
 
 
 @dataclass(frozen=True, kw_only=True)
