@@ -364,7 +364,8 @@ def evaluate(
     tell(f"evaluate 1 of {len(views)} views")
     for rendered, row in evaluator.views(list(views), step):
         rows.append(row)
-        tell(f"evaluate {min(len(rows) + 1, len(views))} of {len(views)} views")
+        if len(rows) < len(views):
+            tell(f"evaluate {len(rows) + 1} of {len(views)} views")
         record.save_image(names[rendered.view], evaluator.picture(rendered))
         if len(rows) < len(views) and stopping():
             return rows, None

@@ -202,7 +202,7 @@ def test_a_foreign_checkpoint_is_one_line_and_without_it_the_numbers_stay(config
     content["optimiser"][0]["exp_avg"] = torch.zeros(3)
     torch.save(content, path)
     foreign = path.read_bytes()
-    with pytest.raises(StoreError, match=r"does not fit this run .*; delete it to go on from the checkpoint") as error:
+    with pytest.raises(StoreError, match=r"does not fit this run .*; delete it to try the checkpoint before") as error:
         experiment.run(config)
     assert "\n" not in str(error.value)
     assert path.read_bytes() == foreign

@@ -77,7 +77,7 @@ class Checkpoints:
                     path.rename(aside)
                 self._warn(f"{error}; set aside as {aside.name}; {self._onward(path)}")
             except ValueError as error:
-                advice = "delete it to go on from the checkpoint before; run.force=true does the run over"
+                advice = "delete it to try the checkpoint before, or do the run over with run.force=true"
                 raise StoreError(f"{path}: does not fit this run ({one_line(error)}); {advice}") from error
             else:
                 return content

@@ -168,8 +168,8 @@ class Loop:
     def check(self, state: Mapping[str, Any]) -> None:
         """ValueError unless this run's `state()` can have returned `state`. Nothing of it is loaded."""
         own = self.state()
-        if lacking := own.keys() - state.keys():
-            raise ValueError(f"lacks {', '.join(sorted(lacking))}")
+        if different := ", ".join(sorted(map(str, own.keys() ^ state.keys())))[:100]:
+            raise ValueError(f"differs in {different}: another version of qnerf wrote it")
         check_integer("step", state["step"], 0, self.train.steps)
         seconds = state["step_seconds"]
         times = min(seconds.numel(), state["step"]) if isinstance(seconds, Tensor) else 0
