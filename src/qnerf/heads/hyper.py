@@ -69,7 +69,7 @@ class HyperHead(Head):
         layers: Annotated[int, Interval(ge=1, le=64)] = 4,
         hidden: Count = 12,
         unitary: Literal["circuit", "local"] = "circuit",
-        gain: Factor = 6.0,
+        gain: Factor = 2.0,
     ) -> None:
         super().__init__()
         if in_dim <= DIRECTION:
