@@ -62,12 +62,12 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     assert evaluations(frame, "toy_error").iloc[0].tolist() == views["toy_error"].tolist()
     assert ablation(frame, ["field"], metric="toy_error").title == "mean absolute error over seeds"
 
-    data = content.data(content.prepared(frame), Pictures(), {})
+    logged = curves.gather(frame, [0])
+    data = content.data(content.prepared(frame), Pictures(), logged)
     assert "toy_error" in data["shown"]
     assert "toy_error" in data["quality"]
     assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4}
-    logged = curves.gather(frame, [0])[0]
-    assert logged["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
+    assert logged[0]["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
     assert data["curve_names"]["eval/toy_error"] == "evaluation mean absolute error"
     figure = figures.speed_vs_error(frame, metric="toy_error")
     assert figure.axes[0].get_ylabel() == "mean absolute error"

@@ -1,6 +1,7 @@
 """The runs as the page's script reads them, and the texts at the top of the page."""
 
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Any
 
 import pandas as pd
@@ -82,7 +83,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "palette": style.PALETTE,
         "curves": logged,
-        "curve_names": {key: metric_of(key).heading for key in curves.logged_keys()},
+        "curve_names": {key: metric_of(key).heading for key in curves.arranged(chain(*logged.values()))},
         "pictures": {"files": drawn.files, "runs": drawn.runs, "none": not drawn.files},
     }
 
@@ -105,8 +106,7 @@ def no_pictures(drawn: pictures.Pictures) -> str:
 
 def no_curves(logged: dict[int, Any]) -> str:
     """Why there are no curves; empty where there are some."""
-    keys = ", ".join(curves.logged_keys())
-    return "" if logged else f"No run has logged any of {keys}: they come every train.log_every steps."
+    return "" if logged else "No run has logged a value: they come every train.log_every steps."
 
 
 def _described(name: str) -> dict[str, Any]:

@@ -13,12 +13,16 @@ from .columns import rounded_all
 
 MAX_RUNS = 300
 POINTS = 80
+DETAILS = ("time/", "train/distortion", "train/interlevel", "train/lr")
+"""What every training of qnerf logs, and only the live page shows."""
 
 
-def logged_keys() -> list[str]:
-    """Keys of metrics.parquet whose curves the page shows."""
+def arranged(keys: Iterable[str]) -> list[str]:
+    """Keys of metrics.parquet in the order in which a page offers them: the usual ones, then the others."""
+    found = set(keys)
     held_out = [f"eval/{metric.key}" for metric in quality_metrics()]
-    return [*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms"]
+    usual = [key for key in (*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms") if key in found]
+    return [*usual, *sorted(found.difference(usual))]
 
 
 def gather(frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUNS) -> dict[int, dict[str, Any]]:
@@ -31,9 +35,9 @@ def gather(frame: pd.DataFrame, order: Iterable[int], *, max_runs: int = MAX_RUN
             logged = metrics(frame["path"].iloc[row])
         except ValueError:  # no metrics yet, or damaged ones
             logged = pd.DataFrame({"key": []})
-        curves = {key: thinned(part) for key, part in logged.groupby("key") if key in logged_keys()}
-        if curves:
-            result[row] = {key: curves[key] for key in logged_keys() if key in curves}
+        parts = {str(key): part for key, part in logged.groupby("key")}
+        if shown := [key for key in parts if key == "time/step_ms" or not key.startswith(DETAILS)]:
+            result[row] = {key: thinned(parts[key]) for key in shown}
     return result
 
 

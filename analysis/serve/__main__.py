@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
     with socket.create_server((options.host, options.port), family=family) as listening:
         address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/?token={token}"
-        print(f"{options.store}: {address}; Ctrl-C ends", flush=True)
+        print(f"{options.store}: {address}  (Ctrl-C ends)", flush=True)
         before = set(threading.enumerate())
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listening])

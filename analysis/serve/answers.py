@@ -70,9 +70,8 @@ class Answers:
 
     def keys(self, runs: Iterable[str]) -> dict[str, str]:
         """What any of these runs has logged: key -> heading."""
-        found = dict.fromkeys(key for run in list(runs)[:MAX_RUNS] for key in self._logged(run))
-        usual = [key for key in curves.logged_keys() if key in found]
-        return {key: metric_of(key).heading for key in dict.fromkeys([*usual, *sorted(found)])}
+        found = (key for run in list(runs)[:MAX_RUNS] for key in self._logged(run))
+        return {key: metric_of(key).heading for key in curves.arranged(found)}
 
     def curves(self, runs: Iterable[str], key: str) -> dict[str, Any]:
         """Run -> step, time (seconds) and value of one key, for the runs that have logged it."""

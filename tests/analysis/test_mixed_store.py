@@ -5,7 +5,9 @@ from qnerf.analysis import figures, hsv, load
 from qnerf.analysis.figures.__main__ import main as draw
 from qnerf.analysis.pack import main as pack
 from qnerf.analysis.paper import PAPER_TABLES
+from qnerf.analysis.report import content, curves
 from qnerf.analysis.report.__main__ import main as report
+from qnerf.analysis.report.pictures import Pictures
 from qnerf.analysis.report.tables import over_seeds, smallest_configurations
 from qnerf.analysis.selection import row_keys
 from qnerf.analysis.serve.answers import Answers
@@ -63,3 +65,6 @@ def test_tracked_runs_stand_beside_the_others(mixed_store, capsys):
     tables([str(mixed_store), *rows, "--filter", "scene_name=digits", "--baseline", "field=mine"])
     assert "better *" in capsys.readouterr().out
     tables([str(mixed_store), *rows, "--metric", "accuracy", "--resources"])
+    frame = content.prepared(load.runs(mixed_store, "scene_name=digits"))
+    shown = content.data(frame, Pictures(), curves.gather(frame, range(len(frame))))
+    assert shown["curve_names"] == {"loss": "loss"}

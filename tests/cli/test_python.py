@@ -9,6 +9,7 @@ import pytest
 
 import qnerf as package
 from qnerf.cli import python
+from qnerf.geometry.camera_paths import Camera
 
 
 def test_run_trains_and_gives_a_run_that_shows_itself(small, tmp_path, monkeypatch, capsys):
@@ -29,8 +30,11 @@ def test_run_trains_and_gives_a_run_that_shows_itself(small, tmp_path, monkeypat
     assert "PSNR" in shown
     assert base64.b64encode(trained.pictures()[0].read_bytes()).decode() in shown
     assert package.load(trained.id[-5:], store=str(tmp_path / "runs")).path == trained.path
-    with pytest.raises(ValueError, match="expected the number of a view from 0"):
-        trained.render(99)
+    assert trained.render(Camera(np.eye(4)[:3], 5.0, 6, 4)).size == (6, 4)
+    assert trained.render(np.int64(0)) == picture
+    for wrong in (99, -1, 0.5, "a", None):
+        with pytest.raises(ValueError, match="expected the number of a view from 0"):
+            trained.render(wrong)
 
 
 def test_run_has_the_id_and_the_results_of_the_command(small, qnerf, tmp_path):

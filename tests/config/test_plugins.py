@@ -42,7 +42,7 @@ def typed_on_the_page(module: str) -> list[str]:
 
 def qnerf(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """A command in the folder, in a process of its own."""
-    return call(*arguments, cwd=folder, env={"QNERF_CACHE": str(folder / "cache")})
+    return call(*arguments, cwd=folder)
 
 
 def test_the_page_s_components_train_side_by_side_and_are_not_imported_unasked(folder):
@@ -50,7 +50,7 @@ def test_the_page_s_components_train_side_by_side_and_are_not_imported_unasked(f
         [sys.executable, "-c", RUN, "-m", *typed_on_the_page("my_module"), *SMALL, "hydra/launcher=joblib",
          "hydra.launcher.n_jobs=2", "seed=0,1"],
         cwd=folder,
-        env=os.environ | {"OMP_NUM_THREADS": "1", "QNERF_CACHE": str(folder / "cache"), "PYTHONSAFEPATH": "1"},
+        env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"},
         capture_output=True,
         text=True,
         timeout=300,

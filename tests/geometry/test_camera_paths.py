@@ -98,6 +98,10 @@ def test_pinhole_rays_are_those_of_the_scene_s_cameras():
     for name in ("origins", "directions", "near", "far"):
         torch.testing.assert_close(getattr(mine, name), getattr(theirs, name))
     assert torch.equal(Camera(pose, 5.0, 6, 4).rays(slice(7, 11), 0.1, 3.0).directions, mine.directions[7:11])
+    assert np.array_equal(look_at([1, 2, 0.5], TARGET.tolist(), UP.tolist()), pose)
+    for wrong in ((np.eye(4), 5.0, 6, 4), (pose, 5.0, 0, 4)):
+        with pytest.raises(ValueError, match="expected"):
+            Camera(*wrong)
     assert focal_as(cameras, 0, 12, 8) == pytest.approx(10)
     assert focal_as(cameras, 0, 4, 6) == pytest.approx(5)
 

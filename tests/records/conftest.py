@@ -10,11 +10,6 @@ def store_(tmp_path: Path) -> RunStore:
     return RunStore(tmp_path / "runs", every=60, watch=0.3)
 
 
-@pytest.fixture(autouse=True)
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("QNERF_CACHE", str(tmp_path / "cache"))
-
-
 @pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The runs that the index reads from now on."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,15 +103,16 @@ class StoredRun:
         """
         from PIL import Image
 
+        from qnerf.geometry.camera_paths import Camera
         from qnerf.viewing.frames import as_bytes
 
-        if isinstance(camera, int):
-            count = len(self.trained.scene.names)
-            if not 0 <= camera < count:
-                raise ValueError(f"camera={camera}: expected the number of a view from 0 to {count - 1}, or a Camera")
-            seen: Any = self._renderer.view(camera)
+        last = len(self.trained.scene.names) - 1
+        if isinstance(camera, Camera):
+            seen: Any = self._renderer.frame(camera)
+        elif isinstance(camera, Integral) and 0 <= camera <= last:
+            seen = self._renderer.view(int(camera))
         else:
-            seen = self._renderer.frame(camera)
+            raise ValueError(f"camera={camera!r}: expected the number of a view from 0 to {last}, or a Camera")
         return Image.fromarray(np.asarray(as_bytes(seen.color)))
 
     def pictures(self) -> list[Path]:
@@ -155,7 +157,7 @@ def sweep(*overrides: str) -> list[StoredRun]:
     A job that fails is reported on standard error, and its run is left out.
 
     Raises:
-        ValueError: a mistake in the options, before anything is trained.
+        ValueError: an option or a choice that does not exist, before anything is trained.
     """
     parsed = [compose.parse(compose.translated(override)) for override in overrides]
     check_count(parsed)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -29,12 +29,23 @@ MAX_FILE_BYTES = 2**26
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera whose principal point is the middle of its picture."""
+    """A pinhole camera whose principal point is the middle of its picture.
 
-    pose: NDArray  # (3, 4) float64, camera-to-world, OpenGL's axes, world units
-    focal: float  # pixels
-    width: int  # pixels
+    pose: (3, 4), camera-to-world, OpenGL's axes, world units; `look_at` makes one. focal, width, height: pixels.
+    """
+
+    pose: NDArray
+    focal: float
+    width: int
     height: int
+
+    def __post_init__(self) -> None:
+        if np.shape(self.pose) != (3, 4):
+            raise ValueError(f"pose: expected 3 x 4 numbers, camera to world, got shape {np.shape(self.pose)}")
+        if min(self.focal, self.width, self.height) <= 0:
+            raise ValueError(
+                f"expected a positive focal length and size, got {self.focal}, {self.width}, {self.height}"
+            )
 
     def scaled(self, width: int) -> "Camera":
         """The same view with another number of pixels."""
@@ -65,8 +76,9 @@ class Camera:
         return rays_from(directions.to(dtype) + 0.0, poses, torch.full_like(numbers, -1), near, far)
 
 
-def look_at(centre: NDArray, target: NDArray, up: NDArray) -> NDArray:
+def look_at(centre: ArrayLike, target: ArrayLike, up: ArrayLike) -> NDArray:
     """The pose (3, 4) of a camera at `centre` that looks at `target`, with `up` upwards in its picture."""
+    centre, target, up = (np.asarray(one, np.float64) for one in (centre, target, up))
     backward = (centre - target) / np.linalg.norm(centre - target)
     right = np.cross(up, backward)
     if np.linalg.norm(right) < 1e-6:  # it looks straight up or down

@@ -36,7 +36,7 @@ def main(options: argparse.Namespace) -> None:
 
     renderers = [Renderer(load_stored(folder, overrides)) for folder in folders]
     viewer = Viewer(renderers, options.host, options.port, options.width)
-    print(f"{', '.join(folder.name for folder in folders)}: {viewer.address}; Ctrl-C ends", flush=True)
+    print(f"{', '.join(folder.name for folder in folders)}: {viewer.address}  (Ctrl-C ends)", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
         while True:
             time.sleep(3600)
