@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from qnerf.cli.numbers import whole
 from qnerf.records.location import DEFAULT
-from qnerf.viewing.guard import LOCAL, Guard
+from qnerf.viewing.guard import Guard
 
 from .. import command
 from .answers import Answers
@@ -48,11 +48,10 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     options = parser().parse_args(arguments)
-    server, token = make(options)
+    server, guard = make(options)
     family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
     with socket.create_server((options.host, options.port), family=family) as listening:
-        address = f"http://{_name_of(options.host)}:{listening.getsockname()[1]}/?token={token}"
-        print(f"{options.store}: {address}  (Ctrl-C ends)", flush=True)
+        print(f"{options.store}: {guard.address(listening.getsockname()[1])}  (Ctrl-C ends)", flush=True)
         before = set(threading.enumerate())
         with contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
@@ -61,33 +60,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
             thread.join(10)
 
 
-def _name_of(host: str) -> str:
-    """What to open in a browser."""
-    if host in LOCAL:
-        return "localhost"
-    if host in ("0.0.0.0", "::"):  # all networks
-        return socket.gethostname()
-    return f"[{host}]" if ":" in host else host
+def make(options: argparse.Namespace) -> tuple["uvicorn.Server", Guard]:
+    """The server, which does not listen yet, and the guard that visitors need to pass."""
+    import uvicorn
 
+    from .app import application
+    from .prompt import Prompt
 
-def make(options: argparse.Namespace) -> tuple["uvicorn.Server", str]:
-    """The server, which does not listen yet, and the token that visitors need."""
-    try:
-        import uvicorn
-
-        from .app import application
-        from .prompt import Prompt
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("uvicorn", "starlette"):
-            raise
-        raise ValueError("qnerf serve needs another package: pip install 'qnerf[serve]'") from error
     answers = Answers(WatchedStore(options.store), options.title)
     guard = Guard(options.host)
     config = uvicorn.Config(
         application(answers, guard), http=Prompt, log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
-    return uvicorn.Server(config), guard.token
+    return uvicorn.Server(config), guard
 
 
 if __name__ == "__main__":

@@ -28,12 +28,12 @@ def cookie(address: str) -> dict[str, str]:
 def served(*arguments):
     """A running server: its address and the token of visitors, which `cookie` brings."""
     options = parser().parse_args([*map(str, arguments)])
-    server, token = make(options)
+    server, guard = make(options)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         thread = threading.Thread(target=server.run, args=([listening],), daemon=True)
         thread.start()
         port = listening.getsockname()[1]
-        TOKENS[port] = token
-        yield f"http://127.0.0.1:{port}", token
+        TOKENS[port] = guard.token
+        yield f"http://127.0.0.1:{port}", guard.token
         server.should_exit = True
         thread.join(10)

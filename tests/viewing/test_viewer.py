@@ -133,7 +133,7 @@ def test_a_taken_port_and_a_missing_extra_are_one_line(tiny_run, capsys, monkeyp
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main.dispatch("view", [str(tiny_run)]) == 2
     err = capsys.readouterr().err
-    assert 'the viewer needs viser: pip install "qnerf[view]"' in err
+    assert 'viser is not installed: pip install "qnerf[view]"' in err
     assert err.count("\n") == 1
 
 

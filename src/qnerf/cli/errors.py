@@ -10,6 +10,8 @@ from qnerf.config.plugins import raised_in
 
 MAX_MESSAGE = 2000  # characters; a file can hold a name of a megabyte
 OWN_PACKAGES = ("qnerf",)
+EXTRAS = {"uvicorn": "serve", "starlette": "serve", "viser": "view"}
+"""Module -> the extra that installs it."""
 
 
 def exit_code(command: Callable[[], int | None]) -> int:
@@ -62,6 +64,8 @@ def one_line(error: BaseException) -> str:
     """The error's message on one line of printable characters, after the place where a plugin raised it."""
     if is_shortage(error):  # nothing more can be imported then
         return f"not enough memory: {ascii(' '.join(str(error).split())[:300])[1:-1]}"
+    if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
+        return f'{error.name} is not installed: pip install "qnerf[{EXTRAS[error.name]}]"'
     from qnerf.records import files, printable  # imports pandas, which `qnerf --help` must not wait for
 
     if type(error).__name__ == "MissingMandatoryValue":  # OmegaConf's; only commands with Hydra import it

@@ -9,6 +9,7 @@ that points here is DNS rebinding).
 import contextlib
 import hmac
 import secrets
+import socket
 from collections.abc import Callable, Iterator
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -22,8 +23,14 @@ class Guard:
     """Refuses requests to a server that listens on `host`."""
 
     def __init__(self, host: str) -> None:
-        self.local = host in LOCAL
+        self.host, self.local = host, host in LOCAL
         self.token = secrets.token_urlsafe(24)
+
+    def address(self, port: int) -> str:
+        """What to open in a browser, with the token."""
+        every = self.host in ("0.0.0.0", "::")  # all networks
+        name = "localhost" if self.local else socket.gethostname() if every else self.host
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={self.token}"
 
     def refusal(self, path: str, headers: Any) -> str | None:
         """Why a request is refused; None if it may pass.

@@ -129,15 +129,13 @@ def quaternion(pose: NDArray) -> NDArray:
 class Viewer:
     """The server of the page, of one run or two runs of one scene. It runs in threads of its own until `stop`.
 
-    width: of the sharpest picture, pixels. ValueError where viser is not installed, the port is taken, or the runs are
+    width: of the sharpest picture, pixels. ValueError where the port is taken, or the runs are
     of different scenes.
     """
 
     def __init__(self, renderers: Sequence[Renderer], host: str = "127.0.0.1", port: int = 8080, width: int = 640):
-        try:
-            import viser
-        except ModuleNotFoundError:
-            raise ValueError('the viewer needs viser: pip install "qnerf[view]"') from None
+        import viser
+
         self.painter = Painter(renderers)
         self.painter.reload()
         self.widths = sorted({min(size, width) for size in (COARSE, MIDDLE, width)})
@@ -157,8 +155,7 @@ class Viewer:
     @property
     def address(self) -> str:
         """Where the page is, with the token that it wants."""
-        host = self.server.get_host()
-        return f"http://{f'[{host}]' if ':' in host else host}:{self.server.get_port()}/?token={self.guard.token}"
+        return self.guard.address(self.server.get_port())
 
     def shown(self) -> Shown:
         return Shown(self.what.value, None if self.run.value == "both halves" else self.runs.index(self.run.value))
