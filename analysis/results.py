@@ -29,7 +29,8 @@ writes all of these pages from the packed runs in `docs/results/`.
 
 - PSNR is the mean over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training; ± is the standard
   deviation over seeds. [analysis.md](analysis.md#verdicts) explains the verdicts.
-- A table without a column of seeds has every seed that its page names in each row.
+- A verdict without a scene holds on each scene of the page. Each row of a table without a column of seeds has every
+  seed that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
 - `density.mlp.init=torch` repeats runs from before `train=quick` gave MLPs He's initial weights.
   `proposal.samples=[128,64]` repeats runs from before it halved the samples of the proposal networks, which changes no
@@ -148,17 +149,15 @@ def beside(tables: Sequence[Table], question: Question) -> Table:
     for name in first.columns.difference(shown.columns, sort=False):
         if name not in (f"difference, {own}", "verdict"):
             shown[name], bold[name] = first[name].str.partition(" ± ")[0], tables[0].bold[name]
-    kept = at_best(tables[0], question) if question.best_of else slice(None)
-    notes = (
-        (f"Of rows that differ in {question.best_of} alone, the best one and the baseline.",)
-        if question.best_of
-        else ()
-    )
+    kept = kept_rows(tables[0], question)
+    notes = (f"Of rows that differ in {question.best_of} alone, the best one and the baseline.",) * (not kept.all())
     return by_scene(Table("", shown[kept], tables[0].data, bold[kept], notes), question.rows)
 
 
-def at_best(table: Table, question: Question) -> pd.Series:
-    """Which rows have the best value of the key `best_of`, or are the baseline."""
+def kept_rows(table: Table, question: Question) -> pd.Series:
+    """Which rows a page shows: those with the best value of the key `best_of`, where there is one, and the baseline."""
+    if not question.best_of:
+        return pd.Series(True, table.text.index)
     means = metric_of(question.metric).sign * table.data[(question.metric, "mean")]
     others = [key for key in question.rows if key != question.best_of]
     best = pd.Series((means == means.groupby(level=others).transform("max")).to_numpy(), table.text.index)
@@ -213,15 +212,15 @@ def failures(table: Table) -> str:
 
 def verdicts(table: Table, question: Question) -> str:
     """What the index says of a question: verdicts of a few rows, counts of many, the best rows without a baseline."""
-    text = table.text
+    text = table.text[kept_rows(table, question)]
     where = scene_key(question.rows)
     scene = text[where] if where else pd.Series("", index=text.index)
     keys = [key for key in question.rows if key != where]
     name = text[keys].apply(", ".join, axis=1) if keys else scene
     metric = metric_of(question.metric)
     if question.baseline is None:
-        means = metric.sign * table.data[(question.metric, "mean")].to_numpy()
-        best = pd.Series(means, index=text.index).groupby(scene, sort=False).idxmax()
+        means = pd.Series(metric.sign * table.data[(question.metric, "mean")].to_numpy(), table.text.index)[text.index]
+        best = means.groupby(scene, sort=False).idxmax()
         shown = text[metric.heading].str.partition(" ")[0]
         return "best: " + "; ".join(
             f"{markdown_escape(name[at])}, {shown[at]} on {where}" for where, at in best.items()
@@ -244,11 +243,13 @@ KINDS = ("better", "equivalent", "undecided", "worse")
 
 
 def listed(kinds: Mapping[str, str] | pd.Series) -> str:
-    """`worse on fox_64 and poster, better on chair`."""
+    """`worse on fox_64 and poster, better on chair`; of one kind, the kind alone."""
     groups: dict[str, list[str]] = {}
     for scene, kind in kinds.items():
         groups.setdefault(str(kind), []).append(str(scene))
-    return ", ".join(f"{kind} on {' and '.join(scenes)}".removesuffix(" on ") for kind, scenes in groups.items())
+    if len(groups) == 1:
+        return next(iter(groups))
+    return ", ".join(f"{kind} on {' and '.join(scenes)}" for kind, scenes in groups.items())
 
 
 DESCRIPTION = """\
