@@ -85,6 +85,8 @@ def test_what_links_lead_to_stays(make, qnerf, tmp_path):
     run = make("a")
     (run / "images" / "link").symlink_to(outside)
     (run / "linked").symlink_to(outside / "precious")
+    (run.parent / "latest").symlink_to(run)
+    assert "latest: is a link" in qnerf("rm", "latest", "--yes").err
     assert qnerf("rm", "a", "--yes").code == 0
     assert (outside / "precious").read_text() == "x"
 
