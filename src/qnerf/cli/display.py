@@ -60,7 +60,7 @@ class LiveDisplay(Display):
 
     def phase(self, name: str) -> None:
         self.progress.update(self.task, phase=name)
-        if self.progress.disable and name.startswith("evaluate 1 of "):
+        if self.progress.disable and name.startswith("evaluate 1 of ") and name != "evaluate 1 of 1 views":
             self.note(f"evaluating {name.removeprefix('evaluate 1 of ')}")
 
     def step(self, step: int, metrics: Mapping[str, float]) -> None:
