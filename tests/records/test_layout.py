@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from PIL import Image
@@ -54,6 +54,7 @@ def test_config_reads_back_the_same_with_every_reader(store_: RunStore) -> None:
 
 @settings(max_examples=50)
 @given(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | st.integers() | st.floats() | st.text()))
+@example({"": "\x85", "a\x85b": "a\x85b"})
 def test_any_text_and_number_survives_yaml(config: dict) -> None:
     # repr, because nan differs from itself
     assert repr(yaml.safe_load(store.to_yaml(config))) == repr(config)

@@ -209,5 +209,7 @@ def _finished(directory: Path) -> Claim:
 
 
 def to_yaml(config: Mapping[str, Any]) -> str:
-    text: str = yaml.safe_dump(plain(config), sort_keys=False, allow_unicode=True, width=120)
+    content = plain(config)
+    readable = "\\x85" not in repr(content)  # a line's end to YAML, which PyYAML writes as it is
+    text: str = yaml.safe_dump(content, sort_keys=False, allow_unicode=readable, width=120)
     return text
