@@ -32,10 +32,12 @@ CHANGEABLE = (
 
 
 def split(words: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Words that are no overrides of a stored run, and those that are."""
+    """Words that are no overrides of a stored run, and those that are, or seem to be: `stored` refuses the others."""
     own: tuple[list[str], list[str]] = [], []
     for word in words:
-        own[word.partition("=")[0] in (*CHANGEABLE, "plugins") and "=" in word].append(word)
+        key, equals, _ = word.partition("=")
+        dotted = "." in key and key.replace(".", "").isidentifier()
+        own[bool(equals) and (dotted or key in (*CHANGEABLE, "plugins"))].append(word)
     return own
 
 

@@ -133,6 +133,8 @@ def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scen
     ):
         assert main.dispatch(command, [run.name, *options, *store]) == 2, command
         assert "add scene.path=DIR" in capsys.readouterr().err
+        assert main.dispatch(command, [run.name, *options, "scene.pth=x", *store]) == 2, command
+        assert "scene.pth=x: cannot change what the run computes" in capsys.readouterr().err
         assert main.dispatch(command, [run.name, *options, moved, *store]) == 0, capsys.readouterr()
 
 
