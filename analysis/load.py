@@ -65,6 +65,8 @@ def metrics(run: str | Path | pd.DataFrame, key: str | None = None) -> pd.DataFr
     if isinstance(run, pd.DataFrame):
         pairs = zip(run["run_id"], run["path"], strict=True)
         return pd.concat([metrics(path, key).assign(run_id=name) for name, path in pairs], ignore_index=True)
+    if packed.is_packed(Path(run).parent):
+        raise ValueError(f"{run}: curves are not packed; they are in the store that the run was packed from")
     frame = read_metrics(existing_store(run))
     return frame if key is None else frame[frame["key"] == key].reset_index(drop=True)
 

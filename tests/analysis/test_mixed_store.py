@@ -53,6 +53,8 @@ def test_every_page(mixed_store, tmp_path):
     assert live.differences("", "", "", "psnr").table
     pack([str(mixed_store), str(tmp_path / "packed")])
     assert len(load.runs(tmp_path / "packed")) == len(load.runs(mixed_store))
+    with pytest.raises(ValueError, match="curves are not packed"):
+        draw([str(tmp_path / "packed"), "loss", "--out", str(tmp_path)])
 
 
 def test_colours_of_a_scene_without_a_circuit_field(mixed_store):
