@@ -47,6 +47,7 @@ PAPER = str(ROOT / "docs" / "results" / "paper")
 MISTAKES = {
     "fly": "unknown command 'fly'; known: run, ",
     "tabels": "unknown command 'tabels'; did you mean tables? known: run, ",
+    "train": "unknown command 'train'; did you mean run? known: run, ",
     "field=qcolor": "did you mean qnerf run?",
     "runs psnr>high": "> compares numbers, got 'high'",
     "runs --limit -1": "--limit",

@@ -17,6 +17,7 @@ MISTAKES = {
     "seed": "'seed': expected OPTION=VALUE; did you mean seed=...?",
     "seed=0 --nope": "unrecognized arguments: --nope",
     "--steps 100": "an option is set by OPTION=VALUE; did you mean train.steps=...?",
+    "--output-dir x": "an option is set by OPTION=VALUE; did you mean store=...?",
     "-cn": "argument --config-name/-cn: expected one argument",
     "qiren.layers=1, 2, 3": "have commas between them and no spaces, such as qiren.layers=1,2,3",
     "qiren.layers=1,2": "several values are a sweep, add -m",

@@ -27,9 +27,12 @@ HABITS = {
     "batch_size": "train.rays",
     "iterations": "train.steps",
     "max_num_iterations": "train.steps",
+    "max_steps": "train.steps",
     "epochs": "train.steps",
     "data": "scene.path",
     "output_dir": "store",
+    "gpu": "device",
+    "cuda": "device",
 }
 """What other programs call an option -> the option."""
 
@@ -199,6 +202,7 @@ def unknown_option(name: str, config: DictConfig | None) -> str:
 def hint(name: str, config: DictConfig | None = None) -> str:
     """`; did you mean train.lr=...?` for what is close to an option or a group, or is the last part of an option."""
     config = config if config is not None else _composed(())
+    name = name.replace("-", "_")
     names = [*_leaves(OmegaConf.to_container(config) if config is not None else {}), *_groups()]
     last, group = name.rpartition(".")[2], f"{name.partition('.')[0]}."
     near = get_close_matches(last, {known.rpartition(".")[2] for known in names}, n=1, cutoff=0.75)

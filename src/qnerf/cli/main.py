@@ -48,7 +48,7 @@ def main() -> None:
     elif command in COMMANDS:
         sys.exit(dispatch(command, arguments))
     else:
-        near = get_close_matches(command, COMMANDS, n=1)
+        near = ["run"] if command == "train" else get_close_matches(command, COMMANDS, n=1)
         hint = f"did you mean {near[0]}? " if near else "did you mean qnerf run? " if "=" in command else ""
         sys.exit(report(ValueError(f"unknown command {command!r}; {hint}known: {', '.join(COMMANDS)}")))
 
