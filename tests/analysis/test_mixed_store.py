@@ -14,6 +14,8 @@ from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
 from qnerf.analysis.tables.__main__ import main as tables
 
+from qnerf.cli.main import dispatch
+
 
 def test_every_table(mixed_store, capsys):
     frame = load.runs(mixed_store)
@@ -67,6 +69,10 @@ def test_tracked_runs_stand_beside_the_others(mixed_store, capsys):
     tables([str(mixed_store), *rows, "--filter", "scene_name=digits", "--baseline", "field=mine"])
     assert "better *" in capsys.readouterr().out
     tables([str(mixed_store), *rows, "--metric", "accuracy", "--resources"])
+    run = load.runs(mixed_store, "scene_name=digits")["path"].iloc[0]
+    for command in (["render"], ["export", "--to", "points"], ["probe", "rays"], ["reproduce"]):
+        assert dispatch(command[0], [run, *command[1:]]) == 2
+        assert "was trained by a loop of its own" in capsys.readouterr().err
     frame = content.prepared(load.runs(mixed_store, "scene_name=digits"))
     shown = content.data(frame, Pictures(), curves.gather(frame, range(len(frame))))
     assert shown["curve_names"] == {"loss": "loss"}

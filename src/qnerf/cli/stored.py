@@ -91,8 +91,9 @@ def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = 
     `qnerf.probes.load`."""
     from qnerf.probes import load, require_loadable
 
+    config = stored(run, overrides)
     require_loadable(run, unfinished=unfinished)
-    return load(run, _prepared(run, stored(run, overrides)), unfinished=unfinished)
+    return load(run, _prepared(run, config), unfinished=unfinished)
 
 
 def _prepared(run: Path, config: dict[str, Any]) -> "Prepared":
