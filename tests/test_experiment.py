@@ -234,7 +234,7 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
 def test_a_mistake_is_one_line_and_writes_nothing(tiny, tmp_path):
     for override, message in {
         "qiren.layers=0": "layers must be between 1 and 64, got 0",
-        "color.name=transformer": "known: amplitude, mlp, qfgn",
+        "color.name=transformer": "known: amplitude, hyper, mlp",
         "scene.path=/nowhere": "/nowhere",
     }.items():
         with pytest.raises(ValueError, match=message) as caught:
