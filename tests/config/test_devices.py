@@ -39,7 +39,8 @@ def test_auto_chooses_the_first_gpu_but_never_mps(gpus):
 
 
 def test_a_device_is_named_as_in_pytorch(gpus):
-    assert [str(devices.device_of(name)) for name in ("cuda", "cuda:1", "cpu")] == ["cuda", "cuda:1", "cpu"]
+    names = {"cuda": "cuda", "cuda:1": "cuda:1", "cpu": "cpu", "cpu:0": "cpu"}
+    assert {name: str(devices.device_of(name)) for name in names} == names
     for name in ("cuda:2", "tpu", "mps", "", 1, "meta"):
         with pytest.raises(ValueError, match="no such device here; known: auto, cuda:0, cuda:1, cpu"):
             devices.device_of(name)

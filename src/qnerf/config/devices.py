@@ -32,7 +32,9 @@ def device_of(name: str) -> torch.device:
     """
     if name == AUTO:
         return torch.device(_gpus()[0] if _gpus() else "cpu")
-    full = name if name == "cpu" or ":" in str(name) else f"{name}:0"
+    if name in ("cpu", "cpu:0"):
+        return torch.device("cpu")
+    full = name if ":" in str(name) else f"{name}:0"
     if full not in known():
         raise ValueError(f"device={name}: PyTorch has no such device here; known: {', '.join([AUTO, *known()])}")
     return torch.device(name)
