@@ -30,6 +30,7 @@ MISTAKES = {
     "encoder=pe encoder.wide=3": "unknown option encoder.wide; known: bands, ",
     "head=mlp": "head: only scenes with one head have it, distance, photograph",
     "encoder=fourier": "encoder=fourier: unknown; known: hash, none, pe, rff",
+    "color=quantum": "color=quantum: unknown; known: amplitude, bloch, ",
     "field=qcolour": "field=qcolour: unknown; did you mean qcolor? known: classical",
     "hash=null": "Config group override must be a string or a list",
     "hash=???": "You must specify 'hash'",

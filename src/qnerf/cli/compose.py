@@ -168,7 +168,11 @@ def message(error: Exception, typed: Sequence[str]) -> str:
     """Hydra's error about a configuration that cannot be composed from what the user typed, on one line."""
     if isinstance(error, MissingConfigException):
         group, _, name = str(error.missing_cfg_file).rpartition("/")
-        known = _suggested(name, list(error.options)) if error.options else "; --sweep NAME lists the sweeps"
+        choices = [option for option in error.options or () if option != "base"]  # base.yaml: what the others share
+        known = _suggested(name, choices) if choices else "; --sweep NAME lists the sweeps"
+        if group == "head":
+            words = [word.rpartition("@")[2].partition("=") for word in typed]
+            group = next((key for key, _, values in words if key in HEADS and name in values.split(",")), group)
         return f"{group or 'config'}={name}: unknown{known}"
     if ambiguous := re.match(r"Ambiguous value for argument '(.*)'\n", str(error)):
         key, _, value = ambiguous[1].partition("=")
