@@ -13,8 +13,9 @@ from torch import Tensor
 from benchmarks.accuracy_cases import EPS, Case, fast_and_plain, only, rounded
 from qnerf.encoders import ENCODERS, level_resolutions
 from qnerf.heads.activations import softplus, trunc_exp
-from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp, grid_mlp_reference
+from qnerf.kernels.grid_mlp import Grid, grid_mlp, grid_mlp_reference
 from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
+from qnerf.kernels.mlp import layers_of
 
 PHASES = 5e-7
 """Of sines and cosines whose phases are reduced in float64: half an ulp of pi for the phase, an ulp of 1 after it."""
@@ -52,7 +53,7 @@ def with_layers(
 
     def on_grid(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
         def values(table: Tensor, w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor) -> Tensor:
-            return function(points.to(table.dtype), None, Grid(table, cells, True), Layer(w1, b1), Layer(w2, b2))
+            return function(points.to(table.dtype), None, Grid(table, cells, True), layers_of((w1, b1, w2, b2)))
 
         return values
 

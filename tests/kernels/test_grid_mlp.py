@@ -5,21 +5,21 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp, grid_mlp_reference
+from qnerf.kernels.grid_mlp import Grid, grid_mlp, grid_mlp_reference
+from tests.kernels.test_mlp import random_layers
 
 CASES = {
     "count": st.integers(0, 1500),
     "share": st.sampled_from([0.0, 0.1, 0.9, 1.0, None]),
     "levels": st.integers(1, 6),
     "features": st.sampled_from([1, 2, 3]),
-    "units": st.integers(1, 19),
-    "outputs": st.integers(1, 7),
+    "widths": st.lists(st.integers(1, 19), min_size=1, max_size=3),
     "dense": st.booleans(),
     "seed": st.integers(0, 2**31),
 }
 
 
-def case(count, share, levels, features, units, outputs, dense, seed, dtype):
+def case(count, share, levels, features, widths, dense, seed, dtype):
     """Random points, which of them are inside, and parameters with gradients."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -29,17 +29,11 @@ def case(count, share, levels, features, units, outputs, dense, seed, dtype):
     points = torch.rand(count, 3, generator=generator, dtype=torch.float64).to(dtype)
     inside = None if share is None else torch.rand(count, generator=generator) < share
     grid = Grid(normal(levels, 2**7, features), torch.arange(2, 2 + 3 * levels, 3), dense)
-    return (
-        points,
-        inside,
-        grid,
-        Layer(normal(units, levels * features), normal(units)),
-        Layer(normal(outputs, units), normal(outputs)),
-    )
+    return points, inside, grid, random_layers([levels * features, *widths], dtype, generator)
 
 
-def parameters(grid, hidden, out):
-    return [grid.table, *hidden, *out]
+def parameters(grid, layers):
+    return [grid.table, *(tensor for layer in layers for tensor in layer)]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -64,7 +58,7 @@ def test_values_and_gradients_are_those_of_the_reference(dtype, **options):
 
 
 def test_a_point_that_is_not_a_number_has_values_that_are_none():
-    points, _, *layers = case(200, None, 2, 1, 4, 2, True, 1, torch.float32)
+    points, _, *layers = case(200, None, 2, 1, [4, 2], True, 1, torch.float32)
     points[3] = torch.nan
     values = grid_mlp(points, None, *layers)
     assert values[3].isnan().all()
@@ -72,17 +66,16 @@ def test_a_point_that_is_not_a_number_has_values_that_are_none():
 
 
 WRONG = [
-    ("points without gradient expected", lambda p, i, g, h, o: (p.clone().requires_grad_(), i, g, h, o)),
-    ("points must be", lambda p, i, g, h, o: (p[:, :2], i, g, h, o)),
-    ("inside must be bool", lambda p, i, g, h, o: (p, i[:10], g, h, o)),
-    ("inside must be bool", lambda p, i, g, h, o: (p, i.int(), g, h, o)),
-    ("on 4 features expected", lambda p, i, g, h, o: (p, i, g, h._replace(weight=h.weight[:, 1:]), o)),
-    ("on 4 features expected", lambda p, i, g, h, o: (p, i, g, h, o._replace(bias=o.bias[:1]))),
+    ("points without gradient expected", lambda p, i, g, layers: (p.clone().requires_grad_(), i, g, layers)),
+    ("points must be", lambda p, i, g, layers: (p[:, :2], i, g, layers)),
+    ("inside must be bool", lambda p, i, g, layers: (p, i[:10], g, layers)),
+    ("inside must be bool", lambda p, i, g, layers: (p, i.int(), g, layers)),
+    ("on 4 features expected", lambda p, i, g, layers: (p, i, g, layers[1:])),
 ]
 
 
 def test_wrong_arguments_are_refused():
-    arguments = case(300, 0.5, 2, 2, 8, 3, True, 0, torch.float32)
+    arguments = case(300, 0.5, 2, 2, [8, 3], True, 0, torch.float32)
     for message, change in WRONG:
         with pytest.raises(ValueError, match=message):
             grid_mlp(*change(*arguments))

@@ -17,8 +17,9 @@ from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.heads import HEADS
 from qnerf.heads.activations import trunc_exp
 from qnerf.kernels import is_transformed
-from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.hashgrid import hash_encode
+from qnerf.kernels.mlp import layers_of
 from qnerf.quantum import QuantumLayer, statevector
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.rendering.render import volume_weights
@@ -52,7 +53,7 @@ def cases() -> dict[str, tuple[Callable[..., Any], tuple[Tensor, ...]]]:
         return shaded.shares, shaded.geometry
 
     def field(table: Tensor, *parameters: Tensor) -> Tensor:
-        return grid_mlp(points, None, Grid(table, cells, True), Layer(*parameters[:2]), Layer(*parameters[2:]))
+        return grid_mlp(points, None, Grid(table, cells, True), layers_of(parameters))
 
     return {
         "volume weights": (lambda density: volume_weights(density, 0.2 + edges(5)[:, 1:]), (random(2, 5),)),

@@ -15,8 +15,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.hashgrid import hash_encode
+from qnerf.kernels.mlp import layers_of
 from qnerf.kernels.projection import GRAIN, count_views
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.pdf import sample_edges
@@ -100,7 +101,7 @@ def loops() -> dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]]:
     matrices = torch.randn(5, 3, 4, dtype=torch.float64)
 
     def with_layers(table: Tensor, *parameters: Tensor) -> Tensor:
-        return grid_mlp(places, inside, Grid(table, cells, True), Layer(*parameters[:2]), Layer(*parameters[2:]))
+        return grid_mlp(places, inside, Grid(table, cells, True), layers_of(parameters))
 
     found = {
         "hash grid": (lambda *leaves: hash_encode(*leaves, cells), (points, table)),

@@ -100,7 +100,7 @@ def test_checks_change_numbers_by_rounding_at_most(tiny: Tiny) -> None:
 
 
 def test_a_run_that_diverges_goes_on_with_checks_and_names_the_part(tiny: Tiny) -> None:
-    options = ("field=classical", "train.lr=1e6", "train.lr_final=1e6", "train.steps=8")
+    options = ("field=classical", "train.lr=1e6", "train.lr_final=1e6", "color.mlp.layers=8", "train.steps=8")
     config = tiny(*options)
     with pytest.raises(Diverged, match="the same command with numerics"):
         experiment.run(config)

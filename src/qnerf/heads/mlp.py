@@ -4,11 +4,13 @@ from collections.abc import Collection, Mapping
 from itertools import pairwise
 from typing import Any, Literal
 
+import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, Depth
 from qnerf.heads.base import HEADS, Head
-from qnerf.kernels.grid_mlp import Layer
+from qnerf.kernels.dispatch import serves
+from qnerf.kernels.mlp import Layer, mlp
 
 
 @HEADS.register("mlp")
@@ -53,14 +55,13 @@ class MLPHead(Head):
         """`2x64`: layers x width."""
         return f"{options['layers']}x{options['width']}"
 
-    def as_layers(self) -> tuple[Layer, Layer] | None:
-        """The hidden and the last layer, for a loop that computes both; None unless there are two, with biases."""
-        if [type(layer) for layer in self.net] != [nn.Linear, nn.ReLU, nn.Linear]:
+    def as_layers(self) -> list[Layer] | None:
+        """What a compiled loop takes of it; None unless these are linear layers with biases, and ReLU between them."""
+        steps = list(self.net)
+        linear = [layer for layer in steps[::2] if type(layer) is nn.Linear and layer.bias is not None]
+        if len(linear) + sum(type(layer) is nn.ReLU for layer in steps[1::2]) < len(steps):
             return None
-        hidden, _, out = self.net
-        if hidden.bias is None or out.bias is None:
-            return None
-        return Layer(hidden.weight, hidden.bias), Layer(out.weight, out.bias)  # type: ignore[arg-type]
+        return [Layer(layer.weight, layer.bias) for layer in linear]
 
     @classmethod
     def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
@@ -68,4 +69,9 @@ class MLPHead(Head):
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
+        layers = self.as_layers()
+        but = "not linear layers with biases and ReLU between them" if layers is None else None
+        but = "autocast" if torch.is_autocast_enabled(features.device.type) else but
+        if serves("MLP", features, modules=(self,), but=but) and layers is not None:
+            return mlp(features, layers)
         return self.net(features)

@@ -42,13 +42,15 @@ _NETWORK = {
     "qnerf.encoders.hash.HashEncoder": frozenset(_GRID.split()),
     "qnerf.rendering.proposal_sampler.ProposalNetwork": frozenset[str](),
 }
+_MLP = frozenset(["layers", "width", "init"])
 
 LOOPS: dict[str, Loop] = {
     "training rays": Loop(),
     "proposals": Loop(_SPACE | _NETWORK),
     "sample places": Loop(_SPACE),
     "hash grid": Loop(),
-    "hash grid + MLP": Loop(_NETWORK | {"qnerf.heads.mlp.MLPHead": frozenset(["layers", "width", "init"])}),
+    "hash grid + MLP": Loop(_NETWORK | {"qnerf.heads.mlp.MLPHead": _MLP}),
+    "MLP": Loop({"qnerf.heads.mlp.MLPHead": _MLP}),
     "drawing edges": Loop(),
     "volume weights": Loop(),
     "shading": Loop(

@@ -11,10 +11,11 @@ import numpy as np
 from torch import Tensor
 
 from qnerf.kernels.exponentials import exp, log
-from qnerf.kernels.grid_mlp import Grid, Layer, network_values, packed
+from qnerf.kernels.grid_mlp import Grid, network_values
 from qnerf.kernels.hashgrid import BLOCK, U, flat
 from qnerf.kernels.histogram import draw_edges
 from qnerf.kernels.jit import jit, run
+from qnerf.kernels.mlp import Layer, packed
 from qnerf.kernels.points import place
 from qnerf.kernels.transmittance import forward
 
@@ -45,7 +46,7 @@ class Draws(NamedTuple):
     min_total: float  # see `qnerf.rendering.pdf`
 
 
-def propose(space: Space, s: Tensor, network: tuple[Grid, Layer, Layer], draws: Draws) -> tuple[Tensor, Tensor, Tensor]:
+def propose(space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws) -> tuple[Tensor, Tensor, Tensor]:
     """One network's proposal for R rays.
 
     Args:
@@ -57,7 +58,7 @@ def propose(space: Space, s: Tensor, network: tuple[Grid, Layer, Layer], draws: 
     """
     s = s.contiguous()  # even edges are the same for all rays
     rays, count = s.shape[0], s.shape[1] - 1
-    grid, hidden, out = network
+    grid, layers = network
     t, weights, drawn = s.new_empty(rays, count + 1), s.new_empty(rays, count), s.new_empty(rays, draws.edges)
     cells, side = (np.ones(1, np.bool_), 0) if space.mask is None else (flat(space.mask), space.mask.shape[0])
     inside = np.empty(0 if space.mask is None else rays * count, np.bool_)
@@ -67,7 +68,7 @@ def propose(space: Space, s: Tensor, network: tuple[Grid, Layer, Layer], draws: 
     arrays = (
         *map(flat, (space.origins, space.directions, space.near, space.far)),
         *(KNOWN_SPACINGS.index(space.spacing), space.contraction, space.half_extent, cells, side, flat(s), s.numpy()),
-        *(flat(grid.table), flat(grid.resolutions), grid.dense, grid.table.shape[2], *packed(*hidden, *out)),
+        *(flat(grid.table), flat(grid.resolutions), grid.dense, grid.table.shape[2], *packed(layers)),
         *(offset, draws.exponent, draws.padding, draws.min_total),
         *(t.numpy(), weights.numpy(), drawn.numpy(), inside, *scratch),
     )
@@ -126,7 +127,7 @@ def to_world(start, stop, spacing, near, far, s, t):  # type: ignore[no-untyped-
 @jit
 def _propose(  # type: ignore[no-untyped-def]
     start, stop, group, origins, directions, near, far, spacing, contraction, half_extent, cells, side, s, s_rows,
-    table, resolutions, dense, features, w1, b1, w2, b2, jitter, exponent, padding, min_total, t, weights, drawn,
+    table, resolutions, dense, features, layers, widths, jitter, exponent, padding, min_total, t, weights, drawn,
     inside, unit, density, delta, after,
 ):  # fmt: skip
     number = s.dtype.type
@@ -146,7 +147,7 @@ def _propose(  # type: ignore[no-untyped-def]
         # The network's raw values: a group of rays is whole blocks of points.
         blocks = first * count // block, (last * count + block - 1) // block
         network_values(
-            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, w1, b1, w2, b2, keeps, kept,
+            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths, keeps, kept,
             numbers, counts, density,
         )  # fmt: skip
         for ray in range(U(first), U(last)):

@@ -17,6 +17,7 @@ from typing import Any
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 from llvmlite import ir
 from numba import config, extending, types
+from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
 from qnerf.kernels.jit import jit
@@ -104,13 +105,17 @@ def store(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.intp, value), generate
 
 
+def _filled(context: Any, builder: Any, scalar: Any, vector: Vector) -> Any:
+    """The LLVM value of a vector whose elements are all `scalar`."""
+    undefined = ir.Constant(context.get_value_type(vector), ir.Undefined)
+    first = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), [0] * vector.lanes)
+    return builder.shuffle_vector(first, undefined, zeros)
+
+
 def _splat(scalar: Any, vector: Vector) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kind = context.get_value_type(vector)
-        undefined = ir.Constant(kind, ir.Undefined)
-        first = builder.insert_element(undefined, arguments[0], ir.Constant(ir.IntType(32), 0))
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.lanes), [0] * vector.lanes)
-        return builder.shuffle_vector(first, undefined, zeros)
+        return _filled(context, builder, arguments[0], vector)
 
     return vector(scalar), generate
 
@@ -238,6 +243,59 @@ def fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
         return builder.fma(*arguments)
 
     return a(a, a, a), generate
+
+
+def tile(rows: int, vectors: int) -> Callable[..., Any]:
+    """A function of compiled code: `rows` times `vectors` of c = max(a b + start, low), from row i and column j on.
+
+    a (count, depth), b (depth, columns), start and c are flat, with their rows so far apart, and columns of a `a_step`.
+    Each number of a is loaded once for all columns of the tile, each vector of b once for all rows. LLVM keeps the sums
+    in registers. Behind the last row, it is computed again.
+    """
+
+    @intrinsic
+    def function(typing_context, i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, c_row):  # type: ignore[no-untyped-def]  # fmt: skip
+        vector, integer = Vector(a.dtype), ir.IntType(64)
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            i, j, count, left, a_row, a_step, right, b_row, depth, start, start_row, low, c, c_row = arguments
+            add, times, align, fast = builder.add, builder.mul, vector.dtype.bitwidth // 8, ("contract",)
+
+            def at(array: Any, row: Any, distance: Any, column: Any) -> Any:
+                return pointer(context, builder, a, array, add(times(row, distance), column), vector)
+
+            last = builder.sub(count, integer(1))
+            numbers = [add(i, integer(r)) for r in range(rows)]
+            numbers = [builder.select(builder.icmp_unsigned("<", r, last), r, last) for r in numbers]
+            columns = [add(j, integer(v * vector.lanes)) for v in range(vectors)]
+            zero = context.get_value_type(vector)(None)
+            sums = [[cgutils.alloca_once_value(builder, zero) for _ in columns] for _ in numbers]
+            with cgutils.for_range(builder, depth) as loop:
+                across = [builder.load(at(right, loop.index, b_row, column), align=align) for column in columns]
+                for number, totals in zip(numbers, sums, strict=True):
+                    place = at(left, number, a_row, times(loop.index, a_step))
+                    factor = builder.load(builder.bitcast(place, zero.type.element.as_pointer()))
+                    factor = _filled(context, builder, factor, vector)
+                    for x, total in zip(across, totals, strict=True):
+                        product = builder.fmul(factor, x, flags=fast)
+                        builder.store(builder.fadd(product, builder.load(total), flags=fast), total)
+            # All of `start` is read before c is written: they may be the same.
+            found = [
+                (total, number, column, builder.load(at(start, number, start_row, column), align=align))
+                for number, totals in zip(numbers, sums, strict=True)
+                for column, total in zip(columns, totals, strict=True)
+            ]
+            low = _filled(context, builder, low, vector)
+            for total, number, column, first in found:
+                result = builder.fadd(builder.load(total), first)
+                result = builder.select(builder.fcmp_unordered(">", result, low), result, low)
+                builder.store(result, at(c, number, c_row, column), align=align)
+            return context.get_dummy_value()
+
+        kinds = (i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, c_row)
+        return types.void(*kinds), generate
+
+    return function
 
 
 def _operator(symbol: Any, instruction: str) -> None:

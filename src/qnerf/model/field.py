@@ -12,7 +12,8 @@ from qnerf.heads.base import MIN_BATCH
 from qnerf.heads.mlp import MLPHead
 from qnerf.kernels.color_inputs import ColorInputs
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.grid_mlp import Grid, grid_mlp
+from qnerf.kernels.mlp import Layer
 from qnerf.rendering.shading import activated
 
 
@@ -93,29 +94,29 @@ class Field(nn.Module):
             evaluated = inside.clone()
             if last or int(inside.sum()) < MIN_BATCH:
                 evaluated[:, -1] = True
-        layers = self._on_grid(points)
-        if layers is not None:
-            values = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *layers)
+        network = self._on_grid(points)
+        if network is not None:
+            values = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *network)
             return values.view(*shape, -1), evaluated
         if evaluated is None:
             return self.density_head(self.encoder(points)).view(*shape, -1), None
         index = evaluated.flatten().nonzero()[:, 0]
         return scatter(self.density_head(self.encoder(points[index])), index, shape), evaluated
 
-    def _on_grid(self, points: Tensor) -> tuple[Grid, Layer, Layer] | None:
+    def _on_grid(self, points: Tensor) -> tuple[Grid, list[Layer]] | None:
         """The arguments of the loop that computes encoder and density head together; None: the two are called."""
         encoder, head = self.encoder, self.density_head
         if not isinstance(encoder, HashEncoder) or not isinstance(head, MLPHead):
             return None
         grid, layers = encoder.as_grid(), head.as_layers()
-        but = "not two layers with biases" if layers is None else None
+        but = "not linear layers with biases and ReLU between them" if layers is None else None
         but = "frequency_window of HashEncoder" if grid is None else but
         but = "the points need a gradient" if points.requires_grad else but
         if not serves("hash grid + MLP", points, modules=(encoder, head), but=but):
             return None
         assert grid is not None
         assert layers is not None
-        return grid, *layers
+        return grid, layers
 
     def activated(self, raw: Tensor, inside: Tensor | None = None) -> Tensor:
         """Raw density -> density per world unit, 0 where not `inside`."""

@@ -12,7 +12,8 @@ from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.unit_points import numbers_of, unit_points
 from qnerf.heads.activations import trunc_exp
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.grid_mlp import Grid, Layer, grid_mlp
+from qnerf.kernels.grid_mlp import Grid, grid_mlp
+from qnerf.kernels.mlp import Layer
 from qnerf.kernels.proposals import KNOWN_SPACINGS, Draws, Space, edges_in_world, propose
 from qnerf.rendering.pdf import MIN_TOTAL, sample_edges
 from qnerf.rendering.render import volume_weights
@@ -36,11 +37,11 @@ class ProposalNetwork(nn.Module):
         return trunc_exp(self.out(self.hidden(self.encoder(points)).relu_())[:, 0])
 
     @property
-    def parts(self) -> tuple[Grid, Layer, Layer]:
+    def parts(self) -> tuple[Grid, list[Layer]]:
         """What a compiled loop takes of it."""
         grid = self.encoder.as_grid()
         assert grid is not None, "three dimensions, and all levels are active"
-        return grid, Layer(self.hidden.weight, self.hidden.bias), Layer(self.out.weight, self.out.bias)
+        return grid, [Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out)]
 
     def inside(self, points: Tensor, inside: Tensor | None) -> Tensor:
         """The same in a compiled loop; the density is 0 at points that are not `inside` (N,)."""
