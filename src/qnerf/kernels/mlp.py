@@ -18,8 +18,8 @@ from torch.nn.functional import linear
 
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.hashgrid import BLOCK, U, flat
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.hashgrid import BLOCK, U
+from qnerf.kernels.jit import flat, jit, run
 from qnerf.kernels.simd import AVX512, VECTOR_BYTES, inner, keep_apart, load, start_of_line, store, tile, where_positive
 
 PART = 8  # blocks that one thread takes at a time
@@ -94,8 +94,9 @@ class _MLP(torch.autograd.Function):
         weights, widths = ctx.packed
         to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if ctx.needs_input_grad[0] else None
         sums = np.empty((-(-len(rows) // (PART * BLOCK)), len(weights)), weights.dtype)
-        arrays = (flat(rows), rows.shape[1], 1, weights, widths, *ALL_POINTS, flat(upstream))
-        run(gradients, len(sums), *arrays, weights[:0] if to_rows is None else flat(to_rows), sums, grain=1)
+        arrays = (flat(rows), rows.shape[1], 1, weights, widths, *ALL_POINTS)
+        to = weights[:0] if to_rows is None else flat(to_rows)
+        run(gradients, len(sums), *arrays, to, sums, flat(upstream), grain=1)
         return to_rows, *unpacked(sums.sum(0), parameters)
 
 
@@ -286,7 +287,7 @@ def _values(start, stop, rows, weights, widths, values):  # type: ignore[no-unty
 
 @jit
 def gradients(  # type: ignore[no-untyped-def]
-    start, stop, features, x_row, x_step, weights, widths, number_of, kept, upstream, to_features, sums
+    start, stop, features, x_row, x_step, weights, widths, number_of, kept, to_features, sums, upstream
 ):
     """Writes the gradients of the features of parts start..stop, and the sums (parts, all) of those of the weights.
 
