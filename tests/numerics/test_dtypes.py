@@ -47,6 +47,9 @@ class Watcher(TorchDispatchMode):
         return out
 
 
+BACKWARD = ("training/trainer.py", "training/chain.py")
+
+
 def _place() -> str:
     """The innermost file of ours on the stack; in a backward pass, "backward"."""
     frame = sys._getframe(2)
@@ -55,7 +58,7 @@ def _place() -> str:
         if path.is_relative_to(SOURCE):
             name = path.relative_to(SOURCE).as_posix()
             line = linecache.getline(frame.f_code.co_filename, frame.f_lineno)
-            return "backward" if name == "training/trainer.py" and ".backward()" in line else name
+            return "backward" if name in BACKWARD and ".backward(" in line else name
         frame = frame.f_back
     return "elsewhere"
 

@@ -211,8 +211,8 @@ def test_small_steps_run_pytorch_on_one_thread(tiny, monkeypatch):
 def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):
     taken = trainer(tiny("field=classical", "sampler.update_every=5"))
     given = []
-    terms = taken.loss_terms
-    taken.loss_terms = lambda *arguments: given.append(terms(*arguments)) or given[-1]
+    terms = taken.terms
+    taken.terms = lambda *arguments: given.append(terms(*arguments)) or given[-1]
     for _ in range(13):
         taken.take_step(measure=False)
     assert not taken.model.sampler.learns(13)

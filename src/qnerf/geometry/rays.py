@@ -10,8 +10,7 @@ from torch import Tensor
 from qnerf.config import memory
 from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.hashgrid import flat
-from qnerf.kernels.jit import run
+from qnerf.kernels.jit import Call, prepared
 from qnerf.kernels.training_rays import GRAIN, gather_rays
 from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import directions, image_points
@@ -97,11 +96,12 @@ class TrainingPixels:
             for size, mask in zip(scene.cameras.all_sizes[scene.train], masks, strict=True)
         ]
         self.ends = torch.stack(counts).cumsum(0)  # where the numbers of each view end
+        self.count = int(self.ends[-1])
         unmasked = [mask.flatten().nonzero()[:, 0].to(torch.int32) for mask in masks if mask is not None]
         self.unmasked = torch.cat(unmasked) if unmasked else None  # the pixels that the numbers stand for
 
     def __len__(self) -> int:
-        return int(self.ends[-1])
+        return self.count
 
     def locate(self, numbers: Tensor) -> tuple[Tensor, Tensor]:
         """Numbers (R,) -> views (R,) and row-major pixel numbers within them (R,); all int64."""
@@ -195,13 +195,17 @@ class RayTable:
 
         `generator` is on the CPU, so that all devices see the same batches.
         """
-        stride, total = self.validation_stride, len(self.training)
-        if not stride:
-            numbers = torch.randint(total, (rays,), generator=generator)
-        else:  # skip every `stride`-th pixel
-            numbers = torch.randint(total - total // stride, (rays,), generator=generator)
-            numbers += numbers // (stride - 1)
+        numbers = torch.empty(rays, dtype=torch.int64)
+        self.draw(numbers, generator)
         return self._training_rays(numbers, refinement)
+
+    def draw(self, numbers: Tensor, generator: torch.Generator) -> None:
+        """Writes the numbers (R,) of a batch."""
+        stride, total = self.validation_stride, len(self.training)
+        held_out = total // stride if stride else 0
+        torch.randint(total - held_out, numbers.shape, generator=generator, out=numbers)
+        if stride:  # skip every `stride`-th pixel
+            numbers += numbers // (stride - 1)
 
     def validation(self, rays: int, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
         """Rays and colours of at most `rays` of the held-out training pixels, evenly spread."""
@@ -217,23 +221,29 @@ class RayTable:
         but = None if fixed else "refined poses"
         but = "more directions than are kept" if self.directions is None else but
         if serves("training rays", self.poses, but=but):
-            return self._gathered(numbers)
+            rays, colors = self.empty_batch(len(numbers))
+            self.gather(numbers, rays, colors)()
+            return rays, colors
         views, pixels = (index.to(self.device) for index in self.training.locate(numbers))
         colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
 
-    def _gathered(self, numbers: Tensor) -> tuple[Rays, Tensor]:
-        """The same in a compiled loop."""
-        assert self.directions is not None
-        training, count = self.training, len(numbers)
+    def empty_batch(self, count: int) -> tuple[Rays, Tensor]:
+        """Rays and colours to be written by `gather`; their bounds are right already."""
         origins, directions = self.poses.new_empty(2, count, 3).unbind()
-        colors, views = self.poses.new_empty(count, self.colors.shape[1]), torch.empty_like(numbers)
+        bounds = (self.poses.new_full((count, 1), value) for value in (self.near, self.far))
+        views = torch.empty(count, dtype=torch.int64)
+        return Rays(origins, directions, views, *bounds), self.poses.new_empty(count, self.colors.shape[1])
+
+    def gather(self, numbers: Tensor, rays: Rays, colors: Tensor) -> Call:
+        """Writes the rays and colours of training pixels, on the CPU and without refinement, in a compiled loop."""
+        assert self.directions is not None
+        training = self.training
         unmasked = torch.empty(0, dtype=torch.int32) if training.unmasked is None else training.unmasked
         given = (numbers, training.ends, training.views, unmasked, self.first, self.lens_of_view, self.first_direction)
-        arrays = map(flat, (*given, self.directions, self.poses, self.colors, origins, directions, colors, views))
-        run(gather_rays, count, *arrays, grain=GRAIN)
-        bounds = (self.poses.new_full((count, 1), value) for value in (self.near, self.far))
-        return Rays(origins, directions, views, *bounds), colors
+        written = (rays.origins, rays.directions, colors, rays.cameras)
+        arrays = (*given, self.directions, self.poses, self.colors, *written)
+        return prepared(gather_rays, len(numbers), *arrays, grain=GRAIN)
 
     def view(self, view: int, refinement: PoseRefinement | None = None) -> Rays:
         """All H * W rays of a view, row by row."""

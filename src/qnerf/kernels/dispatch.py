@@ -7,7 +7,7 @@ class, an option that came later, a module with hooks. The plain PyTorch referen
 
 import contextlib
 import inspect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -44,7 +44,23 @@ _NETWORK = {
 }
 _MLP = frozenset(["layers", "width", "init"])
 
+_SHADINGS = {
+    "qnerf.rendering.shading.EverySample": frozenset[str](),
+    "qnerf.rendering.shading.MergeShading": frozenset(["parts"]),
+}
+_PROPOSAL = (
+    "samples final spacing update_every update_warmup anneal_steps anneal_slope padding levels base_resolution "
+    "max_resolutions log2_table_size features hidden"
+)
+_MODEL = {
+    "qnerf.model.model.Model": frozenset[str](),
+    "qnerf.model.field.Field": frozenset[str](),
+    "qnerf.geometry.pose_refinement.FixedPoses": frozenset[str](),
+    "qnerf.rendering.proposal_sampler.ProposalSampler": frozenset(_PROPOSAL.split()),
+}
+
 LOOPS: dict[str, Loop] = {
+    "whole step": Loop(_SPACE | _NETWORK | _SHADINGS | _MODEL),
     "training rays": Loop(),
     "proposals": Loop(_SPACE | _NETWORK),
     "sample places": Loop(_SPACE),
@@ -53,12 +69,8 @@ LOOPS: dict[str, Loop] = {
     "MLP": Loop({"qnerf.heads.mlp.MLPHead": _MLP}),
     "drawing edges": Loop(),
     "volume weights": Loop(),
-    "shading": Loop(
-        {
-            "qnerf.rendering.shading.EverySample": frozenset(),
-            "qnerf.rendering.shading.MergeShading": frozenset(["parts"]),
-        }
-    ),
+    "shading": Loop(_SHADINGS),
+    "spherical harmonics": Loop(),
     "colour inputs": Loop(),
     "interlevel loss": Loop(),
     "distortion loss": Loop(),
@@ -75,16 +87,23 @@ _plain = False
 _reports: list[dict[str, str]] = []
 
 
-def serves(loop: str, *tensors: Tensor, modules: Sequence[nn.Module] = (), but: str | None = None) -> bool:
+def serves(
+    loop: str,
+    *tensors: Tensor,
+    modules: Sequence[nn.Module] = (),
+    called: Sequence[nn.Module | None] = (),
+    but: str | None = None,
+) -> bool:
     """Whether a compiled loop computes this call; if not, every open `report` learns why.
 
     Args:
         loop: its name in `LOOPS`.
         tensors: its inputs, of one dtype.
         modules: what it stands for, without calling them.
+        called: their children that are called, whatever they are.
         but: another reason against it, which the caller knows.
     """
-    reason = but or _against(LOOPS[loop], tensors, modules)
+    reason = but or _against(LOOPS[loop], tensors, modules, called)
     if reason is None:
         return True
     for report in _reports:
@@ -92,7 +111,9 @@ def serves(loop: str, *tensors: Tensor, modules: Sequence[nn.Module] = (), but: 
     return False
 
 
-def _against(loop: Loop, tensors: Sequence[Tensor], modules: Sequence[nn.Module]) -> str | None:
+def _against(
+    loop: Loop, tensors: Sequence[Tensor], modules: Sequence[nn.Module], called: Sequence[nn.Module | None]
+) -> str | None:
     """Why the loop does not compute this call; None: it does."""
     if _plain:
         return "inside plain()"
@@ -106,8 +127,9 @@ def _against(loop: Loop, tensors: Sequence[Tensor], modules: Sequence[nn.Module]
         return "torch.func or forward-mode derivatives"
     if modules and any(_GLOBAL_HOOKS):
         return "hooks on all modules"
+    apart = {id(module) for module in (*modules, *called)} if called else set()
     for module in modules:
-        if reason := _unknown(type(module), loop) or _watched(module):
+        if reason := _unknown(type(module), loop) or _watched(module, apart):
             return reason
     return None
 
@@ -134,15 +156,15 @@ def _options(kind: Any) -> frozenset[str]:
     return frozenset(parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY)
 
 
-def _watched(module: nn.Module) -> str | None:
-    """Which of a module and its children has a hook or a `forward` of its own, in words."""
+def _watched(module: nn.Module, apart: Set[int]) -> str | None:
+    """Which of a module and its children, but for those `apart`, has a hook or a `forward` of its own, in words."""
     own = vars(module)
     if "forward" in own:
         return f"another forward of {type(module).__name__}"
     if own["_forward_hooks"] or own["_forward_pre_hooks"] or own["_backward_hooks"] or own["_backward_pre_hooks"]:
         return f"hooks on {type(module).__name__}"
     for child in own["_modules"].values():
-        if child is not None and (reason := _watched(child)):
+        if child is not None and id(child) not in apart and (reason := _watched(child, apart)):
             return reason
     return None
 

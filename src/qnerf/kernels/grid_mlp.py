@@ -24,11 +24,10 @@ from qnerf.kernels.hashgrid import (
     check,
     corners,
     empty,
-    flat,
     hash_encode_reference,
     interpolate,
 )
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.jit import flat, jit, prepared
 from qnerf.kernels.mlp import PART, Layer, layers_of, packed, unpacked
 from qnerf.kernels.simd import inner
 
@@ -98,40 +97,85 @@ class _GridMLP(torch.autograd.Function):
         table: Tensor,
         *parameters: Tensor,
     ) -> Tensor:
-        weights, widths = packed(layers_of(parameters))
-        blocks = -(-len(points) // BLOCK)
-        where = np.ones(0, np.bool_) if inside is None else flat(inside)
-        encoded = empty((blocks if keeps else 0, BLOCK * parameters[0].shape[1]), weights.dtype)
-        number_of = np.empty((blocks if keeps else 0, BLOCK), np.int32)
-        kept = np.empty(blocks, np.int32)
-        values = points.new_empty(len(points), len(parameters[-1]))
-        grid = (flat(table), flat(resolutions), dense, table.shape[2])
-        arrays = (flat(points), where, *grid, weights, widths, keeps, encoded.numpy(), number_of, kept, flat(values))
-        run(network_values, blocks, *arrays, grain=PART)
+        network = Grid(table, resolutions, dense), layers_of(parameters)
+        ctx.work = GridPass(points, inside, network, keeps)
         if keeps:
-            ctx.save_for_backward(points, inside, resolutions, encoded, table, *parameters)
-            ctx.dense, ctx.number_of, ctx.kept, ctx.packed = dense, number_of, kept, (weights, widths)
-        return values
+            ctx.save_for_backward(points, inside, resolutions, table, *parameters)
+            ctx.dense = dense
+        values: Tensor = ctx.work.forward(keeps)
+        return values.detach()  # the result will point to `ctx`, which must not point back to it
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        points, inside, resolutions, encoded, table, *parameters = ctx.saved_tensors
+        points, inside, resolutions, table, *parameters = ctx.saved_tensors
         if is_differentiated(upstream):
 
             def reference(table: Tensor, *parameters: Tensor) -> Tensor:
                 return grid_mlp_reference(points, inside, Grid(table, resolutions, ctx.dense), layers_of(parameters))
 
             return *[None] * 5, *through_reference(reference, (table, *parameters), upstream)
-        weights, widths = ctx.packed
-        to_encoded = empty(tuple(encoded.shape), weights.dtype)
-        sums = np.empty((-(-len(ctx.kept) // PART), len(weights)), weights.dtype)
-        common = (ctx.number_of, ctx.kept)
-        arrays = (flat(encoded), weights[:0], weights, widths, *common, flat(upstream), flat(to_encoded), sums)
-        run(mlp.gradients, len(sums), *arrays, grain=1)
-        to_table = empty(tuple(table.shape), weights.dtype)
-        grid = (to_encoded.numpy(), flat(resolutions), ctx.dense, table.shape[2], flat(to_table))
-        run(table_gradient, len(table), flat(points), *common, *grid, grain=1)
-        return *[None] * 5, to_table, *unpacked(sums.sum(0), parameters)
+        gradients = [torch.empty_like(parameter) for parameter in (table, *parameters)]
+        ctx.work.gradients(flat(upstream), gradients)
+        return *[None] * 5, *gradients
+
+
+class GridPass:
+    """The loops in both directions at some points, with their buffers, for many calls.
+
+    Args:
+        points: (N, 3), and which of them to evaluate, `inside` (N,); None: all. See `grid_mlp`.
+        network: the grid and the layers on it.
+        keeps: whether `gradients` may follow.
+    """
+
+    def __init__(
+        self, points: Tensor, inside: Tensor | None, network: tuple[Grid, Sequence[Layer]], keeps: bool = True
+    ) -> None:
+        (table, resolutions, dense), layers = network
+        self.parameters = [table, *(tensor for layer in layers for tensor in layer)]
+        self.own = [flat(parameter) for parameter in self.parameters[1:]]
+        self.weights, widths = packed(layers)
+        self.values = points.new_empty(len(points), len(layers[-1].bias))
+        blocks = -(-len(points) // BLOCK)
+        kept, blocks = np.empty(blocks, np.int32), blocks if keeps else 0
+        number_of = np.empty((blocks, BLOCK), np.int32)
+        encoded, to_encoded = empty((2, blocks, BLOCK * int(widths[0])), self.weights.dtype).unbind()
+        self.sums = np.empty((-(-blocks // PART), len(self.weights)), self.weights.dtype)
+        where = np.ones(0, np.bool_) if inside is None else inside
+        grid = (resolutions, dense, table.shape[2])
+        self.arrays = (table, *grid, self.weights, widths, encoded.numpy(), number_of, kept)
+        """What `network_values` takes between the points and the values."""
+        self._values = prepared(network_values, len(kept), points, where, *self.arrays, self.values, grain=PART)
+        of_layers = (encoded, 1, BLOCK, self.weights, widths, number_of, kept, to_encoded, self.sums)
+        self._layers = prepared(mlp.gradients, len(self.sums), *of_layers, grain=1)
+        of_table = (points, number_of, kept, to_encoded.numpy(), *grid)
+        self._table = prepared(table_gradient, len(table), *of_table, grain=1)
+        self.written: list[Tensor] = []
+
+    def pack(self) -> None:
+        """Takes the weights and biases as they are now."""
+        np.concatenate(self.own, out=self.weights)
+
+    def forward(self, keeps: bool = True) -> Tensor:
+        """The values (N, O)."""
+        self.pack()
+        self._values(keeps)
+        return self.values
+
+    def gradients(self, upstream: np.ndarray, to: Sequence[Tensor]) -> None:
+        """Writes those of table, weights and biases, for the gradients (N, O) of the values."""
+        self._layers(upstream)
+        self._table(flat(to[0]))
+        for gradient, part in zip(to[1:], unpacked(self.sums.sum(0), to[1:]), strict=True):
+            gradient.copy_(part)
+
+    def backward(self, upstream: np.ndarray) -> None:
+        """Writes the gradients into the parameters."""
+        if not self.written:
+            self.written = [empty(tuple(one.shape), upstream.dtype) for one in self.parameters]
+        self.gradients(upstream, self.written)
+        for parameter, gradient in zip(self.parameters, self.written, strict=True):
+            parameter.grad = gradient
 
 
 @inner
@@ -150,8 +194,8 @@ def _gather(points, inside, first, last, numbers, local):  # type: ignore[no-unt
 
 @jit
 def network_values(  # type: ignore[no-untyped-def]
-    start, stop, points, inside, table, resolutions, dense, features, weights, widths, keeps, kept_features, number_of,
-    kept, values,
+    start, stop, points, inside, table, resolutions, dense, features, weights, widths, kept_features, number_of, kept,
+    values, keeps,
 ):  # fmt: skip
     """Writes the values of blocks start..stop and, if `keeps`, the features and numbers of the points inside."""
     zero = points.dtype.type(0)
@@ -161,8 +205,8 @@ def network_values(  # type: ignore[no-untyped-def]
     row = np.zeros(8 * BLOCK, np.uint32)
     weight = np.zeros(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
-    encoded = mlp.aligned(width * b, points)
-    units = mlp.units_of(widths, points)
+    encoded = np.empty(width * b, points.dtype)
+    own, step = mlp.work(weights, widths), mlp.wide(outputs, points)
     for block in range(start, stop):
         first = block * BLOCK
         last = min(first + BLOCK, points.size // 3)
@@ -182,10 +226,10 @@ def network_values(  # type: ignore[no-untyped-def]
                 values[i] = zero
             for i in range(U(first) * outputs, U(last) * outputs, outputs):
                 values[i] = -np.inf
-        at = mlp.layers_values(encoded, count, weights, widths, units)
-        for o in range(outputs):
-            for k in range(count):
-                values[U(numbers[k]) * outputs + o] = units[at + o * b + k]
+        at = mlp.layers_forward(encoded, U(1), b, count, widths, own)
+        for k in range(count):
+            for o in range(outputs):
+                values[U(numbers[k]) * outputs + o] = own.units[at + k * step + o]
         # What the backward pass needs.
         if keeps:
             # Loops: for an assignment of arrays Numba would also compile the message of a wrong shape, which takes 2 s.

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.derivatives import is_differentiated, through_reference
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.jit import Call, jit, prepared, run
 
 _GRAIN = 50_000  # weights that are worth waking a thread for
 
@@ -101,6 +101,14 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
             grad[ray, j] = running
 
 
+def interlevel(
+    w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float, losses: np.ndarray, gradient: Tensor
+) -> Call:
+    """Writes the sum of `Interlevel` over each ray (R,), and the gradients by w_outer."""
+    arrays = map(_array, (s, w, s_outer, w_outer))
+    return prepared(_interlevel, len(s), *arrays, eps, losses, gradient.numpy(), grain=_grain(w_outer))
+
+
 class Interlevel(torch.autograd.Function):
     """Sum over rays and intervals of max(0, w - w_outer)^2 / (w + eps) (Eq. 13, arXiv:2111.12077).
 
@@ -112,12 +120,11 @@ class Interlevel(torch.autograd.Function):
     def forward(
         ctx: Any, w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float, reference: Callable[..., Tensor]
     ) -> Tensor:
-        loss, grad = np.empty(s.shape[0]), torch.empty_like(w_outer, memory_format=torch.contiguous_format)
-        arrays = (_array(s), _array(w), _array(s_outer), _array(w_outer))
-        run(_interlevel, s.shape[0], *arrays, eps, loss, grad.numpy(), grain=_grain(w_outer))
+        losses, grad = np.empty(len(s)), torch.empty_like(w_outer, memory_format=torch.contiguous_format)
+        interlevel(w_outer, s, w, s_outer, eps, losses, grad)()
         ctx.save_for_backward(grad, w_outer, s, w, s_outer)
         ctx.reference = reference
-        return torch.tensor(loss.sum(), dtype=w.dtype)
+        return torch.tensor(losses.sum(), dtype=w.dtype)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -157,6 +164,11 @@ def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
         loss[ray] = total
 
 
+def distortion(w: Tensor, s: Tensor, losses: np.ndarray, gradient: Tensor) -> Call:
+    """Writes the sum of `Distortion` over each ray (R,), and the gradients by w."""
+    return prepared(_distortion, len(w), _array(s), _array(w), losses, gradient.numpy(), grain=_grain(w))
+
+
 class Distortion(torch.autograd.Function):
     """Sum over rays of the distortion loss (Eq. 15, arXiv:2111.12077). Only the weights get a gradient.
 
@@ -165,11 +177,11 @@ class Distortion(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, w: Tensor, s: Tensor, reference: Callable[..., Tensor]) -> Tensor:
-        loss, grad = np.empty(w.shape[0]), torch.empty_like(w, memory_format=torch.contiguous_format)
-        run(_distortion, w.shape[0], _array(s), _array(w), loss, grad.numpy(), grain=_grain(w))
+        losses, grad = np.empty(len(w)), torch.empty_like(w, memory_format=torch.contiguous_format)
+        distortion(w, s, losses, grad)()
         ctx.save_for_backward(grad, w, s)
         ctx.reference = reference
-        return torch.tensor(loss.sum(), dtype=w.dtype)
+        return torch.tensor(losses.sum(), dtype=w.dtype)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.hashgrid import U, flat
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.hashgrid import U
+from qnerf.kernels.jit import Call, jit, prepared
 
 GRAIN = 512  # rays that are worth waking a thread for
 CUBE, BOX = 0, 1  # contractions that the loop knows
@@ -28,11 +28,19 @@ def unit_points(
     rays, count = edges.shape[0], edges.shape[1] - 1
     unit = edges.new_empty(rays * count, 3)
     inside = None if mask is None else torch.empty(rays * count, dtype=torch.bool)
-    grid, cells = (np.ones(1, np.bool_), 0) if mask is None else (flat(mask), mask.shape[0])
-    flags = np.empty(0, np.bool_) if inside is None else inside.numpy()
-    arrays = (flat(origins), flat(directions), flat(edges), count, contraction, half_extent, grid, cells)
-    run(place, rays, *arrays, flat(unit), flags, grain=GRAIN)
+    places(origins, directions, edges, contraction, half_extent, mask, unit, inside)()
     return unit, inside
+
+
+def places(
+    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None,
+    unit: Tensor, inside: Tensor | None,
+) -> Call:  # fmt: skip
+    """Writes what `unit_points` returns."""
+    grid, cells = (np.ones(1, np.bool_), 0) if mask is None else (mask, mask.shape[0])
+    flags = np.empty(0, np.bool_) if inside is None else inside
+    arrays = (origins, directions, edges, edges.shape[1] - 1, contraction, half_extent, grid, cells, unit, flags)
+    return prepared(place, len(edges), *arrays, grain=GRAIN)
 
 
 @jit

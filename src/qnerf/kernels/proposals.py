@@ -1,23 +1,26 @@
 """The way of a ray through a proposal network, from its first edges to the next ones, in one compiled CPU loop.
 
-It is what `qnerf.rendering.proposal_sampler` does, which is the plain PyTorch reference, for steps in which the network
-gets no gradient, and for evaluation: each other loop of the way, called for a few rays at a time.
+It is what `qnerf.rendering.proposal_sampler` does, which is the plain PyTorch reference: each other loop of the way,
+called for a few rays at a time. The chain of a training step (`qnerf.training.chain`) also takes gradients back
+through it.
 """
 
 from math import gcd
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from qnerf.kernels.exponentials import exp, log
-from qnerf.kernels.grid_mlp import Grid, network_values
-from qnerf.kernels.hashgrid import BLOCK, U, flat
+from qnerf.kernels.grid_mlp import Grid, GridPass, network_values
+from qnerf.kernels.hashgrid import BLOCK, U
 from qnerf.kernels.histogram import draw_edges
-from qnerf.kernels.jit import jit, run
-from qnerf.kernels.mlp import Layer, packed
+from qnerf.kernels.jit import Call, flat, jit, prepared
+from qnerf.kernels.mlp import Layer
 from qnerf.kernels.points import place
-from qnerf.kernels.transmittance import forward
+from qnerf.kernels.shading import bounded
+from qnerf.kernels.transmittance import GRAIN, backward, forward
 
 RAYS = 32  # at least so many rays at a time
 KNOWN_SPACINGS = ("uniform", "disparity", "geometric", "piecewise")  # by their numbers in `to_world`
@@ -41,47 +44,68 @@ class Draws(NamedTuple):
 
     edges: int  # to draw
     jitter: Tensor | None  # (R, 1) of the edges drawn; None: 1/2
-    exponent: float  # power of the weights from which they are drawn
     padding: float  # added to each weight
     min_total: float  # see `qnerf.rendering.pdf`
 
 
-def propose(space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws) -> tuple[Tensor, Tensor, Tensor]:
-    """One network's proposal for R rays.
+class Proposal:
+    """One network's proposals for R rays, with the buffers of the loop, for many calls.
 
     Args:
         s: (R, K + 1) edges in the normalised coordinate.
         network: as `grid_mlp` takes it.
-
-    Returns:
-        Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
+        keeps: whether `backward` may follow.
     """
-    s = s.contiguous()  # even edges are the same for all rays
-    rays, count = s.shape[0], s.shape[1] - 1
-    grid, layers = network
-    t, weights, drawn = s.new_empty(rays, count + 1), s.new_empty(rays, count), s.new_empty(rays, draws.edges)
-    cells, side = (np.ones(1, np.bool_), 0) if space.mask is None else (flat(space.mask), space.mask.shape[0])
-    inside = np.empty(0 if space.mask is None else rays * count, np.bool_)
-    scratch = [np.empty(size * rays * count, flat(s).dtype) for size in (3, 1, 1, 1)]
-    offset = np.full(rays, 0.5, flat(s).dtype) if draws.jitter is None else flat(draws.jitter)
-    group = _group(count)
-    arrays = (
-        *map(flat, (space.origins, space.directions, space.near, space.far)),
-        *(KNOWN_SPACINGS.index(space.spacing), space.contraction, space.half_extent, cells, side, flat(s), s.numpy()),
-        *(flat(grid.table), flat(grid.resolutions), grid.dense, grid.table.shape[2], *packed(layers)),
-        *(offset, draws.exponent, draws.padding, draws.min_total),
-        *(t.numpy(), weights.numpy(), drawn.numpy(), inside, *scratch),
-    )
-    run(_propose, -(-rays // group), group, *arrays, grain=1)
-    return t, weights, drawn
+
+    def __init__(
+        self, space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws, keeps: bool = True
+    ) -> None:
+        self.s = s = s.contiguous()  # even edges are the same for all rays
+        rays, count = s.shape[0], s.shape[1] - 1
+        self.t, self.weights, self.drawn = (
+            s.new_empty(s.shape),
+            s.new_empty(rays, count),
+            s.new_empty(rays, draws.edges),
+        )
+        unit = s.new_empty(rays * count, 3)
+        inside = None if space.mask is None else torch.empty(rays * count, dtype=torch.bool)
+        density, delta, after, annealed, self.to_values = s.new_empty(5, rays, count).unbind()
+        self.grid_pass = GridPass(unit, inside, network, keeps)
+        cells, side = (np.ones(1, np.bool_), 0) if space.mask is None else (space.mask, space.mask.shape[0])
+        group = _group(count)
+        self._forward = prepared(
+            _propose,
+            -(-rays // group),
+            *(group, space.origins, space.directions, space.near, space.far, KNOWN_SPACINGS.index(space.spacing)),
+            *(space.contraction, space.half_extent, cells, side, s, s.numpy(), *self.grid_pass.arrays),
+            np.full(rays, 0.5, s.numpy().dtype) if draws.jitter is None else draws.jitter,
+            *(draws.padding, draws.min_total, self.t, self.weights.numpy(), self.drawn.numpy()),
+            *(np.empty(0, np.bool_) if inside is None else inside, unit, density, delta, after, annealed),
+            grain=1,
+        )
+        arrays = (count, density, delta, after, self.weights, self.to_values)
+        self._backward = prepared(_value_gradient, rays, *arrays, grain=GRAIN)
+
+    def forward(self, exponent: float, keeps: bool = True) -> tuple[Tensor, Tensor, Tensor]:
+        """Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
+
+        Args:
+            exponent: power of the weights from which edges are drawn.
+        """
+        self.grid_pass.pack()
+        self._forward(exponent, keeps)
+        return self.t, self.weights, self.drawn
+
+    def backward(self, upstream: np.ndarray) -> None:
+        """Writes the gradients of the network's parameters, for those of the weights."""
+        self._backward(upstream)
+        self.grid_pass.backward(flat(self.to_values))
 
 
-def edges_in_world(space: Space, s: Tensor) -> Tensor:
-    """Edges (R, K + 1) of the normalised coordinate in world units."""
-    t = s.new_empty(s.shape)
+def in_world(space: Space, s: Tensor, t: Tensor) -> Call:
+    """Writes edges (R, K + 1) of the normalised coordinate in world units."""
     spacing = KNOWN_SPACINGS.index(space.spacing)
-    run(to_world, len(s), spacing, flat(space.near), flat(space.far), flat(s), flat(t), grain=8 * RAYS)
-    return t
+    return prepared(to_world, len(s), spacing, space.near, space.far, s, t, grain=8 * RAYS)
 
 
 def _group(count: int) -> int:
@@ -125,19 +149,25 @@ def to_world(start, stop, spacing, near, far, s, t):  # type: ignore[no-untyped-
 
 
 @jit
+def _value_gradient(start, stop, count, density, delta, after, weights, to_values, upstream):  # type: ignore[no-untyped-def]
+    """Writes the gradients of rays start..stop by the network's values, of which the density is the exponential."""
+    backward(start, stop, count, delta, after, weights, upstream, to_values)
+    for i in range(U(start) * U(count), U(stop) * U(count)):
+        to_values[i] *= bounded(density[i])
+
+
+@jit
 def _propose(  # type: ignore[no-untyped-def]
     start, stop, group, origins, directions, near, far, spacing, contraction, half_extent, cells, side, s, s_rows,
-    table, resolutions, dense, features, layers, widths, jitter, exponent, padding, min_total, t, weights, drawn,
-    inside, unit, density, delta, after,
+    table, resolutions, dense, features, layers, widths, kept, numbers, counts, jitter, padding, min_total, t, weights,
+    drawn, inside, unit, density, delta, after, annealed, exponent, keeps,
 ):  # fmt: skip
     number = s.dtype.type
     rays, count = weights.shape
     block = np.int64(BLOCK)
-    edges, shares, power = t.reshape(-1), weights.reshape(-1), number(exponent)
+    edges, shares, power = t, weights.reshape(-1), number(exponent)
     n = U(count)
-    kept = np.empty((0, 1), s.dtype)
-    keeps = kept.size > 0  # for the literal False, `network_values` would be compiled again
-    numbers, counts = np.empty((0, 1), np.int32), np.empty(0, np.int32)
+    powers = annealed.reshape(rays, count)
     for each in range(start, stop):
         first = each * group
         last = min(first + group, rays)
@@ -147,8 +177,8 @@ def _propose(  # type: ignore[no-untyped-def]
         # The network's raw values: a group of rays is whole blocks of points.
         blocks = first * count // block, (last * count + block - 1) // block
         network_values(
-            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths, keeps, kept,
-            numbers, counts, density,
+            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths, kept,
+            numbers, counts, density, keeps,
         )  # fmt: skip
         for ray in range(U(first), U(last)):
             for k in range(n):
@@ -160,10 +190,9 @@ def _propose(  # type: ignore[no-untyped-def]
         if exponent == 1.0:
             draw_edges(first, last, s_rows, weights, jitter, padding, min_total, drawn)
         else:
-            annealed = delta.reshape(rays, count)
             for i in range(U(first) * n, U(last) * n):
-                delta[i] = exp(power * log(shares[i])) if shares[i] > number(0) else shares[i]
+                annealed[i] = exp(power * log(shares[i])) if shares[i] > number(0) else shares[i]
             if exponent == 0.0:
                 for i in range(U(first) * n, U(last) * n):
-                    delta[i] = number(1)
-            draw_edges(first, last, s_rows, annealed, jitter, padding, min_total, drawn)
+                    annealed[i] = number(1)
+            draw_edges(first, last, s_rows, powers, jitter, padding, min_total, drawn)

@@ -4,7 +4,7 @@ The plain PyTorch reference is in `qnerf.rendering.shading.shade`: the density's
 `color_shares` and the shading, one after the other.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,12 +14,12 @@ from torch import Tensor
 from qnerf.kernels import transmittance
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.exponentials import exp
-from qnerf.kernels.hashgrid import U, flat
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.hashgrid import U
+from qnerf.kernels.jit import Call, jit, prepared
 
 GRAIN = 256  # rays that are worth waking a thread for
 KNOWN_ACTIVATIONS = ("trunc_exp", "softplus")  # of the raw density, by their numbers in `_density`
-BOUND = 15.0  # on the argument of trunc_exp's derivative
+LEAST, LARGEST = np.exp(-15.0), np.exp(15.0)  # of trunc_exp's derivative
 STEEP = 40.0  # from here on softplus(x) is x
 
 
@@ -31,6 +31,46 @@ class Options(NamedTuple):
     last_sample: bool  # whether a ray's last sample takes the transmittance that is left
     parts: int  # see `MergeShading`; 0: every sample gets a colour
     floor: float  # the smallest share of a part by which the derivative of its mean is divided
+
+
+class Buffers(NamedTuple):
+    """What the loops write; the chain of a training step makes it once."""
+
+    weights: Tensor  # (R, K)
+    shares: Tensor  # (R, M) of the colours
+    mean: Tensor  # (R, M, G) their geometry
+    after: Tensor  # (R, K) transmittance behind each interval
+    samples: Tensor  # (R, K) shares of the samples
+    scratch: Tensor  # (2, R, K)
+    part: Tensor  # (R, K) int32, the part that each sample belongs to
+
+    @classmethod
+    def of(cls, raw: Tensor, options: Options) -> "Buffers":
+        """For raw values (R, K, 1 + G)."""
+        rays, count, outputs = raw.shape
+        parts, new = options.parts or count, raw.new_empty
+        weights, after, samples = new(3, rays, count).unbind()
+        shares, mean, scratch = new(rays, parts), new(rays, parts, outputs - 1), new(2, rays, count)
+        part = torch.empty(rays, count if options.parts else 0, dtype=torch.int32)
+        return cls(weights, shares, mean, after, samples, scratch, part)
+
+
+def shade(raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, to: Buffers) -> Call:
+    """Writes weights, shares and geometry, and what `shade_gradient` needs."""
+    where = np.empty(0, np.bool_) if inside is None else inside
+    kept = (to.scratch[0], to.after, to.weights, to.samples, to.part, to.shares, to.mean)
+    return prepared(_shade, len(raw), *_numbers(raw, options), raw, where, delta, *kept, grain=GRAIN)
+
+
+def shade_gradient(
+    raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, kept: Buffers, given: Sequence[Tensor],
+    to_raw: Tensor,
+) -> Call:  # fmt: skip
+    """Writes the gradient of the raw values, for those `given` of weights, shares and geometry."""
+    where = np.empty(0, np.bool_) if inside is None else inside
+    of_forward = (kept.after, kept.weights, kept.samples, kept.part, kept.shares, kept.mean)
+    arrays = (raw, where, delta, *of_forward, *given, *kept.scratch, to_raw)
+    return prepared(_shade_gradient, len(raw), *_numbers(raw, options), options.floor, *arrays, grain=GRAIN)
 
 
 class Shade(torch.autograd.Function):
@@ -46,37 +86,28 @@ class Shade(torch.autograd.Function):
     def forward(
         ctx: Any, raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, reference: Callable[..., Any]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        rays, count, outputs = raw.shape
-        parts = options.parts or count
-        density, after, weights, samples = torch.empty(4, rays, count, dtype=raw.dtype).unbind()
-        shares, mean = raw.new_empty(rays, parts), raw.new_empty(rays, parts, outputs - 1)
-        part = np.empty(rays * count if options.parts else 0, np.int32)
-        where = np.empty(0, np.bool_) if inside is None else flat(inside)
-        ctx.sizes = (count, *_numbers(options), outputs, torch.finfo(raw.dtype).tiny)
-        arrays = (flat(raw), where, flat(delta), flat(density), flat(after), flat(weights), flat(samples), part)
-        run(_shade, rays, *ctx.sizes, *arrays, flat(shares), flat(mean), grain=GRAIN)
-        ctx.save_for_backward(raw, delta, after, weights, samples, shares, mean)
-        ctx.part, ctx.where, ctx.floor, ctx.reference = part, where, options.floor, reference
+        buffers = Buffers.of(raw, options)
+        shade(raw, inside, delta, options, buffers)()
+        ctx.save_for_backward(raw, inside, delta, *buffers)
+        ctx.options, ctx.reference = options, reference
         ctx.set_materialize_grads(False)
-        return weights, shares, mean
+        return buffers.weights, buffers.shares, buffers.mean
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
-        raw, delta, after, weights, samples, shares, mean = ctx.saved_tensors
-        outputs = (weights, shares, mean)
-        given = tuple(torch.zeros_like(o) if u is None else u for o, u in zip(outputs, upstream, strict=True))
+        raw, inside, delta, *kept = ctx.saved_tensors
+        buffers = Buffers(*kept)
+        given = [torch.zeros_like(o) if u is None else u for o, u in zip(buffers, upstream, strict=False)]
         if is_differentiated(*given):
-            return *through_reference(ctx.reference, (raw,), given), None, None, None, None
+            return *through_reference(ctx.reference, (raw,), tuple(given)), None, None, None, None
         to_raw = torch.empty(raw.shape, dtype=raw.dtype)
-        to_weights, to_density = np.empty((2, weights.numel()), flat(raw).dtype)
-        kept = (flat(raw), ctx.where, flat(delta), flat(after), flat(weights), flat(samples), ctx.part)
-        arrays = (*kept, flat(shares), flat(mean), *map(flat, given), to_weights, to_density, flat(to_raw))
-        run(_shade_gradient, len(raw), *ctx.sizes, ctx.floor, *arrays, grain=GRAIN)
+        shade_gradient(raw, inside, delta, ctx.options, buffers, given, to_raw)()
         return to_raw, None, None, None, None
 
 
-def _numbers(options: Options) -> tuple[int, float, bool, int]:
-    return KNOWN_ACTIVATIONS.index(options.activation), options.initial, options.last_sample, options.parts
+def _numbers(raw: Tensor, options: Options) -> tuple[int, int, float, bool, int, int, float]:
+    known = (KNOWN_ACTIVATIONS.index(options.activation), options.initial, options.last_sample, options.parts)
+    return raw.shape[1], *known, raw.shape[2], torch.finfo(raw.dtype).tiny
 
 
 @jit
@@ -90,11 +121,20 @@ def _density(x, activation):  # type: ignore[no-untyped-def]
 
 
 @jit
+def bounded(density):  # type: ignore[no-untyped-def]
+    """The derivative of trunc_exp by its argument, from its value."""
+    number = type(density)
+    if density < number(LEAST):
+        return number(LEAST)
+    return number(LARGEST) if density > number(LARGEST) else density
+
+
+@jit
 def _slope(x, activation):  # type: ignore[no-untyped-def]
     """Derivative of `_density`."""
     number = type(x)
     if activation == 0:
-        return exp(number(-BOUND) if x < number(-BOUND) else (number(BOUND) if x > number(BOUND) else x))
+        return bounded(exp(x))
     return number(1) / (number(1) + exp(-x)) if x < number(STEEP) else number(1)
 
 

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.exponentials import exp, expm1
-from qnerf.kernels.hashgrid import U, flat
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.hashgrid import U
+from qnerf.kernels.jit import flat, jit, run
 
 GRAIN = 256  # rays that are worth waking a thread for
 

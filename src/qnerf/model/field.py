@@ -89,12 +89,8 @@ class Field(nn.Module):
         """Raw density and geometry (R, K, 1 + G) as in `geometry_at`, and which samples were evaluated."""
         shape = unit.shape[:-1]
         points = unit.reshape(-1, 3)
-        evaluated = None
-        if inside is not None:
-            evaluated = inside.clone()
-            if last or int(inside.sum()) < MIN_BATCH:
-                evaluated[:, -1] = True
-        network = self._on_grid(points)
+        evaluated = None if inside is None else evaluate_last(inside.clone(), last)
+        network = self.on_grid(points)
         if network is not None:
             values = grid_mlp(points, None if evaluated is None else evaluated.flatten(), *network)
             return values.view(*shape, -1), evaluated
@@ -103,7 +99,7 @@ class Field(nn.Module):
         index = evaluated.flatten().nonzero()[:, 0]
         return scatter(self.density_head(self.encoder(points[index])), index, shape), evaluated
 
-    def _on_grid(self, points: Tensor) -> tuple[Grid, list[Layer]] | None:
+    def on_grid(self, points: Tensor) -> tuple[Grid, list[Layer]] | None:
         """The arguments of the loop that computes encoder and density head together; None: the two are called."""
         encoder, head = self.encoder, self.density_head
         if not isinstance(encoder, HashEncoder) or not isinstance(head, MLPHead):
@@ -138,6 +134,15 @@ class Field(nn.Module):
         """Unit-cube points (N, 3) -> density (N,) per world unit, ignoring the mask."""
         return self.activated(self.density_head(self.encoder(unit))[:, 0])
 
+    def of_rays(self, directions: Tensor, cameras: Tensor) -> Tensor:
+        """Features (R, D + A) that all points of a ray share: its direction's, and the appearance of its view."""
+        per_ray = [self.directions(directions)]
+        if self.appearance is not None:
+            own = self.appearance(cameras.clamp(min=0))
+            mean = self.appearance.weight[self.trained].mean(0)
+            per_ray.append(torch.where((cameras >= 0)[:, None], own, mean))
+        return torch.cat(per_ray, dim=-1) if len(per_ray) > 1 else per_ray[0]
+
     def color(self, geometry: Tensor, directions: Tensor, cameras: Tensor, mask: Tensor | None = None) -> Tensor:
         """Colours (R, K, 3), in [0, 1] if the activation bounds them.
 
@@ -147,12 +152,7 @@ class Field(nn.Module):
             cameras: (R,) int64 views; -1, a view without an appearance embedding, gets the mean of the trained ones.
             mask: (R, K) bool, samples to evaluate; the others are black. None: all.
         """
-        per_ray = [self.directions(directions)]
-        if self.appearance is not None:
-            own = self.appearance(cameras.clamp(min=0))
-            mean = self.appearance.weight[self.trained].mean(0)
-            per_ray.append(torch.where((cameras >= 0)[:, None], own, mean))
-        of_rays = torch.cat(per_ray, dim=-1) if len(per_ray) > 1 else per_ray[0]
+        of_rays = self.of_rays(directions, cameras)
         if mask is None:
             expanded = of_rays[:, None, :].expand(-1, geometry.shape[1], -1)
             features = torch.cat([expanded, geometry], dim=-1)
@@ -164,6 +164,13 @@ class Field(nn.Module):
         """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3)."""
         density, geometry, _ = self.geometry(points)
         return density, self.color(geometry, directions, cameras)
+
+
+def evaluate_last(inside: Tensor, last: bool) -> Tensor:
+    """Adds each ray's `last` sample to those (R, K) whose density is computed; also where they are too few."""
+    if last or int(inside.sum()) < MIN_BATCH:
+        inside[:, -1] = True
+    return inside
 
 
 def color_inputs(of_rays: Tensor, geometry: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,7 @@ from qnerf.heads.activations import trunc_exp
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.mlp import Layer
-from qnerf.kernels.proposals import KNOWN_SPACINGS, Draws, Space, edges_in_world, propose
+from qnerf.kernels.proposals import KNOWN_SPACINGS, Draws, Proposal, Space, in_world
 from qnerf.rendering.pdf import MIN_TOTAL, sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
@@ -137,21 +137,28 @@ class ProposalSampler(Sampler):
         rays = rays.detach()
         learns = torch.is_grad_enabled() and self.learns(step)
         jitters = draw_jitter(rays, len(self.samples) + 1, generator)
-        space = None if learns else self._space(rays)
+        exponent = self.anneal(step)
+        space = None if learns else self.space(rays)
         if space is None:
-            return self._operations(rays, jitters, self.anneal(step), learns)
+            return self._operations(rays, jitters, exponent, learns)
         with torch.no_grad():
             s = even_edges(rays, self.samples[0], jitters[0])
         proposals = []
         for network, jitter, count in zip(self.networks, jitters[1:], (*self.samples[1:], self.final), strict=True):
             assert isinstance(network, ProposalNetwork)
-            draws = Draws(count + 1, jitter, self.anneal(step), self.padding, MIN_TOTAL)
-            t, weights, drawn = propose(space, s, network.parts, draws)
+            proposal = Proposal(space, s, network.parts, self.draws(count, jitter), keeps=False)
+            t, weights, drawn = proposal.forward(exponent, keeps=False)
             proposals.append((Samples(t, s), weights))
             s = drawn
-        return SampledRays(Samples(edges_in_world(space, s), s), proposals)
+        t = torch.empty_like(s)
+        in_world(space, s, t)()
+        return SampledRays(Samples(t, s), proposals)
 
-    def _space(self, rays: Rays) -> Space | None:
+    def draws(self, count: int, jitter: Tensor | None) -> Draws:
+        """How the edges of the next `count` intervals are drawn."""
+        return Draws(count + 1, jitter, self.padding, MIN_TOTAL)
+
+    def space(self, rays: Rays) -> Space | None:
         """What the loop over a proposal takes besides its network; None: it does not know one of the components."""
         but = None if self.spacing in KNOWN_SPACINGS else f"spacing {self.spacing}"
         modules = [self.contraction, *([] if self.mask is None else [self.mask]), *self.networks]

@@ -164,6 +164,15 @@ def activated(raw: Tensor, inside: Tensor | None, activation: Callable[[Tensor],
     return density if inside is None else density.masked_fill(~inside, 0)
 
 
+def options_of(
+    shading: Shading, activation: Callable[[Tensor], Tensor], initial: float, background: str
+) -> Options | None:
+    """What the compiled loop is told; None: it does not know the activation of the density."""
+    known = next((name for name in KNOWN_ACTIVATIONS if DENSITY_ACTIVATIONS.get(name) is activation), None)
+    parts = getattr(shading, "parts", 0)
+    return Options(known, initial, background == "last_sample", parts, SMALL / max(parts, 1)) if known else None
+
+
 def shade(
     raw: Tensor,
     inside: Tensor | None,
@@ -192,12 +201,11 @@ def shade(
         weights, shaded = reference(raw)
         return weights, shaded.shares, shaded.geometry
 
-    known = next((name for name in KNOWN_ACTIVATIONS if DENSITY_ACTIVATIONS.get(name) is activation), None)
-    but = None if known else "another activation of the density"
+    options = options_of(shading, activation, initial, background)
+    but = None if options else "another activation of the density"
     if not serves("shading", raw, deltas, modules=(shading,), but=but):
         return reference(raw)
-    assert known
+    assert options
     assert isinstance(shading, EverySample | MergeShading)
-    options = Options(known, initial, background == "last_sample", shading.parts, SMALL / max(shading.parts, 1))
     weights, shares, geometry = Shade.apply(raw, inside, deltas, options, outputs)
     return weights, Shaded(shares, geometry, shading.chosen(shares, evaluated))

@@ -7,7 +7,7 @@ from qnerf.kernels import histogram
 from qnerf.kernels.dispatch import serves
 from qnerf.types import Samples
 
-_EPS = 1e-7  # against division by 0
+EPS = 1e-7  # of the interlevel loss, against division by 0
 
 
 def mse(color: Tensor, target: Tensor) -> Tensor:
@@ -40,7 +40,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
         if serves("interlevel loss", proposed, *arguments):
-            term: Tensor = histogram.Interlevel.apply(proposed, *arguments, _EPS, interlevel_reference)
+            term: Tensor = histogram.Interlevel.apply(proposed, *arguments, EPS, interlevel_reference)
         else:
             term = interlevel_reference(proposed, *arguments)
         total = total + term / weights.numel()
@@ -50,7 +50,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
 def interlevel_reference(w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor) -> Tensor:
     """One proposal's term of `interlevel` in plain PyTorch, summed over rays and intervals."""
     excess = (w - outer_measure(s, s_outer, w_outer)).clamp(min=0)
-    return (excess.square() / (w + _EPS)).sum()
+    return (excess.square() / (w + EPS)).sum()
 
 
 def outer_measure(edges: Tensor, outer_edges: Tensor, outer_weights: Tensor) -> Tensor:

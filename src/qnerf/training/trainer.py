@@ -18,6 +18,7 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
+from qnerf.training.chain import Chain, known
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
@@ -102,6 +103,10 @@ class Loop:
         """Draws a batch from the streams; the weighted terms whose sum is minimised."""
         raise NotImplementedError
 
+    def backward(self, loss: Tensor) -> None:
+        """Gives each parameter its gradient."""
+        loss.backward()
+
     def take_step(self, measure: bool) -> dict[str, float]:
         """One optimisation step.
 
@@ -125,7 +130,7 @@ class Loop:
                 raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
             with self.watch.stage("backward"):
                 forget_gradients(self.optimiser)
-                loss.backward()
+                self.backward(loss)
         with self.watch.stage("optimiser"):
             apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
@@ -270,6 +275,9 @@ class Trainer(Loop):
         super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
         self.table = table
         self.background = settings.render.background
+        self.parameters = list(model.parameters())
+        self.chain: Chain | None = None
+        self.chained = False
         self.validation_rays = stop.rays
 
     def prepare_step(self) -> None:
@@ -279,6 +287,13 @@ class Trainer(Loop):
             mask.look(self.model.field, self.streams["samples"])
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+        parts = (self.model, self.parameters, self.table)
+        own = type(self).loss_terms is not Trainer.loss_terms or "loss_terms" in vars(self)
+        self.chained = known(*parts, self.background, "another loss" if own else None)
+        if self.chained:
+            if self.chain is None or not self.chain.fits:
+                self.chain = Chain(*parts, self.train, self.background)
+            return self.chain.terms(streams, step, self.watch)
         with self.watch.stage("sampling"):
             rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras)
         rendering, sampled, behind = self.model(
@@ -286,6 +301,12 @@ class Trainer(Loop):
         )
         with self.watch.stage("render"):
             return self.loss_terms(rendering, sampled, composite(pixels, behind))
+
+    def backward(self, loss: Tensor) -> None:
+        if self.chained and self.chain:
+            self.chain.backward()
+        else:
+            super().backward(loss)
 
     def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
         """The weighted terms whose sum is minimised; `target` are the true colours (R, 3)."""
