@@ -146,7 +146,7 @@ class GridPass:
         self.arrays = (table, *grid, self.weights, widths, encoded.numpy(), number_of, kept)
         """What `network_values` takes between the points and the values."""
         self._values = prepared(network_values, len(kept), points, where, *self.arrays, self.values, grain=PART)
-        of_layers = (encoded, 1, BLOCK, self.weights, widths, number_of, kept, to_encoded, self.sums)
+        of_layers = (encoded, self.weights[:0], self.weights, widths, number_of, kept, to_encoded, self.sums)
         self._layers = prepared(mlp.gradients, len(self.sums), *of_layers, grain=1)
         of_table = (points, number_of, kept, to_encoded.numpy(), *grid)
         self._table = prepared(table_gradient, len(table), *of_table, grain=1)
@@ -205,8 +205,8 @@ def network_values(  # type: ignore[no-untyped-def]
     row = np.zeros(8 * BLOCK, np.uint32)
     weight = np.zeros(8 * BLOCK, points.dtype)
     fraction = np.empty(3 * BLOCK, points.dtype)
-    encoded = np.empty(width * b, points.dtype)
-    own, step = mlp.work(weights, widths), mlp.wide(outputs, points)
+    encoded = mlp.aligned(width * b, points)
+    units = mlp.units_of(widths, points)
     for block in range(start, stop):
         first = block * BLOCK
         last = min(first + BLOCK, points.size // 3)
@@ -226,10 +226,10 @@ def network_values(  # type: ignore[no-untyped-def]
                 values[i] = zero
             for i in range(U(first) * outputs, U(last) * outputs, outputs):
                 values[i] = -np.inf
-        at = mlp.layers_forward(encoded, U(1), b, count, widths, own)
-        for k in range(count):
-            for o in range(outputs):
-                values[U(numbers[k]) * outputs + o] = own.units[at + k * step + o]
+        at = mlp.layers_values(encoded, count, weights, widths, units)
+        for o in range(outputs):
+            for k in range(count):
+                values[U(numbers[k]) * outputs + o] = units[at + o * b + k]
         # What the backward pass needs.
         if keeps:
             # Loops: for an assignment of arrays Numba would also compile the message of a wrong shape, which takes 2 s.

@@ -3,8 +3,8 @@
 All three products of a layer, of its values and of both gradients, are one function, `product`: it takes a tile of rows
 times a few vectors of columns into registers. A block of points stays in the caches from the first layer to the last.
 
-The backward pass computes the hidden units again. It sums the gradients of weights over parts of `PART` blocks, and
-then over the parts: they do not depend on the number of threads.
+The backward pass sums the gradients of weights over parts of `PART` blocks, and then over the parts: they do not depend
+on the number of threads.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,21 @@ from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.hashgrid import BLOCK, U
 from qnerf.kernels.jit import flat, jit, run
-from qnerf.kernels.simd import AVX512, VECTOR_BYTES, inner, keep_apart, load, start_of_line, store, tile, where_positive
+from qnerf.kernels.simd import (
+    AVX512,
+    VECTOR_BYTES,
+    inner,
+    keep_apart,
+    load,
+    start_of_line,
+    store,
+    tile,
+    transpose,
+    where_positive,
+)
 
 PART = 8  # blocks that one thread takes at a time
 PAIR_ROWS = 8 if AVX512 else 4  # of a tile two vectors wide: its sums and what they are made of fill the registers
-
-
 ALL_POINTS = (np.empty((0, BLOCK), np.int32), np.empty(0, np.int32))  # `gradients` of all points in turn
 
 
@@ -47,7 +56,8 @@ def mlp(rows: Tensor, layers: Sequence[Layer]) -> Tensor:
     check_layers(rows.shape[1], layers)
     parameters = [tensor for layer in layers for tensor in layer]
     if serves("MLP", rows, *parameters):
-        values: Tensor = _MLP.apply(rows, *parameters)
+        keeps = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (rows, *parameters))
+        values: Tensor = _MLP.apply(keeps, rows, *parameters)
         return values
     return mlp_reference(rows, layers)
 
@@ -75,29 +85,33 @@ def layers_of(parameters: Sequence[Tensor]) -> list[Layer]:
 
 class _MLP(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, rows: Tensor, *parameters: Tensor) -> Tensor:
-        ctx.save_for_backward(rows, *parameters)
-        ctx.packed = packed(layers_of(parameters))
+    def forward(ctx: Any, keeps: bool, rows: Tensor, *parameters: Tensor) -> Tensor:
+        weights, widths = packed(layers_of(parameters))
+        blocks, units = -(-len(rows) // BLOCK), sum(len(bias) for bias in parameters[1::2])
+        kept = rows.new_empty(blocks if keeps else 0, units * BLOCK)
         values = rows.new_empty(len(rows), len(parameters[-1]))
-        run(_values, -(-len(rows) // BLOCK), flat(rows), *ctx.packed, flat(values), grain=PART)
+        run(_values, blocks, flat(rows), weights, widths, flat(kept), flat(values), grain=PART)
+        if keeps:
+            ctx.save_for_backward(rows, kept, *parameters)
+            ctx.packed = weights, widths
         return values
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        rows, *parameters = ctx.saved_tensors
+        rows, kept, *parameters = ctx.saved_tensors
         if is_differentiated(upstream):
 
             def reference(rows: Tensor, *parameters: Tensor) -> Tensor:
                 return mlp_reference(rows, layers_of(parameters))
 
-            return tuple(through_reference(reference, (rows, *parameters), upstream))
+            return None, *through_reference(reference, (rows, *parameters), upstream)
         weights, widths = ctx.packed
-        to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if ctx.needs_input_grad[0] else None
-        sums = np.empty((-(-len(rows) // (PART * BLOCK)), len(weights)), weights.dtype)
-        arrays = (flat(rows), rows.shape[1], 1, weights, widths, *ALL_POINTS)
+        to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if ctx.needs_input_grad[1] else None
+        sums = np.empty((-(-len(kept) // PART), len(weights)), weights.dtype)
         to = weights[:0] if to_rows is None else flat(to_rows)
-        run(gradients, len(sums), *arrays, to, sums, flat(upstream), grain=1)
-        return to_rows, *unpacked(sums.sum(0), parameters)
+        arrays = (flat(rows), flat(kept), weights, widths, *ALL_POINTS, to, sums, flat(upstream))
+        run(gradients, len(sums), *arrays, grain=1)
+        return None, to_rows, *unpacked(sums.sum(0), parameters)
 
 
 def packed(layers: Sequence[Layer]) -> tuple[np.ndarray, np.ndarray]:
@@ -116,42 +130,27 @@ def unpacked(array: np.ndarray, parameters: Sequence[Tensor]) -> list[Tensor]:
     return found
 
 
-_four, _two, _one = tile(4, 4), tile(8 if AVX512 else 4, 2), tile(8, 1)
+_four, _two, _one = tile(4, 4), tile(PAIR_ROWS, 2), tile(8, 1)
 
 
 @inner
-def product(count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, wide):  # type: ignore[no-untyped-def]
-    """Writes c = max(a b + start, low), see `tile`; its rows are `wide`, which is whole vectors."""
+def product(rows, wide, a, a_row, a_step, b, b_row, depth, low, c, c_row):  # type: ignore[no-untyped-def]
+    """c (rows, wide) = max(c + a b, low), see `tile`. `wide` is whole vectors."""
     keep_apart()
     j, n = U(0), U(VECTOR_BYTES // a.itemsize)
-    # AVX-512 has twice as many registers.
+    # With AVX-512 there are registers for 16 sums and more. Tiles of one vector are for what is left.
     while AVX512 and j + U(4) * n <= wide:
-        for i in range(U(0), count, U(4)):
-            _four(i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, wide)
+        for i in range(U(0), rows, U(4)):
+            _four(i, j, rows, a, a_row, a_step, b, b_row, depth, low, c, c_row)
         j += U(4) * n
     while j + U(2) * n <= wide:
-        for i in range(U(0), count, U(8 if AVX512 else 4)):
-            _two(i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, wide)
+        for i in range(U(0), rows, U(PAIR_ROWS)):
+            _two(i, j, rows, a, a_row, a_step, b, b_row, depth, low, c, c_row)
         j += U(2) * n
     while j < wide:
-        for i in range(U(0), count, U(8)):
-            _one(i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, wide)
+        for i in range(U(0), rows, U(8)):
+            _one(i, j, rows, a, a_row, a_step, b, b_row, depth, low, c, c_row)
         j += n
-
-
-class Work(NamedTuple):
-    """What a thread needs on the way."""
-
-    by_input: np.ndarray  # of each layer a row of weights for each input, and a row of biases, in whole vectors
-    by_unit: np.ndarray  # the packed weights, and room behind them, where rows are read to the end of their vectors
-    sums: np.ndarray  # of the gradients of weights, as `by_input`
-    x: np.ndarray  # a block of inputs
-    units: np.ndarray  # (BLOCK, wide) of each layer, one after another
-    to_values: np.ndarray  # (BLOCK, wide) gradients of the last layer's units, and zeros behind them
-    below: np.ndarray  # (BLOCK, wide)
-    spare: np.ndarray  # (BLOCK, wide)
-    zero: np.ndarray  # a row
-    one: np.ndarray  # (1,)
 
 
 @inner
@@ -162,7 +161,7 @@ def wide(units, array):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _aligned(size, array):  # type: ignore[no-untyped-def]
+def aligned(size, array):  # type: ignore[no-untyped-def]
     """An array of the dtype of `array`, from the start of a cache line on. Vectors across two lines are slow."""
     found = np.empty(size + U(64 // array.itemsize), array.dtype)
     first = U(start_of_line(found))
@@ -170,153 +169,181 @@ def _aligned(size, array):  # type: ignore[no-untyped-def]
 
 
 @inner
+def units_of(widths, array):  # type: ignore[no-untyped-def]
+    """Room for the units of `layers_values`."""
+    size = U(0)
+    for n in range(1, widths.size):
+        size += U(widths[n]) * U(BLOCK)
+    return aligned(size, array)
+
+
+@inner
+def layers_values(x, count, weights, widths, units):  # type: ignore[no-untyped-def]
+    """Writes the units (units, BLOCK) of each layer for `count` points; returns where those of the last layer begin.
+
+    `x` is (inputs, BLOCK).
+    """
+    w = place = U(0)
+    b, columns = U(BLOCK), wide(count, x)
+    for n in range(1, widths.size):
+        inputs, outputs = U(widths[n - 1]), U(widths[n])
+        found = units[place:]
+        for u in range(outputs):
+            for k in range(u * b, u * b + columns):
+                found[k] = weights[w + inputs * outputs + u]
+        low = x.dtype.type(0 if n < widths.size - 1 else -np.inf)
+        product(outputs, columns, weights[w:], inputs, U(1), x, b, inputs, low, found, b)
+        x = found
+        w += (inputs + U(1)) * outputs
+        place += outputs * b
+    return place - U(widths[-1]) * b
+
+
+class Work(NamedTuple):
+    """What a thread needs for gradients."""
+
+    weights: np.ndarray  # packed
+    x: np.ndarray  # a block of inputs, and room for a vector behind it
+    units: np.ndarray  # of `layers_values`
+    to_values: np.ndarray  # (units, BLOCK), gradients of the last layer's units
+    below: np.ndarray  # (units, BLOCK), of another layer's, or of the inputs
+    spare: np.ndarray  # (units, BLOCK)
+    across: np.ndarray  # (BLOCK, wide), what came into a layer, with rows and columns exchanged
+    sums: (
+        np.ndarray
+    )  # gradients of weights: for each layer the units' rows of whole vectors, then a vector for each bias
+
+
+@inner
 def work(weights, widths):  # type: ignore[no-untyped-def]
-    """A thread's `Work` with these packed weights."""
-    size, units, most, b = U(0), U(0), wide(widths[0], weights), U(BLOCK)
+    """A thread's `Work`."""
+    size, most, b, lanes = U(0), wide(widths[0], weights), U(BLOCK), wide(1, weights)
     for n in range(1, widths.size):
-        row = wide(widths[n], weights)
-        size += (U(widths[n - 1]) + U(1)) * row
-        units += row
-        most = max(most, row)
-    own = Work(
-        by_input=_aligned(size, weights),
-        by_unit=_aligned(U(weights.size) + U(VECTOR_BYTES), weights),
-        sums=_aligned(size, weights),
-        x=_aligned(b * U(widths[0]), weights),
-        units=_aligned(b * units, weights),
-        to_values=_aligned(b * wide(widths[-1], weights), weights),
-        below=_aligned(b * most, weights),
-        spare=_aligned(b * most, weights),
-        zero=_aligned(most, weights),
-        one=_aligned(U(1), weights),
-    )
-    own.by_input[:], own.by_unit[:], own.to_values[:], own.zero[:], own.one[:] = 0, 0, 0, 0, 1
-    for i in range(weights.size):
-        own.by_unit[i] = weights[i]
-    _by_input(own.by_unit, widths, own.by_input, U(0))
-    return own
+        size += U(widths[n]) * (wide(widths[n - 1], weights) + lanes)
+        most = max(most, wide(widths[n], weights))
+    x, units, sums = aligned(U(widths[0]) * b + lanes, weights), units_of(widths, weights), aligned(size, weights)
+    to_values, below = aligned(U(widths[-1]) * b, weights), aligned(most * b, weights)
+    return Work(weights, x, units, to_values, below, aligned(most * b, weights), aligned(most * b, weights), sums)
 
 
 @inner
-def _by_input(weights, widths, rows, back):  # type: ignore[no-untyped-def]
-    """Copies packed weights to `Work.by_input` or, if `back` is 1, from there."""
-    w = i = U(0)
-    for n in range(1, widths.size):
-        inputs, units, row = U(widths[n - 1]), U(widths[n]), wide(widths[n], weights)
-        for u in range(units):
-            for f in range(inputs + U(1)):
-                place = w + u * inputs + f if f < inputs else w + units * inputs + u
-                if back:
-                    weights[place] = rows[i + f * row + u]
-                else:
-                    rows[i + f * row + u] = weights[place]
-        w += (inputs + U(1)) * units
-        i += (inputs + U(1)) * row
+def layers_gradients(x, x_row, count, widths, own, units, goes_on):  # type: ignore[no-untyped-def]
+    """Adds the gradients of weights and biases for `count` points to own.sums. Returns those of x, if it `goes_on`.
 
-
-@inner
-def layers_forward(x, x_row, x_step, count, widths, own):  # type: ignore[no-untyped-def]
-    """Writes own.units for `count` points, and returns where those of the last layer begin.
-
-    Feature f of point k is x[k x_row + f x_step].
+    `x` is (inputs, BLOCK) or, unless `x_row` is 0, (BLOCK, inputs) with rows so far apart. `units` are those of
+    `layers_values`. own.to_values holds the gradients of the values, and zeros to the end of the last vector.
     """
-    w = place = at = U(0)
-    for n in range(1, widths.size):
-        inputs, row = U(widths[n - 1]), wide(widths[n], x)
-        low = x.dtype.type(0 if n < widths.size - 1 else -np.inf)  # ReLU, but not after the last
-        layer, biases, units = own.by_input[w:], own.by_input[w + inputs * row :], own.units[place:]
-        product(count, x, x_row, x_step, layer, row, inputs, biases, U(0), low, units, row)
-        x, x_row, x_step, at = units, row, U(1), place
-        place += U(BLOCK) * row
-        w += (inputs + U(1)) * row
-    return at
-
-
-@inner
-def layers_backward(x, x_row, x_step, count, widths, own, goes_on):  # type: ignore[no-untyped-def]
-    """Adds the gradients of weights and biases for `count` points to own.sums, after `layers_forward`.
-
-    own.to_values holds the gradients of the values. Returns those of x (BLOCK, wide), if the loop `goes_on` to them.
-    """
-    low, one, zero = x.dtype.type(-np.inf), U(1), U(0)
-    above, below, spare = own.to_values, own.below, own.spare
-    w, packed, place = (
-        U(own.sums.size),
-        U(own.by_unit.size) - U(VECTOR_BYTES),
-        U(own.units.size) - U(BLOCK) * wide(widths[-1], x),
-    )
+    low, one, b, lanes = x.dtype.type(-np.inf), U(1), U(BLOCK), wide(1, x)
+    columns, above, below, spare = wide(count, x), own.to_values, own.below, own.spare
+    w, i, place = U(own.weights.size), U(own.sums.size), U(units.size) - U(widths[-1]) * b
     for n in range(widths.size - 1, 0, -1):
-        inputs, units = U(widths[n - 1]), U(widths[n])
-        row, other = wide(units, x), wide(inputs, x)
-        w -= (inputs + one) * row
-        packed -= (inputs + one) * units
-        place -= U(BLOCK) * other  # of the units that came in
-        # Gradients of weights are products of what came in with the gradients above, summed over points. Those of
-        # biases are the same for an input that is always 1.
-        sums, biases = own.sums[w:], own.sums[w + inputs * row :]
-        if n == 1:
-            product(inputs, x, x_step, x_row, above, row, count, sums, row, low, sums, row)
+        inputs, outputs, row = U(widths[n - 1]), U(widths[n]), wide(widths[n - 1], x)
+        w -= (inputs + one) * outputs
+        i -= (row + lanes) * outputs
+        place -= inputs * b if n > 1 else U(0)
+        came = units[place:] if n > 1 else x
+        # Gradients of weights are products of the gradients above with what came in, summed over points. Those of one
+        # unit fill vectors, so the inputs of one point have to lie together.
+        across, across_row = own.across, row
+        if n == 1 and x_row > U(0):
+            across, across_row = x, x_row
         else:
-            product(inputs, own.units[place:], one, other, above, row, count, sums, row, low, sums, row)
-        product(one, own.one, zero, zero, above, row, count, biases, zero, low, biases, row)
-        # Gradients of what came in: sums over units, and 0 where ReLU was.
+            for f in range(U(0), inputs, lanes):
+                for k in range(U(0), columns, lanes):
+                    transpose(came, b, inputs, f, k, across, row)
+        product(outputs, row, above, b, one, across, across_row, count, low, own.sums[i:], row)
+        for u in range(outputs):
+            bias = i + row * outputs + u * lanes
+            total = load(own.sums, bias)
+            for k in range(u * b, u * b + columns, lanes):
+                total = total + load(above, k)
+            store(own.sums, bias, total)
+        # Gradients of what came in are sums over units, and 0 where ReLU was.
         if n > 1 or goes_on:
-            product(count, above, row, one, own.by_unit[packed:], inputs, units, own.zero, zero, low, below, other)
+            below[: inputs * b] = 0
+            product(inputs, columns, own.weights[w:], one, inputs, above, b, outputs, low, below, b)
         if n > 1:
-            for k in range(zero, count * other, U(VECTOR_BYTES // x.itemsize)):
-                store(below, k, where_positive(load(own.units, place + k), load(below, k)))
+            for f in range(U(0), inputs * b, b):
+                for k in range(f, f + columns, lanes):
+                    store(below, k, where_positive(load(came, k), load(below, k)))
         above, below, spare = below, spare, below
     return above
 
 
+@inner
+def packed_sums(own, widths, out):  # type: ignore[no-untyped-def]
+    """Copies own.sums to `out`, which is packed as the weights; adds up the vectors of biases."""
+    w, i, lanes = U(0), U(0), wide(1, out)
+    for n in range(1, widths.size):
+        inputs, outputs = U(widths[n - 1]), U(widths[n])
+        row = wide(inputs, out)
+        for u in range(outputs):
+            for f in range(inputs):
+                out[w + u * inputs + f] = own.sums[i + u * row + f]
+            total = out.dtype.type(0)
+            for lane in range(lanes):
+                total += own.sums[i + outputs * row + u * lanes + lane]
+            out[w + outputs * inputs + u] = total
+        w += (inputs + U(1)) * outputs
+        i += (row + lanes) * outputs
+
+
 @jit
-def _values(start, stop, rows, weights, widths, values):  # type: ignore[no-untyped-def]
-    """Writes the values of blocks start..stop."""
+def _values(start, stop, rows, weights, widths, kept, values):  # type: ignore[no-untyped-def]
+    """Writes the values of blocks start..stop and, unless `kept` is empty, their units."""
     inputs, outputs, b = U(widths[0]), U(widths[-1]), U(BLOCK)
-    own, row = work(weights, widths), wide(outputs, weights)
-    for first in range(U(start) * b, min(U(stop) * b, U(values.size) // outputs), b):
+    x, own = aligned(inputs * b, weights), units_of(widths, weights)
+    for block in range(U(start), U(stop)):
+        first, units = block * b, kept[block * U(own.size) :] if kept.size > 0 else own
         count = min(b, U(values.size) // outputs - first)
-        # A copy: rows that are in no cache come faster one after another than as a product, which leaps, reads them.
-        for k in range(count * inputs):
-            own.x[k] = rows[first * inputs + k]
-        at = layers_forward(own.x, inputs, U(1), count, widths, own)
+        for k in range(count):
+            for f in range(inputs):
+                x[f * b + k] = rows[(first + k) * inputs + f]
+        at = layers_values(x, count, weights, widths, units)
         for k in range(count):
             for o in range(outputs):
-                values[(first + k) * outputs + o] = own.units[at + k * row + o]
+                values[(first + k) * outputs + o] = units[at + o * b + k]
 
 
 @jit
 def gradients(  # type: ignore[no-untyped-def]
-    start, stop, features, x_row, x_step, weights, widths, number_of, kept, to_features, sums, upstream
+    start, stop, features, kept_units, weights, widths, number_of, kept, to_features, sums, upstream
 ):
     """Writes the gradients of the features of parts start..stop, and the sums (parts, all) of those of the weights.
 
     Args:
-        features: flat, blocks of points one after another; x_row and x_step as in `layers_forward`.
+        features: of blocks of points: (inputs, BLOCK) each; or rows (N, inputs), with `kept_units`.
+        kept_units: as `_values` kept them; empty: they are computed again.
         number_of: (blocks, BLOCK), the points of a block among the rows of `upstream`.
         kept: how many points each block has. Both are empty if the blocks are all points in turn.
         to_features: as features; empty: not wanted.
     """
     inputs, outputs, b, one = U(widths[0]), U(widths[-1]), U(BLOCK), U(1)
-    own, row, other = work(weights, widths), wide(outputs, weights), wide(inputs, weights)
-    points, goes_on, point, feature = U(upstream.size) // outputs, to_features.size > 0, U(x_row), U(x_step)
+    own, goes_on, in_rows = work(weights, widths), to_features.size > 0, kept_units.size > 0
+    points, size = U(upstream.size) // outputs, U(own.units.size)
     blocks = U(kept.size) if kept.size > 0 else (points + b - one) // b
+    # Where feature f of point k is: k point + f feature.
+    point, feature = (inputs, one) if in_rows else (one, b)
     for part in range(U(start), U(stop)):
         own.sums[:] = 0
         for block in range(part * U(PART), min((part + one) * U(PART), blocks)):
             first, base = block * b, block * b * inputs
             count = U(kept[block]) if kept.size > 0 else min(b, points - first)
-            # The units again, so that the forward pass need not keep them.
+            # A copy: they may be in no cache, and come faster one after another than as a product, which leaps, reads.
             for k in range(min(b * inputs, U(features.size) - base)):
                 own.x[k] = features[base + k]
-            layers_forward(own.x, point, feature, count, widths, own)
-            for k in range(count):
-                number = U(number_of[block, k]) if kept.size > 0 else first + k
-                for o in range(outputs):
-                    own.to_values[k * row + o] = upstream[number * outputs + o]
-            to_x = layers_backward(own.x, point, feature, count, widths, own, goes_on)
+            units = kept_units[block * size : (block + one) * size] if in_rows else own.units
+            if not in_rows:
+                layers_values(own.x, count, weights, widths, units)
+            for o in range(outputs):
+                for k in range(count):
+                    number = U(number_of[block, k]) if kept.size > 0 else first + k
+                    own.to_values[o * b + k] = upstream[number * outputs + o]
+                for k in range(count, wide(count, weights)):
+                    own.to_values[o * b + k] = 0
+            to_x = layers_gradients(own.x, inputs if in_rows else U(0), count, widths, own, units, goes_on)
             if goes_on:
                 for k in range(count):
                     for f in range(inputs):
-                        to_features[base + k * point + f * feature] = to_x[k * other + f]
-        _by_input(sums[part], widths, own.sums, one)
+                        to_features[base + k * point + f * feature] = to_x[f * b + k]
+        packed_sums(own, widths, sums[part])

@@ -246,19 +246,19 @@ def fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 def tile(rows: int, vectors: int) -> Callable[..., Any]:
-    """A function of compiled code: `rows` times `vectors` of c = max(a b + start, low), from row i and column j on.
+    """A function of compiled code: `rows` times `vectors` of c = max(c + a b, low), from row i and column j on.
 
-    a (count, depth), b (depth, columns), start and c are flat, with their rows so far apart, and columns of a `a_step`.
-    Each number of a is loaded once for all columns of the tile, each vector of b once for all rows. LLVM keeps the sums
-    in registers. Behind the last row, it is computed again.
+    a (count, depth), b (depth, columns) and c are flat, with their rows so far apart, and the columns of a `a_step`.
+    Each number of a is loaded once for all columns of the tile, each vector of b once for all its rows. LLVM keeps the
+    sums in registers. Behind the last row, it is computed again.
     """
 
     @intrinsic
-    def function(typing_context, i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, c_row):  # type: ignore[no-untyped-def]  # fmt: skip
+    def function(typing_context, i, j, count, a, a_row, a_step, b, b_row, depth, low, c, c_row):  # type: ignore[no-untyped-def]
         vector, integer = Vector(a.dtype), ir.IntType(64)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            i, j, count, left, a_row, a_step, right, b_row, depth, start, start_row, low, c, c_row = arguments
+            i, j, count, left, a_row, a_step, right, b_row, depth, low, c, c_row = arguments
             add, times, align, fast = builder.add, builder.mul, vector.dtype.bitwidth // 8, ("contract",)
 
             def at(array: Any, row: Any, distance: Any, column: Any) -> Any:
@@ -279,23 +279,55 @@ def tile(rows: int, vectors: int) -> Callable[..., Any]:
                     for x, total in zip(across, totals, strict=True):
                         product = builder.fmul(factor, x, flags=fast)
                         builder.store(builder.fadd(product, builder.load(total), flags=fast), total)
-            # All of `start` is read before c is written: they may be the same.
-            found = [
-                (total, number, column, builder.load(at(start, number, start_row, column), align=align))
-                for number, totals in zip(numbers, sums, strict=True)
-                for column, total in zip(columns, totals, strict=True)
-            ]
+            # All of c is read before any is written: a last row may come several times.
+            results = []
             low = _filled(context, builder, low, vector)
-            for total, number, column, first in found:
-                result = builder.fadd(builder.load(total), first)
-                result = builder.select(builder.fcmp_unordered(">", result, low), result, low)
-                builder.store(result, at(c, number, c_row, column), align=align)
+            for number, totals in zip(numbers, sums, strict=True):
+                for column, total in zip(columns, totals, strict=True):
+                    place = at(c, number, c_row, column)
+                    result = builder.fadd(builder.load(total), builder.load(place, align=align))
+                    result = builder.select(builder.fcmp_unordered(">", result, low), result, low)
+                    results.append((result, place))
+            for result, place in results:
+                builder.store(result, place, align=align)
             return context.get_dummy_value()
 
-        kinds = (i, j, count, a, a_row, a_step, b, b_row, depth, start, start_row, low, c, c_row)
-        return types.void(*kinds), generate
+        return types.void(i, j, count, a, a_row, a_step, b, b_row, depth, low, c, c_row), generate
 
     return function
+
+
+@intrinsic
+def transpose(typing_context, x, x_row, count, first, column, out, out_row):  # type: ignore[no-untyped-def]
+    """out[k, f] = x[f, k] for as many k from `column` on, and f from `first` on, as a vector has numbers.
+
+    Both are flat, with rows so far apart. `x` has `count` rows; behind the last one, it is taken again.
+    """
+    vector, integer = Vector(x.dtype), ir.IntType(64)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        x_, x_row, count, first, column, out_, out_row = arguments
+        lanes, align, add, times = vector.lanes, vector.dtype.bitwidth // 8, builder.add, builder.mul
+        last = builder.sub(count, integer(1))
+        vectors = []
+        for lane in range(lanes):
+            row = add(first, integer(lane))
+            row = builder.select(builder.icmp_unsigned("<", row, last), row, last)
+            place = pointer(context, builder, x, x_, add(times(row, x_row), column), vector)
+            vectors.append(builder.load(place, align=align))
+        # Vectors of both halves are interleaved, and again, until each has one number of every row.
+        orders = [[part * lanes // 2 + i // 2 + i % 2 * lanes for i in range(lanes)] for part in range(2)]
+        masks = [ir.Constant(ir.VectorType(ir.IntType(32), lanes), order) for order in orders]
+        for _ in range(lanes.bit_length() - 1):
+            halves = list(zip(vectors[: lanes // 2], vectors[lanes // 2 :], strict=True))
+            vectors = [builder.shuffle_vector(a, b, mask) for a, b in halves for mask in masks]
+        for lane, found in enumerate(vectors):
+            row = add(column, integer(lane))
+            place = pointer(context, builder, out, out_, add(times(row, out_row), first), vector)
+            builder.store(found, place, align=align)
+        return context.get_dummy_value()
+
+    return types.void(x, x_row, count, first, column, out, out_row), generate
 
 
 def _operator(symbol: Any, instruction: str) -> None:
