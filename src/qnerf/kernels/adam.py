@@ -9,19 +9,18 @@ from numba import types
 from torch import Tensor
 
 from qnerf.kernels.hashgrid import U
-from qnerf.kernels.jit import jit, run
+from qnerf.kernels.jit import flat, jit, run
 from qnerf.kernels.simd import intrinsic
 
 GRAIN = 2**18  # numbers that are worth waking a thread for
 
 
 class Update(NamedTuple):
-    """One parameter, its gradient and its moments, all contiguous and of one shape and dtype."""
+    """One parameter and its moments."""
 
-    parameter: Tensor
-    gradient: Tensor
-    mean: Tensor  # running mean of gradients
-    square: Tensor  # running mean of their squares
+    tensors: tuple[Tensor, Tensor, Tensor, Tensor]
+    """The parameter, its gradient, and the running means of gradients and of their squares: all contiguous and of one
+    shape and dtype."""
     rate: float
     """Learning rate over 1 - beta1^step."""
     scale: float
@@ -30,10 +29,10 @@ class Update(NamedTuple):
 
 def adam(updates: Sequence[Update], beta1: float, beta2: float, eps: float) -> None:
     """Changes parameters and moments in place."""
-    places = np.array([[tensor.data_ptr() for tensor in update[:4]] for update in updates])
-    ends = np.cumsum([update.parameter.numel() for update in updates])
-    like = updates[0].parameter.detach().numpy().reshape(-1)
-    rates, scales = (np.array([update[i] for update in updates], like.dtype) for i in (4, 5))
+    places = np.array([tensor.data_ptr() for update in updates for tensor in update.tensors]).reshape(-1, 4)
+    ends = np.cumsum([update.tensors[0].numel() for update in updates])
+    like = flat(updates[0].tensors[0])
+    rates, scales = (np.array([update[i] for update in updates], like.dtype) for i in (1, 2))
     numbers = (like.dtype.type(number) for number in (1 - beta1, beta2, 1 - beta2, eps))
     run(_adam, int(ends[-1]), places, ends, rates, scales, *numbers, like, grain=GRAIN)
 
