@@ -20,12 +20,11 @@ from qnerf.kernels.dispatch import serves
 from qnerf.kernels.hashgrid import (
     BLOCK,
     U,
-    add_gradient,
     check,
-    corners,
     empty,
     hash_encode_reference,
     interpolate,
+    table_gradient,
 )
 from qnerf.kernels.jit import flat, jit, prepared
 from qnerf.kernels.mlp import PART, Layer, layers_of, packed, unpacked
@@ -148,7 +147,7 @@ class GridPass:
         self._values = prepared(network_values, len(kept), points, where, *self.arrays, self.values, grain=PART)
         of_layers = (encoded, self.weights[:0], self.weights, widths, number_of, kept, to_encoded, self.sums)
         self._layers = prepared(mlp.gradients, len(self.sums), *of_layers, grain=1)
-        of_table = (points, number_of, kept, to_encoded.numpy(), *grid)
+        of_table = (points, number_of, kept, to_encoded, *grid)
         self._table = prepared(table_gradient, len(table), *of_table, grain=1)
         self.written: list[Tensor] = []
 
@@ -238,29 +237,3 @@ def network_values(  # type: ignore[no-untyped-def]
             for k in range(b):
                 number_of[block, k] = numbers[k]
             kept[block] = count
-
-
-@jit
-def table_gradient(start, stop, points, number_of, kept, to_features, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
-    """Writes the table's gradient of levels start..stop; adds the points in their order."""
-    levels = resolutions.size
-    width = U(out.size // levels)
-    size = out.size // (levels * features)
-    mask = np.uint32(size - 1)
-    local = np.empty(3 * BLOCK, points.dtype)
-    row = np.empty(8 * BLOCK, np.uint32)
-    weight = np.empty(8 * BLOCK, points.dtype)
-    fraction = np.empty(3 * BLOCK, points.dtype)
-    # As in `hashgrid`, a thread owns whole levels. The points inside are packed again as the forward pass did it.
-    for level in range(start, stop):
-        entry = out[U(level) * width : U(level + 1) * width]
-        entry[:] = 0
-        direct = dense and (resolutions[level] + 1) ** 3 <= size
-        for block in range(kept.size):
-            numbers, count = number_of[block], U(kept[block])
-            for k in range(count):
-                i, j = U(3) * U(numbers[k]), U(3) * k
-                local[j], local[j + U(1)], local[j + U(2)] = points[i], points[i + U(1)], points[i + U(2)]
-            corners(local, 0, count, resolutions[level], direct, mask, row, weight, fraction)
-            base = U(level * features * BLOCK)
-            add_gradient(entry, to_features[block], base, U(1), U(BLOCK), count, U(features), row, weight)

@@ -45,13 +45,14 @@ CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]
 FINEST = 2**20  # cells along a side: beyond, float32 coordinates cannot tell cells apart
 BLOCK = 128  # points at a time: their corner rows and weights stay in the first-level cache
 GRAIN = 1024  # points that are worth waking a thread for
+ALL_POINTS = (np.empty((0, BLOCK), np.int32), np.empty(0, np.int32))  # no points were chosen
 
 
 def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:
     """Features (N, L F) of points, level by level.
 
-    On the CPU this is a compiled loop. Its values equal `hash_encode_reference` to the last bit and its gradients
-    (of points and table) to rounding, and they do not depend on the number of threads. Second derivatives, and
+    On the CPU this is a compiled loop. Its values and its gradients (of points and table) equal those of
+    `hash_encode_reference` to rounding, and they do not depend on the number of threads. Second derivatives, and
     everything on other devices, come from the reference.
 
     >>> table = torch.ones(2, 2**4, 1)
@@ -135,14 +136,14 @@ class _HashEncode(torch.autograd.Function):
             reference = partial(hash_encode_reference, resolutions=resolutions, dense=ctx.dense)
             return *through_reference(reference, (points, table), gradient), None, None
         levels, _, features = table.shape
-        common = (flat(points), flat(gradient), flat(resolutions), ctx.dense, features)
+        common = (flat(gradient), flat(resolutions), ctx.dense, features)
         to_points = to_table = None
         if ctx.needs_input_grad[1]:
             to_table = empty(tuple(table.shape), flat(table).dtype)  # each level is zeroed by the thread that owns it
-            run(_table_gradient, levels, *common, flat(to_table), grain=1)
+            run(table_gradient, levels, flat(points), *ALL_POINTS, *common, flat(to_table), grain=1)
         if ctx.needs_input_grad[0]:
             to_points = torch.empty(points.shape, dtype=points.dtype)
-            run(_points_gradient, len(points), *common, flat(table), flat(to_points), grain=GRAIN)
+            run(_points_gradient, len(points), flat(points), *common, flat(table), flat(to_points), grain=GRAIN)
         return to_points, to_table, None, None
 
 
@@ -288,55 +289,18 @@ def interpolate(points, count, table, resolutions, dense, features, row, weight,
 @jit
 def _forward(start, stop, points, table, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
     """Writes the features of points start..stop."""
-    levels = resolutions.size
-    width = U(table.size // levels)
-    size = table.size // (levels * features)
-    mask = np.uint32(size - 1)
-    stride = U(levels * features)
-    b, nf = U(BLOCK), U(features)
-    row = np.empty(8 * BLOCK, np.uint32)
-    weight = np.empty(8 * BLOCK, points.dtype)
-    fraction = np.empty(3 * BLOCK, points.dtype)
-    total = np.empty(max(BLOCK, features), points.dtype)
-    zero = points.dtype.type(0)
-    # A block of points goes through all levels while its rows and weights are in the first-level cache. Corners are
-    # added in the order of the reference, one at a time, so that the values equal its own to the last bit.
+    width = U(resolutions.size * features)
+    row = np.zeros(8 * BLOCK, np.uint32)
+    weight, fraction = np.zeros(8 * BLOCK, points.dtype), np.empty(3 * BLOCK, points.dtype)
+    encoded = np.empty(width * U(BLOCK), points.dtype)
+    # A block of points goes through all levels while its rows and weights are in the first-level cache.
     for first in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - first)
-        for level in range(levels):
-            direct = dense and (resolutions[level] + 1) ** 3 <= size
-            corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
-            entry = table[U(level) * width : U(level + 1) * width]
-            base = U(first) * stride + U(level) * nf
-            # One feature: corner by corner over the block, so that the loads of a whole row of points are under way at
-            # once. With more features an entry is a piece of a cache line, and point by point reads it once.
-            if features == 1:
-                for i in range(U(count)):
-                    total[i] = weight[i] * entry[row[i]]
-                for c in range(U(1), U(8)):
-                    for i in range(U(count)):
-                        total[i] += weight[c * b + i] * entry[row[c * b + i]]
-                for i in range(U(count)):
-                    out[base + i * stride] = total[i]
-            elif features == 2:
-                for i in range(U(count)):
-                    even, odd = zero, zero
-                    for c in range(U(8)):
-                        k, w = U(2) * U(row[c * b + i]), weight[c * b + i]
-                        even += w * entry[k]
-                        odd += w * entry[k + U(1)]
-                    out[base + i * stride] = even
-                    out[base + i * stride + U(1)] = odd
-            else:
-                for i in range(U(count)):
-                    for f in range(nf):
-                        total[f] = zero
-                    for c in range(U(8)):
-                        k, w = nf * U(row[c * b + i]), weight[c * b + i]
-                        for f in range(nf):
-                            total[f] += w * entry[k + f]
-                    for f in range(nf):
-                        out[base + i * stride + f] = total[f]
+        count = U(min(BLOCK, stop - first))
+        block = points[U(3) * U(first) : U(3) * (U(first) + count)]
+        interpolate(block, count, table, resolutions, dense, features, row, weight, fraction, encoded)
+        for i in range(count):
+            for f in range(width):
+                out[(U(first) + i) * width + f] = encoded[f * U(BLOCK) + i]
 
 
 @jit
@@ -368,28 +332,38 @@ def add_gradient(entry, gradient, base, point, feature, count, features, row, we
 
 
 @jit
-def _table_gradient(start, stop, points, gradient, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
-    """Writes the table's gradient of levels start..stop; adds the points in their order."""
-    levels = resolutions.size
-    width = U(out.size // levels)
+def table_gradient(start, stop, points, number_of, kept, gradient, resolutions, dense, features, out):  # type: ignore[no-untyped-def]
+    """Writes the table's gradient of levels start..stop; adds the points in their order.
+
+    `gradient` is flat: of all points in turn (N, L F) or, of the points `number_of` that were `kept` in each block of
+    points, (blocks, L F, BLOCK).
+    """
+    levels, b, nf = resolutions.size, U(BLOCK), U(features)
+    width, stride, points_in_all = U(out.size // levels), U(levels * features), U(points.size // 3)
     size = out.size // (levels * features)
     mask = np.uint32(size - 1)
-    stride = U(levels * features)
-    nf = U(features)
+    local = np.empty(3 * BLOCK, points.dtype)
     row = np.empty(8 * BLOCK, np.uint32)
-    weight = np.empty(8 * BLOCK, points.dtype)
-    fraction = np.empty(3 * BLOCK, points.dtype)
-    count_all = points.size // 3
+    weight, fraction = np.empty(8 * BLOCK, points.dtype), np.empty(3 * BLOCK, points.dtype)
+    chosen = kept.size > 0
+    point, feature = (U(1), b) if chosen else (stride, U(1))
     # A thread owns whole levels. So no two threads write to one entry, and nothing has to be merged.
     for level in range(start, stop):
         entry = out[U(level) * width : U(level + 1) * width]
         entry[:] = 0
         direct = dense and (resolutions[level] + 1) ** 3 <= size
-        for first in range(0, count_all, BLOCK):
-            count = min(BLOCK, count_all - first)
-            corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
-            base = U(first) * stride + U(level) * nf
-            add_gradient(entry, gradient, base, stride, U(1), count, nf, row, weight)
+        for first in range(U(0), U(kept.size) * b if chosen else points_in_all, b):
+            count = min(b, points_in_all - first)
+            if chosen:
+                numbers, count = number_of[first // b], U(kept[first // b])
+                for k in range(count):
+                    i, j = U(3) * U(numbers[k]), U(3) * k
+                    local[j], local[j + U(1)], local[j + U(2)] = points[i], points[i + U(1)], points[i + U(2)]
+                corners(local, U(0), count, resolutions[level], direct, mask, row, weight, fraction)
+            else:
+                corners(points, first, count, resolutions[level], direct, mask, row, weight, fraction)
+            base = first * stride + U(level) * nf * feature
+            add_gradient(entry, gradient, base, point, feature, count, nf, row, weight)
 
 
 @jit
