@@ -60,7 +60,7 @@ _MODEL = {
 }
 
 LOOPS: dict[str, Loop] = {
-    "whole step": Loop(_SPACE | _NETWORK | _SHADINGS | _MODEL),
+    "whole step": Loop(_SPACE | _NETWORK | _SHADINGS | _MODEL | {"qnerf.heads.mlp.MLPHead": _MLP}),
     "training rays": Loop(),
     "proposals": Loop(_SPACE | _NETWORK),
     "sample places": Loop(_SPACE),

@@ -7,16 +7,16 @@ Every loop works on buffers that are made once. The heads are islands: a head ta
 the way back it takes their gradients and returns those of its features. In between it is any module under autograd. An
 MLP on a hash grid is no island: one loop computes both.
 
-`Trainer` takes this way where `known` knows every other component. Else autograd goes through the same loops one by
-one, with the same numbers up to rounding.
+`Trainer` takes this way where `Chain.serves`. Else autograd goes through the same loops one by one, with the same
+numbers up to rounding.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from qnerf.config.settings import Train
 from qnerf.geometry.pose_refinement import FixedPoses
@@ -38,63 +38,101 @@ from qnerf.timing import Stopwatch
 from qnerf.training.losses import EPS
 
 
-def known(
-    model: Model, parameters: Sequence[nn.Parameter], table: RayTable, background: str, but: str | None = None
-) -> bool:
-    """Whether the chain knows all components of the model. If not, every open report of loops learns why.
+class Chain:
+    """Steps of one model: `terms`, then `backward`.
 
     Args:
-        but: another reason against it, which the caller knows.
+        model: whose `parameters` are trained.
+        table: of the training pixels.
+        background: see `qnerf.rendering.render`.
     """
-    field, sampler = model.field, model.sampler
-    against = {
-        "refined poses": type(model.cameras) is not FixedPoses,
-        "more directions than are kept": table.directions is None,
-        "another spacing": isinstance(sampler, ProposalSampler) and sampler.spacing not in KNOWN_SPACINGS,
-        "another activation of the density": options_of(
-            model.shading, field.density_activation, field.initial, background
-        )
-        is None,
-        "parameters that do not learn": not all(one.requires_grad for one in parameters),
-        "hooks on parameters": any(one._backward_hooks or one._post_accumulate_grad_hooks for one in parameters),
-        "autocast": torch.is_autocast_enabled("cpu"),
-    }
-    but = but or next((reason for reason, holds in against.items() if holds), None)
-    networks = list(sampler.networks) if isinstance(sampler, ProposalSampler) else []
-    modules = [model, field, sampler, *networks, field.contraction, model.shading, model.cameras]
-    if field.mask is not None:
-        modules.append(field.mask)
-    called = [field.encoder, field.density_head, field.color_head, field.directions, field.appearance]
-    return serves("whole step", table.poses, modules=modules, called=called, but=but)
+
+    def __init__(self, model: Model, table: RayTable, train: Train, background: str) -> None:
+        self.model, self.table, self.train, self.background = model, table, train, background
+        self.parameters = list(model.parameters())
+        self.geometry: Geometry | None = None
+        self.colors: Colors | None = None
+
+    def serves(self, but: str | None = None) -> bool:
+        """Whether the chain knows all components of the model. If not, every open report of loops learns why.
+
+        Args:
+            but: another reason against it, which the caller knows.
+        """
+        model, field, sampler = self.model, self.model.field, self.model.sampler
+        options = options_of(model.shading, field.density_activation, field.initial, self.background)
+        networks = list(sampler.networks) if isinstance(sampler, ProposalSampler) else []
+        against = {
+            "refined poses": type(model.cameras) is not FixedPoses,
+            "more directions than are kept": self.table.directions is None,
+            "another spacing": bool(networks) and getattr(sampler, "spacing", None) not in KNOWN_SPACINGS,
+            "another activation of the density": options is None,
+            "parameters that do not learn": not all(one.requires_grad for one in self.parameters),
+            "hooks on parameters": any(
+                one._backward_hooks or one._post_accumulate_grad_hooks for one in self.parameters
+            ),
+            "autocast": torch.is_autocast_enabled("cpu"),
+        }
+        but = but or next((reason for reason, holds in against.items() if holds), None)
+        modules = [model, field, sampler, *networks, field.contraction, model.shading, model.cameras]
+        if field.mask is not None:
+            modules.append(field.mask)
+        if self.geometry and self.geometry.grid_pass:
+            modules += [field.encoder, field.density_head]
+        called = [field.encoder, field.density_head, field.color_head, field.directions, field.appearance]
+        return serves("whole step", self.table.poses, modules=modules, called=called, but=but)
+
+    @torch.no_grad()
+    def terms(self, streams: Mapping[str, torch.Generator], step: int, watch: Stopwatch) -> dict[str, Tensor]:
+        """Draws a batch; the weighted terms of the loss."""
+        if self.geometry is None or self.geometry.made_for != self._places():
+            self.geometry = Geometry(self.model, self.table, self.train.rays, self.background)
+            self.geometry.made_for, self.colors = self._places(), None
+        geometry = self.geometry
+        with watch.stage("sampling"):
+            geometry.sample(streams, step)
+        with watch.stage("field"):
+            raw = geometry.raw_values()
+            self.colors = self.colors or Colors(self.model, geometry, raw, self.train, self.background)
+            self.colors.forward()
+        with watch.stage("render"):
+            return self.colors.losses(streams["samples"], geometry.learns, watch.active)
+
+    @torch.no_grad()
+    def backward(self) -> None:
+        """Writes the gradients of all parameters that the last `terms` depend on."""
+        assert self.geometry
+        assert self.colors
+        if self.geometry.learns and self.train.interlevel:
+            for proposal, gradient in zip(self.geometry.proposals, self.colors.to_proposed, strict=True):
+                proposal.backward(flat(gradient))
+        self.geometry.backward(self.colors.backward())
+
+    def _places(self) -> tuple[int, ...]:
+        """Where in memory everything lies that buffers are made for."""
+        mask = self.model.field.mask
+        return (*(one.data_ptr() for one in self.parameters), 0 if mask is None else mask.grid.data_ptr())
 
 
-class Chain:
-    """Steps of a `known` model: `terms`, then `backward`."""
+class Geometry:
+    """The first half of a chain: a batch of R rays -> proposals -> K samples on each -> raw values."""
 
-    def __init__(
-        self, model: Model, parameters: Sequence[nn.Parameter], table: RayTable, train: Train, background: str
-    ) -> None:
+    made_for: tuple[int, ...] = ()
+
+    def __init__(self, model: Model, table: RayTable, rays: int, background: str) -> None:
         sampler, field = model.sampler, model.field
         assert isinstance(sampler, ProposalSampler)
-        self.sampler = sampler
-        self.model, self.parameters, self.table, self.train, self.background = (
-            model,
-            parameters,
-            table,
-            train,
-            background,
-        )
-        self.made_for = self._places()
+        self.sampler, self.field, self.table, self.last = sampler, field, table, background == "last_sample"
         # A batch.
-        self.numbers = torch.empty(train.rays, dtype=torch.int64)
-        self.rays, self.pixels = table.empty_batch(train.rays)
+        self.numbers = torch.empty(rays, dtype=torch.int64)
+        self.rays, self.pixels = table.empty_batch(rays)
         self._gather = table.gather(self.numbers, self.rays, self.pixels)
         # Each proposal network draws the edges of the next one, and the last one those of the samples.
         new, counts = table.poses.new_empty, (*sampler.samples, sampler.final)
         space = sampler.space(self.rays)
         assert space
-        self.jitters = new(len(counts), train.rays, 1)
-        self.even = s = new(train.rays, counts[0] + 1)
+        self.jitters = new(len(counts), rays, 1)
+        self.even = s = new(rays, counts[0] + 1)
         self.proposals: list[Proposal] = []
         for network, (_, following), jitter in zip(sampler.networks, pairwise(counts), self.jitters[1:], strict=True):
             assert isinstance(network, ProposalNetwork)
@@ -103,73 +141,49 @@ class Chain:
         self.spacing, self.edges = s, new(s.shape)
         self._in_world = in_world(space, s, self.edges)
         # The samples in the unit cube, and the network on the hash grid.
-        shape, mask = (train.rays, sampler.final), field.mask
+        shape, mask = (rays, sampler.final), field.mask
         self.unit = new(*shape, 3)
         self.inside = None if mask is None else torch.empty(shape, dtype=torch.bool)
         self.evaluated = None if self.inside is None else torch.empty_like(self.inside)
         ends = (self.rays.origins, self.rays.directions, self.edges, *numbers_of(field.contraction))
         self._place = places(*ends, None if mask is None else mask.grid, self.unit, self.inside)
-        layers = field.on_grid(self.unit.view(-1, 3))
-        where = None if self.evaluated is None else self.evaluated.flatten()
-        self.grid_pass = None if layers is None else GridPass(self.unit.view(-1, 3), where, layers)
-        self.colors: Colors | None = None  # made where the number of raw values is known
+        points, where = self.unit.view(-1, 3), None if self.evaluated is None else self.evaluated.flatten()
+        network_on_grid = field.on_grid(points)
+        self.grid_pass = None if network_on_grid is None else GridPass(points, where, network_on_grid)
+        self.raw: Tensor | None = None if self.grid_pass is None else self.grid_pass.values.view(*shape, -1)
 
-    def _places(self) -> tuple[int, ...]:
-        """Where in memory everything lies that the buffers were made for."""
-        mask = self.model.field.mask
-        return (*(one.data_ptr() for one in self.parameters), 0 if mask is None else mask.grid.data_ptr())
+    def sample(self, streams: Mapping[str, torch.Generator], step: int) -> None:
+        """Draws a batch and its samples."""
+        self.table.draw(self.numbers, streams["pixels"])
+        self._gather()
+        self.learns = self.sampler.learns(step)
+        torch.rand(self.jitters.shape, dtype=self.jitters.dtype, generator=streams["samples"], out=self.jitters)
+        even_edges(self.rays, self.sampler.samples[0], self.jitters[0], out=self.even)
+        for proposal in self.proposals:
+            proposal.forward(self.sampler.anneal(step), self.learns)
+        self._in_world()
 
-    @property
-    def fits(self) -> bool:
-        """Whether parameters and mask are where they were, and the density is computed as it was."""
-        fused = self.model.field.on_grid(self.unit.view(-1, 3)) is not None
-        return self._places() == self.made_for and fused == (self.grid_pass is not None)
-
-    @torch.no_grad()
-    def terms(self, streams: Mapping[str, torch.Generator], step: int, watch: Stopwatch) -> dict[str, Tensor]:
-        """Draws a batch; the weighted terms of the loss."""
-        sampler, samples = self.sampler, streams["samples"]
-        with watch.stage("sampling"):
-            self.table.draw(self.numbers, streams["pixels"])
-            self._gather()
-            self.learns = sampler.learns(step)
-            torch.rand(self.jitters.shape, dtype=self.jitters.dtype, generator=samples, out=self.jitters)
-            even_edges(self.rays, sampler.samples[0], self.jitters[0], out=self.even)
-            for proposal in self.proposals:
-                proposal.forward(sampler.anneal(step), self.learns)
-            self._in_world()
-        with watch.stage("field"):
-            raw = self._raw()
-            if self.colors is None:
-                self.colors = Colors(self, raw)
-            self.colors.forward(raw)
-        with watch.stage("render"):
-            return self.colors.losses(samples, self.learns, watch.active)
-
-    def _raw(self) -> Tensor:
-        """Raw values (R, K, 1 + G) of the samples."""
+    def raw_values(self) -> Tensor:
+        """Raw values (R, K, 1 + G) of the samples, each time in the same memory."""
         self._place()
         if self.evaluated is not None and self.inside is not None:
             self.evaluated.copy_(self.inside)
-            evaluate_last(self.evaluated, self.background == "last_sample")
-        if self.grid_pass is not None:
-            return self.grid_pass.forward().view(*self.unit.shape[:2], -1)
-        points, field = self.unit.view(-1, 3), self.model.field
+            evaluate_last(self.evaluated, self.last)
+        if self.grid_pass is not None and self.raw is not None:
+            self.grid_pass.forward()
+            return self.raw
+        points = self.unit.view(-1, 3)
         self.chosen = slice(None) if self.evaluated is None else self.evaluated.flatten().nonzero()[:, 0]
         with torch.enable_grad():
-            self.values = field.density_head(field.encoder(points[self.chosen]))
-        raw = self.unit.new_zeros(len(points), self.values.shape[1])
-        raw[self.chosen] = self.values.detach().to(raw.dtype)
-        return raw.view(*self.unit.shape[:2], -1)
+            self.values = self.field.density_head(self.field.encoder(points[self.chosen]))
+        if self.raw is None:
+            self.raw = points.new_zeros(*self.unit.shape[:2], self.values.shape[1])
+        rows = self.raw.zero_().flatten(0, 1)
+        rows[self.chosen] = self.values.detach().to(rows.dtype)
+        return self.raw
 
-    @torch.no_grad()
-    def backward(self) -> None:
-        """Writes the gradients of all parameters that the last `terms` depend on."""
-        assert self.colors
-        if self.learns and self.train.interlevel:
-            for proposal, gradient in zip(self.proposals, self.colors.to_proposed, strict=True):
-                proposal.backward(flat(gradient))
-        to_raw = self.colors.backward()
+    def backward(self, to_raw: Tensor) -> None:
+        """Writes the gradients of the encoder and of the density head."""
         if self.grid_pass is not None:
             self.grid_pass.backward(flat(to_raw))
         else:
@@ -179,25 +193,23 @@ class Chain:
 class Colors:
     """The second half of a chain: raw values -> weights and shares -> colours -> losses."""
 
-    def __init__(self, chain: Chain, raw: Tensor) -> None:
-        model, self.chain = chain.model, chain
-        field, way, self.background = model.field, model.shading, chain.background
+    def __init__(self, model: Model, geometry: Geometry, raw: Tensor, train: Train, background: str) -> None:
+        field, way = model.field, model.shading
         assert isinstance(way, EverySample | MergeShading)
-        options = options_of(way, field.density_activation, field.initial, chain.background)
+        options = options_of(way, field.density_activation, field.initial, background)
         assert options
-        self.field, self.way, self.train = field, way, chain.train
+        self.field, self.way, self.geometry, self.train, self.background = field, way, geometry, train, background
         # Weights, shares, and the mean geometry of the points that may get a colour.
-        self.raw, self.to_raw, self.deltas = torch.empty_like(raw), torch.empty_like(raw), raw.new_empty(raw.shape[:2])
+        self.to_raw, self.deltas = torch.empty_like(raw), raw.new_empty(raw.shape[:2])
         self.shaded = kept = shading.Buffers.of(raw, options)
         given = self.to_weights, self.to_shares, self.to_mean = [torch.empty_like(one) for one in kept[:3]]
-        samples = (self.raw, chain.inside, self.deltas, options, kept)
+        samples = (raw, geometry.inside, self.deltas, options, kept)
         self._shade = shading.shade(*samples)
         self._shade_gradient = shading.shade_gradient(*samples, given, self.to_raw)
         # What the colour head gets for each point that was chosen, in rows of as many as there can be.
         rays, points, features = kept.mean.shape
         self.chosen, self.ends = torch.ones(rays, points, dtype=torch.bool), np.empty(rays, np.int64)
-        with torch.enable_grad():
-            width = field.of_rays(chain.rays.directions, chain.rays.cameras).shape[1]
+        width = field.of_rays(geometry.rays.directions, geometry.rays.cameras).shape[1]
         self.of_rays, self.to_rays = raw.new_empty(2, rays, width).unbind()
         self.rows, index = raw.new_empty(rays * points, width + features), torch.empty(rays * points, dtype=torch.int64)
         self._rows = color_inputs.gather(self.of_rays, kept.mean, self.chosen, self.ends, self.rows, index)
@@ -206,29 +218,28 @@ class Colors:
         self.behind = raw.new_empty(rays if self.background != "last_sample" else 0, 3)
         self.to_colors, self.squares = raw.new_empty(rays * points, 3), np.empty(rays)
         written = (self.squares, self.to_colors, self.to_shares, self.to_weights)
-        shares = (kept.shares, kept.weights, self.chosen, self.ends, chain.pixels, self.behind)
+        shares = (kept.shares, kept.weights, self.chosen, self.ends, geometry.pixels, self.behind)
         sizes = (points, raw.shape[1])
         self._composite = prepared(compositing.composite, rays, *sizes, *shares, *written, grain=compositing.GRAIN)
         self.of_ray, self.by_weights = np.empty(rays), torch.empty_like(kept.weights)
-        self._distortion = histogram.distortion(kept.weights, chain.spacing, self.of_ray, self.by_weights)
-        self.to_proposed = [torch.empty_like(proposal.weights) for proposal in chain.proposals]
+        self._distortion = histogram.distortion(kept.weights, geometry.spacing, self.of_ray, self.by_weights)
+        self.to_proposed = [torch.empty_like(proposal.weights) for proposal in geometry.proposals]
         self._interlevel = [
-            histogram.interlevel(proposal.weights, chain.spacing, kept.weights, proposal.s, EPS, self.of_ray, to)
-            for proposal, to in zip(chain.proposals, self.to_proposed, strict=True)
+            histogram.interlevel(proposal.weights, geometry.spacing, kept.weights, proposal.s, EPS, self.of_ray, to)
+            for proposal, to in zip(geometry.proposals, self.to_proposed, strict=True)
         ]
 
-    def forward(self, raw: Tensor) -> None:
+    def forward(self) -> None:
         """Colours (N, 3) of the chosen points."""
-        chain, field = self.chain, self.field
-        self.raw.copy_(raw)
-        torch.sub(chain.edges[:, 1:], chain.edges[:, :-1], out=self.deltas)
+        geometry, field = self.geometry, self.field
+        torch.sub(geometry.edges[:, 1:], geometry.edges[:, :-1], out=self.deltas)
         self._shade()
-        chosen = self.way.chosen(self.shaded.shares, chain.evaluated)
+        chosen = self.way.chosen(self.shaded.shares, geometry.evaluated)
         if chosen is not None:
             self.chosen.copy_(chosen)
         np.cumsum(np.count_nonzero(self.chosen.numpy(), axis=1), out=self.ends)
         with torch.set_grad_enabled(field.appearance is not None):
-            self.own = field.of_rays(chain.rays.directions, chain.rays.cameras)
+            self.own = field.of_rays(geometry.rays.directions, geometry.rays.cameras)
         self.of_rays.copy_(self.own)
         self._rows()
         self.inputs = self.rows[: self.ends[-1]].requires_grad_()

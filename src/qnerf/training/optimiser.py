@@ -39,14 +39,14 @@ def forget_gradients(optimiser: torch.optim.Optimizer) -> None:
 
 def _adam(optimiser: torch.optim.Optimizer, changed: list[tuple[dict[str, Any], nn.Parameter]]) -> None:
     beta1, beta2 = optimiser.defaults["betas"]
-    updates = []
-    for group, one in changed:
-        state = optimiser.state[one]
+    states = [optimiser.state[one] for _, one in changed]
+    for (_, one), state in zip(changed, states, strict=True):
         if not state:
             state |= {"step": torch.zeros(())} | {key: torch.zeros_like(one) for key in ("exp_avg", "exp_avg_sq")}
-        count = state["step"].numpy()
-        count += 1
-        step = float(count)
+    torch._foreach_add_([state["step"] for state in states], 1)
+    updates = []
+    for (group, one), state in zip(changed, states, strict=True):
+        step = state["step"].item()
         tensors = (one, one.grad, state["exp_avg"], state["exp_avg_sq"])
         updates.append(Update(tensors, group["lr"] / (1 - beta1**step), (1 - beta2**step) ** -0.5))  # type: ignore[arg-type]
     adam(updates, beta1, beta2, optimiser.defaults["eps"])

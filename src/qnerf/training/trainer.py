@@ -18,7 +18,7 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
-from qnerf.training.chain import Chain, known
+from qnerf.training.chain import Chain
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
@@ -275,9 +275,7 @@ class Trainer(Loop):
         super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
         self.table = table
         self.background = settings.render.background
-        self.parameters = list(model.parameters())
-        self.chain: Chain | None = None
-        self.chained = False
+        self.chain, self.chained = Chain(model, table, self.train, self.background), False
         self.validation_rays = stop.rays
 
     def prepare_step(self) -> None:
@@ -287,12 +285,9 @@ class Trainer(Loop):
             mask.look(self.model.field, self.streams["samples"])
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
-        parts = (self.model, self.parameters, self.table)
         own = type(self).loss_terms is not Trainer.loss_terms or "loss_terms" in vars(self)
-        self.chained = known(*parts, self.background, "another loss" if own else None)
+        self.chained = self.chain.serves("another loss" if own else None)
         if self.chained:
-            if self.chain is None or not self.chain.fits:
-                self.chain = Chain(*parts, self.train, self.background)
             return self.chain.terms(streams, step, self.watch)
         with self.watch.stage("sampling"):
             rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras)
@@ -303,7 +298,7 @@ class Trainer(Loop):
             return self.loss_terms(rendering, sampled, composite(pixels, behind))
 
     def backward(self, loss: Tensor) -> None:
-        if self.chained and self.chain:
+        if self.chained:
             self.chain.backward()
         else:
             super().backward(loss)
