@@ -67,11 +67,14 @@ class MLPHead(Head):
     def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
         return ("width",) if options["layers"] == 1 else ()
 
-    def forward(self, features: Tensor) -> Tensor:
-        """(N, in_dim) -> (N, out_dim)."""
+    def in_loop(self, features: Tensor) -> list[Layer] | None:
+        """The layers, if a compiled loop computes them on these features; None: the modules do."""
         layers = self.as_layers()
         but = "not linear layers with biases and ReLU between them" if layers is None else None
         but = "autocast" if torch.is_autocast_enabled(features.device.type) else but
-        if serves("MLP", features, modules=(self,), but=but) and layers is not None:
-            return mlp(features, layers)
-        return self.net(features)
+        return layers if serves("MLP", features, modules=(self,), but=but) else None
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(N, in_dim) -> (N, out_dim)."""
+        layers = self.in_loop(features)
+        return self.net(features) if layers is None else mlp(features, layers)

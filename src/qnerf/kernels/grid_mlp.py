@@ -27,7 +27,7 @@ from qnerf.kernels.hashgrid import (
     table_gradient,
 )
 from qnerf.kernels.jit import flat, jit, prepared
-from qnerf.kernels.mlp import PART, Layer, layers_of, packed, unpacked
+from qnerf.kernels.mlp import PART, Layer, Pass, layers_of
 from qnerf.kernels.simd import inner
 
 
@@ -113,12 +113,10 @@ class _GridMLP(torch.autograd.Function):
                 return grid_mlp_reference(points, inside, Grid(table, resolutions, ctx.dense), layers_of(parameters))
 
             return *[None] * 5, *through_reference(reference, (table, *parameters), upstream)
-        gradients = [torch.empty_like(parameter) for parameter in (table, *parameters)]
-        ctx.work.gradients(flat(upstream), gradients)
-        return *[None] * 5, *gradients
+        return *[None] * 5, *ctx.work.gradients(upstream, empty(tuple(table.shape), flat(table).dtype))
 
 
-class GridPass:
+class GridPass(Pass):
     """The loops in both directions at some points, with their buffers, for many calls.
 
     Args:
@@ -131,29 +129,22 @@ class GridPass:
         self, points: Tensor, inside: Tensor | None, network: tuple[Grid, Sequence[Layer]], keeps: bool = True
     ) -> None:
         (table, resolutions, dense), layers = network
-        self.parameters = [table, *(tensor for layer in layers for tensor in layer)]
-        self.own = [flat(parameter) for parameter in self.parameters[1:]]
-        self.weights, widths = packed(layers)
-        self.values = points.new_empty(len(points), len(layers[-1].bias))
         blocks = -(-len(points) // BLOCK)
         kept, blocks = np.empty(blocks, np.int32), blocks if keeps else 0
+        super().__init__(layers, -(-blocks // PART))
+        self.table, self.to_table = table, empty(tuple(table.shape) if keeps else (0,), self.weights.dtype)
+        self.values = points.new_empty(len(points), len(layers[-1].bias))
         number_of = np.empty((blocks, BLOCK), np.int32)
-        encoded, to_encoded = empty((2, blocks, BLOCK * int(widths[0])), self.weights.dtype).unbind()
-        self.sums = np.empty((-(-blocks // PART), len(self.weights)), self.weights.dtype)
+        encoded, to_encoded = empty((2, blocks, BLOCK * int(self.widths[0])), self.weights.dtype).unbind()
         where = np.ones(0, np.bool_) if inside is None else inside
         grid = (resolutions, dense, table.shape[2])
-        self.arrays = (table, *grid, self.weights, widths, encoded.numpy(), number_of, kept)
+        self.arrays = (table, *grid, self.weights, self.widths, encoded.numpy(), number_of, kept)
         """What `network_values` takes between the points and the values."""
         self._values = prepared(network_values, len(kept), points, where, *self.arrays, self.values, grain=PART)
-        of_layers = (encoded, self.weights[:0], self.weights, widths, number_of, kept, to_encoded, self.sums)
+        of_layers = (encoded, self.weights[:0], self.weights, self.widths, number_of, kept, to_encoded, self.sums)
         self._layers = prepared(mlp.gradients, len(self.sums), *of_layers, grain=1)
         of_table = (points, number_of, kept, to_encoded, *grid)
         self._table = prepared(table_gradient, len(table), *of_table, grain=1)
-        self.written: list[Tensor] = []
-
-    def pack(self) -> None:
-        """Takes the weights and biases as they are now."""
-        np.concatenate(self.own, out=self.weights)
 
     def forward(self, keeps: bool = True) -> Tensor:
         """The values (N, O)."""
@@ -161,19 +152,16 @@ class GridPass:
         self._values(keeps)
         return self.values
 
-    def gradients(self, upstream: np.ndarray, to: Sequence[Tensor]) -> None:
-        """Writes those of table, weights and biases, for the gradients (N, O) of the values."""
-        self._layers(upstream)
-        self._table(flat(to[0]))
-        for gradient, part in zip(to[1:], unpacked(self.sums.sum(0), to[1:]), strict=True):
-            gradient.copy_(part)
+    def gradients(self, upstream: Tensor, to_table: Tensor) -> list[Tensor]:
+        """Of table, weights and biases, for the gradients (N, O) of the values. That of the table is written."""
+        self._layers(flat(upstream))
+        self._table(flat(to_table))
+        return [to_table, *self.summed()]
 
-    def backward(self, upstream: np.ndarray) -> None:
+    def backward(self, upstream: Tensor) -> None:
         """Writes the gradients into the parameters."""
-        if not self.written:
-            self.written = [empty(tuple(one.shape), upstream.dtype) for one in self.parameters]
-        self.gradients(upstream, self.written)
-        for parameter, gradient in zip(self.parameters, self.written, strict=True):
+        gradients = self.gradients(upstream, self.to_table)
+        for parameter, gradient in zip((self.table, *self.of_layers), gradients, strict=True):
             parameter.grad = gradient
 
 

@@ -86,32 +86,75 @@ def layers_of(parameters: Sequence[Tensor]) -> list[Layer]:
 class _MLP(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, keeps: bool, rows: Tensor, *parameters: Tensor) -> Tensor:
-        weights, widths = packed(layers_of(parameters))
-        blocks, units = -(-len(rows) // BLOCK), sum(len(bias) for bias in parameters[1::2])
-        kept = rows.new_empty(blocks if keeps else 0, units * BLOCK)
-        values = rows.new_empty(len(rows), len(parameters[-1]))
-        run(_values, blocks, flat(rows), weights, widths, flat(kept), flat(values), grain=PART)
+        ctx.work = MLPPass(rows, layers_of(parameters), keeps)
         if keeps:
-            ctx.save_for_backward(rows, kept, *parameters)
-            ctx.packed = weights, widths
-        return values
+            ctx.save_for_backward(rows, *parameters)
+        return ctx.work.forward(len(rows)).detach()  # the result will point to `ctx`, which must not point back to it
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        rows, kept, *parameters = ctx.saved_tensors
+        rows, *parameters = ctx.saved_tensors
         if is_differentiated(upstream):
 
             def reference(rows: Tensor, *parameters: Tensor) -> Tensor:
                 return mlp_reference(rows, layers_of(parameters))
 
             return None, *through_reference(reference, (rows, *parameters), upstream)
-        weights, widths = ctx.packed
         to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if ctx.needs_input_grad[1] else None
-        sums = np.empty((-(-len(kept) // PART), len(weights)), weights.dtype)
-        to = weights[:0] if to_rows is None else flat(to_rows)
-        arrays = (flat(rows), flat(kept), weights, widths, *ALL_POINTS, to, sums, flat(upstream))
-        run(gradients, len(sums), *arrays, grain=1)
-        return None, to_rows, *unpacked(sums.sum(0), parameters)
+        return None, to_rows, *ctx.work.gradients(upstream, to_rows)
+
+
+class Pass:
+    """Buffers for layers that change from call to call."""
+
+    def __init__(self, layers: Sequence[Layer], parts: int) -> None:
+        self.of_layers = [tensor for layer in layers for tensor in layer]
+        self.own = [flat(parameter) for parameter in self.of_layers]
+        self.weights, self.widths = packed(layers)
+        self.sums = np.empty((parts, len(self.weights)), self.weights.dtype)
+
+    def pack(self) -> None:
+        """Takes the weights and biases as they are now."""
+        np.concatenate(self.own, out=self.weights)
+
+    def summed(self, parts: int | None = None) -> list[Tensor]:
+        """The gradients of weights and biases, added up over the first `parts`; None: all."""
+        return unpacked(self.sums[:parts].sum(0), self.of_layers)
+
+
+class MLPPass(Pass):
+    """The loops in both directions on at most so many rows (N, D), with their buffers, for many calls.
+
+    Args:
+        keeps: whether `gradients` may follow.
+    """
+
+    def __init__(self, rows: Tensor, layers: Sequence[Layer], keeps: bool = True) -> None:
+        blocks, units = -(-len(rows) // BLOCK) if keeps else 0, sum(len(layer.bias) for layer in layers)
+        super().__init__(layers, -(-blocks // PART))
+        self.rows, self.kept = flat(rows), flat(rows.new_empty(blocks, units * BLOCK))
+        self.values = rows.new_empty(len(rows), len(layers[-1].bias))
+
+    def forward(self, count: int) -> Tensor:
+        """The values (count, O) of the first rows."""
+        self.pack()
+        values = self.values[:count]
+        blocks = -(-count // BLOCK)
+        run(_values, blocks, self.rows, self.weights, self.widths, self.kept, flat(values), grain=PART)
+        return values
+
+    def gradients(self, upstream: Tensor, to_rows: Tensor | None) -> list[Tensor]:
+        """Of weights and biases, for the gradients (count, O) of the values. Those of the rows are written."""
+        to = self.weights[:0] if to_rows is None else flat(to_rows)
+        parts = -(-len(upstream) // (PART * BLOCK))
+        arrays = (self.rows, self.kept, self.weights, self.widths, *ALL_POINTS, to, self.sums, flat(upstream))
+        run(gradients, parts, *arrays, grain=1)
+        return self.summed(parts)
+
+    def backward(self, upstream: Tensor, to_rows: Tensor) -> None:
+        """Writes the gradients into the parameters and those of the rows."""
+        for parameter, gradient in zip(self.of_layers, self.gradients(upstream, to_rows), strict=True):
+            parameter.grad = gradient
 
 
 def packed(layers: Sequence[Layer]) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from qnerf.kernels.exponentials import exp, log
 from qnerf.kernels.grid_mlp import Grid, GridPass, network_values
 from qnerf.kernels.hashgrid import BLOCK, U
 from qnerf.kernels.histogram import draw_edges
-from qnerf.kernels.jit import Call, flat, jit, prepared
+from qnerf.kernels.jit import Call, jit, prepared
 from qnerf.kernels.mlp import Layer
 from qnerf.kernels.points import place
 from qnerf.kernels.shading import bounded
@@ -99,7 +99,7 @@ class Proposal:
     def backward(self, upstream: np.ndarray) -> None:
         """Writes the gradients of the network's parameters, for those of the weights."""
         self._backward(upstream)
-        self.grid_pass.backward(flat(self.to_values))
+        self.grid_pass.backward(self.to_values)
 
 
 def in_world(space: Space, s: Tensor, t: Tensor) -> Call:

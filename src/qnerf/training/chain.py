@@ -22,10 +22,12 @@ from qnerf.config.settings import Train
 from qnerf.geometry.pose_refinement import FixedPoses
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.unit_points import numbers_of
+from qnerf.heads.mlp import MLPHead
 from qnerf.kernels import color_inputs, compositing, histogram, shading
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.grid_mlp import GridPass
 from qnerf.kernels.jit import flat, prepared
+from qnerf.kernels.mlp import MLPPass
 from qnerf.kernels.points import places
 from qnerf.kernels.proposals import KNOWN_SPACINGS, Proposal, in_world
 from qnerf.model.field import evaluate_last
@@ -79,6 +81,8 @@ class Chain:
             modules.append(field.mask)
         if self.geometry and self.geometry.grid_pass:
             modules += [field.encoder, field.density_head]
+        if self.colors and self.colors.mlp_pass:
+            modules.append(field.color_head)
         called = [field.encoder, field.density_head, field.color_head, field.directions, field.appearance]
         return serves("whole step", self.table.poses, modules=modules, called=called, but=but)
 
@@ -185,7 +189,7 @@ class Geometry:
     def backward(self, to_raw: Tensor) -> None:
         """Writes the gradients of the encoder and of the density head."""
         if self.grid_pass is not None:
-            self.grid_pass.backward(flat(to_raw))
+            self.grid_pass.backward(to_raw)
         else:
             through_island(self.values, to_raw.flatten(0, 1)[self.chosen])
 
@@ -214,6 +218,9 @@ class Colors:
         self.rows, index = raw.new_empty(rays * points, width + features), torch.empty(rays * points, dtype=torch.int64)
         self._rows = color_inputs.gather(self.of_rays, kept.mean, self.chosen, self.ends, self.rows, index)
         self._rows_gradient = color_inputs.gather_gradient(self.chosen, self.ends, self.to_rays, self.to_mean)
+        layers = field.color_head.in_loop(self.rows) if isinstance(field.color_head, MLPHead) else None
+        self.mlp_pass = None if layers is None else MLPPass(self.rows, layers)
+        self.to_rows = torch.empty_like(self.rows)
         # The pixels, and the losses with their gradients.
         self.behind = raw.new_empty(rays if self.background != "last_sample" else 0, 3)
         self.to_colors, self.squares = raw.new_empty(rays * points, 3), np.empty(rays)
@@ -242,9 +249,14 @@ class Colors:
             self.own = field.of_rays(geometry.rays.directions, geometry.rays.cameras)
         self.of_rays.copy_(self.own)
         self._rows()
-        self.inputs = self.rows[: self.ends[-1]].requires_grad_()
+        count = int(self.ends[-1])
+        self.inputs = self.rows[:count].requires_grad_()
         with torch.enable_grad():
-            self.values = field.color_activation(field.color_head(self.inputs))
+            if self.mlp_pass is None:
+                self.raw_colors = field.color_head(self.inputs)
+            else:
+                self.raw_colors = self.mlp_pass.forward(count).requires_grad_()
+            self.values = field.color_activation(self.raw_colors)
 
     def losses(self, generator: torch.Generator, learns: bool, logs: bool) -> dict[str, Tensor]:
         """The terms, and their gradients by colours, shares and weights, and by the weights of the proposals."""
@@ -272,8 +284,11 @@ class Colors:
     def backward(self) -> Tensor:
         """The gradient of the raw values; those of the colour head's parameters on the way."""
         through_island(self.values, self.to_colors[: len(self.inputs)])
-        upstream = self.inputs.grad
-        self._rows_gradient(flat(torch.zeros_like(self.inputs) if upstream is None else upstream))
+        to_rows = self.inputs.grad
+        if self.mlp_pass is not None and self.raw_colors.grad is not None:
+            to_rows = self.to_rows
+            self.mlp_pass.backward(self.raw_colors.grad, to_rows)
+        self._rows_gradient(flat(torch.zeros_like(self.inputs) if to_rows is None else to_rows))
         through_island(self.own, self.to_rays)
         self._shade_gradient()
         return self.to_raw
