@@ -45,7 +45,10 @@ CORNERS = [(c & 1, (c >> 1) & 1, c >> 2) for c in range(8)]
 FINEST = 2**20  # cells along a side: beyond, float32 coordinates cannot tell cells apart
 BLOCK = 128  # points at a time: their corner rows and weights stay in the first-level cache
 GRAIN = 1024  # points that are worth waking a thread for
-ALL_POINTS = (np.empty((0, BLOCK), np.int32), np.empty(0, np.int32))  # no points were chosen
+ALL_POINTS = (
+    np.empty((0, BLOCK), np.int32),
+    np.empty(0, np.int32),
+)  # gradients of all points in turn: none were chosen
 
 
 def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:

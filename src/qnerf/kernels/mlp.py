@@ -18,7 +18,7 @@ from torch.nn.functional import linear
 
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.hashgrid import BLOCK, U
+from qnerf.kernels.hashgrid import ALL_POINTS, BLOCK, U
 from qnerf.kernels.jit import flat, jit, run
 from qnerf.kernels.simd import (
     AVX512,
@@ -35,7 +35,6 @@ from qnerf.kernels.simd import (
 
 PART = 8  # blocks that one thread takes at a time
 PAIR_ROWS = 8 if AVX512 else 4  # of a tile two vectors wide: its sums and what they are made of fill the registers
-ALL_POINTS = (np.empty((0, BLOCK), np.int32), np.empty(0, np.int32))  # `gradients` of all points in turn
 
 
 class Layer(NamedTuple):
