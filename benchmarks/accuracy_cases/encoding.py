@@ -6,6 +6,7 @@ of a border may take the slope of the neighbouring cell.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -15,7 +16,7 @@ from qnerf.encoders import ENCODERS, level_resolutions
 from qnerf.heads.activations import softplus, trunc_exp
 from qnerf.kernels.grid_mlp import Grid, grid_mlp, grid_mlp_reference
 from qnerf.kernels.hashgrid import hash_encode, hash_encode_reference
-from qnerf.kernels.mlp import layers_of
+from qnerf.kernels.mlp import layers_of, mlp, mlp_reference
 
 PHASES = 5e-7
 """Of sines and cosines whose phases are reduced in float64: half an ulp of pi for the phase, an ulp of 1 after it."""
@@ -23,7 +24,7 @@ FEATURES = 16 * EPS
 """Relative to the table's largest entry, at any resolution. The place in the cell is rounded once, the weights of the 8
 corners four times more, their sum of 8 eight times."""
 LAYERS = 64 * EPS
-"""Relative to the largest value: the features' error, and that of sums of up to 64 products in any order."""
+"""Relative to the largest value: the features' error, and that of sums of up to 64 products in any order, a layer."""
 ACTIVATED = 4 * EPS
 """Relative to each value."""
 
@@ -62,6 +63,23 @@ def with_layers(
     return Case("hash grid with layers", name, variants, parameters, LAYERS)
 
 
+def layered(name: str, *widths: int, rows: int, scale: float = 1.0) -> Case:
+    """Linear layers of these widths on random rows, whose first feature is so many times as large."""
+    generator = torch.Generator().manual_seed(3)
+    given = torch.randn(rows, widths[0], generator=generator)
+    given[:, 0] *= scale
+    parameters = []
+    for inputs, outputs in pairwise(widths):
+        parameters.append(torch.randn(outputs, inputs, generator=generator) * (2 / inputs) ** 0.5)
+        parameters.append(torch.randn(outputs, generator=generator) / 4)
+
+    def on(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+        return lambda rows, *parameters: function(rows, layers_of(parameters))
+
+    variants = fast_and_plain(on(mlp), on(mlp_reference))
+    return Case("MLP", name, variants, tuple(map(rounded, (given, *parameters))), LAYERS)
+
+
 def phased(name: str, points: Tensor, **options: float) -> Case:
     encoder = ENCODERS.build(name, 3, **options)
     return Case("frequencies", name, only(encoder), (rounded(points),), PHASES)
@@ -82,6 +100,9 @@ def cases() -> list[Case]:
         hashed("outside [0, 1]", 3 * points - 1, (12, 16, 1024), 15, 1),
         with_layers("a proposal network", rounded(points), (5, 16, 128), 2, 16, 1),
         with_layers("density, 2 x 64", rounded(points), (12, 16, 1024), 1, 64, 6),
+        layered("colour, 3 x 64", 22, 64, 64, 3, rows=1500),
+        layered("one unit, 5 rows", 3, 1, 1, rows=5),
+        layered("a feature 1,000 times the others", 22, 64, 64, 3, rows=1500, scale=1000.0),
         phased("pe", points),
         phased("rff", points, scale=4.0),
         Case("activations", "trunc_exp", only(trunc_exp), (x,), ACTIVATED),

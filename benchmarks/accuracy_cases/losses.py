@@ -37,6 +37,8 @@ def cases() -> list[Case]:
     spike[:, 15:17] = 0.5
     narrow = torch.cat([torch.zeros(256, 15), torch.linspace(0.7, 0.7001, 3).expand(256, 3), torch.ones(256, 15)], 1)
     zero = torch.zeros(256, 32)
+    behind_a_wall = 1e-6 * random(96)
+    behind_a_wall[:, 0] = 0.9
     return [
         case("distortion", _distorted, s, weights, wanted=1),
         case("distortion, coincident edges", _distorted, coincident, weights, wanted=1),
@@ -45,5 +47,8 @@ def cases() -> list[Case]:
         case("interlevel", _bounded, proposed, s, weights, outer, wanted=0),
         case("interlevel, zero weights", _bounded, torch.zeros(256, 96), s, zero, outer, wanted=0),
         case("interlevel, weights of 1e-38", _bounded, proposed * 0, s, zero + 1e-38, outer, wanted=0),
+        case(
+            "interlevel, small weights behind 0.9", _bounded, behind_a_wall, s, 1e-6 * weights, outer, wanted=0
+        ),
         case("interlevel, proposals of 0", _bounded, proposed * 0, s, weights, outer, wanted=0),
     ]

@@ -80,10 +80,6 @@ def test_interlevel_against_its_definition_with_zero_weights(
             exact += excess**2 / (weight + 1e-7) / len(weights)
             slope[first:last] -= 2 * excess / (weight + 1e-7) / len(weights)
     loss, gradient = evaluated(form, uncovered, proposed, edges, weights, outer_edges)
-    # A weight and its bound are known to a rounding of the proposal's sum, whose square root the loss is.
-    total = 1.0 + proposed.sum()
-    slack = BOUNDS[form] * total if form == "plain" else 1e-12
+    slack = 1e-12
     assert abs(loss - exact) <= BOUNDS[form] * exact + slack * (2 * math.sqrt(exact) + slack / 1e-7) + UNDERFLOW
-    assert np.isfinite(gradient).all()
-    if form == "fast":
-        assert np.abs(gradient - slope).max() <= BOUNDS[form] * np.abs(slope).max() + 1e-8
+    assert np.abs(gradient - slope).max() <= BOUNDS[form] * np.abs(slope).max() + 1e-8

@@ -12,7 +12,7 @@ from qnerf.kernels.hashgrid import U
 from qnerf.kernels.jit import flat, jit, run
 from qnerf.kernels.simd import intrinsic
 
-GRAIN = 2**18  # numbers that are worth waking a thread for
+GRAIN = 2**20  # numbers that are worth waking a thread for
 
 
 class Update(NamedTuple):

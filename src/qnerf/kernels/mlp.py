@@ -33,7 +33,7 @@ from qnerf.kernels.simd import (
     where_positive,
 )
 
-PART = 8  # blocks that one thread takes at a time
+PART = 4  # blocks that one thread takes at a time
 PAIR_ROWS = 8 if AVX512 else 4  # of a tile two vectors wide: its sums and what they are made of fill the registers
 
 
