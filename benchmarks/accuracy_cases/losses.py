@@ -47,8 +47,6 @@ def cases() -> list[Case]:
         case("interlevel", _bounded, proposed, s, weights, outer, wanted=0),
         case("interlevel, zero weights", _bounded, torch.zeros(256, 96), s, zero, outer, wanted=0),
         case("interlevel, weights of 1e-38", _bounded, proposed * 0, s, zero + 1e-38, outer, wanted=0),
-        case(
-            "interlevel, small weights behind 0.9", _bounded, behind_a_wall, s, 1e-6 * weights, outer, wanted=0
-        ),
+        case("interlevel, small weights behind 0.9", _bounded, behind_a_wall, s, 1e-6 * weights, outer, wanted=0),
         case("interlevel, proposals of 0", _bounded, proposed * 0, s, weights, outer, wanted=0),
     ]

@@ -3,58 +3,22 @@
 The plain PyTorch reference is in `qnerf.model.field.color_inputs`.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-import torch
 from torch import Tensor
 
-from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.hashgrid import U
-from qnerf.kernels.jit import Call, flat, jit, prepared
+from qnerf.kernels.jit import Call, jit, prepared
 
 GRAIN = 256  # rays that are worth waking a thread for
 
 
-class ColorInputs(torch.autograd.Function):
-    """Features of rays (R, D) and geometry (R, M, G) -> rows (N, D + G) of the N chosen points, ray by ray.
+def gather(of_rays: Tensor, geometry: Tensor, chosen: Tensor, ends: np.ndarray, rows: Tensor) -> Call:
+    """Writes rows (N, D + G): features of rays (R, D) beside the geometry (R, M, G) of their `chosen` points (R, M).
 
-    Args:
-        chosen: (R, M) bool.
-        reference: rays, geometry -> the same in plain PyTorch, for second derivatives.
-
-    Returns:
-        The rows, and the numbers (N,) int64 of the chosen points among all.
+    `ends` (R,) says how many rows there are up to the end of each ray.
     """
-
-    @staticmethod
-    def forward(
-        ctx: Any, of_rays: Tensor, geometry: Tensor, chosen: Tensor, reference: Callable[..., Tensor]
-    ) -> tuple[Tensor, Tensor]:
-        ctx.ends = np.cumsum(np.count_nonzero(chosen.numpy(), axis=1))
-        rows = geometry.new_empty(int(ctx.ends[-1]), of_rays.shape[1] + geometry.shape[2])
-        index = torch.empty(len(rows), dtype=torch.int64)
-        gather(of_rays, geometry, chosen, ctx.ends, rows, index)()
-        ctx.save_for_backward(of_rays, geometry, chosen)
-        ctx.reference = reference
-        ctx.mark_non_differentiable(index)
-        return rows, index
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
-        of_rays, geometry, chosen = ctx.saved_tensors
-        if is_differentiated(upstream):
-            return *through_reference(ctx.reference, (of_rays, geometry), upstream), None, None
-        to_rays, to_geometry = of_rays.new_empty(of_rays.shape), geometry.new_empty(geometry.shape)
-        gather_gradient(chosen, ctx.ends, to_rays, to_geometry)(flat(upstream))
-        return to_rays if ctx.needs_input_grad[0] else None, to_geometry, None, None
-
-
-def gather(of_rays: Tensor, geometry: Tensor, chosen: Tensor, ends: np.ndarray, rows: Tensor, index: Tensor) -> Call:
-    """Writes rows and numbers as in `ColorInputs`. `ends` (R,) says how many rows there are up to the end of a ray."""
     sizes = (geometry.shape[1], of_rays.shape[1], geometry.shape[2])
-    return prepared(_gather, len(geometry), *sizes, of_rays, geometry, chosen, ends, rows, index, grain=GRAIN)
+    return prepared(_gather, len(geometry), *sizes, of_rays, geometry, chosen, ends, rows, grain=GRAIN)
 
 
 def gather_gradient(chosen: Tensor, ends: np.ndarray, to_rays: Tensor, to_geometry: Tensor) -> Call:
@@ -65,14 +29,13 @@ def gather_gradient(chosen: Tensor, ends: np.ndarray, to_rays: Tensor, to_geomet
 
 
 @jit
-def _gather(start, stop, points, width, features, of_rays, geometry, chosen, ends, rows, index):  # type: ignore[no-untyped-def]
+def _gather(start, stop, points, width, features, of_rays, geometry, chosen, ends, rows):  # type: ignore[no-untyped-def]
     """Writes the rows of rays start..stop. Those of a ray begin where those of the one before end."""
     m, d, g = U(points), U(width), U(features)
     for ray in range(start, stop):
         row = U(ends[ray - 1]) if ray else U(0)
         for i in range(U(ray) * m, (U(ray) + U(1)) * m):
             if chosen[i]:
-                index[row] = i
                 first = row * (d + g)
                 for k in range(d):
                     rows[first + k] = of_rays[U(ray) * d + k]

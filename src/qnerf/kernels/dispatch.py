@@ -71,7 +71,6 @@ LOOPS: dict[str, Loop] = {
     "volume weights": Loop(),
     "shading": Loop(_SHADINGS),
     "spherical harmonics": Loop(),
-    "colour inputs": Loop(),
     "interlevel loss": Loop(),
     "distortion loss": Loop(),
     "Adam": Loop(),

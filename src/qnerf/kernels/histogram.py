@@ -14,6 +14,7 @@ from torch import Tensor
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import Call, jit, prepared, run
 
+EPS = 1e-7  # of the interlevel loss, against division by 0
 _GRAIN = 50_000  # weights that are worth waking a thread for
 
 
@@ -101,37 +102,13 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
             grad[ray, j] = running
 
 
-def interlevel(
-    w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float, losses: np.ndarray, gradient: Tensor
-) -> Call:
-    """Writes the sum of `Interlevel` over each ray (R,), and the gradients by w_outer."""
-    arrays = map(_array, (s, w, s_outer, w_outer))
-    return prepared(_interlevel, len(s), *arrays, eps, losses, gradient.numpy(), grain=_grain(w_outer))
+def interlevel(w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, losses: np.ndarray, gradient: Tensor) -> Call:
+    """Writes the sum over each ray (R,) of max(0, w - w_outer)^2 / (w + EPS), and the gradients by w_outer.
 
-
-class Interlevel(torch.autograd.Function):
-    """Sum over rays and intervals of max(0, w - w_outer)^2 / (w + eps) (Eq. 13, arXiv:2111.12077).
-
-    Only w_outer, the proposal's weights, gets a gradient. `reference` is the same function of (w_outer, s, w, s_outer)
-    in plain PyTorch, for second derivatives.
+    w_outer stands for the outer weights of the intervals that touch that of w (Eq. 13, arXiv:2111.12077).
     """
-
-    @staticmethod
-    def forward(
-        ctx: Any, w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, eps: float, reference: Callable[..., Tensor]
-    ) -> Tensor:
-        losses, grad = np.empty(len(s)), torch.empty_like(w_outer, memory_format=torch.contiguous_format)
-        interlevel(w_outer, s, w, s_outer, eps, losses, grad)()
-        ctx.save_for_backward(grad, w_outer, s, w, s_outer)
-        ctx.reference = reference
-        return torch.tensor(losses.sum(), dtype=w.dtype)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        grad, *inputs = ctx.saved_tensors
-        if is_differentiated(upstream):
-            return *through_reference(ctx.reference, inputs, upstream), None, None
-        return upstream * grad, *[None] * 5
+    arrays = map(_array, (s, w, s_outer, w_outer))
+    return prepared(_interlevel, len(s), *arrays, EPS, losses, gradient.numpy(), grain=_grain(w_outer))
 
 
 @jit
@@ -165,27 +142,31 @@ def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
 
 
 def distortion(w: Tensor, s: Tensor, losses: np.ndarray, gradient: Tensor) -> Call:
-    """Writes the sum of `Distortion` over each ray (R,), and the gradients by w."""
+    """Writes the distortion loss (Eq. 15, arXiv:2111.12077) of each ray (R,), and the gradients by w."""
     return prepared(_distortion, len(w), _array(s), _array(w), losses, gradient.numpy(), grain=_grain(w))
 
 
-class Distortion(torch.autograd.Function):
-    """Sum over rays of the distortion loss (Eq. 15, arXiv:2111.12077). Only the weights get a gradient.
+class Regulariser(torch.autograd.Function):
+    """The sum over rays of `interlevel` or `distortion`, differentiated by the first tensor, which is the weights.
 
-    `reference` is the same function of (w, s) in plain PyTorch, for second derivatives.
+    Args:
+        loop: the function that makes the loop.
+        reference: the same function of all tensors in plain PyTorch, for second derivatives.
     """
 
     @staticmethod
-    def forward(ctx: Any, w: Tensor, s: Tensor, reference: Callable[..., Tensor]) -> Tensor:
-        losses, grad = np.empty(len(w)), torch.empty_like(w, memory_format=torch.contiguous_format)
-        distortion(w, s, losses, grad)()
-        ctx.save_for_backward(grad, w, s)
+    def forward(
+        ctx: Any, loop: Callable[..., Call], reference: Callable[..., Tensor], weights: Tensor, *others: Tensor
+    ) -> Tensor:
+        losses, grad = np.empty(len(weights)), torch.empty_like(weights, memory_format=torch.contiguous_format)
+        loop(weights, *others, losses, grad)()
+        ctx.save_for_backward(grad, weights, *others)
         ctx.reference = reference
-        return torch.tensor(losses.sum(), dtype=w.dtype)
+        return torch.tensor(losses.sum(), dtype=weights.dtype)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         grad, *inputs = ctx.saved_tensors
         if is_differentiated(upstream):
-            return *through_reference(ctx.reference, inputs, upstream), None
-        return upstream * grad, None, None
+            return None, None, *through_reference(ctx.reference, inputs, upstream)
+        return None, None, upstream * grad, *[None] * (len(inputs) - 1)

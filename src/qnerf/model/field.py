@@ -10,7 +10,6 @@ from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.heads.base import MIN_BATCH
 from qnerf.heads.mlp import MLPHead
-from qnerf.kernels.color_inputs import ColorInputs
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.mlp import Layer
@@ -180,15 +179,9 @@ def color_inputs(of_rays: Tensor, geometry: Tensor, mask: Tensor) -> tuple[Tenso
         These rows, and the numbers (N,) of the points among all R M.
     """
 
-    def reference(of_rays: Tensor, geometry: Tensor) -> Tensor:
-        ray = torch.div(index, geometry.shape[1], rounding_mode="floor")
-        return torch.cat([of_rays[ray], geometry.flatten(0, 1)[index]], dim=-1)
-
-    if serves("colour inputs", of_rays, geometry):
-        rows, index = ColorInputs.apply(of_rays, geometry, mask, reference)
-        return rows, index
     index = mask.flatten().nonzero()[:, 0]
-    return reference(of_rays, geometry), index
+    ray = torch.div(index, geometry.shape[1], rounding_mode="floor")
+    return torch.cat([of_rays[ray], geometry.flatten(0, 1)[index]], dim=-1), index
 
 
 def scatter(values: Tensor, index: Tensor, shape: torch.Size) -> Tensor:

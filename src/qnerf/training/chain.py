@@ -37,7 +37,6 @@ from qnerf.rendering.proposal_sampler import ProposalNetwork, ProposalSampler
 from qnerf.rendering.samplers import even_edges
 from qnerf.rendering.shading import EverySample, MergeShading, options_of
 from qnerf.timing import Stopwatch
-from qnerf.training.losses import EPS
 
 
 class Chain:
@@ -215,8 +214,8 @@ class Colors:
         self.chosen, self.ends = torch.ones(rays, points, dtype=torch.bool), np.empty(rays, np.int64)
         width = field.of_rays(geometry.rays.directions, geometry.rays.cameras).shape[1]
         self.of_rays, self.to_rays = raw.new_empty(2, rays, width).unbind()
-        self.rows, index = raw.new_empty(rays * points, width + features), torch.empty(rays * points, dtype=torch.int64)
-        self._rows = color_inputs.gather(self.of_rays, kept.mean, self.chosen, self.ends, self.rows, index)
+        self.rows = raw.new_empty(rays * points, width + features)
+        self._rows = color_inputs.gather(self.of_rays, kept.mean, self.chosen, self.ends, self.rows)
         self._rows_gradient = color_inputs.gather_gradient(self.chosen, self.ends, self.to_rays, self.to_mean)
         layers = field.color_head.in_loop(self.rows) if isinstance(field.color_head, MLPHead) else None
         self.mlp_pass = None if layers is None else MLPPass(self.rows, layers)
@@ -232,7 +231,7 @@ class Colors:
         self._distortion = histogram.distortion(kept.weights, geometry.spacing, self.of_ray, self.by_weights)
         self.to_proposed = [torch.empty_like(proposal.weights) for proposal in geometry.proposals]
         self._interlevel = [
-            histogram.interlevel(proposal.weights, geometry.spacing, kept.weights, proposal.s, EPS, self.of_ray, to)
+            histogram.interlevel(proposal.weights, geometry.spacing, kept.weights, proposal.s, self.of_ray, to)
             for proposal, to in zip(geometry.proposals, self.to_proposed, strict=True)
         ]
 

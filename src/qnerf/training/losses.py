@@ -7,8 +7,6 @@ from qnerf.kernels import histogram
 from qnerf.kernels.dispatch import serves
 from qnerf.types import Samples
 
-EPS = 1e-7  # of the interlevel loss, against division by 0
-
 
 def mse(color: Tensor, target: Tensor) -> Tensor:
     """Mean squared error of colours (R, 3).
@@ -40,7 +38,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
         if serves("interlevel loss", proposed, *arguments):
-            term: Tensor = histogram.Interlevel.apply(proposed, *arguments, EPS, interlevel_reference)
+            term: Tensor = histogram.Regulariser.apply(histogram.interlevel, interlevel_reference, proposed, *arguments)
         else:
             term = interlevel_reference(proposed, *arguments)
         total = total + term / weights.numel()
@@ -54,7 +52,7 @@ def interlevel_reference(w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor)
     trained scene would be rounding errors.
     """
     excess = (w - outer_measure(s, s_outer, w_outer.double())).clamp(min=0)
-    return (excess.square() / (w.double() + EPS)).sum().to(w.dtype)
+    return (excess.square() / (w.double() + histogram.EPS)).sum().to(w.dtype)
 
 
 def outer_measure(edges: Tensor, outer_edges: Tensor, outer_weights: Tensor) -> Tensor:
@@ -85,7 +83,8 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     """
     s = samples.spacing.detach()
     if serves("distortion loss", weights, s):
-        return histogram.Distortion.apply(weights, s, distortion_reference) / weights.shape[0]
+        total = histogram.Regulariser.apply(histogram.distortion, distortion_reference, weights, s)
+        return total / weights.shape[0]
     return distortion_reference(weights, s) / weights.shape[0]
 
 
