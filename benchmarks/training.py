@@ -2,19 +2,22 @@
 
 Prints, and saves as benchmarks/results/training.parquet:
 
-- steps: median milliseconds of a step and of each stage, for each field, each hash table and the paper's recipe;
+- steps: median milliseconds of a step and of each stage, for each field, each hash table, the paper's recipe, and
+  differing numbers of rays and samples;
 - ratios, with both sides measured in turns: compiled loops against their plain PyTorch references, circuits against
   the classical head and against PennyLane, evaluation against training.
 
-Rows of the file that are not measured again stay.
+Each row names the processor, and the bytes of the vectors that circuits use on it.
 """
 
 import argparse
 import os
+import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from statistics import median
 
@@ -30,6 +33,7 @@ from qnerf.building.model import build_model, ray_table
 from qnerf.building.scene import prepare
 from qnerf.cli.resolvers import HYDRA
 from qnerf.config.folders import CONF
+from qnerf.kernels.simd import VECTOR_BYTES
 from qnerf.quantum import QuantumLayer
 from qnerf.timing import STAGES, Stopwatch
 from qnerf.training.evaluation import Evaluator
@@ -40,11 +44,13 @@ FIELDS = ("classical", "qcolor", "qdensity", "qboth")
 CIRCUITS = ("1L1S", "1L2S", "3L4S")
 NO_SHADING = "shading=none"
 RAW = "field=classical color.directions=raw color.mlp.init=he"
+SIZES = ("train.rays=64", "train.rays=256", "train.rays=1024", "proposal.samples=[128,64]", "proposal.final=64")
 STEPS = (
     *(f"field={field}" for field in FIELDS),
     *(f"field=classical hash=C{number}" for number in range(1, 8)),
     "train=paper field=classical",
     "train=paper field=qcolor",
+    *(f"field=classical {sizes}" for sizes in SIZES),
 )
 RATIOS = {  # name -> overrides of the numerator, overrides of the denominator
     "plain references / compiled, classical C5": (f"field=classical {NO_SHADING}", f"field=classical {NO_SHADING}"),
@@ -152,32 +158,28 @@ def ratio(name: str, above: float, below: float) -> Row:
     return {"kind": "ratio", "name": name, "above_ms": 1e3 * above, "below_ms": 1e3 * below, "ratio": above / below}
 
 
-PARTS = {"steps": steps, "ratios": ratios}
-
-
-def with_old_rows(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame`, and the rows of the file that were not measured again."""
-    if not RESULTS.exists():
-        return frame
-    old = pd.read_parquet(RESULTS)
-    key = ["name", "threads"]
-    again = old.set_index(key).index.isin(frame.set_index(key).index)
-    return pd.concat([old[~again], frame], ignore_index=True)
+def processor() -> str:
+    """Name, family and model where Linux says so."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    about = dict(reversed([[part.strip() for part in line.split(":", 1)] for line in lines if ":" in line]))
+    return f"{about.get('model name')}, family {about.get('cpu family')} model {about.get('model')}"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=40, help="measured steps a row and a ratio (default 40)")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--only", choices=list(PARTS), nargs="+", default=list(PARTS))
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     options = parser.parse_args()
-    torch.set_num_threads(options.threads)
     rows = []
-    for part in options.only:
-        for row in PARTS[part](options.rounds):
-            rows.append(row | {"threads": options.threads})
-            print(f"{row['name']:<76} {row.get('ratio', row.get('ms')):8.2f}", flush=True)
-    with_old_rows(pd.DataFrame(rows)).to_parquet(RESULTS, index=False)
+    for threads in options.threads:
+        torch.set_num_threads(threads)
+        for row in chain(steps(options.rounds), ratios(options.rounds)):
+            rows.append(row | {"threads": threads, "processor": processor(), "vector_bytes": VECTOR_BYTES})
+            print(f"{threads} {row['name']:<76} {row.get('ratio', row.get('ms')):8.2f}", flush=True)
+    pd.DataFrame(rows).to_parquet(RESULTS, index=False)
     print(f"milliseconds, or ratios; medians of {options.rounds}; saved to {RESULTS}")
 
 

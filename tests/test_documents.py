@@ -52,7 +52,7 @@ def test_a_command_with_a_mistake_is_found():
         "qnerf tables runs --rowz field",
         "qnerf figures runs --theme grey",
         "python -m benchmarks.nonsense",
-        "python -m benchmarks.training --only nonsense",
+        "python -m benchmarks.training --rounds many",
         'pip install "qnerf[nonsense]"',
     ):
         with pytest.raises((Exception, SystemExit)):

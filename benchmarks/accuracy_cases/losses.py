@@ -1,4 +1,9 @@
-"""The regularisers of the histograms of rays."""
+"""The regularisers of the histograms of rays.
+
+The interlevel loss compares differences of running sums with weights of 1e-7 and less, so both forms sum in float64. In
+float32 three quarters of the gradients that it gives to a trained scene are rounding errors. With them, `train=paper
+field=classical` ends at 32.59 dB on `poster`, and at 32.75 without (seed 1).
+"""
 
 import torch
 from torch import Tensor
