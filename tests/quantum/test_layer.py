@@ -1,11 +1,13 @@
 """QuantumLayer as users meet it."""
 
 import re
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from torch.profiler import profile
 
 from qnerf.config import memory
 from qnerf.quantum.circuit import ANSATZE
@@ -162,3 +164,16 @@ def test_memory_for_a_circuit_is_checked_before(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 64)
     with pytest.raises(ValueError, match=r"a batch of 10000 samples of a circuit of 16 wires would take"):
         layer(torch.zeros(10000, 16))
+
+
+@pytest.mark.parametrize("options", [{"spectral": 1}, {"spectral": 2}, {"spectral": 1, "ansatz": "pauli_x"}])
+def test_pytorch_computes_nothing_large_beside_the_loops(options: dict[str, Any]) -> None:
+    """Its threads would be woken for more than 32,768 numbers, and spin afterwards."""
+    layer = QuantumLayer(8, **options)
+    x = torch.randn(5000, 8, requires_grad=True)
+    upstream = torch.ones_like(layer(x))
+    with profile(record_shapes=True) as profiler:
+        torch.autograd.backward(layer(x), upstream)
+    large = {e.name for e in profiler.events() if any(prod(shape) > 32_768 for shape in e.input_shapes if shape)}
+    of_memory = {"new_empty", "new_zeros", "to", "detach", "lift_fresh", "resolve_conj", "resolve_neg", "view"}
+    assert {name for name in large if name.startswith("aten::")} <= {f"aten::{name}" for name in of_memory}

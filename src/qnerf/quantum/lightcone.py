@@ -250,7 +250,8 @@ class _Polynomials(torch.autograd.Function):
         ctx.save_for_backward(x, weights)
         ctx.saved = cone, bound, parts, arguments
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return from_blocks(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
+        # Rounding may lead beyond. PyTorch would share this with threads, which then spin beside the loops.
+        return from_blocks(np.clip(out, -1, 1, out=out), x.shape[0])
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
@@ -266,9 +267,9 @@ class _Polynomials(torch.autograd.Function):
         run(polynomial.gradients, parts, parts, *arguments, upstream, inputs, sums)
         to_weights = bound.backward(sums.sum(0))
         inputs *= cone.form.base_frequencies[cone.form.used][:, None].astype(table.dtype)
-        dx = gradient.new_zeros(batch, cone.circuit.wires)
-        dx[:, torch.from_numpy(cone.form.used)] = from_blocks(inputs, batch)
-        return None, dx, torch.from_numpy(to_weights).to(dtype).reshape(shape)
+        dx = np.zeros((batch, cone.circuit.wires), table.dtype)
+        dx[:, cone.form.used] = from_blocks(inputs, batch)
+        return None, torch.from_numpy(dx), torch.from_numpy(to_weights).to(dtype).reshape(shape)
 
 
 def evaluate(cone: LightConeEngine, x: Tensor, weights: Tensor) -> Tensor:

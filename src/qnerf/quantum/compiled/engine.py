@@ -174,7 +174,8 @@ class _Simulate(torch.autograd.Function):
         ctx.form = engine.form
         ctx.saved = bound, trig, expectations
         ctx.shapes = x.shape[0], weights.shape, weights.dtype
-        return from_blocks(out, x.shape[0]).clamp_(-1, 1)  # rounding may lead beyond
+        # Rounding may lead beyond. PyTorch would share this with threads, which then spin beside the loops.
+        return from_blocks(np.clip(out, -1, 1, out=out), x.shape[0])
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
