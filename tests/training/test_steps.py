@@ -66,3 +66,48 @@ def test_steps_of_compiled_loops_are_those_of_plain_operations(overrides, dtype,
             error = float((ours[part] - gradient).norm() / gradient.norm().clamp(min=1e-12))
             errors.setdefault(part, []).append(error)
     assert {part for part, found in errors.items() if sorted(found)[STEPS // 2] > closer} == set(), errors
+
+
+def transpose(taken):
+    weight = taken.model.field.color_head.net[0].weight
+    weight.data = weight.data.T.contiguous().T
+
+
+def double_gradient(taken):
+    taken.model.field.density_head.net[0].weight.register_hook(lambda gradient: 2 * gradient)
+
+
+def freeze(taken):
+    taken.model.field.density_head.net[0].bias.requires_grad_(False)
+
+
+def shift_colors(taken):
+    taken.model.field.color_head.register_forward_hook(lambda _module, _given, values: values + 1)
+
+
+def square_loss(taken):
+    terms = taken.loss_terms
+    taken.loss_terms = lambda *given: {name: term.square() for name, term in terms(*given).items()}
+
+
+CHANGES = {
+    transpose: "parameters in another order in memory",
+    double_gradient: "hooks on parameters",
+    freeze: "parameters that do not learn",
+    shift_colors: "hooks on MLPHead",
+    square_loss: "another loss",
+}
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_what_is_done_to_a_model_between_steps_acts(change, tiny):
+    config = tiny("field=classical", "train.rays=40", "train.steps=100", "numerics.dtype=float64")
+    fast, slow = trainer(config), trainer(config)
+    for step in range(4):
+        if step == 1:
+            change(fast), change(slow)
+        with report() as aside:
+            loss = fast.take_step(measure=True)["train/loss"]
+        assert aside.get("whole step") == (CHANGES[change] if step else None)
+        with plain():
+            assert loss == pytest.approx(slow.take_step(measure=True)["train/loss"], rel=1e-9)
