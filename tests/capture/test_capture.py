@@ -8,6 +8,7 @@ import shutil
 import signal
 import time
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -59,15 +60,18 @@ def above_a_floor(turning: bool = False) -> tuple[Cameras, list[np.ndarray]]:
 
 
 def test_photographs_that_cannot_be_posed_are_one_line_and_leave_nothing(tmp_path: Path) -> None:
-    for images, message in (
-        (wall(), "0 of 4 photographs have 40 features or more, 3 are needed"),
-        (unlike(), "no two photographs show the same things"),
-        ([], "expected a folder of at least 3 photographs .*, got 0"),
-        (above_a_floor(turning=True)[1], "fewer than 3 of 7 photographs can be found: .* the camera only turned"),
-    ):
+    turning = above_a_floor(turning=True)[1]
+    cases: list[tuple[list[np.ndarray], Literal["auto", "each"], str]] = [
+        (wall(), "auto", "0 of 4 photographs have 40 features or more, 3 are needed"),
+        (unlike(), "auto", "no two photographs show the same things"),
+        ([], "auto", "expected a folder of at least 3 photographs .*, got 0"),
+        (turning, "auto", "fewer than 3 of 7 photographs can be found: .* the camera only turned"),
+        (turning, "each", "the camera only turned, or the scene is flat: .* \\(--lens shared\\)"),
+    ]
+    for images, lens, message in cases:
         source = write(tmp_path / "images", *images)
         with pytest.raises(ValueError, match=message) as error:
-            capture(source, tmp_path / "out")
+            capture(source, tmp_path / "out", lens=lens)
         assert "\n" not in str(error.value)
         assert list(tmp_path.iterdir()) == [source]
         assert not multiprocessing.active_children()

@@ -11,7 +11,9 @@ import numpy as np
 MAX_SIDE = 1600  # pixels; larger images are reduced before features are searched
 NEIGHBOURS = 20  # with which an image of a sequence is compared: the next ten, and those 2, 4, 8, ... on
 MIN_POINTS = 40  # of a model
-MIN_ANGLE = 4.0  # degrees between the rays to a point; a camera that only turns yields 2 to 3 from noise
+MIN_ANGLE = 4.0  # degrees between the rays to a point; a camera that only turns yields 2 to 4 from noise
+MAX_STRETCH = 1.1  # of pixels, the longer side over the shorter; where noise yields over 3 degrees, it needs 1.3
+FLAT = (4, 5, 6)  # what COLMAP's database calls pairs that one plane explains: of a scene, or of the pixels of a turn
 # For small or few photographs, where COLMAP's own limits leave no pair to begin with.
 RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": MIN_ANGLE, "abs_pose_min_num_inliers": 15}
 PLACED = "placed"  # a file with a byte for each photograph that has been posed so far
@@ -26,6 +28,7 @@ class Model:
     points: int  # in space, each seen by two photographs or more
     error: float  # mean distance of features from their projected points, pixels
     angle: float  # widest between rays to a point, median over points, degrees
+    stretch: float  # of pixels, the longer side over the shorter, the most of all cameras; 1 where they are square
 
 
 def begin(log: Path) -> None:
@@ -65,8 +68,8 @@ def match(database: Path, matching: str) -> None:
 def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relaxed: bool) -> list[Model]:
     """Poses the photographs, and writes models of at least `min_views` of them into `place`; the largest first.
 
-    Models of few points (`MIN_POINTS`), or of points seen from nearly one direction (`MIN_ANGLE`), are noise and
-    left out.
+    Models of few points (`MIN_POINTS`), of points seen from nearly one direction (`MIN_ANGLE`), or of cameras that
+    nobody builds (`MAX_STRETCH`) are noise and left out.
     """
     import pycolmap as sfm
 
@@ -85,7 +88,10 @@ def reconstruct(database: Path, folder: Path, place: Path, min_views: int, relax
     sound = [
         model
         for model in models
-        if len(model.posed) >= min_views and model.points >= MIN_POINTS and model.angle >= MIN_ANGLE
+        if len(model.posed) >= min_views
+        and model.points >= MIN_POINTS
+        and model.angle >= MIN_ANGLE
+        and model.stretch <= MAX_STRETCH
     ]
     return sorted(sound, key=lambda model: -len(model.posed))
 
@@ -94,7 +100,10 @@ def _written(model: Any, folder: Path) -> Model:
     folder.mkdir()
     model.write(str(folder))
     posed = [image.name for image in model.images.values() if image.has_pose]
-    return Model(folder, posed, len(model.points3D), float(model.compute_mean_reprojection_error()), _angle(model))
+    error = float(model.compute_mean_reprojection_error())
+    sides = [(camera.focal_length_x, camera.focal_length_y) for camera in model.cameras.values()]
+    stretch = max(max(pair) / min(pair) for pair in sides)
+    return Model(folder, posed, len(model.points3D), error, _angle(model), stretch)
 
 
 def _angle(model: Any) -> float:
