@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS
-from qnerf.geometry.visibility import SpaceMask, visible_cells
+from qnerf.geometry.visibility import CHUNK, VIEWS, SpaceMask, count_views, visible_cells
 from qnerf.scenes import SCENES
 from tests.helpers.scenes import write_scene
 
@@ -47,3 +47,22 @@ def test_nothing_seen_is_one_line(scene):
     with pytest.raises(ValueError, match="no cell is seen by") as caught:
         visible_cells(CONTRACTIONS.build("box"), cameras, scene.train, 8, 8)
     assert "\n" not in str(caught.value)
+
+
+def test_borders_belong_to_the_image_and_what_lies_behind_does_not():
+    camera = torch.tensor([[[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]]).double()  # pixel = (x, y) / z
+    points = torch.tensor([[0, 0, 1], [4, 6, 2], [-1, 0, 1], [3, 1, 1], [1, 4, 1], [-1, -1, -1], [0, 0, 0]]).double()
+    assert count_views(points, camera, 2, 3, 1).tolist() == [1, 1, 0, 0, 0, 0, 0]  # in an image of 2 x 3
+
+
+def test_counting_goes_on_until_every_point_of_a_part_has_enough():
+    whole = torch.Generator().manual_seed(0)  # whole numbers: exact however sums are ordered
+    points = torch.randint(-9, 10, (CHUNK + 7, 3), generator=whole).double()
+    matrices = torch.randint(-9, 10, (2 * VIEWS + 3, 3, 4), generator=whole).double()
+    seen = torch.zeros(len(points), dtype=torch.int64)
+    for matrix in matrices:
+        x, y, depth = (points @ matrix[:, :3].T + matrix[:, 3]).T
+        seen += (depth > 0) & (x >= 0) & (x <= 4 * depth) & (y >= 0) & (y <= 3 * depth)
+    assert seen.unique().tolist() == list(range(int(seen.max()) + 1))
+    for limit in (1, 3, 99):
+        assert torch.equal(count_views(points, matrices, 4, 3, limit).clamp(max=limit), seen.clamp(max=limit))

@@ -18,7 +18,6 @@ from torch import Tensor
 from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.hashgrid import hash_encode
 from qnerf.kernels.mlp import layers_of
-from qnerf.kernels.projection import GRAIN, count_views
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.pdf import sample_edges
 from qnerf.training.losses import distortion, interlevel
@@ -98,7 +97,6 @@ def loops() -> dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]]:
     places, inside = torch.rand(5000, 3), torch.rand(5000) < 0.6
     samples, outer = (Samples(s, s) for s in (torch.rand(3000, count).sort(-1).values for count in (49, 97)))
     weights, proposed = torch.rand(3000, 48) / 48, torch.rand(3000, 96) / 96
-    matrices = torch.randn(5, 3, 4, dtype=torch.float64)
 
     def with_layers(table: Tensor, *parameters: Tensor) -> Tensor:
         return grid_mlp(places, inside, Grid(table, cells, True), layers_of(parameters))
@@ -109,7 +107,6 @@ def loops() -> dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]]:
         "distortion": (partial(distortion, samples), (weights,)),
         "interlevel": (lambda proposed: interlevel(samples, weights, [(outer, proposed)]), (proposed,)),
         "drawing": (lambda: sample_edges(outer.spacing, proposed, 49), ()),
-        "views": (lambda: count_views(torch.randn(3 * GRAIN + 5, 3).double(), matrices, 3, 2, 5), ()),
     }
     for method, dtype in product(("statevector", "lightcone"), (torch.float32, torch.float64)):
         layer = QuantumLayer(6, 1, method=method, backend="compiled").to(dtype)

@@ -5,8 +5,11 @@ from torch import Tensor, nn
 
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.rays import project
-from qnerf.kernels.projection import count_views
+from qnerf.kernels.jit import one_torch_thread
 from qnerf.scenes import Cameras
+
+CHUNK = 2**12  # points at a time: what is computed of them for `VIEWS` views stays in the caches
+VIEWS = 8
 
 
 class SpaceMask(nn.Module):
@@ -79,6 +82,23 @@ def count_cameras(points: Tensor, cameras: Cameras, views: list[int], limit: int
         alike = straight[(cameras.all_sizes[straight] == torch.tensor([width, height])).all(1)]
         counts += count_views(points.to(torch.float64), projections(cameras, alike), width, height, limit)
     return counts.clamp_(max=limit)
+
+
+def count_views(points: Tensor, matrices: Tensor, width: int, height: int, limit: int) -> Tensor:
+    """In how many images of `width` x `height` pixels each world point (N, 3) falls: (N,), exact up to `limit`.
+
+    Their borders belong to the images. `matrices` (V, 3, 4) are those of `projections`.
+    """
+    counts = torch.zeros(len(points), dtype=torch.int64)
+    with one_torch_thread():
+        for part, count in zip(points.split(CHUNK), counts.split(CHUNK), strict=True):
+            for some in matrices.split(VIEWS):
+                x, y, depth = (some[:, :, :3] @ part.T + some[:, :, 3:]).unbind(1)
+                inside = (depth > 0) & (x >= 0) & (x <= width * depth) & (y >= 0) & (y <= height * depth)
+                count += inside.sum(0)
+                if int(count.min()) >= limit:
+                    break
+    return counts
 
 
 def projections(cameras: Cameras, views: Tensor) -> Tensor:

@@ -74,7 +74,6 @@ LOOPS: dict[str, Loop] = {
     "interlevel loss": Loop(),
     "distortion loss": Loop(),
     "Adam": Loop(),
-    "counting views": Loop(),
     "circuits": Loop(),
 }
 """Every compiled loop, in the order of a step."""
