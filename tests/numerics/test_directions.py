@@ -1,5 +1,8 @@
 """Spherical harmonics of directions that are no unit vectors."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, target
@@ -8,8 +11,6 @@ from hypothesis import strategies as st
 from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.geometry import HARMONICS
 from qnerf.encoders import spherical_harmonics
-from qnerf.encoders.directions import harmonics_reference
-from qnerf.kernels.dispatch import report
 
 LONGEST = 1e12
 """Its cube, which the fourth band has, is below the largest float32 by two digits."""
@@ -46,10 +47,11 @@ def test_harmonics_of_the_longest_direction_are_finite_and_of_a_longer_one_not_h
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
-def test_the_loop_is_its_reference(degree: int) -> None:
-    """To rounding, and where it does not serve the gradient is the reference's."""
-    directions = torch.randn(50, 2, 3, generator=torch.Generator().manual_seed(degree), dtype=torch.float64)
-    torch.testing.assert_close(spherical_harmonics(directions, degree), harmonics_reference(directions, degree))
-    with report() as aside:
-        spherical_harmonics(directions.requires_grad_(), degree)
-    assert aside == {"spherical harmonics": "the directions need a gradient"}
+def test_harmonics_are_orthonormal_over_the_sphere(degree: int) -> None:
+    """By a quadrature that is exact for polynomials of the degree of their products."""
+    nodes, weights = (torch.from_numpy(one) for one in np.polynomial.legendre.leggauss(8))
+    z, angle = nodes[:, None].expand(8, 16), torch.arange(16).double() * math.tau / 16
+    across = (1 - z.square()).sqrt()
+    values = spherical_harmonics(torch.stack([across * angle.cos(), across * angle.sin(), z], -1), degree)
+    products = torch.einsum("i,ijk,ijl->kl", weights * math.tau / 16, values, values)
+    torch.testing.assert_close(products, torch.eye(degree**2, dtype=torch.float64))

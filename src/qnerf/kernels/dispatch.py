@@ -9,26 +9,13 @@ import contextlib
 import inspect
 from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 FLOATS = (torch.float32, torch.float64)
-DEVICES = ("cpu",)
-
-
-class Loop(NamedTuple):
-    """What a compiled loop takes.
-
-    `modules` are the classes that it stands for, each with the options that it knows.
-    """
-
-    modules: Mapping[str, frozenset[str]] = {}
-    dtypes: tuple[torch.dtype, ...] = FLOATS
-    devices: tuple[str, ...] = DEVICES
-
 
 _GRID = "levels min_resolution max_resolution log2_table_size features dense frequency_window"
 
@@ -59,24 +46,23 @@ _MODEL = {
     "qnerf.rendering.proposal_sampler.ProposalSampler": frozenset(_PROPOSAL.split()),
 }
 
-LOOPS: dict[str, Loop] = {
-    "whole step": Loop(_SPACE | _NETWORK | _SHADINGS | _MODEL | {"qnerf.heads.mlp.MLPHead": _MLP}),
-    "training rays": Loop(),
-    "proposals": Loop(_SPACE | _NETWORK),
-    "sample places": Loop(_SPACE),
-    "hash grid": Loop(),
-    "hash grid + MLP": Loop(_NETWORK | {"qnerf.heads.mlp.MLPHead": _MLP}),
-    "MLP": Loop({"qnerf.heads.mlp.MLPHead": _MLP}),
-    "drawing edges": Loop(),
-    "volume weights": Loop(),
-    "shading": Loop(_SHADINGS),
-    "spherical harmonics": Loop(),
-    "interlevel loss": Loop(),
-    "distortion loss": Loop(),
-    "Adam": Loop(),
-    "circuits": Loop(),
+LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
+    "whole step": _SPACE | _NETWORK | _SHADINGS | _MODEL | {"qnerf.heads.mlp.MLPHead": _MLP},
+    "training rays": {},
+    "proposals": _SPACE | _NETWORK,
+    "sample places": _SPACE,
+    "hash grid": {},
+    "hash grid + MLP": _NETWORK | {"qnerf.heads.mlp.MLPHead": _MLP},
+    "MLP": {"qnerf.heads.mlp.MLPHead": _MLP},
+    "drawing edges": {},
+    "volume weights": {},
+    "shading": _SHADINGS,
+    "interlevel loss": {},
+    "distortion loss": {},
+    "Adam": {},
+    "circuits": {},
 }
-"""Every compiled loop, in the order of a step."""
+"""Every compiled loop, in the order of a step, with the classes that it stands for and the options that it knows."""
 
 _HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
 _GLOBAL_HOOKS = [getattr(nn.modules.module, f"_global{hooks}") for hooks in _HOOKS]
@@ -110,16 +96,19 @@ def serves(
 
 
 def _against(
-    loop: Loop, tensors: Sequence[Tensor], modules: Sequence[nn.Module], called: Sequence[nn.Module | None]
+    known: Mapping[str, frozenset[str]],
+    tensors: Sequence[Tensor],
+    modules: Sequence[nn.Module],
+    called: Sequence[nn.Module | None],
 ) -> str | None:
     """Why the loop does not compute this call; None: it does."""
     if _plain:
         return "inside plain()"
     dtype = tensors[0].dtype
     for tensor in tensors:
-        if not tensor.is_cpu and tensor.device.type not in loop.devices:
+        if not tensor.is_cpu:
             return f"device {tensor.device.type}"
-        if tensor.dtype != dtype or dtype not in loop.dtypes:
+        if tensor.dtype != dtype or dtype not in FLOATS:
             return f"{tensor.dtype}".removeprefix("torch.")
     if is_transformed(*tensors):
         return "torch.func or forward-mode derivatives"
@@ -127,17 +116,17 @@ def _against(
         return "hooks on all modules"
     apart = {id(module) for module in (*modules, *called)} if called else set()
     for module in modules:
-        if reason := _unknown(type(module), loop) or _watched(module, apart):
+        if reason := _unknown(type(module), known) or _watched(module, apart):
             return reason
     return None
 
 
-def _unknown(kind: type, loop: Loop) -> str | None:
+def _unknown(kind: type, known: Mapping[str, frozenset[str]]) -> str | None:
     """Why a class is not one that the loop was written for; None: it is."""
-    options = loop.modules.get(_path(kind))
+    options = known.get(_path(kind))
     if options is None:
-        known = [base.__name__ for base in kind.__mro__ if _path(base) in loop.modules]
-        return f"{kind.__name__} extends {known[0]}" if known else f"{kind.__name__} has no loop"
+        base = next((base.__name__ for base in kind.__mro__ if _path(base) in known), None)
+        return f"{kind.__name__} extends {base}" if base else f"{kind.__name__} has no loop"
     later = _options(kind) - options
     return f"option {min(later)} of {kind.__name__}" if later else None
 
