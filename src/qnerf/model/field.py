@@ -75,17 +75,17 @@ class Field(nn.Module):
             Density (R, K) per world unit, features (R, K, G), and which samples were evaluated, (R, K) bool; None: all.
         """
         unit = self.contraction(points)
-        return self.geometry_at(unit, None if self.mask is None else self.mask(unit), last=last)
-
-    def geometry_at(
-        self, unit: Tensor, inside: Tensor | None, *, last: bool = True
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """`geometry` at points (R, K, 3) of the unit cube, of which those `inside` (R, K) are in the mask."""
+        inside = None if self.mask is None else self.mask(unit)
         raw, evaluated = self.raw_at(unit, inside, last=last)
         return self.activated(raw[..., 0], inside), raw[..., 1:], evaluated
 
     def raw_at(self, unit: Tensor, inside: Tensor | None, *, last: bool = True) -> tuple[Tensor, Tensor | None]:
-        """Raw density and geometry (R, K, 1 + G) as in `geometry_at`, and which samples were evaluated."""
+        """Raw density and geometry (R, K, 1 + G), and which samples were evaluated, as `geometry` returns them.
+
+        Args:
+            unit: (R, K, 3) in the unit cube.
+            inside: (R, K) bool, which points are in the mask; None: there is no mask.
+        """
         shape = unit.shape[:-1]
         points = unit.reshape(-1, 3)
         evaluated = None if inside is None else evaluate_last(inside.clone(), last)
