@@ -25,9 +25,11 @@ def unit_points(
     if not serves("sample places", *ends, modules=modules, but=but):
         unit = contraction(rays.along(samples.mids))
         return unit, None if mask is None else mask(unit)
-    unit, inside = points.unit_points(*ends, *numbers_of(contraction), None if mask is None else mask.grid)
-    shape = torch.Size((len(rays), samples.edges.shape[1] - 1))
-    return unit.view(*shape, 3), None if inside is None else inside.view(shape)
+    shape = (len(rays), samples.edges.shape[1] - 1)
+    unit = samples.edges.new_empty(*shape, 3)
+    inside = None if mask is None else torch.empty(shape, dtype=torch.bool)
+    points.places(*ends, *numbers_of(contraction), None if mask is None else mask.grid, unit, inside)()
+    return unit, inside
 
 
 def numbers_of(contraction: Contraction) -> tuple[int, float]:

@@ -1,7 +1,6 @@
 """Where the samples of rays lie in the unit cube: a compiled CPU loop and its plain PyTorch reference."""
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from qnerf.kernels.hashgrid import U
@@ -11,10 +10,11 @@ GRAIN = 512  # rays that are worth waking a thread for
 CUBE, BOX = 0, 1  # contractions that the loop knows
 
 
-def unit_points(
-    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None
-) -> tuple[Tensor, Tensor | None]:
-    """The midpoints of intervals on R rays, in the unit cube (R K, 3), and which of them are inside the mask (R K,).
+def places(
+    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None,
+    unit: Tensor, inside: Tensor | None,
+) -> Call:  # fmt: skip
+    """Writes the midpoints of intervals on R rays in the unit cube, `unit` (R, K, 3), and which are `inside` the mask.
 
     The points equal those of `Rays.along` and of the contraction to the last bit.
 
@@ -23,20 +23,8 @@ def unit_points(
         edges: (R, K + 1) distances along the rays.
         contraction: CUBE: all of space by the largest coordinate; BOX: [-h, h]^3.
         half_extent: h of a box, world units.
-        mask: (n, n, n) bool over the unit cube; None: everywhere.
+        mask: (n, n, n) bool over the unit cube; None: everywhere, and `inside` (R, K) is None too.
     """
-    rays, count = edges.shape[0], edges.shape[1] - 1
-    unit = edges.new_empty(rays * count, 3)
-    inside = None if mask is None else torch.empty(rays * count, dtype=torch.bool)
-    places(origins, directions, edges, contraction, half_extent, mask, unit, inside)()
-    return unit, inside
-
-
-def places(
-    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None,
-    unit: Tensor, inside: Tensor | None,
-) -> Call:  # fmt: skip
-    """Writes what `unit_points` returns."""
     grid, cells = (np.ones(1, np.bool_), 0) if mask is None else (mask, mask.shape[0])
     flags = np.empty(0, np.bool_) if inside is None else inside
     arrays = (origins, directions, edges, edges.shape[1] - 1, contraction, half_extent, grid, cells, unit, flags)
