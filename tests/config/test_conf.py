@@ -26,7 +26,7 @@ from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept
 
 def choices(group: str) -> list[str]:
     """What can be named; `auto` is decided by the scene."""
-    return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("base", "auto"))
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("_base", "auto"))
 
 
 REGISTRIES = dict(groups())

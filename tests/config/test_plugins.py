@@ -139,7 +139,7 @@ def test_the_node_of_a_signature_is_what_conf_has():
         ("cameras", "se3", "cameras", "cameras"),
     ):
         made, config = node(group, name), composed(f"{key}={name}", "train=paper")[part]
-        assert made.pop("defaults", ["base"]) == ["base"]
+        assert made.pop("defaults", ["_base"]) == ["_base"]
         assert made == {option: config[option] for option in made}
         assert group in ("head", "ansatz") or made == config
 

@@ -168,16 +168,20 @@ def message(error: Exception, typed: Sequence[str]) -> str:
     """Hydra's error about a configuration that cannot be composed from what the user typed, on one line."""
     if isinstance(error, MissingConfigException):
         group, _, name = str(error.missing_cfg_file).rpartition("/")
-        choices = [option for option in error.options or () if option != "base"]  # base.yaml: what the others share
+        choices = [option for option in error.options or () if option != "_base"]  # what the others share
         known = _suggested(name, choices) if choices else "; --sweep NAME lists the sweeps"
         if group == "head":
             words = [word.rpartition("@")[2].partition("=") for word in typed]
             group = next((key for key, _, values in words if key in HEADS and name in values.split(",")), group)
         return f"{group or 'config'}={name}: unknown{known}"
-    if ambiguous := re.match(r"Ambiguous value for argument '(.*)'\n", str(error)):
-        key, _, value = ambiguous[1].partition("=")
+    if ambiguous := re.match(r"Ambiguous value for argument '(?:head@)?((.*?)=(.*))'\n", str(error)):
+        override, key, value = ambiguous.groups()
+        key = key.lstrip("+~")
+        config = _composed(typed)
+        if config is not None and key not in _names(config) and not key.startswith("hydra"):
+            return unknown_option(key, config)
         known = f"a list is {key}=[{value}], a text {_quoted(key, value)}"
-        return f"{ambiguous[1]}: several values are a sweep, add -m; {known}"
+        return f"{override}: several values are a sweep, add -m; {known}"
     unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
     if unknown:
         return unknown_option(unknown[1], _composed(typed))
@@ -207,7 +211,7 @@ def hint(name: str, config: DictConfig | None = None) -> str:
     """`; did you mean train.lr=...?` for what is close to an option or a group, or is the last part of an option."""
     config = config if config is not None else _composed(())
     name = name.replace("-", "_")
-    names = [*_leaves(OmegaConf.to_container(config) if config is not None else {}), *_groups()]
+    names = _names(config)
     last, group = name.rpartition(".")[2], f"{name.partition('.')[0]}."
     near = get_close_matches(last, {known.rpartition(".")[2] for known in names}, n=1, cutoff=0.75)
     found = [HABITS[last]] if last in HABITS else get_close_matches(name, names, n=1, cutoff=0.8)
@@ -215,6 +219,11 @@ def hint(name: str, config: DictConfig | None = None) -> str:
     found = [known for known in found if known.startswith(group)] or found
     found = sorted(dict.fromkeys(found), key=lambda known: (known.count("."), not known.startswith("train"), known))
     return f"; did you mean {' or '.join(f'{known}=...' for known in found[:SHOWN])}?" if found else ""
+
+
+def _names(config: DictConfig | None) -> list[str]:
+    """All options and groups."""
+    return [*_leaves(OmegaConf.to_container(config) if config is not None else {}), *_groups()]
 
 
 def _groups() -> list[str]:
@@ -244,5 +253,5 @@ def _composed(arguments: Iterable[str]) -> DictConfig | None:
 
 
 def _suggested(name: str, known: Sequence[str]) -> str:
-    near = get_close_matches(name, known, n=1)
+    near = [one for one in known if one.lower() == name.lower()] or get_close_matches(name, known, n=1)
     return f"; {f'did you mean {near[0]}? ' if near else ''}known: {', '.join(known)}"

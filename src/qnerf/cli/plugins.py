@@ -91,7 +91,7 @@ def node(group: str, name: str) -> dict[str, Any]:
         inherited = registry.name_of(ancestor)
         for option in registry.options(inherited) if inherited else ():
             options.pop(option, None)
-    return {"defaults": ["base"], "name": name, **({name: options} if options else {})}
+    return {"defaults": ["_base"], "name": name, **({name: options} if options else {})}
 
 
 def _plain(value: Any) -> Any:
