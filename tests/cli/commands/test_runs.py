@@ -89,6 +89,8 @@ def test_none_of_them_and_none_at_all(store, qnerf, tmp_path):
     assert qnerf("runs", "seed=7").out == f"no runs in {store}\n"
     assert qnerf("runs", "--ids").out == ""
     assert qnerf("runs", "--json").json == []
+    (store / "runs.parquet").touch()
+    assert "got tables made by qnerf pack" in qnerf("runs").err
 
 
 @pytest.mark.parametrize("width", [50, 80, 120, 200])

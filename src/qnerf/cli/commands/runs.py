@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -70,9 +71,11 @@ def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> 
     """The store's runs with the columns of the table and those in `further`, or with every column.
 
     Raises:
-        ValueError: no run has one of those in `further`; the message names similar ones.
+        ValueError: no run has one of those in `further`; the message names similar ones. Or the store holds tables.
     """
     frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])))
+    if not len(frame) and Path(store, "runs.parquet").is_file():
+        raise ValueError(f"{store}: expected a folder of runs, got tables made by qnerf pack; qnerf tables reads them")
     if len(frame) and (unknown := [name for name in further if name not in frame]):
         filters.check_column(unknown[0], index.load(store).columns)
     return frame
