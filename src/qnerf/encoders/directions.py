@@ -1,8 +1,6 @@
 """View directions -> features."""
 
-from functools import cache
-from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -10,30 +8,12 @@ from torch import Tensor, nn
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeFactor
 from qnerf.config.registry import Registry
+from qnerf.kernels.dispatch import serves
+from qnerf.kernels.harmonics import harmonics
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
 Degree = Literal[1, 2, 3, 4]
-
-
-POLYNOMIALS: list[dict[str, float]] = [
-    {"": 0.28209479177387814},
-    {"y": 0.4886025119029199},
-    {"z": 0.4886025119029199},
-    {"x": 0.4886025119029199},
-    {"xy": 1.0925484305920792},
-    {"yz": 1.0925484305920792},
-    {"zz": 0.9461746957575601, "": -0.31539156525252005},
-    {"xz": 1.0925484305920792},
-    {"xx": 0.5462742152960396, "yy": -0.5462742152960396},
-    {"xxy": 3 * 0.5900435899266435, "yyy": -0.5900435899266435},
-    {"xyz": 2.890611442640554},
-    {"yzz": 5 * 0.4570457994644658, "y": -0.4570457994644658},
-    {"zzz": 5 * 0.3731763325901154, "z": -3 * 0.3731763325901154},
-    {"xzz": 5 * 0.4570457994644658, "x": -0.4570457994644658},
-    {"xxz": 1.445305721320277, "yyz": -1.445305721320277},
-    {"xxx": 0.5900435899266435, "xyy": -3 * 0.5900435899266435},
-]
-"""The harmonics of bands 0 to 3, each m from -l to l: products of coordinates and their factors."""
+DEGREES = get_args(Degree)
 
 
 def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
@@ -46,29 +26,40 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     >>> spherical_harmonics(torch.tensor([[0.0, 0.0, 1.0]]), degree=4).shape
     torch.Size([1, 16])
     """
-    bounds.check("directions=sh: degree", degree, Degree)
-    products = factors = torch.cat([torch.ones_like(directions[..., :1]), directions], -1)
-    for _ in range(degree - 2):
-        products = (products[..., None] * factors[..., None, :]).flatten(-2)
-    first, second, of_first, of_second = _terms(degree, directions.dtype, directions.device)
-    return products.index_select(-1, first) * of_first + products.index_select(-1, second) * of_second
+    if degree not in DEGREES:
+        bounds.check("directions=sh: degree", degree, Degree)
+    but = "the directions need a gradient" if directions.requires_grad else None
+    if serves("spherical harmonics", directions, but=but):
+        return harmonics(directions, degree)
+    return harmonics_reference(directions, degree)
 
 
-@cache
-def _terms(degree: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """Of each harmonic: the places of its two terms among the products of 1, x, y, z, and their factors.
-
-    The factor of a term that there is not is 0.
-    """
-    length = max(degree - 1, 1)
-    products = ["".join(each) for each in product("1xyz", repeat=length)]
-    columns: list[tuple[float, ...]] = []
-    for polynomial in POLYNOMIALS[: degree**2]:
-        terms = [*polynomial.items(), ("", 0.0)][:2]
-        columns.append((*(products.index(name.rjust(length, "1")) for name, _ in terms), *(one for _, one in terms)))
-    first, second, of_first, of_second = zip(*columns, strict=True)
-    factors = [torch.tensor(each, dtype=dtype, device=device) for each in (of_first, of_second)]
-    return torch.tensor(first, device=device), torch.tensor(second, device=device), *factors
+def harmonics_reference(directions: Tensor, degree: int) -> Tensor:
+    """`spherical_harmonics` in plain PyTorch."""
+    x, y, z = directions.unbind(-1)
+    terms = [torch.full_like(x, 0.28209479177387814)]
+    if degree > 1:
+        terms += [0.4886025119029199 * y, 0.4886025119029199 * z, 0.4886025119029199 * x]
+    if degree > 2:
+        xx, yy, zz = x * x, y * y, z * z
+        terms += [
+            1.0925484305920792 * x * y,
+            1.0925484305920792 * y * z,
+            0.9461746957575601 * zz - 0.31539156525252005,
+            1.0925484305920792 * x * z,
+            0.5462742152960396 * (xx - yy),
+        ]
+    if degree > 3:
+        terms += [
+            0.5900435899266435 * y * (3 * xx - yy),
+            2.890611442640554 * x * y * z,
+            0.4570457994644658 * y * (5 * zz - 1),
+            0.3731763325901154 * z * (5 * zz - 3),
+            0.4570457994644658 * x * (5 * zz - 1),
+            1.445305721320277 * z * (xx - yy),
+            0.5900435899266435 * x * (xx - 3 * yy),
+        ]
+    return torch.stack(terms, dim=-1)
 
 
 class Directions(nn.Module):

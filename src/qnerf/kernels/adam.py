@@ -32,9 +32,9 @@ def adam(updates: Sequence[Update], beta1: float, beta2: float, eps: float) -> N
     places = np.array([tensor.data_ptr() for update in updates for tensor in update.tensors]).reshape(-1, 4)
     ends = np.cumsum([update.tensors[0].numel() for update in updates])
     like = flat(updates[0].tensors[0])
-    rates, scales = (np.array([update[i] for update in updates], like.dtype) for i in (1, 2))
+    factors = np.array([update[1:] for update in updates], like.dtype)
     numbers = (like.dtype.type(number) for number in (1 - beta1, beta2, 1 - beta2, eps))
-    run(_adam, int(ends[-1]), places, ends, rates, scales, *numbers, like, grain=GRAIN)
+    run(_adam, int(ends[-1]), places, ends, factors, *numbers, like, grain=GRAIN)
 
 
 @intrinsic
@@ -49,7 +49,7 @@ def _pointer(typing_context: Any, address: Any, like: Any) -> Any:
 
 
 @jit
-def _adam(start, stop, places, ends, rates, scales, new, old_square, new_square, eps, like):  # type: ignore[no-untyped-def]
+def _adam(start, stop, places, ends, factors, new, old_square, new_square, eps, like):  # type: ignore[no-untyped-def]
     """Changes the numbers start..stop, counted through all parameters."""
     before = 0
     for each in range(ends.size):
@@ -63,7 +63,7 @@ def _adam(start, stop, places, ends, rates, scales, new, old_square, new_square,
         gradient = numba.carray(_pointer(places[each, 1], like), size)
         mean = numba.carray(_pointer(places[each, 2], like), size)
         square = numba.carray(_pointer(places[each, 3], like), size)
-        rate, scale = rates[each], scales[each]
+        rate, scale = factors[each, 0], factors[each, 1]
         # One pass over all four arrays: LLVM turns it into vectors.
         for i in range(U(first), U(last)):
             g = gradient[i]

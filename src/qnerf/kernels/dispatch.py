@@ -57,6 +57,7 @@ LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
     "drawing edges": {},
     "volume weights": {},
     "shading": _SHADINGS,
+    "spherical harmonics": {},
     "interlevel loss": {},
     "distortion loss": {},
     "Adam": {},

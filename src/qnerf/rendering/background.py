@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config import bounds
-from qnerf.config.settings import Background
+from qnerf.config.settings import BACKGROUNDS, Background
 
 
 def evaluation_background(name: str) -> str:
@@ -24,7 +24,8 @@ def background_color(name: str, like: Tensor, generator: torch.Generator | None)
     Raises:
         ValueError: an unknown name, or `random` without a generator.
     """
-    bounds.check("background", name, Background)
+    if name not in BACKGROUNDS:
+        bounds.check("background", name, Background)
     if name == "last_sample":
         return None
     if name != "random":

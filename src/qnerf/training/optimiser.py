@@ -43,10 +43,11 @@ def _adam(optimiser: torch.optim.Optimizer, changed: list[tuple[dict[str, Any], 
     for (_, one), state in zip(changed, states, strict=True):
         if not state:
             state |= {"step": torch.zeros(())} | {key: torch.zeros_like(one) for key in ("exp_avg", "exp_avg_sq")}
-    torch._foreach_add_([state["step"] for state in states], 1)
     updates = []
     for (group, one), state in zip(changed, states, strict=True):
-        step = state["step"].item()
+        steps = state["step"].numpy()  # the same memory: an operation of PyTorch would take longer
+        steps += 1
+        step = float(steps)
         tensors = (one, one.grad, state["exp_avg"], state["exp_avg_sq"])
         updates.append(Update(tensors, group["lr"] / (1 - beta1**step), (1 - beta2**step) ** -0.5))  # type: ignore[arg-type]
     adam(updates, beta1, beta2, optimiser.defaults["eps"])
