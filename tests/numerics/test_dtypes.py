@@ -42,7 +42,7 @@ class Watcher(TorchDispatchMode):
         for tensor in tree_leaves(out):
             if isinstance(tensor, torch.Tensor) and (tensor.is_floating_point() or tensor.is_complex()):
                 self.seen += 1
-                if tensor.dtype not in self.known:
+                if tensor.dtype not in self.known and tensor.numel() > 1:
                     self.found.setdefault(_place(), set()).add(f"{function}")
         return out
 
