@@ -243,8 +243,8 @@ def _reconstruct(
             raise ValueError("no two photographs show the same things: neighbours must overlap by half or more")
         if not shared and not _count(database, "two_view_geometries", f"rows > 0 AND config NOT IN {steps.FLAT}"):
             raise ValueError(
-                "the camera only turned, or the scene is flat: with a lens for each photograph, no poses follow from "
-                "that; walk around the scene, or take all with one lens and size (--lens shared)"
+                "the camera only turned, or the scene is flat: poses cannot be found if each photograph may have its "
+                "own lens; walk around the scene, or take all with one lens and size (--lens shared)"
             )
         for relaxed in (False, True):
             place = work / f"{matching}-{relaxed}"

@@ -12,8 +12,8 @@ MAX_SIDE = 1600  # pixels; larger images are reduced before features are searche
 NEIGHBOURS = 20  # with which an image of a sequence is compared: the next ten, and those 2, 4, 8, ... on
 MIN_POINTS = 40  # of a model
 MIN_ANGLE = 4.0  # degrees between the rays to a point; a camera that only turns yields 2 to 4 from noise
-MAX_STRETCH = 1.1  # of pixels, the longer side over the shorter; where noise yields over 3 degrees, it needs 1.3
-FLAT = (4, 5, 6)  # what COLMAP's database calls pairs that one plane explains: of a scene, or of the pixels of a turn
+MAX_STRETCH = 1.1  # of pixels, the longer side over the shorter; noise that yields more than 3 degrees needs 1.3
+FLAT = (4, 5, 6)  # COLMAP's numbers for pairs of photographs of a plane, or of a camera that only turned
 # For small or few photographs, where COLMAP's own limits leave no pair to begin with.
 RELAXED = {"init_min_num_inliers": 30, "init_min_tri_angle": MIN_ANGLE, "abs_pose_min_num_inliers": 15}
 PLACED = "placed"  # a file with a byte for each photograph that has been posed so far
