@@ -9,10 +9,12 @@ from torch.func import functional_call
 
 from benchmarks.accuracy_cases import ACCEPTED_GRADIENT, EPS, Case, Function, rounded
 from qnerf.heads.qiren import Normalisation
-from qnerf.quantum import lightcone, statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
-from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.compiled.engine import Engine
+from qnerf.quantum.cones import TooLarge, find_cones
+from qnerf.quantum.lightcone import LightCones
+from qnerf.quantum.program import program
+from qnerf.quantum.statevector import Simulate
 
 CIRCUIT_GRADIENTS = 1e-5
 """Of the inputs and of the weights, each relative to its largest, up to S = 6; beyond, and at 14 wires, where gradients
@@ -24,6 +26,11 @@ within sqrt(6144) EPS / 2 of their sum where roundings are independent, and the 
 the mean: a feature has been rounded to |mean| EPS / 2 before, and centring it rounds no further."""
 
 
+def rows(circuit: Circuit) -> int:
+    """Sublayers of QIREN, each with an angle (n, 3) for every wire."""
+    return circuit.size // (3 * circuit.wires)
+
+
 def output_error(circuit: Circuit) -> float:
     """Bound of a circuit's outputs in float32, of their range of 1: 3 sqrt(passes) EPS, whatever the angles are.
 
@@ -31,7 +38,7 @@ def output_error(circuit: Circuit) -> float:
     and a sum, EPS / 2 each, and the roundings of different passes are independent: they add up like sqrt(passes), in an
     expectation value twice, with half as much again for its sum over the amplitudes. 8 wires, S = 2: 2.9e-6.
     """
-    return 3 * math.sqrt(circuit.rows * (circuit.wires + 3)) * EPS
+    return 3 * math.sqrt(rows(circuit) * (circuit.wires + 3)) * EPS
 
 
 def normalised_gradient_error(x: Tensor) -> float:
@@ -45,19 +52,20 @@ def normalised_gradient_error(x: Tensor) -> float:
 
 def engines(circuit: Circuit) -> dict[str, Function]:
     """Variant -> function of inputs (B, n) and weights (rows, n, 3). "plain": the state vector in PyTorch."""
-    form = normal_form(circuit)
-    functions: dict[str, Function] = {
-        "plain": partial(statevector.evaluate, form),
-        "statevector": partial(compiled.evaluate, compiled.StatevectorEngine(form)),
-    }
+    engine = Engine(circuit)
+    plain = engine.plain
+    simulations = {"plain": plain.simulate, "statevector": engine.simulate}
     try:
-        cone = lightcone.LightConeEngine(circuit)
-    except ValueError:  # every output depends on too many inputs
-        return functions
-    return functions | {
-        "lightcone": partial(lightcone.evaluate, cone),
-        "lightcone plain": partial(lightcone.evaluate_reference, circuit),
-    }
+        cones = LightCones(find_cones(program(circuit)))
+        simulations["lightcone"] = cones.through(engine.simulate, True)
+        simulations["lightcone plain"] = cones.through(plain.simulate, False)
+    except TooLarge:  # every output depends on too many inputs
+        pass
+
+    def function(simulate: Simulate) -> Function:
+        return lambda x, weights: plain.evaluate(x, weights.flatten(), simulate)
+
+    return {name: function(simulate) for name, simulate in simulations.items()}
 
 
 def _with_range(function: Function, x: Tensor, weights: Tensor) -> Tensor:
@@ -70,7 +78,7 @@ def angles(circuit: Circuit, *, inputs: float, weights: float, batch: int) -> tu
     """Inputs (B, n), normally distributed, and weights (rows, n, 3), uniform from 0, of these sizes, in radians."""
     generator = torch.Generator().manual_seed(0)
     x = torch.randn(batch, circuit.wires, generator=generator, dtype=torch.float64) * inputs
-    w = torch.rand(circuit.rows, 3, circuit.wires, generator=generator, dtype=torch.float64) * weights
+    w = torch.rand(rows(circuit), 3, circuit.wires, generator=generator, dtype=torch.float64) * weights
     return rounded(x), rounded(w.transpose(1, 2).contiguous())
 
 
@@ -78,7 +86,7 @@ def circuit_case(
     name: str, circuit: Circuit, *, inputs: float = 1.0, weights: float = 2 * math.pi, batch: int = 256
 ) -> Case:
     variants = {variant: partial(_with_range, function) for variant, function in engines(circuit).items()}
-    gradient = ACCEPTED_GRADIENT if circuit.spectral > 6 or circuit.wires == 14 else CIRCUIT_GRADIENTS
+    gradient = ACCEPTED_GRADIENT if circuit.parameters["weights1"][0] > 6 or circuit.wires == 14 else CIRCUIT_GRADIENTS
     tensors = angles(circuit, inputs=inputs, weights=weights, batch=batch)
     return Case("circuits", name, variants, tensors, output_error(circuit), gradient)
 

@@ -17,7 +17,6 @@ from qnerf.encoders import DIRECTIONS
 from qnerf.experiment import run
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
-from qnerf.quantum.circuit import Encoding
 from qnerf.quantum.initial_angles import INITS
 from qnerf.rendering.spacing import SPACINGS
 from tests.config.test_acting import after_two_steps
@@ -153,7 +152,7 @@ def test_jobs_of_every_sweep_are_configurations():
 def test_an_ansatz_gets_its_options(tiny):
     config = tiny("ansatz=qiren", "qiren.ansatz_options.qiren.axis=Y", "qiren.ansatz_options.qiren.ranges=[1,2]")
     head = build_head(config["color"], 4, 2)
-    assert {op.axis for op in head.hybrid[0].circuit.circuit.operations if isinstance(op, Encoding)} == {"Y"}
+    assert {gate.name for gate in head.hybrid[0].circuit.circuit.gates} == {"Rot", "CZ", "RY"}
 
 
 def finished(config) -> dict:

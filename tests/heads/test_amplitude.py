@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from qnerf.heads import HEADS
 from qnerf.heads.amplitude import System
 from qnerf.heads.registers import BlochRegister
-from qnerf.quantum.circuit import Encoding, Rotations
-from qnerf.quantum.normal_form import basis_bits
+from qnerf.quantum.basis import bit
 
 VARIANTS = [
     {},
@@ -57,24 +56,25 @@ def gate_by_gate(system, parts, features, weights):
     state, n, unitaries = system.prepared(parts, features), system.wires, system.unitaries
     state, index = state.to(state.dtype.to_complex()), 0
     matrices = unitaries()
-    bits = torch.from_numpy(basis_bits(n))
-    for operation in (*unitaries.circuit.operations, None):
-        if operation is None or isinstance(operation, Encoding):  # the end of a block
+    bits = torch.stack([(torch.arange(2**n) & bit(wire, n) != 0).long() for wire in range(n)], 1)
+    first_of_encoding = (gate for gate in unitaries.circuit.gates if gate.name != "RZ" or gate.wires == (0,))
+    for gate in (*first_of_encoding, None):
+        if gate is None or gate.name == "RZ":  # the end of a block
             if unitaries.kind not in ("circuit", "local") and matrices[index] is not None:
                 state = state @ matrices[index].to(state.dtype).T
-            if operation is not None:
+            if gate is not None:
                 angles = system.upload(features) * system.frequencies[index]
                 state = state * torch.exp(-0.5j * (angles @ (1 - 2 * bits).T.double()))
             index += 1
-        elif unitaries.kind in ("circuit", "local") and isinstance(operation, Rotations):
-            for wire in range(n):
-                state = rotated(state, unitaries.angles[operation.row, wire], wire, n)
+        elif unitaries.kind in ("circuit", "local") and gate.name == "Rot":
+            ((_, place),) = gate.angles[0].weights
+            state = rotated(state, unitaries.angles[place // (3 * n), gate.wires[0]], gate.wires[0], n)
         elif unitaries.kind in ("circuit", "local"):
-            for control, target in operation.pairs:
-                if operation.gate == "CZ":
-                    state = state * (1.0 - 2.0 * bits[:, control] * bits[:, target])
-                else:
-                    state = state[:, torch.arange(2**n) ^ (bits[:, control] << (n - 1 - target))]
+            control, target = gate.wires
+            if gate.name == "CZ":
+                state = state * (1.0 - 2.0 * bits[:, control] * bits[:, target])
+            else:
+                state = state[:, torch.arange(2**n) ^ (bits[:, control] << (n - 1 - target))]
     return state.abs().square() @ system.measured.T @ weights.T
 
 

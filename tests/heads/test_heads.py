@@ -47,7 +47,7 @@ def test_qfgn_feeds_gaussian_weighted_fourier_features_to_the_circuit():
 
 MISTAKES = [
     ("qfgn", {"features": 3}, "even"),
-    ("qiren", {"ansatz": "with_gates", "unitary": "local"}, "with_gates has other gates: register a variant"),
+    ("qiren", {"ansatz": "with_gates", "unitary": "local"}, "has CRX, which is one with an angle: register a variant"),
     ("amplitude", {"registers": [6, 6]}, "at most 10 qubits together"),
     ("amplitude", {"branch": "amplitude"}, "expects two registers"),
     ("amplitude", {"encoding": "none"}, "uploads of at least 1"),
@@ -58,7 +58,7 @@ MISTAKES = [
 
 
 def with_gates(wires, spectral):
-    gates = Gate("RX", (0,), (feature(0),)), Gate("CNOT", (0, 1))
+    gates = Gate("RX", (0,), (feature(0),)), Gate("CRX", (0, 1), (feature(0),))
     return Circuit("with_gates", wires, operations=gates, observables=(((0, "Z"),),), features=1)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import Function
-from benchmarks.accuracy_cases.circuits import angles, engines, output_error
+from benchmarks.accuracy_cases.circuits import angles, engines, output_error, rows
 from qnerf.quantum.circuit import ANSATZE
 
 ENGINES = ("plain", "statevector", "lightcone", "lightcone plain")
@@ -92,7 +92,7 @@ def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float
     """Weights at and around corners, where an expectation value is largest; inputs of any size."""
     circuit = ANSATZE.build("qiren", *shape)
     generator = torch.Generator().manual_seed(seed)
-    near = torch.randint(0, 3, (circuit.rows, shape[0], 3), generator=generator) * 1e-4
+    near = torch.randint(0, 3, (rows(circuit), shape[0], 3), generator=generator) * 1e-4
     w = near + torch.tensor(turned)
     x = torch.rand(20, shape[0], generator=generator) * size
     for function in engines(circuit).values():
@@ -110,7 +110,7 @@ def test_float32_keeps_its_bounds_at_angles_of_any_size(
     circuit = ANSATZE.build("qiren", *shape)
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(8, shape[0], generator=generator) * (inputs / 8)
-    w = torch.randn(circuit.rows, shape[0], 3, generator=generator) * (weights / 8)
+    w = torch.randn(rows(circuit), shape[0], 3, generator=generator) * (weights / 8)
     g = torch.rand(8, shape[0], generator=generator)
     functions = engines(circuit)
     y = functions["plain"](x.double(), w.double())

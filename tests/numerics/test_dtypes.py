@@ -15,15 +15,16 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import qnerf
-from qnerf.quantum import QuantumLayer, lightcone
-from qnerf.quantum.circuit import ANSATZE
+from qnerf.quantum import QuantumLayer
 from tests.helpers.trainer import trainer
 
 SOURCE = Path(qnerf.__file__).parent
 ON_PURPOSE = {
     "encoders/frequency.py": "phases of up to 256 turns are reduced before they are rounded",
+    "quantum/angles.py": "angles are added up before they are rounded",
     "quantum/compiled/engine.py": "angles become tables once a step",
-    "quantum/statevector.py": "angles become tables once a step; products that float32 would round",
+    "quantum/lightcone.py": "coefficients of polynomials, once a step",
+    "quantum/statevector.py": "products that float32 would round",
 }
 """Files in which a float32 step makes float64 tensors, and why."""
 
@@ -74,12 +75,18 @@ def stepped(config: dict[str, Any]) -> Watcher:
 
 
 STEPS = {
-    "polynomials": (["field=qboth", "qiren=1L1S", "qiren.qubits=3", "train.rays=64"], {"quantum/compiled/engine.py"}),
-    "in plain PyTorch": (["field=qboth", "qiren.qubits=3", "color.directions=sh"], {"quantum/statevector.py"}),
+    "polynomials": (
+        ["field=qboth", "qiren=1L1S", "qiren.qubits=3", "qiren.method=lightcone", "train.rays=64"],
+        {"quantum/angles.py", "quantum/compiled/engine.py", "quantum/lightcone.py"},
+    ),
+    "in plain PyTorch": (
+        ["field=qboth", "qiren.qubits=3", "color.directions=sh"],
+        {"quantum/angles.py", "quantum/statevector.py"},
+    ),
     "no circuits": (["field=classical", "cameras=se3", "appearance=2"], set()),
     "random features": (
         ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "shading=top"],
-        {"encoders/frequency.py", "quantum/compiled/engine.py"},
+        {"encoders/frequency.py", "quantum/angles.py", "quantum/compiled/engine.py"},
     ),
 }
 """Options, and the files of `ON_PURPOSE` that take part in a step."""
@@ -113,6 +120,3 @@ def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s() -> None:
             assert layer(torch.zeros(2, 3, dtype=torch.float64)).dtype == torch.float64
             assert layer(torch.zeros(2, 3, dtype=torch.bfloat16)).dtype == torch.float32
             assert layer.double()(torch.zeros(2, 3)).dtype == torch.float64
-            circuit = ANSATZE.build("qiren", 3, 1)
-            weights = torch.zeros(circuit.rows, 3, 3)
-            assert lightcone.coefficients(circuit, weights).dtype == torch.float32

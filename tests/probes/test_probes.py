@@ -23,6 +23,8 @@ from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Weights, feature, weight
 from qnerf.quantum.cones import find_cones
 from qnerf.quantum.diagnostics import weights_of
+from qnerf.quantum.program import program
+from qnerf.quantum.statevector import PlainCircuit
 from qnerf.records.read import read_probe
 from qnerf.timing import Stopwatch
 from tests.helpers.trainer import built
@@ -55,14 +57,16 @@ def test_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
     circuit = layer(8, 1)
     table = spectrum.powers(circuit)
     assert set(table["method"]) == {"exact"}
-    coefficients = lightcone.coefficients(circuit.circuit, weights_of(circuit)).numpy()
+    own, cones = PlainCircuit(circuit.circuit), find_cones(program(circuit.circuit))
+    fixed = own.angles.fixed(torch.zeros(1, 8), weights_of(circuit))
+    coefficients = lightcone.LightCones(cones).coefficients(own.simulate, fixed, None, fixed.device).numpy()
     half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
-    for output, cone in enumerate(find_cones(circuit.circuit).cones):
+    for output, cone in enumerate(cones.cones):
         square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
-        for axis, wire in enumerate(cone.wires):
+        for axis, wire in enumerate(cone.features):
             marginal = square.sum(tuple({0, 1, 2} - {axis}))
             np.testing.assert_allclose(of(table, output, wire), [marginal[0], marginal[1:].sum()], atol=1e-15)
-        for wire in set(range(8)) - set(cone.wires):
+        for wire in set(range(8)) - set(cone.features):
             np.testing.assert_allclose(of(table, output, wire), [square.sum()], atol=1e-15)
 
 
@@ -212,7 +216,7 @@ def test_cost_counts_what_is_evaluated(quantum_run, monkeypatch, capsys):
 
 def test_cost_counts_gates_after_their_decomposition():
     def counts(*gates):
-        circuit = Circuit("own", 3, 0, 0, gates, (((0, "Z"),),), weights=(Weights("w", (16,)),))
+        circuit = Circuit("own", 3, gates, (((0, "Z"),),), weights=(Weights("w", (16,)),))
         return cost.gate_counts(circuit)[1], cost.shifts(circuit)
 
     w = [weight("w", index) for index in range(16)]

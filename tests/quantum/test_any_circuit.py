@@ -18,21 +18,19 @@ from qnerf.quantum.circuit import (
     GATES,
     Amplitudes,
     Circuit,
-    Encoding,
-    Entangler,
     Expression,
     Gate,
     Hamiltonian,
     Probabilities,
-    Rotations,
     Weights,
+    encoding,
+    entanglers,
     feature,
+    rotations,
     weight,
 )
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.normal_form import normal_form
-from qnerf.quantum.pauli_form import pauli_form
-from qnerf.quantum.pauli_statevector import PauliCircuit
+from qnerf.quantum.program import CNOTs, Diagonal, RYLayer, program, rotations_of
 
 W = Weights("w", (2, 3))
 FEATURES = 4
@@ -103,7 +101,7 @@ def circuits(draw: st.DrawFn, without: str = "") -> Circuit:
         observables.append(Hamiltonian(tuple(0.5 * k - 0.7 for k in range(len(chosen))), tuple(chosen)))
     if draw(st.booleans()):
         observables.append(Probabilities(tuple(draw(wires)[: draw(st.integers(1, n))])))
-    return Circuit("random", n, 0, 0, tuple(operations), tuple(observables), FEATURES, (W,))
+    return Circuit("random", n, tuple(operations), tuple(observables), FEATURES, (W,))
 
 
 def results(layer: QuantumLayer, batch: int, dtype: torch.dtype = torch.float64) -> list[Tensor]:
@@ -142,32 +140,57 @@ def test_random_circuits_equal_pennylane(circuit: Circuit) -> None:
         torch.testing.assert_close(fast(x), peer(x), rtol=0, atol=1e-12)
 
 
-def test_pauli_form_of_reuploading_circuits_equals_their_normal_form() -> None:
-    for name in ANSATZE.names():
-        circuit = ANSATZE.build(name, 3, 2)
-        x, w = torch.randn(5, 3, dtype=torch.float64), torch.randn(circuit.size, dtype=torch.float64)
-        expected = statevector.evaluate(normal_form(circuit), x, w)
-        torch.testing.assert_close(PauliCircuit(circuit).evaluate(x, w), expected, rtol=0, atol=1e-13)
-
-
-def test_mixture_of_operations_is_one_circuit() -> None:
+def test_lists_of_gates_and_gates_are_one_circuit() -> None:
+    v = Weights("v", (2, 2, 3))
     operations = (
-        Rotations(0), Entangler("CZ", ((0, 1),)), Encoding("X", (1.0, 2.0)), Gate("H", (0,)), Rotations(1),
+        rotations(v[0]), entanglers("CZ", ((0, 1),)), encoding("X", (1.0, 2.0)), Gate("H", (0,)), [rotations(v[1])],
     )  # fmt: skip
-    circuit = Circuit("both", 2, 1, 1, operations, (((0, "Z"),), ((0, "X"),)))
+    circuit = Circuit("both", 2, operations, (((0, "Z"),), ((0, "X"),)), weights=(v,))
+    assert len(circuit.operations) == len(circuit.gates) == 8
     fast, plain = QuantumLayer(circuit), QuantumLayer(circuit, method="pennylane")
     plain.load_state_dict(fast.state_dict())
-    assert list(fast.state_dict()) == ["weights1", "weights2"]
     x = torch.randn(4, 2)
     torch.testing.assert_close(fast(x), plain(x), rtol=0, atol=2e-6)
 
 
-def test_clifford_gates_cost_nothing() -> None:
-    gates = (Gate("RX", (0,), (feature(0),)), Gate("CNOT", (0, 1)), Gate("H", (1,)), Gate("SWAP", (0, 1)))
-    form = pauli_form(Circuit("clifford", 2, operations=gates, observables=(((0, "Z"),), ((1, "Y"),))))
-    assert len(form.rotations) == 1
-    form = pauli_form(Circuit("all", 2, operations=gates, observables=(Probabilities((0, 1)),)))
-    assert len(form.rotations) <= 3  # two of them make the probabilities diagonal
+def kinds(circuit: Circuit) -> list[type]:
+    return [type(block) for block in program(circuit).blocks]
+
+
+def test_program_is_the_same_whichever_way_gates_are_ordered() -> None:
+    """Wire by wire or layer by layer, as gates with Rot taken apart: what commutes merges."""
+    layered = ANSATZE.build("qiren", 4, 2)
+    by_wire = sorted(layered.operations[:4], key=lambda gate: -gate.wires[0])
+    apart = [
+        Gate(name, gate.wires, (angle,)) if gate.name == "Rot" else gate
+        for gate in (*by_wire, *layered.operations[4:])
+        for name, angle in (zip(("RZ", "RY", "RZ"), gate.angles, strict=True) if gate.name == "Rot" else [("", 0.0)])
+    ]
+    other = replace(layered, operations=tuple(apart))
+    assert kinds(other) == kinds(layered)
+    assert kinds(layered)[:4] == [RYLayer, Diagonal, RYLayer, Diagonal]
+    assert program(other).operations == program(layered).operations
+
+
+def test_program_leaves_out_what_has_no_effect() -> None:
+    zz = (Gate("CNOT", (0, 1)), Gate("RZ", (1,), (W[0, 0],)), Gate("CNOT", (0, 1)))
+    turned = (Gate("RX", (0,), (feature(0),)), Gate("RX", (1,), (feature(1),)))
+    for operations, cnots, weights in (
+        ((*turned, *zz), 0, 0),  # phases before Z is measured
+        ((*zz, *turned), 0, 0),  # phases of |0...0>
+        ((*turned, Gate("CNOT", (0, 1))), 0, 0),  # at the end: Z becomes ZZ
+        ((*turned, Gate("X", (0,)), Gate("Y", (1,))), 0, 0),  # Pauli gates turn signs
+        ((*turned, *zz, Gate("CNOT", (1, 2)), *turned), 1, 1),
+    ):
+        circuit = Circuit("few", 3, operations=operations, observables=(((0, "Z"),), ((1, "Z"),)), weights=(W,))
+        found = program(circuit)
+        assert sum(isinstance(block, CNOTs) for block in found.blocks) == cnots
+        angles = [angle for block in found.blocks for _, angle in rotations_of(block, 3)]
+        assert len({own for angle in angles for own in angle.weights}) == weights
+        fast, plain = QuantumLayer(circuit), QuantumLayer(circuit, method="pennylane")
+        plain.load_state_dict(fast.state_dict())
+        x = torch.randn(4, 3)
+        torch.testing.assert_close(fast(x), plain(x), rtol=0, atol=2e-6)
 
 
 def test_second_derivatives_are_those_of_differences() -> None:
@@ -224,16 +247,12 @@ def test_batches_of_any_shape_and_number_of_weights() -> None:
         Circuit("fixed", 1, operations=(Gate("RX", (0,), (0.3,)),), observables=(((0, "Z"),),), features=0)
     )
     assert torch.allclose(fixed(torch.zeros(4, 0)), torch.tensor(0.3).cos().expand(4, 1))
-    with pytest.raises(ValueError, match="mixed does not re-upload data; choose method=auto"):
+    with pytest.raises(ValueError, match="mixed has a start that depends on the input; choose method=auto"):
         QuantumLayer(MIXED, method="lightcone")
 
 
 def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
     return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
-
-
-def layered(operation: Any, observables: Any = (((0, "Z"),),)) -> Circuit:
-    return Circuit("wrong", 2, 1, 2, (operation,), observables)
 
 
 MISTAKES: list[tuple[Callable[[], Any], str]] = [
@@ -260,14 +279,11 @@ MISTAKES: list[tuple[Callable[[], Any], str]] = [
     (lambda: of(measured=Probabilities((0, 0))), "probabilities of wires .* need different wires below 2"),
     (lambda: of(measured=Hamiltonian((1.0,), (((0, "A"),),))), "letters X, Y, Z"),
     (lambda: QuantumLayer(Circuit("c", 1, observables=((),), weights=(Weights("forward", (1,)),))), "an attribute"),
-    (lambda: layered(Rotations(9)), "rotations use row 9, weights have rows 0..3"),
-    (lambda: layered(Entangler("CY", ((0, 1),))), "unknown gate 'CY'; known: CZ, CNOT"),
-    (lambda: layered(Entangler("CZ", ((0, 2),))), r"pair \(0, 2\) needs two different wires below 2"),
-    (lambda: layered(Encoding("W", (1.0, 1.0))), "unknown axis 'W'; known: X, Y, Z"),
-    (lambda: layered(Encoding("Z", (1.0,))), "encoding needs 2 finite scales"),
-    (lambda: layered("RX"), "unknown operation 'RX'; known: Rotations, Entangler, Encoding, Gate, Amplitudes"),
-    (lambda: layered(Rotations(0), observables=()), "needs at least one observable"),
-    (lambda: layered(Rotations(0), observables=(((0, "Z"), (0, "Z")),)), "has more than one letter on a wire"),
+    (lambda: of(*entanglers("CY", ((0, 2),))), "needs wires below 2"),
+    (lambda: encoding("W", (1.0, 1.0)), "unknown gate 'RW'"),
+    (lambda: of("RX"), "unknown operation 'RX'; known: Gate, Amplitudes"),
+    (lambda: Circuit("wrong", 2), "needs at least one observable"),
+    (lambda: of(measured=((0, "Z"), (0, "Z"))), "has more than one letter on a wire"),
 ]
 
 
@@ -320,7 +336,7 @@ def test_expressions_are_polynomials_with_one_form() -> None:
 
 
 def test_circuit_without_features_needs_no_input() -> None:
-    layer = QuantumLayer(Circuit("vqe", 1, 0, 0, (Gate("RX", 0, W[0, 0]),), (((0, "Z"),),), 0, W))
+    layer = QuantumLayer(Circuit("vqe", 1, (Gate("RX", 0, W[0, 0]),), (((0, "Z"),),), 0, W))
     assert torch.allclose(layer(), layer.w[0, 0].cos()[None])
     with pytest.raises(
         ValueError, match=r"expects a floating-point tensor \(..., 4\) of angles in radians, got NoneType"

@@ -10,18 +10,20 @@ from torch import nn
 
 from qnerf.quantum import QuantumLayer
 from qnerf.quantum import diagnostics as d
-from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Gate, Rotations, Weights, feature
+from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, Weights, encoding, entanglers, feature, rotations
 from qnerf.quantum.pennylane import apply
 from tests.quantum.test_any_circuit import MIXED
 
-IDLE = Circuit("idle", 2, 1, 1, (), (((0, "Z"),), ((1, "Z"),)))
-ROT = Circuit("rot", 1, 1, 1, (Rotations(0),), (((0, "Z"),),))
-PRODUCT = Circuit("product", 3, 1, 1, (Rotations(0), Encoding("X", (1.0,) * 3), Rotations(1)), (((0, "Z"),),))
-GHZ = Circuit("ghz", 3, 1, 1, (Encoding("Y", (1.0, 0.0, 0.0)), Entangler("CNOT", ((0, 1), (1, 2)))), (((0, "Z"),),))
+W = Weights("w", (2, 3, 3))
+IDLE = Circuit("idle", 2, (), (((0, "Z"),), ((1, "Z"),)))
+ROT = Circuit("rot", 1, rotations(W[0][:1]), (((0, "Z"),),), weights=(Weights("w", (1, 1, 3)),))
+PRODUCT = Circuit(
+    "product", 3, (rotations(W[0]), encoding("X", (1.0,) * 3), rotations(W[1])), (((0, "Z"),),), weights=(W,)
+)
+GHZ = Circuit("ghz", 3, (encoding("Y", (1.0, 0.0, 0.0)), entanglers("CNOT", ((0, 1), (1, 2)))), (((0, "Z"),),))
 
 
 def test_states_are_those_of_pennylane() -> None:
-    """Of re-uploading circuits up to a rotation of each wire."""
     without = tuple(gate for gate in MIXED.operations if getattr(gate, "name", "") != "IsingXY")  # it takes no batch
     for circuit in (ANSATZE.build("cnot", 3, 2), replace(MIXED, operations=without)):
         layer = QuantumLayer(circuit).double()
@@ -65,8 +67,8 @@ def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() 
 
 def test_fisher_information_of_one_ry_and_of_a_product() -> None:
     layer = QuantumLayer(ROT)
-    matrix = d.fisher(layer, torch.zeros(2, 1), torch.tensor([0.3, 0.8, 0.2]).repeat(2))
-    expected = torch.zeros(6, 6, dtype=torch.float64)
+    matrix = d.fisher(layer, torch.zeros(2, 1), torch.tensor([0.3, 0.8, 0.2]))
+    expected = torch.zeros(3, 3, dtype=torch.float64)
     expected[1, 1] = 1  # p = cos(theta / 2)^2 has (dp)^2 / (p (1 - p)) = 1 for every theta
     assert torch.allclose(matrix, expected, atol=1e-12)
 
@@ -118,9 +120,9 @@ def test_diagnostics_take_any_circuit() -> None:
     found = d.entangling_capability(ghz, states=3)
     assert (found.mean, found.standard_error) == pytest.approx((1, 0), abs=1e-12)
     assert d.expressibility(ghz, pairs=10) == pytest.approx(log(75))  # always the same state
-    rotations = (Gate("RY", (0,), (scale[0] * feature(0),)), Gate("CNOT", (0, 1)), Gate("RY", (0,), (w[0],)),
-                 Gate("RZ", (1,), (w[1],)))  # fmt: skip
-    layer = QuantumLayer(Circuit("own", 2, 0, 0, rotations, (((0, "Z"),),), 1, (w, scale)))
+    turns = (Gate("RY", (0,), (scale[0] * feature(0),)), Gate("CNOT", (0, 1)), Gate("RY", (0,), (w[0],)),
+             Gate("RZ", (1,), (w[1],)))  # fmt: skip
+    layer = QuantumLayer(Circuit("own", 2, turns, (((0, "Z"),),), 1, (w, scale)))
     expected = torch.zeros(3, 3, dtype=torch.float64)
     expected[0, 0] = 1  # RY on wire 0 alone, at the input 0; RZ cannot be seen in the computational basis
     expected[2, 2] = 0  # the scale is multiplied by the input 0
@@ -130,5 +132,5 @@ def test_diagnostics_take_any_circuit() -> None:
     assert drawn[:, :2].std() > 1
     x = torch.randn(60, 1)
     assert d.tangent_kernel(layer, x[:3]).shape == (3, 3)
-    with pytest.raises(ValueError, match="surrogate expects a re-uploading circuit, whose spectrum is known, got own"):
+    with pytest.raises(ValueError, match="surrogate expects a circuit whose spectrum is known, got own"):
         d.surrogate(layer, x, x, 3)

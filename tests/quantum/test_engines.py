@@ -10,37 +10,43 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from qnerf.quantum import lightcone, statevector
-from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Operation, Rotations
+from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, Weights, encoding, entanglers, rotations
 from qnerf.quantum.compiled import engine as compiled
-from qnerf.quantum.normal_form import normal_form
+from qnerf.quantum.compiled.engine import Engine
+from qnerf.quantum.cones import find_cones
 from qnerf.quantum.pennylane import make_node
+from qnerf.quantum.program import program
+from qnerf.quantum.statevector import PlainCircuit
 
 Function = Callable[[Tensor, Tensor], Tensor]
 
 
 def torch_engine(circuit: Circuit) -> Function:
-    form = normal_form(circuit)
-    return lambda x, w: statevector.evaluate(form, x, w)
+    return PlainCircuit(circuit).evaluate
 
 
 def compiled_engine(circuit: Circuit) -> Function:
-    engine = compiled.StatevectorEngine(normal_form(circuit))
-    return lambda x, w: compiled.evaluate(engine, x, w)
+    return Engine(circuit).evaluate
+
+
+def through_cones(circuit: Circuit, compiled: bool) -> Function:
+    own, cones = Engine(circuit), lightcone.LightCones(find_cones(program(circuit)))
+    simulate = cones.through(own.simulate if compiled else own.plain.simulate, compiled)
+    return lambda x, w: own.plain.evaluate(x, w, simulate)
 
 
 def cone_engine(circuit: Circuit) -> Function:
-    cone = lightcone.LightConeEngine(circuit)
-    return lambda x, w: lightcone.evaluate(cone, x, w)
+    return through_cones(circuit, True)
 
 
 def cone_reference(circuit: Circuit) -> Function:
-    return lambda x, w: lightcone.evaluate_reference(circuit, x, w)
+    return through_cones(circuit, False)
 
 
 def data(circuit: Circuit, batch: int, seed: int = 7) -> tuple[Tensor, Tensor]:
     """Inputs (B, n) and flat weights over several turns, float64."""
     generator = torch.Generator().manual_seed(seed)
-    x = torch.randn(batch, circuit.wires, generator=generator, dtype=torch.float64) * 2
+    x = torch.randn(batch, circuit.features or 0, generator=generator, dtype=torch.float64) * 2
     return x, torch.randn(circuit.size, generator=generator, dtype=torch.float64) * 4
 
 
@@ -62,26 +68,25 @@ def assert_same(a: list[Tensor], b: list[Tensor], output: float, gradient: float
 
 @st.composite
 def circuits(draw: st.DrawFn, wires: int = 5) -> Circuit:
-    """Any order of rotations, CZ and CNOT on any pairs, encodings about any axis, and Pauli words."""
-    n = draw(st.integers(1, wires))
-    sublayers, spectral = draw(st.integers(1, 2)), draw(st.integers(1, 2))
+    """Any order of rotations, CZ and CNOT on any pairs, and encodings about any axis; Pauli words in one basis."""
+    n, rows = draw(st.integers(1, wires)), draw(st.integers(1, 6))
+    angles = Weights("w", (rows, n, 3))
     pairs = st.tuples(st.integers(0, n - 1), st.integers(0, n - 1)).filter(lambda pair: pair[0] != pair[1])
-    operations: list[Operation] = []
-    for row in range(sublayers * (spectral + 1)):
+    operations: list[Gate] = []
+    for row in range(rows):
         if draw(st.booleans()) or row == 0:
-            operations.append(Rotations(row))
+            operations += rotations(angles[row])
         if n > 1:
-            gate = draw(st.sampled_from(["CZ", "CNOT"]))
-            operations.append(Entangler(gate, tuple(draw(st.lists(pairs, max_size=4)))))
+            operations += entanglers(draw(st.sampled_from(["CZ", "CNOT"])), draw(st.lists(pairs, max_size=4)))
         if draw(st.booleans()):
             scales = draw(st.lists(st.sampled_from([0.0, 0.5, 1.0, -1.0, 3.0]), min_size=n, max_size=n))
-            operations.append(Encoding(draw(st.sampled_from("XYZ")), tuple(scales)))
+            operations += encoding(draw(st.sampled_from("XYZ")), scales)
     letters = [draw(st.sampled_from("XYZ")) for _ in range(n)]
     words = []
     for _ in range(draw(st.integers(1, n))):
         chosen = draw(st.sets(st.integers(0, n - 1), min_size=1, max_size=2))
         words.append(tuple((wire, letters[wire]) for wire in sorted(chosen)))
-    return Circuit("random", n, spectral, sublayers, tuple(operations), tuple(words))
+    return Circuit("random", n, tuple(operations), tuple(words), weights=(angles,))
 
 
 @settings(max_examples=60)
@@ -90,7 +95,7 @@ def test_engines_agree_on_random_descriptions(circuit: Circuit) -> None:
     expected = results(torch_engine(circuit), circuit)
     assert_same(results(compiled_engine(circuit), circuit), expected, 1e-12, 1e-11)
     try:
-        points = lightcone.interpolation(circuit).points
+        points = lightcone.interpolation(find_cones(program(circuit))).points
     except lightcone.TooLarge:
         return
     if len(points) <= 3000:
@@ -111,7 +116,8 @@ def test_named_circuits_equal_pennylane_with_their_gradients() -> None:
     named = [ANSATZE.build(name, 4, 2) for name in ANSATZE.names()]
     for circuit in (*(ANSATZE.build("qiren", *shape) for shape in shapes), *named):
         expected = results(make_node(circuit), circuit, batch=3)
-        engines = [compiled_engine(circuit), *([cone_engine(circuit)] if circuit.spectral == 1 else [])]
+        rotations_of_x = sum("x[0]" in str(gate.angles) for gate in circuit.gates)
+        engines = [compiled_engine(circuit), *([cone_engine(circuit)] if rotations_of_x == 1 else [])]
         for engine in engines:
             assert_same(results(engine, circuit, batch=3), expected, 1e-12, 1e-12)
             assert_same(results(engine, circuit, batch=3, dtype=torch.float32), expected, 2e-6, 1e-5)
@@ -137,6 +143,15 @@ def test_engines_take_many_blocks_of_samples() -> None:
             assert_same(results(cone_engine(circuit), circuit, batch=700), expected, 1e-12, 1e-12)
 
 
+def test_states_that_are_not_stored_have_the_same_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("qiren", "cnot", "rx"):
+        circuit = ANSATZE.build(name, 4, 2)
+        expected = results(compiled_engine(circuit), circuit, batch=37)
+        with monkeypatch.context() as patch:
+            patch.setattr(compiled, "STORED_BYTES", 0)
+            assert_same(results(compiled_engine(circuit), circuit, batch=37), expected, 1e-13, 1e-12)
+
+
 def test_nan_in_a_cone_stays_in_the_cone() -> None:
     circuit = ANSATZE.build("qiren", 8, 1)
     x, w = data(circuit, 1)
@@ -148,7 +163,7 @@ def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> 
     circuit = ANSATZE.build("qiren", 3, 2)
     whole = results(torch_engine(circuit), circuit, batch=23)
     monkeypatch.setattr(statevector, "CHUNK_BYTES", 20_000)
-    assert statevector.chunk_size(normal_form(circuit), 8) < 10
+    assert statevector.chunk_size(program(circuit), 8) < 10
     assert_same(results(torch_engine(circuit), circuit, batch=23), whole, 1e-14, 1e-13)
 
 

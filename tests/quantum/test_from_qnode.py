@@ -17,7 +17,10 @@ from qnerf.quantum import from_qnode
 from qnerf.quantum.layer import QuantumLayer
 from tests.helpers.templates import TEMPLATES, Template
 
-ON_DEFAULT_QUBIT = {"TrotterProduct", "QSVT", "Superposition"}
+ON_DEFAULT_QUBIT = {
+    "CommutingEvolution", "PrepSelPrep", "QSVT", "QuantumPhaseEstimation", "Select", "Superposition", "TrotterProduct",
+}  # fmt: skip
+"""Templates that hold tensors and decompose at numbers only."""
 FAIL_IN_PENNYLANE = {"SelectPauliRot", "HilbertSchmidt"}  # with tensors of PyTorch: zeros, and an AttributeError
 NO_CIRCUIT = {"AmplitudeEmbedding", "QuantumPhaseEstimation", "Select"} | ON_DEFAULT_QUBIT
 """Templates whose decompositions take numbers only."""

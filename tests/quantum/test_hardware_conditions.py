@@ -69,8 +69,6 @@ def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
 
 
 def test_conditions_that_are_wrong_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"circuit mixed is not; evaluate with conditions\(..., method='density'\)"):
-        QuantumLayer(MIXED, noise={"two_qubit": 0.1})
     layer = QuantumLayer(2, 1)
     for options in ({"shots": 0}, {"shots": 2.5}, {"noise": 1.5}, {"noise": Noise}, {"method": "x"}, {"patterns": 0}):
         with pytest.raises(ValueError), hardware_conditions.conditions(layer, **options):  # noqa: PT011

@@ -16,21 +16,18 @@ from qnerf.quantum import QuantumLayer, density, pauli_errors
 from qnerf.quantum.circuit import (
     ANSATZE,
     Circuit,
-    Encoding,
-    Entangler,
-    Expression,
     Gate,
     Hamiltonian,
     Probabilities,
-    Rotations,
     Weights,
+    encoding,
+    entanglers,
     feature,
+    rotations,
 )
 from qnerf.quantum.diagnostics import weights_of
-from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.pauli_form import only_gates
 from qnerf.quantum.pennylane import apply, measurements, observables
 from qnerf.quantum.simulator import Simulator
 from tests.quantum.test_any_circuit import circuits
@@ -43,15 +40,12 @@ FEW = Circuit(
     observables=(((0, "Z"), (1, "Y")), ((1, "Z"),), Probabilities((1, 0))),
 )  # fmt: skip
 QIREN, CNOT = ANSATZE.build("qiren", 3, 2), ANSATZE.build("cnot", 3, 2)
-ENCODED_FIRST = Circuit(
-    "first", 3, 2, 1,
-    (Encoding("X", (1.0, 1.0, 2.0)), Entangler("CNOT", ((0, 1), (2, 0))), Rotations(0), Entangler("CZ", ((1, 2),)),
-     Encoding("Y", (1.0,) * 3), Entangler("CNOT", ((1, 0),)), Rotations(2)),
-    (((0, "X"),), ((1, "Y"), (2, "Z"))),
-)  # fmt: skip
-TWICE = Circuit(  # its errors reach no rotation of their own
-    "twice", 2, 2, 1, (Encoding("X", (1.0, 2.0)), Rotations(0), Rotations(0), Encoding("Y", (1.0, 1.0))),
-    (((0, "Z"), (1, "Z")), ((1, "Z"),)),
+ANGLES = Weights("w", (2, 3, 3))
+ENCODED_FIRST = Circuit(  # errors after the first gates reach no rotation that trains
+    "first", 3,
+    (encoding("X", (1.0, 1.0, 2.0)), entanglers("CNOT", ((0, 1), (2, 0))), rotations(ANGLES[0]),
+     entanglers("CZ", ((1, 2),)), encoding("Y", (1.0,) * 3), entanglers("CNOT", ((1, 0),)), rotations(ANGLES[1])),
+    (((0, "X"),), ((1, "Y"), (2, "Z"))), weights=(ANGLES,),
 )  # fmt: skip
 EVERYTHING = replace(
     CNOT,
@@ -71,34 +65,6 @@ def made(circuit: Circuit, batch: int = 40) -> tuple[QuantumLayer, Tensor]:
     return QuantumLayer(circuit).double(), data(circuit, batch)[0]
 
 
-def with_errors(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> Circuit:
-    """The circuit, of flat weights, with X and Z as gates where an error happens, (spots,) each."""
-    first, operations, spot = offsets(circuit.parameters), list[Gate](), 0
-
-    def flat(angle: Any) -> Expression:
-        terms = ((c, tuple(("w", first[name] + k) for name, k in weights), x) for c, weights, x in angle.terms)
-        return Expression(tuple(terms))
-
-    for gate in only_gates(circuit):
-        operations.append(replace(gate, angles=tuple(map(flat, gate.angles))))
-        for wire in gate.wires:
-            operations += [Gate("X", (wire,))] * int(x_errors[spot]) + [Gate("Z", (wire,))] * int(z_errors[spot])
-            spot += 1
-    own = (Weights("w", (circuit.size,)),)
-    return Circuit("own", circuit.wires, 0, 0, tuple(operations), circuit.observables, circuit.features, own)
-
-
-def test_folded_errors_are_gates_after_the_gates() -> None:
-    for circuit in (*(ANSATZE.build(name, 3, 2) for name in ("qiren", "cnot", "rx", "pauli_x")), ENCODED_FIRST):
-        x, weights = data(circuit)
-        errors = np.random.default_rng(0).random((2, 4, len(pauli_errors.spots(circuit)))) < 0.3
-        folded = pauli_errors.of_patterns(Simulator(circuit), circuit, x, weights, *errors)
-        for pattern, ours in enumerate(folded):
-            expected = Simulator(with_errors(circuit, *errors[:, pattern]))(x, weights)
-            torch.testing.assert_close(ours, expected, rtol=0, atol=1e-12)
-    assert not pauli_errors.folds(TWICE)
-
-
 def test_patterns_taken_together_are_the_density_matrix() -> None:
     x, weights = data(FEW)
     letters = np.array(list(product(range(4), repeat=5)))  # of the five spots: none, X, Y, Z
@@ -107,7 +73,7 @@ def test_patterns_taken_together_are_the_density_matrix() -> None:
     chances = np.prod([np.array(table[spot])[letters[:, spot]] for spot in range(5)], axis=0)
     assert chances.sum() == pytest.approx(1)
     errors = zip(np.isin(letters, [1, 2]), np.isin(letters, [2, 3]), strict=True)
-    outputs = [Simulator(with_errors(FEW, *pattern))(x, weights) for pattern in errors]
+    outputs = [Simulator(pauli_errors.with_errors(FEW, *pattern))(x, weights) for pattern in errors]
     mean = sum((chance * values for chance, values in zip(chances, outputs, strict=True)), torch.zeros(()))
     expected = density.evaluate(FEW, x, weights, MIXTURE, {})
     torch.testing.assert_close(mean, expected, rtol=0, atol=1e-12)

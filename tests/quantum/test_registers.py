@@ -1,24 +1,24 @@
 """Wide circuits as registers, against the state of all wires where that fits, else against closed forms."""
 
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from qnerf.quantum import statevector
 from qnerf.quantum.circuit import ANSATZE, Circuit
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.normal_form import normal_form
 from qnerf.quantum.registers import is_split, registers
 from qnerf.quantum.simulator import Simulator
+from qnerf.quantum.statevector import PlainCircuit, gate_by_gate
+from tests.quantum.test_any_circuit import circuits as any_circuits
 from tests.quantum.test_engines import assert_same, circuits, results
 
 
 @settings(max_examples=20)
-@given(circuit=circuits())
-def test_registers_of_a_reuploading_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
+@given(circuit=st.one_of(circuits(), any_circuits()))
+def test_registers_of_a_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
     simulator = Simulator(circuit, "statevector")
     assert_same(results(simulator.of_registers, circuit), results(simulator, circuit), 1e-12, 1e-11)
 
@@ -28,7 +28,7 @@ def test_polynomials_of_a_wide_circuit_are_those_of_its_registers() -> None:
         circuit = ANSATZE.build(name, 14, 1)
         circuit = replace(circuit, observables=(*circuit.observables, ()))  # the identity, which has no cone
         assert is_split(circuit)
-        expected = results(partial(statevector.evaluate, normal_form(circuit)), circuit, batch=2)
+        expected = results(PlainCircuit(circuit).evaluate, circuit, batch=2)
         for options in (("lightcone",), ("statevector",), ("lightcone", "torch")):
             assert_same(results(Simulator(circuit, *options), circuit, batch=2), expected, 1e-12, 1e-11)
 
@@ -52,4 +52,4 @@ def test_circuits_that_do_not_fit_say_so() -> None:
     with pytest.raises(ValueError, match="circuit cnot: one state of 64 wires takes"):
         QuantumLayer(ANSATZE.build("cnot", 64, 1))
     with pytest.raises(ValueError, match="the whole state of circuit qiren: one state of 64 wires"):
-        statevector.probabilities(normal_form(wide), torch.zeros(1, 64), torch.zeros(4 * 3 * 64))
+        gate_by_gate(wide, torch.zeros(1, 64), torch.zeros(4 * 3 * 64))

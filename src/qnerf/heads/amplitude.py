@@ -14,8 +14,8 @@ from qnerf.heads.registers import AmplitudeRegister, BlochRegister, Encoding, pr
 from qnerf.heads.unitaries import Kind, Unitaries
 from qnerf.kernels import is_transformed
 from qnerf.kernels.derivatives import is_differentiated
+from qnerf.quantum.basis import bit, z_signs
 from qnerf.quantum.circuit import EntanglingGate
-from qnerf.quantum.normal_form import z_eigenvalues
 
 MAX_QUBITS = 10  # that one circuit acts on: matrices have 4^n entries
 Qubits = Annotated[int, Interval(ge=1, le=MAX_QUBITS)]
@@ -145,10 +145,10 @@ def eigenvalues(wires: int, values: Values) -> Tensor:
     """(values, 2^n): what each measured value is on each basis state."""
     if values == "probabilities":
         return torch.eye(2**wires)
-    words = [frozenset({wire}) for wire in range(wires)]
+    masks = [bit(wire, wires) for wire in range(wires)]
     if values == "ZZ":
-        words += [frozenset(pair) for pair in combinations(range(wires), 2)]
-    return torch.from_numpy(z_eigenvalues(tuple(words), wires)).to(torch.get_default_dtype())
+        masks += [a | b for a, b in combinations(masks, 2)]
+    return torch.from_numpy(z_signs(masks, wires)).to(torch.get_default_dtype())
 
 
 def _made(sizes: Sequence[int], registers: Sequence[int], *, points: bool, **options: Any) -> list[nn.Module]:

@@ -29,7 +29,7 @@ def sampled(qubits: int, layers: int, entangled: bool) -> Circuit:
         if entangled:
             operations += [Gate("CNOT", pair) for pair in ring(qubits, 1)]
     observables = tuple(((wire, "Z"),) for wire in range(qubits))
-    return Circuit("hyper", qubits, 0, 0, tuple(operations), observables, 4 + 2 * qubits * layers)
+    return Circuit("hyper", qubits, tuple(operations), observables, 4 + 2 * qubits * layers)
 
 
 @HEADS.register("hyper")

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from qnerf.config.bounds import Factor, NonNegativeFactor, PositiveInt
 from qnerf.heads.base import HEADS, MIN_BATCH, Head
 from qnerf.quantum import QuantumLayer, hardware_conditions
-from qnerf.quantum.circuit import ANSATZE, Circuit, Encoding, Entangler, Rotations, Spectral, Wires
+from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, Wires
 from qnerf.quantum.layer import Method
 from qnerf.quantum.noise import Field
 
@@ -121,15 +121,14 @@ class HybridLayer(nn.Module):
 
 
 def without_entanglers(circuit: Circuit) -> Circuit:
-    """The circuit with its rotations and encodings alone. ValueError for a circuit of other gates."""
-    parts = (Rotations, Encoding, Entangler)
-    if not all(isinstance(operation, parts) for operation in circuit.operations):
-        raise ValueError(
-            f"unitary=local expects a circuit of rotations, encodings and entanglers; {circuit.name} has other gates: "
-            "register a variant without them as an ansatz of its own"
-        )
-    kept = tuple(operation for operation in circuit.operations if not isinstance(operation, Entangler))
-    return replace(circuit, operations=kept)
+    """The circuit without its gates on several wires. ValueError if one of these holds a weight or a feature."""
+    for gate in circuit.gates:
+        if len(gate.wires) > 1 and gate.angles:
+            raise ValueError(
+                f"unitary=local leaves out entanglers; circuit {circuit.name} has {gate.name}, which is one with an "
+                "angle: register a variant without it as an ansatz of its own"
+            )
+    return replace(circuit, operations=tuple(own for own in circuit.operations if len(own.wires) == 1))
 
 
 @HEADS.register("qiren")

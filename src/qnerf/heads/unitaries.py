@@ -34,6 +34,7 @@ class Unitaries(nn.Module):
         self.count = count
         self.is_complex = rotations == "Rot"
         entangled = kind != "local"
+        self.layers, self.entangler, self.entangled = layers, entangler, entangled
         self.circuit: Circuit = layered(wires, layers, uploads=count - 1, entangler=entangler, entangled=entangled)
         size = 2**wires
         if kind in ("circuit", "local"):
@@ -55,4 +56,4 @@ class Unitaries(nn.Module):
         if self.kind == "dense":
             a, t = self.generator, self.generator.mT
             return list(torch.matrix_exp(torch.complex(a - t, a + t) if self.is_complex else a - t))
-        return list(blocks(self.circuit, self.angles))
+        return list(blocks(self.angles, self.layers, self.entangler, self.entangled))

@@ -15,16 +15,11 @@ from qnerf.quantum import QuantumLayer, pennylane
 from qnerf.quantum.circuit import (
     Amplitudes,
     Circuit,
-    Encoding,
-    Entangler,
     Expression,
     Gate,
-    Operation,
-    Rotations,
     Weights,
     weight,
 )
-from qnerf.quantum.pauli_form import only_gates
 
 SHOTS = 1000  # of each circuit
 RATE = 10_000.0  # shots a second
@@ -104,7 +99,7 @@ def shifts(circuit: Circuit) -> int:
     A gate that is several rotations, such as CRX, takes two for each of them (arXiv:1811.11184). Prepared amplitudes
     are differentiated through the 2^k - 1 angles of their preparation, complex ones through twice as many.
     """
-    varying = sum(_varies(gate.angle_of(part)) for gate in only_gates(circuit) for part in gate.rotations)
+    varying = sum(_varies(gate.angle_of(part)) for gate in circuit.gates for part in gate.rotations)
     for operation in circuit.operations:
         if isinstance(operation, Amplitudes) and any(map(_varies, operation.angles)):
             varying += (2 ** len(operation.wires) - 1) * (2 if operation.imaginary else 1)
@@ -126,7 +121,7 @@ def circuit_of(module: QuantumLayer | System) -> Circuit:
     unitaries, n = module.unitaries, module.wires
     if unitaries.kind in ("dense", "random"):
         raise ValueError(f"cost expects a circuit of gates, got unitary={unitaries.kind}, which is a matrix")
-    operations: list[Gate | Amplitudes | Operation] = []
+    operations: list[Gate | Amplitudes] = []
     first = used = 0
     for register in module.registers:
         assert isinstance(register, AmplitudeRegister | BlochRegister)
@@ -143,16 +138,15 @@ def circuit_of(module: QuantumLayer | System) -> Circuit:
             operations.append(Amplitudes(wires, values[:size], values[size:]))
             used += len(values)
         first += qubits
-    for operation in unitaries.circuit.operations:
-        if isinstance(operation, Rotations) and unitaries.kind != "identity":
-            for wire in range(n):
-                angles = tuple(weight("w", used + index) for index in range(3 if unitaries.is_complex else 1))
-                operations.append(Gate("Rot" if unitaries.is_complex else "RY", (wire,), angles))
-                used += len(angles)
-        elif isinstance(operation, Encoding) or (isinstance(operation, Entangler) and unitaries.kind != "identity"):
-            operations.append(operation)
+    for gate in unitaries.circuit.gates:
+        if gate.name == "Rot" and unitaries.kind != "identity":
+            angles = tuple(weight("w", used + index) for index in range(3 if unitaries.is_complex else 1))
+            operations.append(Gate("Rot" if unitaries.is_complex else "RY", gate.wires, angles))
+            used += len(angles)
+        elif gate.name == "RZ" or (gate.name != "Rot" and unitaries.kind != "identity"):
+            operations.append(gate)
     own = (Weights("w", (used,)),) if used else ()
-    return Circuit("amplitudes", n, 0, 0, tuple(operations), unitaries.circuit.observables, weights=own)
+    return Circuit("amplitudes", n, tuple(operations), unitaries.circuit.observables, weights=own)
 
 
 def _modules(head: nn.Module) -> dict[str, QuantumLayer | System]:

@@ -21,9 +21,10 @@ import torch
 from qnerf.heads.qiren import HybridLayer
 from qnerf.probes.trained import Trained
 from qnerf.quantum import QuantumLayer
-from qnerf.quantum.circuit import Circuit, Encoding
-from qnerf.quantum.cones import Cone, TooLarge, find_cones
+from qnerf.quantum.circuit import Circuit
+from qnerf.quantum.cones import Cone, TooLarge, cones_of_outputs, scales_of
 from qnerf.quantum.diagnostics import weights_of
+from qnerf.quantum.program import program
 from qnerf.quantum.simulator import Simulator
 
 MAX_VALUES = 20_000_000  # float64 values on the grid of one cone, 160 MB: 8 wires up to S = 2
@@ -106,16 +107,16 @@ def _evaluator(layer: QuantumLayer) -> Values:
 def _cones(circuit: Circuit) -> tuple[tuple[Cone, ...], tuple[float, ...]]:
     """The light cones and base frequencies. If cones are large, every output is taken to depend on every wire."""
     try:
-        cones = find_cones(circuit)
+        cones = cones_of_outputs(program(circuit))
         return cones.cones, tuple(base or 1.0 for base in cones.base_frequencies)
     except TooLarge:
-        scales = np.array([step.scales for step in circuit.operations if isinstance(step, Encoding)])
-        bases = np.abs(scales).min(0)
-        degrees = np.abs(scales / bases).sum(0)
+        scales = scales_of(program(circuit).blocks, circuit)
+        bases = [min(map(abs, scales.get(feature, [1.0]))) for feature in range(circuit.features or 0)]
+        degrees = np.array([sum(map(abs, scales.get(k, []))) / base for k, base in enumerate(bases)])
         if not np.allclose(degrees, degrees.round()):
-            raise ValueError(f"spectrum: expected encoding scales with a common unit, got {scales.tolist()}") from None
-        cone = Cone(tuple(range(circuit.wires)), tuple(int(degree) for degree in degrees.round()))
-        return (cone,) * len(circuit.observables), tuple(bases.tolist())
+            raise ValueError(f"spectrum: expected encoding scales with a common unit, got {scales}") from None
+        cone = Cone(tuple(range(len(bases))), tuple(int(degree) for degree in degrees.round()))
+        return (cone,) * circuit.outputs, tuple(bases)
 
 
 def _exact(
@@ -127,7 +128,7 @@ def _exact(
     for start in range(0, len(results), CHUNK):
         flat = np.arange(start, min(start + CHUNK, len(results)))
         x = np.zeros((len(flat), wires))
-        for wire, size, index in zip(cone.wires, sizes, np.unravel_index(flat, sizes), strict=True):
+        for wire, size, index in zip(cone.features, sizes, np.unravel_index(flat, sizes), strict=True):
             x[:, wire] = index * (2 * np.pi / size / bases[wire])
         results[flat] = values(x)[:, outputs]
     for column, output in enumerate(outputs):
@@ -137,10 +138,10 @@ def _exact(
         total = power.sum()
         rows = []
         for wire in range(wires):
-            if wire not in cone.wires:
+            if wire not in cone.features:
                 rows.append((wire, 0, total))
                 continue
-            axis = cone.wires.index(wire)
+            axis = cone.features.index(wire)
             one_sided = power.sum(tuple(other for other in range(len(sizes)) if other != axis))
             rows += [(wire, m, p) for m, p in enumerate(_folded(one_sided[None])[0])]
         table = pd.DataFrame(rows, columns=["wire", "frequency", "power"])
@@ -157,7 +158,7 @@ def _sobol(
         torch.quasirandom.SobolEngine(wires, scramble=True, seed=seed).draw(POINTS, dtype=torch.float64).numpy()
         for seed in range(SCRAMBLINGS)
     ]
-    for wire, degree in zip(cone.wires, cone.degrees, strict=True):
+    for wire, degree in zip(cone.features, cone.degrees, strict=True):
         size = 2 * degree + 1
         scrambled = []
         for number, points in enumerate(point_sets):

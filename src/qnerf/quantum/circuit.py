@@ -1,7 +1,7 @@
 """Circuits: a list of gates and what is measured at the end, as plain data; and circuits by name.
 
-Every engine, the drawing and the PennyLane circuit are derived from this description. Any circuit is a list of gates,
-each angle a number, a trainable weight, a feature of the input or a polynomial of them:
+Every engine, the drawing and the PennyLane circuit are derived from this description. Each angle is a number, a
+trainable weight, a feature of the input or a polynomial of them:
 
 >>> from qnerf.quantum.expressions import feature
 >>> w = Weights("w", (2,))
@@ -13,19 +13,17 @@ each angle a number, a trainable weight, a feature of the input or a polynomial 
 >>> mine.outputs, mine.parameters
 (4, {'w': (2,)})
 
-Data re-uploading circuits have operations of their own, on all wires at once, and engines that are faster still. They
-start in |0...0>, alternate trainable rotations, entanglers and encodings of the input, and end with expectation values
-of Pauli words.
+`rotations`, `entanglers` and `encoding` are lists of gates on many wires at once:
 
-Operations of both kinds go together:
-
+>>> w = Weights("w", (2, 2, 3))
 >>> bell = Circuit(
-...     "bell", wires=2, spectral=1, sublayers=1,
-...     operations=(Rotations(0), Entangler("CNOT", ((0, 1),)), Encoding("Z", (1.0, 2.0)), Rotations(1)),
+...     "bell", wires=2, weights=(w,),
+...     operations=(rotations(w[0]), entanglers("CNOT", ((0, 1),)), encoding("Z", (1.0, 2.0)), rotations(w[1])),
 ...     observables=(((0, "Z"), (1, "Z")),),
 ... )
->>> bell.weight_shapes
-((1, 1, 2, 3), (1, 2, 3))
+>>> bell.operations[2:5]
+(Gate(name='CNOT', wires=(0, 1), angles=(), word=''), Gate(name='RZ', wires=(0,), angles=(x[0],), word=''), \
+Gate(name='RZ', wires=(1,), angles=(2*x[1],), word=''))
 
 `ANSATZE` holds the circuits that have a name. A new one is a function of the wires and the spectral layers that returns
 a `Circuit`; its keyword-only parameters are options that a configuration can set:
@@ -35,6 +33,7 @@ a `Circuit`; its keyword-only parameters are options that a configuration can se
         return replace(qiren(wires, spectral, entangler="CNOT", axis=axis), name="mine")
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite, prod
@@ -66,33 +65,7 @@ PauliWord = tuple[tuple[int, str], ...]
 """A product of Pauli operators as (wire, letter) pairs. Wires that are left out carry the identity."""
 
 
-@dataclass(frozen=True)
-class Rotations:
-    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire.
-
-    The angles, in radians, are row `row` of the weights (see `Circuit`).
-    """
-
-    row: int
-
-
-@dataclass(frozen=True)
-class Entangler:
-    """`gate` (CZ or CNOT) on each pair of wires (control, target), in this order."""
-
-    gate: str
-    pairs: tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class Encoding:
-    """A rotation about `axis` (X, Y or Z) on every wire j, by the angle `scales[j]` x_j in radians."""
-
-    axis: str
-    scales: tuple[float, ...]
-
-
-Operation = Rotations | Entangler | Encoding | Gate | Amplitudes
+Operation = Gate | Amplitudes
 
 
 @dataclass(frozen=True)
@@ -157,25 +130,18 @@ class Circuit:
     Args:
         name: of the circuit.
         wires: n.
-        spectral: S, the number of encodings, where there are `Rotations`.
-        sublayers: L, the sublayers of each of the S + 1 trainable blocks, where there are `Rotations`. Their angles are
-            `weights1` (S, L, n, 3) and `weights2` (L, n, 3). One after the other they are (rows, n, 3), with the row
-            r = block * L + sublayer.
-        operations: in the order in which they act on `|0...0>`.
+        operations: in the order in which they act on `|0...0>`: gates, `Amplitudes`, or lists of them.
         observables: at least one. A Pauli word or a `Hamiltonian` is one output, its expectation value; `Probabilities`
             of k wires are 2^k. Wire 0 is the most significant bit of a basis state, as in PennyLane.
         features: length of the input; by default n. Lists may stand for tuples.
-        weights: the trainable weights of the gates. The weights of `Rotations` need no entry.
+        weights: the trainable weights of the gates.
 
     Raises:
-        ValueError: an operation, row, wire, gate, axis, weight, feature or Pauli letter that does not exist, or no
-            observable.
+        ValueError: an operation, wire, weight, feature or Pauli letter that does not exist, or no observable.
     """
 
     name: str
     wires: int
-    spectral: int = 0
-    sublayers: int = 0
     operations: tuple[Operation, ...] = ()
     observables: tuple[Observable, ...] = ()
     features: int | None = None
@@ -183,12 +149,8 @@ class Circuit:
 
     def __post_init__(self) -> None:
         check_wires(self.wires)
-        kinds: dict[str, Any] = {
-            "operations": Operation,
-            "weights": Weights,
-            "observables": Hamiltonian | Probabilities,
-        }
-        for name, kind in kinds.items():
+        object.__setattr__(self, "operations", tuple(_flat(self.operations)))
+        for name, kind in (("weights", Weights), ("observables", Hamiltonian | Probabilities)):
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, kind) else tuple(value))
         object.__setattr__(self, "observables", tuple(map(_as_observable, self.observables)))
@@ -196,53 +158,34 @@ class Circuit:
             object.__setattr__(self, "features", self.wires)
         elif isinstance(self.features, bool) or not isinstance(self.features, int) or self.features < 0:
             raise self._error(f"features must be an integer of at least 0, got {self.features!r}")
-        if self.sublayers or self.spectral or any(isinstance(op, Rotations) for op in self.operations):
-            for name, value in (("spectral layers", self.spectral), ("sublayers", self.sublayers)):
-                if value < 1:
-                    raise self._error(f"{name} must be at least 1, got {value}")
         names = [weights.name for weights in self.weights]
-        if len({*names, "weights1", "weights2"}) < len(names) + 2:
-            raise self._error(f"weights need different names, other than weights1 and weights2, got {names}")
+        if len(set(names)) < len(names):
+            raise self._error(f"weights need different names, got {names}")
         started: set[int] = set()
+        sizes = {weights.name: weights.size for weights in self.weights}
         for operation in self.operations:
-            self._check(operation, started)
+            if not isinstance(operation, Operation):
+                known = ", ".join(kind.__name__ for kind in get_args(Operation))
+                raise self._error(f"unknown operation {operation!r}; known: {known}")
+            self._check_gate(operation, started, sizes)
+            started.update(operation.wires)
         if not self.observables:
             raise self._error("needs at least one observable")
         for observable in self.observables:
             self._check_observable(observable)
 
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.name, self.wires, self.operations, self.observables, self.features, self.weights))
+
     def _error(self, message: str) -> ValueError:
         return ValueError(f"ansatz {self.name}: {message}")
 
-    def _check(self, operation: Operation, started: set[int]) -> None:
+    def _check_gate(self, operation: Operation, started: set[int], sizes: dict[str, int]) -> None:
         """ValueError unless the operation fits; `started` are the wires that earlier ones act on."""
-        n, rows = self.wires, self.rows
-        if not isinstance(operation, Operation):
-            known = ", ".join(kind.__name__ for kind in get_args(Operation))
-            raise self._error(f"unknown operation {operation!r}; known: {known}")
-        if isinstance(operation, Gate | Amplitudes):
-            self._check_gate(operation, started)
-            started.update(operation.wires)
-            return
-        started.update(range(n))
-        if isinstance(operation, Rotations) and not 0 <= operation.row < rows:
-            raise self._error(f"rotations use row {operation.row}, weights have rows 0..{rows - 1}")
-        if isinstance(operation, Entangler):
-            if operation.gate not in ENTANGLING_GATES:
-                raise self._error(f"unknown gate {operation.gate!r}; known: {', '.join(ENTANGLING_GATES)}")
-            for pair in operation.pairs:
-                if len(pair) != 2 or pair[0] == pair[1] or not all(0 <= wire < n for wire in pair):
-                    raise self._error(f"pair {pair} needs two different wires below {n}")
-        if isinstance(operation, Encoding):
-            if operation.axis not in PAULIS:
-                raise self._error(f"unknown axis {operation.axis!r}; known: {', '.join(PAULIS)}")
-            if len(operation.scales) != n or not all(isfinite(scale) for scale in operation.scales):
-                raise self._error(f"encoding needs {n} finite scales, got {operation.scales}")
-            if self.features != n:
-                raise self._error(f"encoding needs a feature for each of {n} wires, got features={self.features}")
-
-    def _check_gate(self, operation: Gate | Amplitudes, started: set[int]) -> None:
-        sizes = {weights.name: weights.size for weights in self.weights}
         what = operation.name if isinstance(operation, Gate) else "amplitudes"
         if not all(0 <= wire < self.wires for wire in operation.wires):
             raise self._error(f"{what} on wires {operation.wires} needs wires below {self.wires}")
@@ -274,43 +217,19 @@ class Circuit:
         return sum(map(values_of, self.observables))
 
     @property
-    def rows(self) -> int:
-        """Rows of the weights of `Rotations`, (S + 1) L."""
-        return (self.spectral + 1) * self.sublayers
-
-    @property
-    def weight_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Shapes of `weights1` and `weights2`."""
-        return (self.spectral, self.sublayers, self.wires, 3), (self.sublayers, self.wires, 3)
+    def gates(self) -> list[Gate]:
+        """All gates in order, without the `Amplitudes`."""
+        return [operation for operation in self.operations if isinstance(operation, Gate)]
 
     @property
     def parameters(self) -> dict[str, tuple[int, ...]]:
-        """Name -> shape of all trainable weights; the weights of `Rotations` come first."""
-        stacked = dict(zip(("weights1", "weights2"), self.weight_shapes, strict=True)) if self.sublayers else {}
-        return stacked | {weights.name: weights.shape for weights in self.weights}
+        """Name -> shape of all trainable weights."""
+        return {weights.name: weights.shape for weights in self.weights}
 
     @property
     def size(self) -> int:
         """Number of trainable weights."""
         return sum(map(prod, self.parameters.values()))
-
-    @cached_property
-    def reuploading(self) -> bool:
-        """Whether all operations are of data re-uploading circuits, and all wires can be measured in the same shot.
-
-        The engines of `normal_form` take these circuits.
-        """
-        letters: dict[int, str] = {}
-        return (
-            self.sublayers > 0
-            and not self.weights
-            and self.features == self.wires
-            and all(isinstance(operation, Rotations | Entangler | Encoding) for operation in self.operations)
-            and all(isinstance(word, tuple) for word in self.observables)
-            and all(
-                letters.setdefault(w, a) == a for word in self.observables if isinstance(word, tuple) for w, a in word
-            )
-        )
 
     @property
     def words(self) -> tuple[PauliWord, ...]:
@@ -323,6 +242,15 @@ class Circuit:
         if len(words) < len(self.observables):
             raise self._error("measures Hamiltonians or probabilities; this takes Pauli words alone")
         return words
+
+
+def _flat(operations: Any) -> Iterator[Any]:
+    """The operations of a list that may hold lists of them."""
+    for operation in (operations,) if isinstance(operations, Operation) else operations:
+        if isinstance(operation, list | tuple):
+            yield from _flat(operation)
+        else:
+            yield operation
 
 
 def check_wires(wires: int) -> None:
@@ -362,6 +290,21 @@ def ring(wires: int, distance: int) -> tuple[tuple[int, int], ...]:
     if wires == 1:
         return ()
     return tuple((i, (i + distance) % wires) for i in range(wires))
+
+
+def rotations(angles: Iterable[Iterable[Expression]]) -> list[Gate]:
+    """Rot(phi, theta, omega) = RZ(omega) RY(theta) RZ(phi) on every wire, by its three angles in radians."""
+    return [Gate("Rot", (wire,), tuple(own)) for wire, own in enumerate(angles)]
+
+
+def entanglers(gate: str, pairs: Iterable[tuple[int, int]]) -> list[Gate]:
+    """`gate` (CZ or CNOT) on each pair of wires (control, target), in this order."""
+    return [Gate(gate, pair) for pair in pairs]
+
+
+def encoding(axis: str, scales: Iterable[float]) -> list[Gate]:
+    """A rotation about `axis` (X, Y or Z) on every wire j, by the angle `scales[j]` x_j in radians."""
+    return [Gate(f"R{axis}", (wire,), (scale * feature(wire),)) for wire, scale in enumerate(scales)]
 
 
 ANSATZE: Registry[Circuit] = Registry("ansatz")
@@ -408,16 +351,16 @@ def qiren(
     distances = ranges or tuple(1 + (layer % (wires - 1)) if wires > 1 else 0 for layer in range(sublayers))
     if len(distances) != sublayers or (wires > 1 and any(distance % wires == 0 for distance in distances)):
         raise ValueError(f"ranges needs {sublayers} distances, none a multiple of {wires}, got {distances}")
-    operations: list[Operation] = []
+    first, last = Weights("weights1", (spectral, sublayers, wires, 3)), Weights("weights2", (sublayers, wires, 3))
+    operations: list[Gate] = []
     for block in range(spectral + 1):
-        for layer in range(sublayers):
-            operations.append(Rotations(block * sublayers + layer))
-            operations.append(Entangler(entangler, ring(wires, distances[layer])))
+        for layer, distance in enumerate(distances):
+            operations += rotations(first[block, layer] if block < spectral else last[layer])
+            operations += entanglers(entangler, ring(wires, distance))
         if block < spectral:
-            factor = scale * (3.0**block if scaling == "ternary" else 1.0)
-            operations.append(Encoding(axis, (factor,) * wires))
+            operations += encoding(axis, (scale * (3.0**block if scaling == "ternary" else 1.0),) * wires)
     observables = tuple(((wire, observable),) for wire in range(wires))
-    return Circuit("qiren", wires, spectral, sublayers, tuple(operations), observables)
+    return Circuit("qiren", wires, tuple(operations), observables, weights=(first, last))
 
 
 VARIANTS: dict[str, dict[str, Any]] = {

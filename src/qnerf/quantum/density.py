@@ -2,8 +2,8 @@
 
 The density matrices (2^n, 2^n, B) run forward to the last gate that takes a feature, with B = 1 up to the first one.
 The observables are carried back to the same place by the adjoint channels, once for all samples. What does not depend
-on the input is thus computed once. Noise does not widen light cones, so re-uploading circuits with S = 1 need the
-interpolation grid alone.
+on the input is thus computed once. Noise does not widen the light cones of gates that are not merged, so circuits with
+small cones need the interpolation grid alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,14 +13,15 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
+from qnerf.quantum.angles import ExpressionTable
+from qnerf.quantum.basis import bit, cnot_permutation, cz_signs
 from qnerf.quantum.circuit import Circuit, Expression, Gate, Observable, Probabilities, as_sum
-from qnerf.quantum.cones import TooLarge
-from qnerf.quantum.expression_table import ExpressionTable
-from qnerf.quantum.lightcone import coefficients_of, interpolation, polynomials
+from qnerf.quantum.cones import TooLarge, cones_of_outputs
+from qnerf.quantum.lightcone import LightCones, interpolation, polynomials
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.normal_form import cnot_permutation, cz_signs
-from qnerf.quantum.pauli_form import Word, only_gates
-from qnerf.quantum.pauli_statevector import PauliCircuit, action
+from qnerf.quantum.program import unmerged
+from qnerf.quantum.statevector import PlainCircuit, action
+from qnerf.quantum.words import Word
 
 CHUNK_BYTES = 2**27
 SECONDS = 3.7e-8  # for each entry of a density matrix and each factor of a gate or channel, one core
@@ -42,27 +43,28 @@ def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: 
     """
     x64, w64 = x.detach().double().cpu(), weights.detach().double().cpu()
     try:
-        grid = interpolation(circuit)
+        cones = LightCones(cones_of_outputs(unmerged(circuit)))
     except TooLarge:
         return _evaluate_directly(circuit, x64, w64, noise).to(x)
+    points = torch.from_numpy(cones.grid.points)
     key = repr((circuit, noise)).encode() + w64.contiguous().numpy().tobytes()
     if key not in cache:
-        if len(grid.points) >= x.shape[0]:
+        if len(points) >= x.shape[0]:
             return _evaluate_directly(circuit, x64, w64, noise).to(x)
-        cache[key] = coefficients_of(grid, _evaluate_directly(circuit, torch.from_numpy(grid.points), w64, noise))
-    return polynomials(circuit, x.detach(), cache[key].to(x))
+        cache[key] = cones.from_values(_evaluate_directly(circuit, points, w64, noise))
+    return polynomials(cones.form, x.detach(), cache[key].to(x))
 
 
 def is_quick(circuit: Circuit) -> bool:
-    """Whether it takes at most a minute once, for re-uploading circuits with small cones, or two milliseconds a sample.
+    """Whether it takes at most a minute once, for circuits with small cones, or two milliseconds a sample.
 
     >>> from qnerf.quantum.circuit import ANSATZE
     >>> [is_quick(ANSATZE.build("qiren", *size)) for size in ((8, 1), (4, 2), (8, 2), (12, 1))]
     [True, True, False, False]
     """
-    seconds = SECONDS * sum(len(gate.wires) + 1 for gate in only_gates(circuit)) * 4.0**circuit.wires
+    seconds = SECONDS * sum(len(gate.wires) + 1 for gate in circuit.gates) * 4.0**circuit.wires
     try:
-        return len(interpolation(circuit).points) * seconds <= QUICK_GRID
+        return len(interpolation(cones_of_outputs(unmerged(circuit))).points) * seconds <= QUICK_GRID
     except TooLarge:
         return seconds <= QUICK_SAMPLE
 
@@ -71,7 +73,7 @@ def is_quick(circuit: Circuit) -> bool:
 def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise) -> Tensor:
     n = circuit.wires
     memory.require(f"a density matrix of {n} wires", (2 + circuit.outputs) * 16 * 4.0**n, hint="choose method=sampled")
-    gates = only_gates(circuit)
+    gates = circuit.gates
     moving = [k for k, gate in enumerate(gates) if any(Expression.of(angle).features for angle in gate.angles)]
     first, last = (moving[0], moving[-1] + 1) if moving else (0, 0)
     sizes = {len(gate.wires) for gate in gates}
@@ -87,8 +89,8 @@ def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Nois
     for channel in reversed(channels(gates[last:], x[:1])):
         observables = channel(observables, True)
     measured = observables.transpose(0, 1).reshape(4**n, -1)
-    plain = PauliCircuit(circuit)
-    fixed = None if plain.starts_move else run(_start(plain, x[:1], weights), gates[:first], x[:1])
+    plain = PlainCircuit(circuit)
+    fixed = None if plain.program.start_moves else run(_start(plain, x[:1], weights), gates[:first], x[:1])
     out = []
     for part in x.split(max(1, CHUNK_BYTES // (16 * 4**n))):
         start = run(_start(plain, part, weights), gates[:first], part[:1]) if fixed is None else fixed
@@ -97,7 +99,7 @@ def _evaluate_directly(circuit: Circuit, x: Tensor, weights: Tensor, noise: Nois
     return torch.cat(out)
 
 
-def _start(plain: PauliCircuit, x: Tensor, weights: Tensor) -> Tensor:
+def _start(plain: PlainCircuit, x: Tensor, weights: Tensor) -> Tensor:
     """(2^n, 2^n, 1 or B)."""
     state = plain.start(x, weights)
     if state is None:
@@ -175,10 +177,11 @@ def _apply(matrix: Tensor, superoperator: Tensor, wire: int, n: int, adjoint: bo
 
 
 def _entangle(matrix: Tensor, gate: str, pair: tuple[int, int], n: int) -> Tensor:
+    bits = bit(pair[0], n), bit(pair[1], n)
     if gate == "CZ":
-        sign = torch.from_numpy(cz_signs((pair,), n))
+        sign = torch.from_numpy(cz_signs((bits,), n))
         return matrix * (sign[:, None] * sign[None, :])[..., None]
-    index = torch.from_numpy(cnot_permutation((pair,), n))
+    index = torch.from_numpy(cnot_permutation((bits,), n))
     return matrix[index][:, index]
 
 

@@ -10,19 +10,21 @@ are drawn anew for every state or point: every angle uniform in [0, 2 pi]. Input
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi, sqrt
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
-from qnerf.quantum.circuit import Circuit, Encoding
-from qnerf.quantum.expression_table import offsets
-from qnerf.quantum.families import family_of
+from qnerf.quantum.angles import offsets
+from qnerf.quantum.circuit import Circuit, Gate
+from qnerf.quantum.cones import TooLarge, scales_of
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
+from qnerf.quantum.program import program, rotations_of
 from qnerf.quantum.simulator import Simulator
+from qnerf.quantum.statevector import gate_by_gate
 
 BINS = 75
 AT_ONCE = 2**23  # amplitudes or derivatives
@@ -63,16 +65,11 @@ def uniform_angles(count: int, *shape: int) -> Tensor:
 
 
 def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
-    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are (P,), shared by all samples, or (B, P).
-
-    In re-uploading circuits every wire is turned by the same rotation, which changes neither fidelities nor
-    entanglement.
-    """
-    family = family_of(circuit)
+    """The states (B, 2^n) at inputs x (B, features), complex128. Weights are (P,), shared by all samples, or (B, P)."""
     if weights.ndim == 1:
-        return family.states(x, weights)
+        return gate_by_gate(circuit, x, weights)
     at_once = max(1, AT_ONCE // 2**circuit.wires)
-    one = vmap(lambda x, weights: family.states(x[None], weights)[0])
+    one = vmap(lambda x, weights: gate_by_gate(circuit, x[None], weights)[0])
     return torch.cat([one(*part) for part in zip(x.split(at_once), weights.split(at_once), strict=True)])
 
 
@@ -135,15 +132,15 @@ def fisher(layer: QuantumLayer, x: Tensor, weights: Tensor | None = None) -> Ten
     """Fisher information (P, P) of the measured bit strings in the P weights, averaged over inputs x (B, n).
 
     F = mean_x sum_b d_i p(b|x) d_j p(b|x) / p(b|x): how well the angles could be told from what a device reads. The
-    order is that of `weights_of`. `weights` of None are the layer's own. The wires of a re-uploading circuit are read
-    in the basis that it measures them in, those of any other circuit in the computational basis.
+    order is that of `weights_of`. `weights` of None are the layer's own. Where the circuit measures each wire in one
+    basis, it is read there, else in the computational basis.
     """
-    family = family_of(layer.circuit)
+    circuit = _as_read(layer.circuit)
     point = weights_of(layer) if weights is None else weights.double()
     size = point.numel()
 
     def probabilities(weights: Tensor, x: Tensor) -> Tensor:
-        return family.bit_probabilities(x[None], weights)[0]
+        return gate_by_gate(circuit, x[None], weights)[0].abs().square()
 
     total = torch.zeros(size, size, dtype=torch.float64)
     for part in x.double().cpu().split(max(1, AT_ONCE // (16 * size * 2**layer.wires))):
@@ -153,6 +150,20 @@ def fisher(layer: QuantumLayer, x: Tensor, weights: Tensor | None = None) -> Ten
         flat = scaled.reshape(-1, size)
         total += flat.T @ flat
     return total / len(x)
+
+
+def _as_read(circuit: Circuit) -> Circuit:
+    """The circuit with a rotation on each wire that it measures in X or Y alone, which makes that Z."""
+    letters: dict[int, set[str]] = {}
+    for observable in circuit.observables:
+        for wire, letter in observable if isinstance(observable, tuple) else ():
+            letters.setdefault(wire, set()).add(letter)
+    turns = {"X": ("RY", -pi / 2), "Y": ("RX", pi / 2)}
+    one = {wire: "".join(found) for wire, found in letters.items()}
+    read = tuple(Gate(turns[a][0], (wire,), (turns[a][1],)) for wire, a in one.items() if a in turns)
+    every_word = all(isinstance(observable, tuple) for observable in circuit.observables)
+    same_basis = every_word and all(len(found) == 1 for found in one.values())
+    return replace(circuit, operations=(*circuit.operations, *read)) if same_basis else circuit
 
 
 def effective_dimension(matrices: Sequence[Tensor], samples: int, gamma: float = 1.0) -> float:
@@ -261,13 +272,25 @@ def _encodings(circuit: Circuit) -> Tensor:
     """(encodings, features): what each rotation that takes in a feature multiplies it by.
 
     Raises:
-        ValueError: not a re-uploading circuit, so the spectrum is not known.
+        ValueError: an angle or a start that is another function of the input, so the spectrum is not known.
     """
-    if not circuit.reuploading:
-        raise ValueError(f"surrogate expects a re-uploading circuit, whose spectrum is known, got {circuit.name}")
-    scales = [operation.scales for operation in circuit.operations if isinstance(operation, Encoding)]
-    rows = torch.tensor(scales, dtype=torch.float64).reshape(-1, circuit.wires).diag_embed().flatten(0, 1)
-    return rows[rows.any(1)]
+    own = program(circuit)
+    try:
+        if own.start_moves:
+            raise TooLarge("its start depends on the input")
+        scales_of(own.blocks, circuit)
+    except TooLarge as error:
+        raise ValueError(f"surrogate expects a circuit whose spectrum is known, got {circuit.name}: {error}") from None
+    rows = [
+        (factor, features[0])
+        for block in own.blocks
+        for _, angle in rotations_of(block, circuit.wires)
+        for factor, _, features in angle.parts()[1].terms
+    ]
+    out = torch.zeros(len(rows), circuit.features or 0, dtype=torch.float64)
+    for row, (factor, feature) in enumerate(rows):
+        out[row, feature] = factor
+    return out
 
 
 def _distinct(vectors: Tensor) -> Tensor:

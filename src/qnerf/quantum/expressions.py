@@ -55,6 +55,16 @@ class Expression:
             return None
         return sum(coefficient for coefficient, _, _ in self.terms)
 
+    def parts(self) -> "tuple[Expression, Expression]":
+        """The terms without features, and those with features."""
+        fixed = tuple(term for term in self.terms if not term[2])
+        return Expression(fixed), Expression(tuple(term for term in self.terms if term[2]))
+
+    def split_constant(self) -> "tuple[float, Expression]":
+        """The constant term, and the other terms."""
+        others = tuple(term for term in self.terms if term[1] or term[2])
+        return sum(term[0] for term in self.terms if not (term[1] or term[2])), Expression(others)
+
     def __bool__(self) -> bool:
         return self != 0
 

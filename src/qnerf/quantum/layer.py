@@ -1,7 +1,7 @@
 """QuantumLayer: a batched circuit as an nn.Module."""
 
 from collections.abc import Callable
-from math import pi, prod
+from math import prod
 from typing import Any, Literal
 
 import torch
@@ -13,7 +13,6 @@ from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check
 from qnerf.quantum.cost_model import Cost
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.pauli_errors import check_folds
 from qnerf.quantum.simulator import Backend, Simulator
 
 Method = Literal["auto", "lightcone", "statevector", "pennylane"]
@@ -39,7 +38,7 @@ class QuantumLayer(nn.Module):
 
     >>> from qnerf.quantum.circuit import Circuit, Gate, Weights, feature
     >>> w = Weights("w", (2,))
-    >>> gates = Gate("RX", (0,), (feature(2),)), Gate("CRY", (0, 1), (w[0],)), Gate("RZ", (1,), (w[1] * feature(0),))
+    >>> gates = Gate("RX", (0,), (feature(2),)), Gate("CRY", (0, 1), (w[0],)), Gate("RX", (1,), (w[1] * feature(0),))
     >>> layer = QuantumLayer(Circuit("mine", 2, operations=gates, observables=(((1, "X"),),), features=3, weights=(w,)))
     >>> layer(torch.randn(64, 3)).shape, layer.w.shape
     (torch.Size([64, 1]), torch.Size([2]))
@@ -61,9 +60,9 @@ class QuantumLayer(nn.Module):
         patterns: of Pauli errors, drawn anew in each call of a noisy circuit and shared by its samples.
         seed: of the shots and of the patterns; None draws from torch's global generator.
 
-    Parameters: the circuit names them (`Circuit.parameters`). Re-uploading circuits have `weights1` (S, L, n, 3) and
-    `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in published QIREN checkpoints. L
-    is the number of sublayers of the ansatz, 2 by default. `init` is about these two.
+    Parameters: the circuit names them (`Circuit.parameters`). QIREN and its variants have `weights1` (S, L, n, 3) and
+    `weights2` (L, n, 3), the angles phi, theta, omega in radians, as in published checkpoints. L is the number of
+    sublayers of the ansatz, 2 by default.
 
     Precision is float32 or float64; an input of another precision is converted. For angles up to 1e36 rad, float32
     outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32) and never beyond 1. Inputs that are NaN or
@@ -98,8 +97,6 @@ class QuantumLayer(nn.Module):
         self.method, self.backend = method, backend
         self.conditions: measurement.Conditions | None = None
         own = measurement.Conditions(shots, Noise.of(noise), seed, patterns=patterns, gradients=True)
-        if own.noise is not None and own.noise.gates:
-            check_folds(self.circuit)
         if own.shots is not None or own.noisy:
             self.conditions = own
         self._simulator = None if method == "pennylane" else Simulator(self.circuit, method, backend)
@@ -113,13 +110,9 @@ class QuantumLayer(nn.Module):
     def wires(self) -> int:
         return self.circuit.wires
 
-    @property
-    def spectral(self) -> int:
-        return self.circuit.spectral
-
     def extra_repr(self) -> str:
-        shape = f"spectral={self.spectral}" if self.spectral else f"features={self.circuit.features}"
-        return f"wires={self.wires}, {shape}, ansatz={self.circuit.name}, method={self.method}"
+        features = self.circuit.features
+        return f"wires={self.wires}, features={features}, ansatz={self.circuit.name}, method={self.method}"
 
     def cost(self, batch: int = 6144) -> Cost:
         """The engine that `forward` takes for a batch, and what a step costs.
@@ -211,14 +204,11 @@ def _described(
 
 def _initial_weights(circuit: Circuit, init: str) -> dict[str, Tensor]:
     """Starting values of the parameters, by name."""
+    drawn = torch.empty(circuit.size)
+    if not drawn.is_meta:  # else only the shapes count
+        drawn = INITS.get(init)(circuit)
     values = {}
-    if circuit.sublayers:
-        first, second = circuit.weight_shapes
-        angles = torch.empty(circuit.rows, circuit.wires, 3)
-        if not angles.is_meta:  # else only the shapes count
-            angles = INITS.get(init)(circuit)
-        values = {"weights1": angles[: -second[0]].reshape(first), "weights2": angles[-second[0] :].reshape(second)}
-    for own in circuit.weights:
-        drawn = torch.empty(own.shape).uniform_(0, 2 * pi)
-        values[own.name] = drawn if own.initial is None else torch.full_like(drawn, own.initial)
+    for own, part in zip(circuit.weights, drawn.split([own.size for own in circuit.weights]), strict=True):
+        part = part.reshape(own.shape)
+        values[own.name] = part if own.initial is None else torch.full_like(part, own.initial)
     return values

@@ -28,8 +28,7 @@ class Conditions:
         noise: errors of the gates and of the readout; None: no errors.
         seed: of the shots and of sampled noise; None draws from torch's global generator.
         method: of noisy gates. density is exact, by density matrices; sampled draws `patterns` of Pauli errors, with a
-            standard error; auto takes density where it is quick (`density.is_quick`) or errors cannot be sampled
-            (`pauli_errors.folds`).
+            standard error; auto takes density where it is quick (`density.is_quick`).
         patterns: drawn for each call of a circuit. All its samples share them.
         gradients: False makes a backward pass through the outputs a ValueError. With True they have the derivatives of
             the exact values, or with noise of the drawn patterns (never density matrices). Values of shots are
@@ -81,8 +80,8 @@ class Conditions:
         """Whether the gate noise of this circuit is sampled rather than exact."""
         if self.noise is None or not self.noise.gates:
             return False
-        slow = pauli_errors.folds(circuit) and not density.is_quick(circuit)
-        return self.gradients or self.method == "sampled" or (self.method == "auto" and slow)
+        slow = self.method == "auto" and not density.is_quick(circuit)
+        return self.gradients or self.method == "sampled" or slow
 
 
 class _WithoutGradient(torch.autograd.Function):

@@ -5,27 +5,20 @@ draw for all gates is a pattern, and the noisy expectation value is the mean ove
 any error, P0, is counted exactly: only patterns with an error are drawn, and the result is P0 exact + (1 - P0) mean.
 It has the derivatives of what was drawn.
 
-Each pattern is the same circuit with other weights; the engines need not know of errors. An error between two gates is
-carried through the entanglers to the nearest trainable rotation and becomes part of its angles:
-
-    Z Rot(phi, theta, omega) = Rot(phi, theta, omega + pi),    Y Rot(phi, theta, omega) = Rot(phi, theta + pi, -omega)
-
-up to a phase, and likewise before the rotation with phi.
+Each pattern is the same circuit with Pauli gates in it. Its program carries them to the end, where they turn signs.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import lru_cache
-from math import pi
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Rotations
+from qnerf.quantum.circuit import Circuit, Operation
+from qnerf.quantum.gates import Gate
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.normal_form import OMEGA, PHI, THETA
-from qnerf.quantum.pauli_form import only_gates
+from qnerf.quantum.simulator import Simulator
 
 Exact = Callable[[Tensor, Tensor], Tensor]
 """Inputs (B, features) and flat weights -> outputs (B, outputs), without noise."""
@@ -42,25 +35,20 @@ def evaluate(
 
     Args:
         exact: the outputs without noise.
-        circuit: measures Pauli words and `Probabilities`, no Hamiltonians.
         x: (B, features).
         weights: flat.
         noise: mixed or twirled to Pauli errors; see `Noise.pauli_probabilities`.
         patterns: drawn; all samples share them.
         random: their source.
         final: an affine function of the outputs.
-
-    Raises:
-        ValueError: a circuit whose errors cannot be sampled.
     """
-    check_folds(circuit)
     clean, *errors = draw(spots(circuit), noise, patterns, random)
-    return mean_of(clean, exact(x, weights), of_patterns(exact, circuit, x, weights, *errors), final)
+    return mean_of(clean, exact(x, weights), of_patterns(circuit, x, weights, *errors), final)
 
 
 def spots(circuit: Circuit) -> list[int]:
     """Where errors can happen: the wires of each gate, in order. Each is given by the number of wires of its gate."""
-    return [len(gate.wires) for gate in only_gates(circuit) for _ in gate.wires]
+    return [len(gate.wires) for gate in circuit.gates for _ in gate.wires]
 
 
 def mean_of(clean: float, without: Tensor, drawn: Iterable[Tensor], final: Final) -> tuple[Tensor, Tensor]:
@@ -107,110 +95,19 @@ def draw(
 
 
 def of_patterns(
-    exact: Exact, circuit: Circuit, x: Tensor, weights: Tensor, x_errors: np.ndarray, z_errors: np.ndarray
+    circuit: Circuit, x: Tensor, weights: Tensor, x_errors: np.ndarray, z_errors: np.ndarray
 ) -> Iterator[Tensor]:
     """Outputs (B, outputs) with each pattern of errors: boolean (patterns, spots), X part and Z part."""
-    for sign, shift in zip(*fold(circuit, x_errors, z_errors), strict=True):
-        yield exact(x, weights * torch.from_numpy(sign).to(weights) + torch.from_numpy(shift).to(weights))
+    for own in zip(x_errors, z_errors, strict=True):
+        yield Simulator(with_errors(circuit, *own))(x, weights)
 
 
-def folds(circuit: Circuit) -> bool:
-    """Whether the errors of a circuit can become part of its angles."""
-    return _gates(circuit) is not None
-
-
-def check_folds(circuit: Circuit) -> None:
-    """ValueError unless errors in this circuit can be sampled."""
-    if not folds(circuit):
-        raise ValueError(
-            f"noise: errors are sampled in re-uploading circuits with a trainable rotation beside each gate, which "
-            f"circuit {circuit.name} is not; evaluate with conditions(..., method='density') or train it on PennyLane's"
-            " default.mixed (docs/hardware.md)"
-        )
-
-
-class NoisyGate(NamedTuple):
-    """Gates of one kind at the same time; an entangler is one pair."""
-
-    operation: Rotations | Entangler | Encoding
-    wires: tuple[int, ...]
-    spots: slice
-    backwards: bool
-    """Whether errors after it go back to the last rotation rather than on to the next one."""
-
-
-def fold(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signs and shifts (patterns, P) of the flat weights: weights * signs + shifts has the errors in it.
-
-    Errors go back to the last rotation. Where an encoding is in between, they go on to the next rotation.
-    """
-    patterns, n = len(x_errors), circuit.wires
-    signs, shifts = np.ones((patterns, circuit.rows, n, 3)), np.zeros((patterns, circuit.rows, n, 3))
-    x, z = np.zeros((patterns, n), bool), np.zeros((patterns, n), bool)  # the errors that are carried
-
-    def add(gate: NoisyGate) -> None:
-        x[:, gate.wires] ^= x_errors[:, gate.spots]
-        z[:, gate.wires] ^= z_errors[:, gate.spots]
-
-    def absorb(row: int, angle: int) -> None:
-        signs[:, row, :, angle] = 1.0 - 2.0 * x
-        shifts[:, row, :, angle] = pi * (x ^ z)
-        shifts[:, row, :, THETA] += pi * x
-        x[:], z[:] = False, False
-
-    gates = _gates(circuit)
-    assert gates is not None, "see check_folds"
-    for gate in gates:
-        if isinstance(gate.operation, Rotations):
-            absorb(gate.operation.row, PHI)
-        elif not gate.backwards:
-            _carry(x, z, gate)
-            add(gate)
-    for gate in reversed(gates):
-        if gate.backwards:
-            add(gate)
-            if isinstance(gate.operation, Rotations):
-                absorb(gate.operation.row, OMEGA)
-            else:
-                _carry(x, z, gate)
-    return signs.reshape(patterns, -1), shifts.reshape(patterns, -1)
-
-
-def _carry(x: np.ndarray, z: np.ndarray, gate: NoisyGate) -> None:
-    """Pauli errors before an entangler become those after it, and the other way round."""
-    if isinstance(gate.operation, Entangler):
-        a, b = gate.wires
-        if gate.operation.gate == "CZ":
-            z[:, a] ^= x[:, b]
-            z[:, b] ^= x[:, a]
-        else:
-            x[:, b] ^= x[:, a]
-            z[:, a] ^= z[:, b]
-
-
-@lru_cache(maxsize=256)
-def _gates(circuit: Circuit) -> tuple[NoisyGate, ...] | None:
-    """All gates in order; None if an error reaches no rotation, a row of the weights is used twice, or a gate is no
-    operation of re-uploading circuits.
-    """
-    rows = [operation.row for operation in circuit.operations if isinstance(operation, Rotations)]
-    if len(set(rows)) < len(rows) or circuit.weights:
-        return None
-    gates: list[NoisyGate] = []
-    backwards = waiting = False
+def with_errors(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> Circuit:
+    """The circuit with one pattern of errors: boolean (spots,), X part and Z part."""
+    letters = iter(("", "X", "Z", "Y")[x + 2 * z] for x, z in zip(x_errors.tolist(), z_errors.tolist(), strict=True))
+    operations: list[Operation] = []
     for operation in circuit.operations:
-        if not isinstance(operation, (Rotations, Entangler, Encoding)):
-            return None
-        if isinstance(operation, Encoding):
-            if waiting:
-                break
-            backwards, waiting = False, True
-        elif isinstance(operation, Rotations):
-            backwards, waiting = True, False
-        else:
-            waiting = waiting or not backwards
-        everything = (tuple(range(circuit.wires)),)
-        for wires in operation.pairs if isinstance(operation, Entangler) else everything:
-            start = gates[-1].spots.stop if gates else 0
-            gates.append(NoisyGate(operation, wires, slice(start, start + len(wires)), backwards))
-    return None if waiting else tuple(gates)
+        operations.append(operation)
+        if isinstance(operation, Gate):
+            operations += [Gate(letter, (wire,)) for wire in operation.wires if (letter := next(letters))]
+    return replace(circuit, operations=tuple(operations))

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from qnerf.quantum.angles import offsets
 from qnerf.quantum.circuit import (
     Amplitudes,
     Circuit,
@@ -21,9 +22,7 @@ from qnerf.quantum.circuit import (
     Probabilities,
     values_of,
 )
-from qnerf.quantum.expression_table import offsets
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.pauli_form import as_gates
 
 
 def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) -> None:
@@ -47,12 +46,12 @@ def apply(circuit: Circuit, x: Any, weights: Any, noise: Noise | None = None) ->
             state = parts[0] + (1j * parts[1] if len(parts) > 1 else 0)
             norm = state.abs().square().sum(-1, keepdim=True).sqrt()
             qml.StatePrep(state / norm, wires=operation.wires, validate_norm=False)
-        for gate in as_gates(operation, circuit):
-            words = (gate.word,) if gate.word else ()
-            getattr(qml, gate.name)(*map(value, gate.angles), *words, wires=gate.wires)
-            for wire in gate.wires:
-                for name, probability in noise.after(len(gate.wires)) if noise is not None else ():
-                    getattr(qml, name)(probability, wires=wire)
+            continue
+        words = (operation.word,) if operation.word else ()
+        getattr(qml, operation.name)(*map(value, operation.angles), *words, wires=operation.wires)
+        for wire in operation.wires:
+            for name, probability in noise.after(len(operation.wires)) if noise is not None else ():
+                getattr(qml, name)(probability, wires=wire)
 
 
 def _product(word: PauliWord) -> Any:

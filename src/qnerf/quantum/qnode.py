@@ -17,7 +17,8 @@ from torch import Tensor, nn
 from qnerf.quantum.circuit import Circuit, Weights, feature
 from qnerf.quantum.tapes import Measured, decomposed, described, execution_of, places_of
 
-EXACT_DEVICES = {"default.qubit", "qnerf.fast", "lightning.qubit", "lightning.gpu", "lightning.kokkos"}
+EXACT_DEVICES = {"default.qubit": "pennylane.", "qnerf.fast": "qnerf.", "lightning.qubit": "pennylane_lightning."}
+"""Exact simulators and the modules of their classes. A subclass or a transformed device may compute something else."""
 
 Shape = int | tuple[int, ...]
 
@@ -84,7 +85,9 @@ class _FastQnode(qml.QNode):
 
     def _unlike_exact(self) -> str:
         """What of the QNode's settings an exact evaluation of its tape would leave out; "" for nothing."""
-        if self.device.name not in EXACT_DEVICES:
+        module = EXACT_DEVICES.get(self.device.name)
+        transformed = "Transform" in type(self.device).__name__
+        if module is None or transformed or not type(self.device).__module__.startswith(module):
             return "another device than an exact simulator"
         if self.device.tracker.active:
             return "a Tracker counts its executions"
@@ -156,7 +159,7 @@ class TorchLayer(qml.qnn.TorchLayer):
                 f"{self.qnode.func.__name__} is no circuit of polynomials of inputs and weights: {reason}"
             ) from error
         name, observables = self.qnode.func.__name__, measured.observables
-        return Circuit(name, len(places), 0, 0, operations, observables, features, tuple(weights))
+        return Circuit(name, len(places), operations, observables, features, tuple(weights))
 
 
 def _entries(weights: Weights) -> Any:

@@ -11,9 +11,13 @@ from qnerf.config import memory
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.jit import loop_threads
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.cost_model import Cost
-from qnerf.quantum.families import family_of
+from qnerf.quantum.compiled.engine import Engine, work_bytes
+from qnerf.quantum.cones import find_cones
+from qnerf.quantum.cost_model import Cost, choose_engine
+from qnerf.quantum.lightcone import LightCones
+from qnerf.quantum.program import program
 from qnerf.quantum.registers import Register, is_split, registers
+from qnerf.quantum.statevector import Simulate
 
 Backend = Literal["auto", "compiled", "torch"]
 
@@ -37,8 +41,16 @@ class Simulator:
         if self._is_split:
             _ = self.parts if method == "lightcone" else None  # an error now, not at the first batch
         else:
-            self.family = family_of(circuit, method)
-            memory.require(f"one sample of a circuit of {circuit.wires} wires", self.family.sample_bytes())
+            memory.require(f"one sample of a circuit of {circuit.wires} wires", work_bytes(program(circuit), 1))
+            _ = self._cones if method == "lightcone" else None
+
+    @cached_property
+    def _engine(self) -> Engine:
+        return Engine(self.circuit)
+
+    @cached_property
+    def _cones(self) -> LightCones:
+        return LightCones(find_cones(program(self.circuit)))
 
     @cached_property
     def parts(self) -> "list[tuple[Register, Simulator]]":
@@ -56,8 +68,10 @@ class Simulator:
         if key not in self._costs:
             if len(self._costs) > 1000:
                 self._costs.clear()
-            costs = self._cost_of_registers if self._is_split else self.family.cost
-            self._costs[key] = costs(batch, dtype, compiled)
+            if self._is_split:
+                self._costs[key] = self._cost_of_registers(batch, dtype, compiled)
+            else:
+                self._costs[key] = choose_engine(self.circuit, self.method, batch, dtype, compiled)
         return self._costs[key]
 
     def _cost_of_registers(self, batch: int, dtype: torch.dtype, compiled: bool) -> Cost:
@@ -86,18 +100,23 @@ class Simulator:
         cost = self.cost(x.shape[0], x.dtype, self.is_compiled(x, weights))
         if cost.method == "statevector" and cost.backend == "compiled" and cost.memory > memory.LARGE:
             memory.require(f"a batch of {x.shape[0]} samples of a circuit of {self.circuit.wires} wires", cost.memory)
-        return self.family.evaluate(x, weights, cost)
+        compiled = cost.backend == "compiled"
+        plain = self._engine.plain
+        simulate: Simulate = self._engine.simulate if compiled else plain.simulate
+        if cost.method == "lightcone":
+            simulate = self._cones.through(simulate, compiled)
+        return plain.evaluate(x, weights, simulate)
 
     def of_registers(self, x: Tensor, weights: Tensor) -> Tensor:
         """The outputs, register by register."""
-        sizes = [len(part.wires) for part, _ in self.parts]
         # All registers are fed at once: gradients of slices taken one by one would each be as large as x.
-        wires = [wire for part, _ in self.parts for wire in part.wires]
-        inputs = x[:, wires].split(sizes, 1)
-        angles = weights.reshape(self.circuit.rows, -1, 3)[:, wires].split(sizes, 1)
-        values = [own(x, w.flatten()) for (_, own), x, w in zip(self.parts, inputs, angles, strict=True)]
-        places = np.argsort([output for part, _ in self.parts for output in part.outputs]).tolist()
-        return torch.cat(values, 1)[:, places]
+        features = [feature for part, _ in self.parts for feature in part.features]
+        places = [place for part, _ in self.parts for place in part.weights]
+        inputs = x[:, features].split([len(part.features) for part, _ in self.parts], 1)
+        angles = weights[places].split([len(part.weights) for part, _ in self.parts])
+        values = [own(x, w) for (_, own), x, w in zip(self.parts, inputs, angles, strict=True)]
+        order = np.argsort([output for part, _ in self.parts for output in part.outputs]).tolist()
+        return torch.cat(values, 1)[:, order] + (x[:, :0].sum() + weights[:0].sum()).to(x)
 
 
 @lru_cache(maxsize=64)

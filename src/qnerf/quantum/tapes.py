@@ -2,7 +2,9 @@
 
 A tape is a list of operations and of measurements. PennyLane's own decompositions reduce the operations to the gates of
 `gates.GATES`. They run on expressions in place of the tape's numbers, once for all tapes that differ in numbers alone.
-Expectation values and variances are outputs of the circuit as Hamiltonians.
+An operation without tensors whose decomposition needs numbers, such as a fixed matrix, is decomposed once for its
+numbers. With tensors, its decomposition at the numbers of one call has no derivative where it branches, so that
+operation is left to PennyLane. Expectation values and variances are outputs of the circuit as Hamiltonians.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -33,6 +35,11 @@ from qnerf.quantum.simulator import Simulator
 
 WITHOUT_EFFECT = frozenset({"Identity", "GlobalPhase", "Barrier", "WireCut"})
 STATES = frozenset({"StatePrep", "AmplitudeEmbedding"})
+OWN = {getattr(qml, name) for name in (*GATES, *SHORT_NAMES, *WITHOUT_EFFECT, *STATES)}
+"""PennyLane's classes that need no decomposition. A class of the same name may compute something else."""
+SLICED = (qml.MERA, qml.TTN, qml.MPS)  # their decompositions hand slices of the weights to a function of the user
+LARGEST_MATRIX = 3  # wires of a fixed matrix that is decomposed; a larger one takes more gates than it saves
+CHECKED_WIRES = 6  # of operations whose decomposition at their numbers is compared with their matrix
 MEASUREMENTS = (qml.measurements.ExpectationMP, qml.measurements.VarianceMP, qml.measurements.ProbabilityMP)
 KNOWN_MEASUREMENTS = "expval, var, probs"
 MAX_CACHED = 256  # circuits, and lists of measurements
@@ -40,15 +47,18 @@ NUMBERS = (float, int, complex, np.number, np.ndarray, Tensor)
 SINGLE = frozenset({torch.float32, torch.complex64})
 
 _described: dict[Any, "Described"] = {}
+_fixed: dict[Any, tuple[Any, ...]] = {}
+_expressible: dict[Any, bool] = {}
 _measured: dict[Any, "Measured"] = {}
 _engines: dict[Any, Simulator] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """Operations on expressions; None if a decomposition depends on numbers. Compared by identity, as a key."""
+    """Operations on expressions, or why there are none. Compared by identity, as a key."""
 
-    operations: tuple[Operation, ...] | None
+    operations: tuple[Operation, ...]
+    reason: str = ""
 
 
 class Execution(NamedTuple):
@@ -97,29 +107,72 @@ def _remembered(known: dict[Any, Any], key: Any, make: Callable[[], Any]) -> Any
 
 def _engine(described: Described, measured: "Measured", wires: int, numbers: "Numbers") -> Simulator:
     own = (Weights("parameters", (numbers.count[False],)),) if numbers.count[False] else ()
-    assert described.operations is not None
     observables, features = measured.observables, numbers.count[True]
-    return Simulator(Circuit("tape", max(wires, 1), 0, 0, described.operations, observables, features, own))
+    return Simulator(Circuit("tape", max(wires, 1), described.operations, observables, features, own))
 
 
 def _described_by(tape: Any, places: dict[Any, int]) -> "tuple[Numbers, Described]":
     """The tape's numbers, and operations whose angles are expressions of them."""
+    numbers = Numbers(part for operation in tape.operations for part in _fixed_parts(operation))
     try:
-        numbers = Numbers(tape.operations)
-        found = _remembered(_described, (numbers.key, *places), lambda: Described(_on_expressions(numbers, places)))
-        if found.operations is not None:
-            return numbers, found
-    except (AttributeError, TypeError, ValueError):  # a parameter that is no number, or a structure without a hash
-        pass
-    numbers = Numbers(decomposed(tape.operations))
-    return numbers, _remembered(_described, (numbers.key, *places), lambda: Described(numbers.described(places)))
+        found = _remembered(_described, (numbers.key, *places), lambda: _on_expressions(numbers, places))
+    except TypeError as error:  # a structure without a hash
+        raise ValueError(str(error)) from error
+    if found.reason:
+        raise ValueError(found.reason)
+    return numbers, found
 
 
-def _on_expressions(numbers: "Numbers", places: dict[Any, int]) -> tuple[Operation, ...] | None:
+def _on_expressions(numbers: "Numbers", places: dict[Any, int]) -> Described:
     try:
-        return numbers.described(places)
-    except Exception:  # whatever a decomposition meets that has expected numbers
-        return None
+        return Described(numbers.described(places))
+    except Exception as error:  # whatever a decomposition meets that has expected numbers
+        return Described((), _one_line(error))
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _fixed_parts(operation: Any) -> tuple[Any, ...]:
+    """The operation; its decomposition if it is not PennyLane's, or holds no tensor and decomposes at numbers only.
+
+    Raises:
+        ValueError: an operation that only its matrix describes.
+    """
+    if type(operation) in OWN:
+        return (operation,)
+    of_pennylane = type(operation).__module__.startswith("pennylane.")
+    if isinstance(operation, SLICED) or not of_pennylane:
+        if getattr(operation, "has_matrix", False) or not getattr(operation, "has_decomposition", False):
+            raise ValueError(f"{operation.name} is an operation with a matrix of its own")
+        return tuple(part for own in operation.decomposition() for part in _fixed_parts(own))
+    leaves, structure = qml.pytrees.flatten(operation)
+    try:
+        key = structure, *map(_constant, leaves)
+        expressible = _remembered(_expressible, structure, lambda: _is_expressible(operation))
+    except (TypeError, ValueError):  # tensors, or a structure without a hash
+        return (operation,)
+    return (operation,) if expressible else _remembered(_fixed, key, lambda: _at_numbers(operation))
+
+
+def _is_expressible(operation: Any) -> bool:
+    try:
+        return not _on_expressions(Numbers([operation]), places_of(operation, operation.wires)).reason
+    except ValueError:
+        return False
+
+
+def _at_numbers(operation: Any) -> tuple[Any, ...]:
+    """The gates of an operation of fixed numbers. ValueError if they are not the operation to rounding."""
+    parts = tuple(decomposed([operation]))
+    if operation.has_matrix and len(operation.wires) <= CHECKED_WIRES:
+        expected = qml.matrix(operation, wire_order=operation.wires)
+        found = qml.matrix(qml.tape.QuantumScript(parts), wire_order=operation.wires)
+        overlap = np.vdot(found, expected)
+        if np.abs(found * overlap / abs(overlap) - expected).max() > 1e-13 * len(expected):
+            raise ValueError(f"{operation.name} is not the product of its gates to rounding")
+    return parts
 
 
 class Numbers:
@@ -240,8 +293,7 @@ class Slot(NamedTuple):
 
 def is_gate(operation: Any) -> bool:
     """Whether the operation needs no decomposition."""
-    name = operation.name
-    return name in WITHOUT_EFFECT or name in STATES or SHORT_NAMES.get(name, name) in GATES
+    return type(operation) in OWN
 
 
 def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Iterator[Any]:
@@ -258,11 +310,13 @@ def decomposed(operations: Iterable[Any], used: set[Any] | None = None) -> Itera
             continue
         if isinstance(operation, qml.Snapshot) or not isinstance(operation, qml.operation.Operator):
             raise ValueError(f"{operation.name} is no gate")
+        if isinstance(operation, qml.QubitUnitary) and len(operation.wires) > LARGEST_MATRIX:
+            raise ValueError(f"{operation.name} of {len(operation.wires)} wires is a matrix, not gates")
         try:
             parts = operation.decomposition()
         except Exception as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            raise ValueError(f"{operation.name} does not decompose into gates of qnerf: {reason}") from error
+            reason = f"{operation.name} does not decompose into gates of qnerf: {_one_line(error)}"
+            raise ValueError(reason) from error
         yield from decomposed(parts, used)
 
 
@@ -293,8 +347,12 @@ def _angle(parameter: Any) -> Expression:
 
 def places_of(tape: Any, labels: Any) -> dict[Any, int]:
     """A number for each wire of a tape; `labels` are the wires of the device, or None."""
-    everything = labels is not None and any(not measurement.wires for measurement in tape.measurements)
-    return {wire: place for place, wire in enumerate(labels if everything else tape.wires)}
+    measurements = getattr(tape, "measurements", ())
+    everything = labels is not None and any(not measurement.wires for measurement in measurements)
+    wires = list(labels if everything else tape.wires)
+    if set(wires) == set(range(len(wires))):  # PennyLane's order of these, whichever is used first
+        wires = list(range(len(wires)))
+    return {wire: place for place, wire in enumerate(wires)}
 
 
 def _measurements_of(tape: Any, places: dict[Any, int]) -> "Measured":
@@ -331,7 +389,11 @@ class Measured:
         self.kinds: list[Any] = []
         outputs: list[Observable] = []
         for measurement in measurements:
-            if not isinstance(measurement, MEASUREMENTS) or measurement.mv is not None:
+            if (
+                type(measurement) not in MEASUREMENTS
+                or measurement.mv is not None
+                or (measurement.obs is None and measurement._eigvals is not None)
+            ):
                 name = type(measurement).__name__.removesuffix("MP")
                 raise ValueError(f"the measurement {name} is not computed; known: {KNOWN_MEASUREMENTS}")
             self.kinds.append(type(measurement))

@@ -6,29 +6,35 @@ It is plain PyTorch, for any device, with derivatives of any order. PennyLane is
 import torch
 from torch import Tensor
 
-from qnerf.quantum.circuit import Circuit, Encoding, Entangler, Operation, Rotations, ring
-from qnerf.quantum.normal_form import cnot_permutation, cz_signs
+from qnerf.quantum.basis import bit, cnot_permutation, cz_signs
+from qnerf.quantum.circuit import Circuit, Gate, encoding, entanglers, ring, rotations
+from qnerf.quantum.expressions import Weights
 from qnerf.quantum.statevector import table
+
+
+def pairs_of(wires: int, entangled: bool = True) -> tuple[tuple[int, int], ...]:
+    """The pairs of a ring; none if not `entangled`. Two wires have one pair: CZ twice would cancel."""
+    return ring(wires, 1)[: 1 if wires == 2 else None] if entangled else ()
 
 
 def layered(wires: int, layers: int, *, uploads: int = 0, entangler: str = "CZ", entangled: bool = True) -> Circuit:
     """Blocks of `layers` rotations on every wire, each followed by a ring; between the blocks RZ encodings.
 
-    uploads: encodings; the circuit has uploads + 1 blocks. entangled=False: without the rings. Rows are numbered block
-    by block.
+    uploads: encodings; the circuit has uploads + 1 blocks. entangled=False: without the rings. Its weights `angles` are
+    (rows, n, 3), block by block.
 
-    >>> layered(2, 1).operations[1]
-    Entangler(gate='CZ', pairs=((0, 1),))
+    >>> layered(2, 1).operations[2]
+    Gate(name='CZ', wires=(0, 1), angles=(), word='')
     """
-    pairs = ring(wires, 1)[: 1 if wires == 2 else None] if entangled else ()  # two wires: CZ twice would cancel
-    operations: list[Operation] = []
-    for block in range(uploads + 1):
-        for layer in range(layers):
-            operations += [Rotations(block * layers + layer), Entangler(entangler, pairs)]
-        if block < uploads:
-            operations.append(Encoding("Z", (1.0,) * wires))
+    angles = Weights("angles", ((uploads + 1) * layers, wires, 3))
+    operations: list[Gate] = []
+    for row in range(angles.shape[0]):
+        if row and row % layers == 0:
+            operations += encoding("Z", (1.0,) * wires)
+        operations += rotations(angles[row])
+        operations += entanglers(entangler, pairs_of(wires, entangled))
     observables = tuple(((wire, "Z"),) for wire in range(wires))
-    return Circuit("layered", wires, max(uploads, 1), layers, tuple(operations), observables)
+    return Circuit("layered", wires, tuple(operations), observables, weights=(angles,))
 
 
 def rotation(angles: Tensor) -> Tensor:
@@ -47,45 +53,35 @@ def rotation(angles: Tensor) -> Tensor:
     return rows[..., :, None] * matrix * columns[..., None, :]
 
 
-def blocks(circuit: Circuit, angles: Tensor) -> list[Tensor]:
-    """The matrices (2^n, 2^n) of the parts of a circuit before, between and after its encodings.
+def blocks(angles: Tensor, layers: int, entangler: str = "CZ", entangled: bool = True) -> list[Tensor]:
+    """The matrices (2^n, 2^n) of the blocks of a `layered` circuit.
 
     Args:
-        angles: (rows, n, 3) radians of the rotations, or (rows, n, 1): theta alone, real where the circuit has CZ or
-            CNOT only, which both are real.
+        angles: (rows, n, 3) radians of the rotations, or (rows, n, 1): theta alone, and the matrices are real.
 
     >>> import math
-    >>> blocks(layered(1, 1), torch.full((1, 1, 1), math.pi))[0].round().abs()
+    >>> blocks(torch.full((1, 1, 1), math.pi), 1)[0].round().abs()
     tensor([[0., 1.],
             [1., 0.]])
     """
-    single = rotation(angles)
+    single, wires = rotation(angles), angles.shape[1]
     matrices = single[:, 0]
-    for wire in range(1, circuit.wires):
+    for wire in range(1, wires):
         size = matrices.shape[-1]
         product = matrices[:, :, None, :, None] * single[:, wire, None, :, None, :]
         matrices = product.reshape(-1, 2 * size, 2 * size)
-    layers = list(matrices.unbind(0))
+    pairs = tuple((bit(a, wires), bit(b, wires)) for a, b in pairs_of(wires, entangled))
     parts: list[Tensor] = []
-    unit = torch.eye(2**circuit.wires, dtype=single.dtype, device=single.device)
-    whole = unit
-    for operation in circuit.operations:
-        if isinstance(operation, Encoding):
-            parts.append(whole)
-            whole = unit
-        elif isinstance(operation, Rotations):
-            layer = layers[operation.row]
-            whole = layer if whole is unit else layer @ whole
-        else:
-            assert isinstance(operation, Entangler)
-            whole = _entangled(whole, operation, circuit.wires)
-    return [*parts, whole]
+    for row, layer in enumerate(matrices.unbind(0)):
+        turned = layer if row % layers == 0 else layer @ parts.pop()
+        parts.append(_entangled(turned, entangler, pairs, wires))
+    return parts
 
 
-def _entangled(states: Tensor, operation: Entangler, wires: int) -> Tensor:
-    """The entangler on states (2^n, ...)."""
-    if not operation.pairs:
+def _entangled(states: Tensor, gate: str, pairs: tuple[tuple[int, int], ...], wires: int) -> Tensor:
+    """The entanglers on states (2^n, ...)."""
+    if not pairs:
         return states
-    if operation.gate == "CZ":
-        return table(cz_signs, operation.pairs, wires, states.device, states.real.dtype)[:, None] * states
-    return states[table(cnot_permutation, operation.pairs, wires, states.device, None)]
+    if gate == "CZ":
+        return table(cz_signs, pairs, wires, states.device, states.real.dtype)[:, None] * states
+    return states[table(cnot_permutation, pairs, wires, states.device, None)]

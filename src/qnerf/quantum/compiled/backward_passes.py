@@ -8,7 +8,7 @@ arranged so that each chunk of the states is loaded once.
 from typing import Any
 
 from qnerf.kernels.simd import inner, keep_apart, load, splat, store
-from qnerf.quantum.compiled.forward_passes import z_sums
+from qnerf.quantum.compiled.forward_passes import walsh, z_sums
 from qnerf.quantum.compiled.wire_blocks import add_x_block, ry_gradient_block
 
 LOW = 5  # wires whose amplitudes (2^LOW vectors of two states) stay in the first-level cache
@@ -76,9 +76,13 @@ def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int)
 
 @inner
 def diagonal_backward(
-    x: Any, state: int, adjoint: int, n: int, width: int, table: Any, phases: int, mask: int, q: int, out: int
-) -> None:
-    """Gradients of a diagonal for each wire, sum_b z_j Im(conj(adjoint) state); takes the diagonal off the adjoint."""
+    x: Any, state: int, adjoint: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any, several: Any,
+    q: int, out: int,
+) -> None:  # fmt: skip
+    """Gradients of a diagonal for each wire, sum_b z_j Im(conj(adjoint) state); takes the diagonal off the adjoint.
+
+    With `several`, the gradients of all products of Z's instead, at q (see `walsh`).
+    """
     keep_apart()
     size = width << n
     half = size >> 1
@@ -108,15 +112,20 @@ def diagonal_backward(
                 r, s = u * r + v * s, u * s - v * r
                 store(x, adjoint + i, c * r + e * s)
                 store(x, adjoint + size + i, c * s - e * r)
-                e = zero - e
+                if even is None or not even:
+                    e = zero - e
     # The angle of wire j moves the phase of b by -z_j(b) / 2.
+    if several is not None and several:
+        walsh(x, q, n, width)
+        return
     z_sums(x, q, n, width, out)
 
 
 @inner
 def start_backward(
-    x: Any, state: int, adjoint: int, n: int, width: int, phases: int, mask: int, q: int, out: int, total: int
-) -> None:
+    x: Any, state: int, adjoint: int, n: int, width: int, phases: int, mask: int, even: Any, several: Any, q: int,
+    out: int, total: int,
+) -> None:  # fmt: skip
     """As `diagonal_backward` for the first encoding; adds the adjoint of the common first state to `total`."""
     keep_apart()
     size = width << n
@@ -137,7 +146,11 @@ def start_backward(
             store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
             store(x, total + i, load(x, total + i) + c * r + e * s)
             store(x, total + size + i, load(x, total + size + i) + c * s - e * r)
-            e = zero - e
+            if even is None or not even:
+                e = zero - e
+    if several is not None and several:
+        walsh(x, q, n, width)
+        return
     z_sums(x, q, n, width, out)
 
 

@@ -1,15 +1,14 @@
-"""The compiled state-vector engine: CPU, float32 and float64, with adjoint differentiation of its own.
+"""The compiled state-vector engine: any circuit, CPU, float32 and float64, adjoint differentiation of its own.
 
-Once a step, the weights become tables (`tables.bind_weights`), and the part of the circuit before the first encoding is
-applied to one state. Then every block of samples goes through the rest of the circuit (`sweeps`). The last RY layer is
-not applied; it only rotates what is measured. Between forward and backward only <Z> and <X> are stored: memory does not
-depend on S.
+Once a step, the angles become tables (`tables.bind`), and the part of the circuit before the first data is applied to
+one state. Then every block of samples goes through the rest of the circuit (`sweeps`). A last RY layer is not applied;
+it only rotates what is measured. Between forward and backward only <Z> and <X> are stored: memory does not depend on
+the number of gates.
 
 Sums over samples are taken over a fixed number of parts in a fixed order, so results do not depend on the number of
-threads.
+threads. The reference is `statevector.PlainCircuit`.
 """
 
-from functools import partial
 from math import frexp
 from typing import Any
 
@@ -18,117 +17,203 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.derivatives import is_differentiated, through_reference
-from qnerf.kernels.jit import run
-from qnerf.kernels.simd import lanes
-from qnerf.quantum import statevector
+from qnerf.kernels.jit import loop_threads, run
+from qnerf.kernels.simd import VECTOR_BYTES, lanes
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.compiled.sweeps import backward, forward, prepare, prepare_backward
+from qnerf.quantum.compiled.sweeps import Moving, Shape, backward, forward, prepare, prepare_backward
 from qnerf.quantum.compiled.tables import (
-    START,
-    CircuitArrays,
+    FIRST,
+    FIXED,
+    LAST,
+    SOURCE,
+    TABLE,
+    Extra,
     Measurement,
+    ProgramArrays,
     Tables,
-    add_weight_gradients,
-    bind_weights,
-    circuit_arrays,
+    bind,
 )
-from qnerf.quantum.normal_form import NormalForm
+from qnerf.quantum.program import Program
+from qnerf.quantum.statevector import PlainCircuit
 
 PARTS = 32  # sums of gradients over a batch
+STORED_BYTES = 2**26  # of the states that a thread stores; beyond, operations are taken off the state
 
 
-class StatevectorEngine:
-    """A circuit ready to run, without its weights."""
+class Engine:
+    """A circuit ready to run on the CPU, without its angles."""
 
-    def __init__(self, form: NormalForm) -> None:
-        self.form = form
-        self.arrays: CircuitArrays = circuit_arrays(form)
+    def __init__(self, circuit: Circuit) -> None:
+        self.plain = PlainCircuit(circuit)
+        self.program, self.angles = self.plain.program, self.plain.angles
+        self.arrays = ProgramArrays(self.program, self.angles)
+        self.values = len(self.arrays.wires) + len(self.arrays.words) + int(self.arrays.firsts[-1])
 
-    def bind(self, weights: np.ndarray, dtype: Any) -> "BoundEngine":
-        """The engine with these weights, (rows, n, 3) float64 in radians, in the given precision."""
-        return BoundEngine(self.arrays, weights, dtype)
+    def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Outputs (B, outputs) for inputs x (B, features) in radians and flat weights."""
+        return self.plain.evaluate(x, weights, self.simulate)
+
+    def simulate(self, fixed: Tensor, inputs: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
+        """The measured values, as `PlainCircuit.simulate` gives them."""
+        out: Tensor = _Simulate.apply(self, fixed, inputs, start, batch, dtype)
+        return out
 
 
-class BoundEngine:
-    """An engine with its weights: valid for one step. It takes NumPy arrays in blocks of `lanes` samples."""
+def work_bytes(program: Program, batch: int, itemsize: int = 4) -> int:
+    """Bytes of work space, at most: a block of samples for each thread."""
+    blocks = -(-batch * itemsize // VECTOR_BYTES)
+    state = 2 * 2**program.wires * VECTOR_BYTES
+    stored = min((len(program.blocks) + 2) * state, max(STORED_BYTES, 2 * state))
+    starts = 2 * blocks * state if program.start_moves else 0
+    values = len(program.words) + sum(program.outcomes) + 3 * (program.circuit.features or 0)
+    return min(loop_threads(), blocks) * (stored + 6 * state) + starts + blocks * values * VECTOR_BYTES
 
-    def __init__(self, arrays: CircuitArrays, weights: np.ndarray, dtype: Any) -> None:
-        self.arrays, self.dtype = arrays, np.dtype(dtype)
-        steps, n = arrays.steps.constants.shape
-        self.n, self.width = n, lanes(self.dtype.itemsize)
+
+class _Run:
+    """The arrays of one step, with its angles. It takes NumPy arrays in blocks of `lanes` samples."""
+
+    def __init__(
+        self, engine: Engine, fixed: Tensor, inputs: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype
+    ) -> None:
+        arrays, self.engine, self.batch = engine.arrays, engine, batch
+        self.kind: Any = np.float32 if dtype == torch.float32 else np.float64
+        n, self.n, self.width = arrays.n, arrays.n, lanes(np.dtype(self.kind).itemsize)
+        angles = fixed.detach().numpy()[0]
+        stored = arrays.stored_states * 2 * (self.width << n) * np.dtype(self.kind).itemsize <= STORED_BYTES
+        self.stored = np.bool_(stored)
+        columns = inputs.shape[1]
+        self.shape = Shape(n, self.width, arrays.stored_states if stored else 2, columns)
+        self.count = len(angles)
+        frame = self._bind(angles)
+        x = inputs.detach().numpy()
+        blocks = to_blocks(np.broadcast_to(x, (batch, columns)), self.width)
+        self.moving = Moving(self._trig(blocks), arrays.singles)
+        starts = np.zeros((0, 2, 2**n, self.width), self.kind)
+        self.first = np.zeros((2, 2**n), self.kind)
+        self.first[0, 0] = self.amplitude
+        if start is not None:
+            amplitudes = start.detach().numpy()
+            if engine.program.start_moves:
+                amplitudes = np.broadcast_to(amplitudes, (batch, 2**n))
+                parts = [to_blocks(part, self.width) for part in (amplitudes.real, amplitudes.imag)]
+                starts = np.stack(parts, 1).astype(self.kind)
+            else:
+                self.first = (np.stack([amplitudes[0].real, amplitudes[0].imag]) * self.amplitude).astype(self.kind)
+        self.extra = None if arrays.is_plain else self._extra(angles, frame, starts)
+        self._start()
+
+    def _bind(self, angles: np.ndarray) -> np.ndarray:
+        arrays, n, kind = self.engine.arrays, self.n, self.kind
+        diagonals, operations = len(arrays.steps.constants), len(arrays.steps.operations)
         tables = Tables(
-            np.zeros((steps, n)), np.zeros((steps, 2, 2**n)), np.zeros(steps, np.int64), np.zeros((steps, n)),
-            arrays.permutations,
+            np.zeros((arrays.layers, n)), np.zeros((diagonals, 2, 2**n)), np.zeros(operations, np.int64),
+            np.zeros(len(arrays.steps.taps)), np.ones(operations), arrays.permutations,
         )  # fmt: skip
-        last_layer, flipped = np.zeros((4, n)), np.empty(arrays.eigenvalues.shape)
-        measured = Measurement(arrays.form.measures_last_layer, arrays.wires, arrays.eigenvalues, last_layer)
-        self.amplitude = bind_weights(arrays.steps, weights, measured, tables, flipped)
+        last_layer, frame = np.zeros((4, n)), np.zeros((len(arrays.steps.turns) + 1, 2), np.int64)
+        measured = Measurement(arrays.program.measures_last_layer, arrays.wires, arrays.eigenvalues, last_layer)
+        self.amplitude = bind(arrays.steps, angles, n, np.zeros((2, 2**n)), measured, tables, frame)
+        # What is left of the frame at the end flips bits of what is measured.
+        flipped = arrays.eigenvalues[:, np.arange(2**n) ^ frame[-1, 0]]
         self.measurement = measured._replace(
-            eigenvalues=flipped.astype(self.dtype), last_layer=last_layer.astype(self.dtype)
+            eigenvalues=flipped.astype(kind, order="C"), last_layer=last_layer.astype(kind)
         )
-        self.tables = Tables(
-            tables.tangents.astype(self.dtype), tables.diagonals.astype(self.dtype), tables.flip_masks,
-            tables.angle_signs.astype(self.dtype), arrays.permutations,
+        self.tables = tables._replace(
+            tangents=tables.tangents.astype(kind), diagonals=tables.diagonals.astype(kind),
+            
         )  # fmt: skip
-        self.psi = np.empty((2, 2**n), self.dtype)
-        prepare(arrays.once, n, self.width, self.amplitude, self.tables, self.psi)
-        code, step, _, _ = arrays.per_sample[0]
-        # The fixed phases of a first encoding that is diagonal belong to the state that all samples start from.
-        self.first_diagonal = self.tables.diagonals[step] if code == START and step >= 0 else None
-        self.start = self.psi
+        self.factors = (arrays.factors * tables.signs).astype(kind)
+        return frame
+
+    def _extra(self, angles: np.ndarray, frame: np.ndarray, starts: np.ndarray) -> Extra:
+        arrays = self.engine.arrays
+        turns, words = arrays.steps.turns.copy(), arrays.words.copy()
+        for rows, own in ((turns, frame[:-1]), (words, frame[-1:])):
+            rows[:, 3] ^= (np.bitwise_count(rows[:, 0] & own[:, 1]) ^ np.bitwise_count(rows[:, 1] & own[:, 0])) & 1
+        fixed = np.stack([np.cos(angles / 2), np.sin(angles / 2)]).astype(self.kind)
+        outcomes = np.ascontiguousarray(arrays.outcomes[:, np.arange(2**self.n) ^ frame[-1, 0]])
+        evens = np.array(arrays.evens, dtype=np.bool_)
+        return Extra(turns, fixed, evens, arrays.products, words, outcomes, arrays.firsts, starts)
+
+    def _start(self) -> None:
+        """The state before the first data, with the fixed phases of the first data if these are phases."""
+        steps, once = self.engine.arrays.steps, self.engine.arrays.once
+        self.psi = np.empty((2, 2**self.n), self.kind)
+        prepare(steps.operations[:once], self.shape, self.tables, self.extra, self.first, self.psi)
+        row = int(steps.operations[once, TABLE])
+        self.first_diagonal = self.tables.diagonals[row] if row >= 0 else None
+        self.shared = self.psi
         if self.first_diagonal is not None:
             u, v = self.first_diagonal
-            self.start = np.empty_like(self.psi)
-            self.start[0] = u * self.psi[0] - v * self.psi[1]
-            self.start[1] = u * self.psi[1] + v * self.psi[0]
+            self.shared = np.empty_like(self.psi)
+            self.shared[0] = u * self.psi[0] - v * self.psi[1]
+            self.shared[1] = u * self.psi[1] + v * self.psi[0]
 
-    def _shared(self, trig: np.ndarray) -> tuple[Any, ...]:
+    def _trig(self, blocks: np.ndarray) -> np.ndarray:
+        """cos and sin of half the moving angles: (blocks, columns, width) -> (blocks, 2, M, width)."""
+        own = self.engine.angles.inputs
+        out = np.empty((blocks.shape[0], 2, len(own.columns), self.width), self.kind)
+        same = own.columns == list(range(blocks.shape[1]))
+        cos_sin(blocks if same else blocks[:, own.columns], 0.5 * np.array(own.factors), out.swapaxes(0, 1))
+        return out
+
+    def _shared_arguments(self) -> tuple[Any, ...]:
         """Arguments that `forward` and `backward` begin with."""
-        parts = parts_of(trig)
-        return parts, parts, self.arrays.per_sample, self.n, self.width, trig, self.start, self.tables, self.measurement
-
-    def forward(self, trig: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """trig (blocks, encodings, 2, n, width) -> outputs (blocks, outputs, width), and what `backward` needs.
-
-        `trig` holds cos and sin of half the encoding angles, see `cos_sin_of_half`.
-        """
-        blocks = trig.shape[0] if self.arrays.form.measures_last_layer else 0
-        expectations = np.empty((blocks, 2, self.n, self.width), self.dtype)
-        out = np.empty((trig.shape[0], len(self.arrays.wires), self.width), self.dtype)
-        run(forward, *self._shared(trig), expectations, out)
-        return out, expectations
-
-    def backward(
-        self, trig: np.ndarray, expectations: np.ndarray, gradient: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of the inputs (blocks, n, width) and of the weights (rows, n, 3)."""
-        arrays, n = self.arrays, self.n
-        blocks, parts = trig.shape[0], parts_of(trig)
-        inputs = np.empty((blocks, n, self.width), self.dtype)
-        sums, adjoints = np.zeros((parts, len(arrays.steps.codes), n)), np.zeros((parts, 2, 2**n))
-        run(
-            backward, *self._shared(trig), expectations, arrays.stored_states, arrays.input_scales, gradient, inputs,
-            sums, adjoints,
+        arrays, parts = self.engine.arrays, self.parts
+        operations = arrays.steps.operations[
+            arrays.once : len(arrays.steps.operations) - arrays.program.measures_last_layer
+        ]
+        return (
+            parts, parts, operations, arrays.once, self.shape, self.moving, self.shared, self.tables,
+            self.measurement, self.extra,
         )  # fmt: skip
-        total, adjoint = (sums[0], adjoints[0]) if parts == 1 else (sums.sum(0), adjoints.sum(0))
+
+    @property
+    def blocks(self) -> int:
+        return self.moving.trig.shape[0]
+
+    @property
+    def parts(self) -> int:
+        """Into how many parts sums over the samples are split, whatever the number of threads."""
+        return min(PARTS, max(self.blocks, 1))
+
+    def forward(self) -> np.ndarray:
+        """(blocks, values, width)."""
+        blocks = self.blocks if self.engine.program.measures_last_layer else 0
+        self.expectations = np.empty((blocks, 2, self.n, self.width), self.kind)
+        out = np.empty((self.blocks, self.engine.values, self.width), self.kind)
+        run(forward, *self._shared_arguments(), self.expectations, out)
+        return out
+
+    def backward(self, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Gradients of the fixed angles (F,), the inputs (blocks, K, width) and the start or starts."""
+        arrays, n, parts = self.engine.arrays, self.n, self.parts
+        steps, once = arrays.steps, arrays.once
+        inputs = np.empty((self.blocks, self.shape.columns, self.width), self.kind)
+        sums, adjoints = np.zeros((parts, len(steps.taps))), np.zeros((parts, 2, 2**n))
+        starts = np.zeros((self.blocks if self.engine.program.start_moves else 0, 2, 2**n, self.width), self.kind)
+        taps, last_taps = steps.taps, np.full(n, -1, dtype=np.int64)
+        if self.engine.program.measures_last_layer:
+            for tap in range(*steps.operations[-1, [FIRST, LAST]]):
+                last_taps[taps[tap, SOURCE]] = tap
+        run(
+            backward, *self._shared_arguments(), self.expectations, last_taps, taps, self.factors, gradient,
+            self.stored, inputs, sums, adjoints, starts,
+        )  # fmt: skip
+        total, adjoint = sums.sum(0), adjoints.sum(0)
         if self.first_diagonal is not None:
             u, v = self.first_diagonal.astype(np.float64)
             adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
         prepare_backward(
-            arrays.once, n, self.width, self.amplitude, self.tables, adjoint, arrays.input_scales, total, self.dtype,
+            steps.operations[:once], self.shape, taps, self.factors, self.tables, self.extra, self.first, adjoint,
+            total, self.stored,
         )  # fmt: skip
-        weights = np.zeros((arrays.form.circuit.rows, n, 3))
-        add_weight_gradients(arrays.steps, self.tables.angle_signs, total, weights)
-        return inputs, weights
+        own = taps[:, FIXED] >= 0
+        fixed = np.bincount(taps[own, FIXED], (total * self.tables.signs)[own], self.count)
+        return fixed, inputs, starts if self.engine.program.start_moves else adjoint * self.amplitude
 
 
 # The functions below take NumPy arrays rather than tensors. The arrays are small, and torch would wake its OpenMP
 # threads for them, which on a busy machine takes far longer than the work.
-def parts_of(trig: np.ndarray) -> int:
-    """Into how many parts sums over these blocks (blocks, ...) are split, whatever the number of threads."""
-    return min(PARTS, max(trig.shape[0], 1))
-
-
 def to_blocks(x: np.ndarray, width: int) -> np.ndarray:
     """(B, n) -> (blocks, n, width), padded with zeros."""
     batch, n = x.shape
@@ -145,7 +230,7 @@ def from_blocks(x: np.ndarray, batch: int) -> Tensor:
 
 
 def cos_sin(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
-    """out[0], out[1] = cos, sin of the inputs (blocks, n, width) times a factor (n,) for each wire; infinity gives NaN.
+    """out[0], out[1] = cos, sin of the inputs (blocks, n, width) times factors (n,); infinity gives NaN.
 
     As in `statevector.cos_sin`, a product that the inputs' dtype would round is taken in float64.
     """
@@ -156,48 +241,41 @@ def cos_sin(x: np.ndarray, factors: np.ndarray, out: np.ndarray) -> None:
         np.sin(angles, out=out[1], casting="same_kind")
 
 
-def cos_sin_of_half(x: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """cos and sin of half the scaled inputs: (blocks, n, width) -> (blocks, encodings, 2, n, width)."""
-    out = np.empty((x.shape[0], len(scales), 2, *x.shape[1:]), x.dtype)
-    for encoding, scale in enumerate(scales):
-        cos_sin(x, 0.5 * scale, out[:, encoding].swapaxes(0, 1))
-    return out
-
-
 class _Simulate(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
-        bound = engine.bind(by_row(weights, engine.form.circuit), numpy_dtype(x.dtype))
-        trig = cos_sin_of_half(to_blocks(x.detach().numpy(), bound.width), engine.arrays.encoding_scales)
-        out, expectations = bound.forward(trig)
-        ctx.save_for_backward(x, weights)
-        ctx.form = engine.form
-        ctx.saved = bound, trig, expectations
-        ctx.shapes = x.shape[0], weights.shape, weights.dtype
+    def forward(
+        ctx: Any, engine: Engine, fixed: Tensor, inputs: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype
+    ) -> Tensor:
+        ctx.run = _Run(engine, fixed, inputs, start, batch, dtype)
+        ctx.dtype = dtype
+        ctx.save_for_backward(fixed, inputs, *([] if start is None else [start]))
+        out = ctx.run.forward()
         # Rounding may lead beyond. PyTorch would share this with threads, which then spin beside the loops.
-        return from_blocks(np.clip(out, -1, 1, out=out), x.shape[0])
+        return from_blocks(np.clip(out, -1, 1, out=out), batch)
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        own: _Run = ctx.run
+        saved = ctx.saved_tensors
         if is_differentiated(gradient):
-            return None, *through_reference(partial(statevector.evaluate, ctx.form), ctx.saved_tensors, gradient)
-        bound, trig, expectations = ctx.saved
-        batch, shape, dtype = ctx.shapes
-        inputs, weights = bound.backward(
-            trig, expectations, to_blocks(gradient.detach().resolve_neg().numpy(), bound.width)
-        )
-        return None, from_blocks(inputs, batch), torch.from_numpy(weights).to(dtype).reshape(shape)
 
+            def reference(fixed: Tensor, inputs: Tensor, start: Tensor | None = None) -> Tensor:
+                return own.engine.plain.simulate(fixed, inputs, start, own.batch, ctx.dtype)
 
-def numpy_dtype(dtype: torch.dtype) -> Any:
-    return np.float32 if dtype == torch.float32 else np.float64
-
-
-def by_row(weights: Tensor, circuit: Circuit) -> np.ndarray:
-    """The weights of a re-uploading circuit as (rows, n, 3) float64."""
-    return weights.detach().double().reshape(circuit.rows, circuit.wires, 3).numpy()
-
-
-def evaluate(engine: StatevectorEngine, x: Tensor, weights: Tensor) -> Tensor:
-    """Expectation values (B, outputs) for inputs x (B, n) in radians and flat weights, on the CPU."""
-    return _Simulate.apply(engine, x, weights)
+            gradients = through_reference(reference, saved, gradient)
+            return None, *gradients, *[None] * (5 - len(saved))
+        upstream = to_blocks(gradient.detach().resolve_neg().numpy().astype(own.kind, copy=False), own.width)
+        total, inputs, starts = own.backward(upstream)
+        to_inputs = from_blocks(inputs, own.batch).to(saved[1].dtype)
+        if saved[1].shape[0] != own.batch:
+            to_inputs = to_inputs.sum(0, keepdim=True)
+        to_start = None
+        if len(saved) > 2:
+            parts = 2 * torch.from_numpy(starts).double()
+            if own.engine.program.start_moves:
+                parts = parts.permute(0, 3, 1, 2).reshape(-1, 2, parts.shape[2])[: own.batch]
+            else:
+                parts = parts[None]
+            complexes = torch.complex(parts[:, 0], parts[:, 1])
+            to_start = complexes if saved[2].shape[0] == len(complexes) else complexes.sum(0, keepdim=True)
+        return None, torch.from_numpy(total)[None], to_inputs, to_start, None, None

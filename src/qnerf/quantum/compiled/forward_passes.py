@@ -1,4 +1,4 @@
-"""Compiled forward passes: each applies one step of the normal form to the states of a block of samples.
+"""Compiled forward passes: each applies one block of a program to the states of a block of samples.
 
 A block holds as many samples as fit one machine vector (`simd.lanes`), side by side. Amplitude b of the block is the
 vector at `base + b * width` of a flat array x. A state is 2^n vectors of real parts, then 2^n of imaginary parts.
@@ -6,13 +6,14 @@ Wire j is bit n - 1 - j of b. Up to about 10 wires everything stays in the first
 the last.
 
 RY layers are applied as (1, -t; t, 1) with t = tan(angle / 2), |t| <= 1. That is two multiply-adds a pair instead of
-four operations. The missing cosines are factors of the diagonal before (`tables.bind_weights`).
+four operations. The missing cosines are factors of the diagonal before (`tables.bind`).
 """
 
 from typing import Any
 
 from qnerf.kernels.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.wire_blocks import ry_block, x_block
+from qnerf.quantum.compiled.word_passes import parity
 
 
 @inner
@@ -53,18 +54,20 @@ def ry_layer(x: Any, source: int, target: int, n: int, width: int, tangents: Any
 
 
 @inner
-def input_phases(x: Any, out: int, n: int, width: int, trig: int) -> None:
+def input_phases(x: Any, out: int, n: int, width: int, trig: int, singles: Any) -> None:
     """Phases prod_j (c_j - i s_j z_j) of the basis states whose first bit is 0: real, then imaginary parts at `out`.
 
-    The phase of a basis state with first bit 1 is the conjugate of the one with all bits flipped.
+    The cosine and the sine of wire j are the vectors number 2 singles[j] and the next one at `trig`. The phase of a
+    basis state with first bit 1 is the conjugate of the one with all bits flipped.
     """
     keep_apart()
     half = (width << n) >> 1
     # Wire 0 has bit 0: its factor is c - i s.
-    store(x, out, load(x, trig))
-    store(x, out + half, splat(x.dtype.type(0)) - load(x, trig + n * width))
+    first = trig + 2 * singles[0] * width
+    store(x, out, load(x, first))
+    store(x, out + half, splat(x.dtype.type(0)) - load(x, first + width))
     for j in range(1, n):
-        c, s = load(x, trig + j * width), load(x, trig + (n + j) * width)
+        c, s = load(x, trig + 2 * singles[j] * width), load(x, trig + (2 * singles[j] + 1) * width)
         # Each further wire makes two phases of one, in the same place. From the last to the first, so that none is
         # overwritten before it was read.
         for k in range((1 << (j - 1)) - 1, -1, -1):
@@ -77,7 +80,23 @@ def input_phases(x: Any, out: int, n: int, width: int, trig: int) -> None:
 
 
 @inner
-def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: int) -> None:
+def product_phases(x: Any, out: int, n: int, width: int, cosine: int, sine: int, mask: int) -> None:
+    """Multiplies the phases at `out` by c - i s z, where z is the product of the Z's of `mask`."""
+    keep_apart()
+    half = (width << n) >> 1
+    zero = splat(x.dtype.type(0))
+    c = load(x, cosine)
+    for k in range(1 << (n - 1)):
+        s = load(x, sine)
+        if parity(k & mask):
+            s = zero - s
+        a, b = load(x, out + k * width), load(x, out + half + k * width)
+        store(x, out + k * width, a * c + b * s)
+        store(x, out + half + k * width, b * c - a * s)
+
+
+@inner
+def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: int, even: Any) -> None:
     """The same state psi (2, 2^n) for every sample, times the input's phases unless `phases` is negative."""
     keep_apart()
     size = width << n
@@ -89,14 +108,16 @@ def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: 
             store(x, target + size + b * width, splat(psi[1, b]))
         return
     flip = (1 << n) - 1
-    # A phase c + i s of half of the basis states, and its conjugate for the states with all bits flipped. The Pauli
-    # frame has flipped the bits in `mask`.
+    # A phase c + i s of half of the basis states, and its conjugate for the states with all bits flipped; the phase
+    # itself, if it is of even products of Z. The Pauli frame has flipped the bits in `mask`.
     for k in range(1 << (n - 1)):
         c, s = load(x, phases + k * width), load(x, phases + half + k * width)
         b = k ^ mask
         u, v = splat(psi[0, b]), splat(psi[1, b])
         store(x, target + b * width, c * u - s * v)
         store(x, target + size + b * width, c * v + s * u)
+        if even is not None and even:
+            s = splat(x.dtype.type(0)) - s
         b = b ^ flip
         u, v = splat(psi[0, b]), splat(psi[1, b])
         store(x, target + b * width, c * u + s * v)
@@ -104,7 +125,7 @@ def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: 
 
 
 @inner
-def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int) -> None:
+def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any) -> None:
     """Multiplies the state by the diagonal `table` (2, 2^n) and, unless `phases` is negative, by the input's phases."""
     keep_apart()
     size = width << n
@@ -118,7 +139,7 @@ def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, m
             store(x, target + size + b * width, u * i + v * r)
         return
     flip = (1 << n) - 1
-    # Both products in one pass over the state. The input's phases come in conjugate pairs, as in `start`.
+    # Both products in one pass over the state. The input's phases come in pairs, as in `start`.
     for k in range(1 << (n - 1)):
         c, s = load(x, phases + k * width), load(x, phases + half + k * width)
         p = target + (k ^ mask) * width
@@ -127,6 +148,8 @@ def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, m
         r, i = u * r - v * i, u * i + v * r
         store(x, p, c * r - s * i)
         store(x, p + size, c * i + s * r)
+        if even is not None and even:
+            s = splat(x.dtype.type(0)) - s
         b = k ^ mask ^ flip
         p = target + b * width
         u, v = splat(table[0, b]), splat(table[1, b])
@@ -134,6 +157,48 @@ def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, m
         r, i = u * r - v * i, u * i + v * r
         store(x, p, c * r + s * i)
         store(x, p + size, c * i - s * r)
+
+
+@inner
+def diagonal_off(
+    x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any, factor: Any
+) -> None:
+    """Takes `diagonal` off the state: the conjugate phases, times a factor."""
+    keep_apart()
+    size = width << n
+    half = size >> 1
+    k_ = splat(factor)
+    flip = (1 << n) - 1
+    zero = splat(x.dtype.type(0))
+    for b in range(1 << n):
+        p = target + b * width
+        u, v = splat(table[0, b]), splat(table[1, b])
+        r, i = k_ * load(x, p), k_ * load(x, p + size)
+        r, i = u * r + v * i, u * i - v * r
+        if phases >= 0:
+            k = b ^ mask
+            flipped = k >> (n - 1) == 1
+            if flipped:
+                k = k ^ flip
+            c, s = load(x, phases + k * width), load(x, phases + half + k * width)
+            if flipped and not even:
+                s = zero - s
+            r, i = c * r + s * i, c * i - s * r
+        store(x, p, r)
+        store(x, p + size, i)
+
+
+@inner
+def walsh(x: Any, q: int, n: int, width: int) -> None:
+    """q becomes sum_b z_m(b) q_b for the product of Z's of each mask m, in place."""
+    keep_apart()
+    for j in range(n):
+        half = width << j
+        for h in range(q, q + (width << n), 2 * half):
+            for i in range(h, h + half, width):
+                a, b = load(x, i), load(x, i + half)
+                store(x, i, a + b)
+                store(x, i + half, a - b)
 
 
 @inner

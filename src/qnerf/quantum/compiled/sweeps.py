@@ -1,10 +1,11 @@
 """Compiled sweeps over the samples of a step: one through the circuit, one back; `engine` gives them their arrays.
 
 The forward sweep takes each block of samples through the circuit. The backward sweep runs each block again and stores
-the state before each RY layer (in cache, a few hundred KiB). Then it carries the adjoint state sum_k g_k O_k |psi> back
-gate by gate, so that every gradient is one inner product of the two states.
+the state before each RY layer and each permutation (in cache, a few hundred KiB). Then it carries the adjoint state
+sum_k g_k O_k |psi> back operation by operation, so that every gradient is one inner product of the two states. Where
+the stored states would be too many, the operations are taken off the state, too.
 
-Shapes: n wires; `width` samples in a block; `encodings` different scales of the input; `steps` of the normal form.
+Shapes: n wires; `width` samples in a block; M moving angles; K columns of the input.
 """
 
 from typing import Any, NamedTuple
@@ -13,12 +14,25 @@ import numpy as np
 
 from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner, keep_apart, load, splat, start_of_line, store
-from qnerf.quantum.compiled import backward_passes, forward_passes
+from qnerf.quantum.compiled import backward_passes, forward_passes, word_passes
 from qnerf.quantum.compiled.tables import (
+    CODE,
+    COLUMN,
     DIAGONAL,
+    EVEN,
+    FIRST,
+    LAST,
     PERMUTATION,
+    PHASES,
     RY,
+    SEVERAL,
+    SOURCE,
     START,
+    START_EACH,
+    TABLE,
+    TURN,
+    UNDO,
+    Extra,
     Measurement,
     Tables,
 )
@@ -35,113 +49,201 @@ class Layout(NamedTuple):
     adjoint: int  # the adjoint state, and a spare one
     scratch: int  # 2^n + 1 vectors
     first_adjoint: int  # the adjoint of the state that all samples start from
-    phases: int  # encodings x 2^n vectors: the input's phases of the basis states
-    trig: int  # encodings x 2 n vectors: cos and sin of half the encoding angles
-    sums: int  # steps x n vectors: gradients of the angles, summed over blocks
-    inputs: int  # n vectors: gradients of the inputs
-    gradients: int  # 2 n vectors: of the step at hand
+    phases: int  # phases x 2^n vectors: the input's phases of the basis states
+    trig: int  # 2 (M + 1) vectors: cos and sin of half the moving angles, then 1 and 0
+    sums: int  # a vector for each tap: gradients of angles, summed over blocks
+    inputs: int  # K vectors: gradients of the inputs
+    gradients: int  # 2 n vectors: of the operation at hand
     factors: int  # 2 n vectors: of Z and X in the observable
+    signs: int  # 4 vectors: 1 and -1, then the sine of a turn and its negative
     end: int
 
 
 @inner
-def _layout(start: int, n: int, width: int, states: int, encodings: int, steps: int) -> Layout:
+def _layout(start: int, n: int, width: int, states: int, phases: int, moving: int, taps: int, columns: int) -> Layout:
     size = width << n
     adjoint = start + 2 * states * size
     scratch = adjoint + 4 * size
     first_adjoint = scratch + size + width
-    phases = first_adjoint + 2 * size
-    trig = phases + encodings * size
-    sums = trig + 2 * encodings * n * width
-    inputs = sums + steps * n * width
-    gradients = inputs + n * width
+    phases_ = first_adjoint + 2 * size
+    trig = phases_ + phases * size
+    sums = trig + 2 * (moving + 1) * width
+    inputs = sums + taps * width
+    gradients = inputs + columns * width
     factors = gradients + 2 * n * width
-    end = factors + 2 * n * width
-    return Layout(start, adjoint, scratch, first_adjoint, phases, trig, sums, inputs, gradients, factors, end)
+    signs = factors + 2 * n * width
+    end = signs + 4 * width
+    return Layout(start, adjoint, scratch, first_adjoint, phases_, trig, sums, inputs, gradients, factors, signs, end)
+
+
+class Shape(NamedTuple):
+    """Numbers that the size of the work array depends on. Compiled loops take it as it is."""
+
+    n: Any
+    width: Any
+    states: Any
+    columns: Any
+
+
+class Moving(NamedTuple):
+    """What a step needs of the input. Compiled loops take it as it is."""
+
+    trig: Any  # (blocks, 2, M, width) cos and sin of half the moving angles
+    singles: Any  # (phases, n) the moving angle of each wire; M for none
 
 
 @inner
-def _size(n: int, width: int, states: int, encodings: int, steps: int) -> int:
-    """Elements of the work array; 64 more than the layout, because it starts at a cache line."""
-    return _layout(0, n, width, states, encodings, steps).end + 64
+def _turn_cosine(x: Any, at: Layout, width: int, turn: Any, extra: Extra) -> Any:
+    """Stores the sine of half a turn's angle and its negative; returns the cosine."""
+    # An angle that moves with the input has its cosine and sine for each sample; a fixed one is the same for all.
+    sines = at.signs + 2 * width
+    if turn[4]:
+        cosine, sine = load(x, at.trig + 2 * turn[5] * width), load(x, at.trig + (2 * turn[5] + 1) * width)
+    else:
+        cosine, sine = splat(extra.fixed[0, turn[5]]), splat(extra.fixed[1, turn[5]])
+    word_passes.store_signs(x, sines, width, sine)
+    return cosine
 
 
 @jit
 def _forward(
-    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, psi: Any, store_states: bool
-) -> int:
+    x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, tables: Tables, psi: Any, extra: Any,
+    block: int, store_states: bool,
+) -> int:  # fmt: skip
     """Runs the operations and returns where the final state lies.
 
-    With `store_states` the state before each operation but diagonals stays in the work array.
+    With `store_states` the state before each layer and each permutation stays in the work array.
     """
     keep_apart()
-    tangents, diagonals, flip_masks, _, permutations = tables
+    tangents, diagonals, permutations = tables.tangents, tables.diagonals, tables.permutations
     pair = 2 * (width << n)
     here = at.state
-    # Diagonals work in place. With `store_states` every other operation writes the state behind the one that it reads,
-    # so that the states stay in the work array in order.
+    # Diagonals and turns work in place. With `store_states` every other operation writes the state behind the one that
+    # it reads, so that the states stay in the work array in order.
     for o in range(len(operations)):
-        code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
-        p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
+        code, row, phases = operations[o, CODE], operations[o, TABLE], operations[o, PHASES]
+        p = -1 if phases < 0 else at.phases + phases * (pair >> 1)
         after = here + pair if store_states else here
         if code == START:
-            forward_passes.start(x, here, n, width, psi, p, flip_masks[step] if step >= 0 else 0)
+            if extra is None:
+                forward_passes.start(x, here, n, width, psi, p, masks[o], None)
+            else:
+                forward_passes.start(x, here, n, width, psi, p, masks[o], operations[o, EVEN] == 1)
         elif code == DIAGONAL:
-            forward_passes.diagonal(x, here, n, width, diagonals[step], p, flip_masks[step])
+            if extra is None:
+                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], None)
+            else:
+                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], operations[o, EVEN] == 1)
         elif code == RY:
-            forward_passes.ry_layer(x, here, after, n, width, tangents[step], FORWARD)
+            forward_passes.ry_layer(x, here, after, n, width, tangents[row], FORWARD)
             here = after
-        else:
+        elif code == PERMUTATION:
             # A permutation cannot work in place: two states take turns.
             if not store_states:
                 after = at.state + pair if here == at.state else at.state
-            forward_passes.permute(x, here, after, n, width, permutations[operations[o, 3]], FORWARD)
+            forward_passes.permute(x, here, after, n, width, permutations[row], FORWARD)
             here = after
+        if extra is not None:
+            if code == TURN:
+                cosine = _turn_cosine(x, at, width, extra.turns[row], extra)
+                word_passes.rotate(x, here, n, width, extra.turns[row], cosine, at.signs + 2 * width)
+            elif code == START_EACH:
+                for part in range(2):
+                    for b in range(1 << n):
+                        for i in range(width):
+                            x[here + ((part << n) + b) * width + i] = extra.starts[block, part, b, i]
     return here
+
+
+@inner
+def _gradients(
+    x: Any, at: Layout, operation: Any, taps: Any, factors: Any, first: int, square: Any, width: int
+) -> None:
+    """Adds the gradients at `first` to the sums of the taps, and to those of the input."""
+    keep_apart()
+    for k in range(operation[FIRST], operation[LAST]):
+        value = load(x, first + taps[k, SOURCE] * width)
+        if square != 1:
+            value = splat(x.dtype.type(square)) * value
+        total = at.sums + k * width
+        store(x, total, load(x, total) + value)
+        if taps[k, COLUMN] >= 0:
+            total = at.inputs + taps[k, COLUMN] * width
+            store(x, total, load(x, total) + splat(factors[k]) * value)
 
 
 @jit
 def _backward(
-    x: Any, at: Layout, n: int, width: int, operations: Any, tables: Tables, input_scales: Any, here: int
-) -> None:
-    """Carries the adjoint state back through the operations; `here` is the last of the stored states.
+    x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, squares: Any, taps: Any, factors: Any,
+    tables: Tables, extra: Any, here: int, stored: bool,
+) -> None:  # fmt: skip
+    """Carries the adjoint state back through the operations; `here` is the last state.
 
     Adds to the work array's `sums`, `first_adjoint` and `inputs`.
     """
     keep_apart()
-    tangents, diagonals, flip_masks, angle_signs, permutations = tables
+    tangents, diagonals, permutations = tables.tangents, tables.diagonals, tables.permutations
     pair = 2 * (width << n)
-    adjoint, scratch, d = at.adjoint, at.scratch, at.gradients
-    # Each operation is taken off the adjoint, and its gradients (a vector for each wire, at `d`) are inner products of
-    # the adjoint with the state. Rotations use the state before them, which was stored; diagonals the one after them.
+    adjoint, spare, scratch, d = at.adjoint, at.adjoint + pair, at.scratch, at.gradients
+    # Each operation is taken off the adjoint, and its gradients are inner products of the adjoint with the state.
+    # Layers use the state before them, diagonals and turns the one after them.
     for o in range(len(operations) - 1, -1, -1):
-        code, step, encoding = operations[o, 0], operations[o, 1], operations[o, 2]
-        p = -1 if encoding < 0 else at.phases + encoding * (pair >> 1)
+        code, row, phases = operations[o, CODE], operations[o, TABLE], operations[o, PHASES]
+        p = -1 if phases < 0 else at.phases + phases * (pair >> 1)
+        first, square = d, 1.0
+        # A state that was not stored lacks the cosines of a layer that was taken off it, or has them twice.
+        if not stored:
+            square = squares[o]
         if code == RY:
-            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[step], BACK)
-            here -= pair
+            forward_passes.ry_layer(x, adjoint, adjoint, n, width, tangents[row], BACK)
+            if stored:
+                here -= pair
+            else:
+                forward_passes.ry_layer(x, here, here, n, width, tangents[row], BACK)
             backward_passes.ry_gradients(x, here, adjoint, n, width, d)
         elif code == PERMUTATION:
-            here -= pair
-            forward_passes.permute(x, adjoint, adjoint + pair, n, width, permutations[operations[o, 3]], BACK)
-            for i in range(0, pair, width):
-                store(x, adjoint + i, load(x, adjoint + pair + i))
+            forward_passes.permute(x, adjoint, spare, n, width, permutations[row], BACK)
+            adjoint, spare = spare, adjoint
+            if stored:
+                here -= pair
+            else:
+                other = at.state + pair if here == at.state else at.state
+                forward_passes.permute(x, here, other, n, width, permutations[row], BACK)
+                here = other
         elif code == DIAGONAL:
-            backward_passes.diagonal_backward(
-                x, here, adjoint, n, width, diagonals[step], p, flip_masks[step], scratch, d
-            )
-        else:
-            mask = flip_masks[step] if step >= 0 else 0
-            backward_passes.start_backward(x, here, adjoint, n, width, p, mask, scratch, d, at.first_adjoint)
-        # The gradients are added to the sums of the step, and to the gradient of the input where the angles hold it.
-        if step >= 0 and code != PERMUTATION:
-            for j in range(n):
-                value = load(x, d + j * width)
-                total = at.sums + (step * n + j) * width
-                store(x, total, load(x, total) + value)
-                if encoding >= 0:
-                    scale = splat(x.dtype.type(input_scales[step, j] * angle_signs[step, j]))
-                    store(x, at.inputs + j * width, load(x, at.inputs + j * width) + scale * value)
+            if extra is None:
+                backward_passes.diagonal_backward(
+                    x, here, adjoint, n, width, diagonals[row], p, masks[o], None, None, scratch, d
+                )
+            else:
+                several, even = operations[o, SEVERAL] == 1, operations[o, EVEN] == 1
+                backward_passes.diagonal_backward(
+                    x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d
+                )
+                first = scratch if several else d
+            if operations[o, UNDO] or not stored:
+                factor = x.dtype.type(1.0 / squares[o] if stored else 1.0)
+                even = operations[o, EVEN] == 1
+                forward_passes.diagonal_off(x, here, n, width, diagonals[row], p, masks[o], even, factor)
+        elif code == START:
+            if extra is None:
+                backward_passes.start_backward(
+                    x, here, adjoint, n, width, p, masks[o], None, None, scratch, d, at.first_adjoint
+                )
+            else:
+                several, even = operations[o, SEVERAL] == 1, operations[o, EVEN] == 1
+                backward_passes.start_backward(
+                    x, here, adjoint, n, width, p, masks[o], even, several, scratch, d, at.first_adjoint
+                )
+                first = scratch if several else d
+        elif extra is not None and code == TURN:
+            cosine, sines = _turn_cosine(x, at, width, extra.turns[row], extra), at.signs + 2 * width
+            word_passes.rotate_back(x, here, adjoint, n, width, extra.turns[row], cosine, sines, at.signs, d)
+        if operations[o, LAST] > operations[o, FIRST]:
+            _gradients(x, at, operations[o], taps, factors, first, square, width)
+    if adjoint != at.adjoint:
+        for i in range(0, pair, width):
+            store(x, at.adjoint + i, load(x, adjoint + i))
 
 
 @inner
@@ -159,83 +261,94 @@ def _sum(x: Any, first: int, width: int) -> float:
     return value
 
 
-def prepare(operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, psi: np.ndarray) -> None:
-    """Fills psi (2, 2^n), real and imaginary parts: the state before the first encoding."""
-    x, at = _work_array(n, width, 2, 0, psi.dtype)
-    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, psi.dtype), NOT_STORED)
-    psi[:] = _state(x, end, n, width)[..., 0]
+@jit
+def prepare(operations: Any, shape: Shape, tables: Tables, extra: Any, first: Any, psi: Any) -> None:
+    """Fills psi (2, 2^n), real and imaginary parts: the state before the first data, from the state `first`."""
+    n, width = shape.n, shape.width
+    x = np.zeros(_layout(0, n, width, 2, 0, 0, 0, 0).end + 64, psi.dtype)
+    at = _layout(start_of_line(x), n, width, 2, 0, 0, 0, 0)
+    here = _forward(x, at, n, width, operations, tables.flip_masks, tables, first, extra, 0, NOT_STORED)
+    for b in range(1 << n):
+        psi[0, b], psi[1, b] = x[here + b * width], x[here + ((1 << n) + b) * width]
 
 
+@jit
 def prepare_backward(
-    operations: np.ndarray, n: int, width: int, amplitude: float, tables: Tables, adjoint: np.ndarray,
-    input_scales: np.ndarray, sums_out: np.ndarray, dtype: Any,
+    operations: Any, shape: Shape, taps: Any, factors: Any, tables: Tables, extra: Any, first: Any, adjoint: Any,
+    sums_out: Any, stored: bool,
 ) -> None:  # fmt: skip
-    """Adds the gradients of the angles before the first encoding to `sums_out` (steps, n).
+    """Adds the gradients of the angles before the first data to `sums_out` (taps,).
 
-    `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes.
+    `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes; it becomes that of the state `first`.
     """
-    steps = len(sums_out)
-    x, at = _work_array(n, width, 1 + len(operations), steps, dtype)
-    end = _forward(x, at, n, width, operations, tables, _ground_state(n, amplitude, dtype), STORED)
-    _state(x, at.adjoint, n, width)[..., 0] = adjoint
-    _backward(x, at, n, width, operations, tables, input_scales, end)
-    sums_out += x[at.sums : at.sums + steps * n * width].reshape(steps, n, width)[..., 0]
-
-
-def _work_array(n: int, width: int, states: int, steps: int, dtype: Any) -> tuple[np.ndarray, Layout]:
-    """A work array for the steps before the first encoding, filled with zeros."""
-    layout: Any = _layout
-    x = np.zeros(layout.py_func(0, n, width, states, 0, steps).end + 64, dtype)
-    return x, layout.py_func(-x.ctypes.data % 64 // x.itemsize, n, width, states, 0, steps)
-
-
-def _ground_state(n: int, amplitude: float, dtype: Any) -> np.ndarray:
-    psi = np.zeros((2, 1 << n), dtype)
-    psi[0, 0] = amplitude
-    return psi
-
-
-def _state(x: np.ndarray, first: int, n: int, width: int) -> np.ndarray:
-    """The state (2, 2^n, width) that begins at x[first]."""
-    return x[first : first + 2 * (width << n)].reshape(2, 1 << n, width)
+    n, width = shape.n, shape.width
+    count = len(taps)
+    states = 1 + len(operations) if stored else 2
+    x = np.zeros(_layout(0, n, width, states, 0, 0, count, 0).end + 64, first.dtype)
+    at = _layout(start_of_line(x), n, width, states, 0, 0, count, 0)
+    store(x, at.signs, splat(x.dtype.type(1)))
+    store(x, at.signs + width, splat(x.dtype.type(-1)))
+    here = _forward(x, at, n, width, operations, tables.flip_masks, tables, first, extra, 0, stored)
+    for b in range(1 << n):
+        x[at.adjoint + b * width], x[at.adjoint + ((1 << n) + b) * width] = adjoint[0, b], adjoint[1, b]
+    _backward(
+        x, at, n, width, operations, tables.flip_masks, tables.squares, taps, factors, tables, extra, here, stored
+    )
+    for k in range(count):
+        sums_out[k] += x[at.sums + k * width]
+    for b in range(1 << n):
+        adjoint[0, b], adjoint[1, b] = x[at.adjoint + b * width], x[at.adjoint + ((1 << n) + b) * width]
 
 
 @inner
-def _read(x: Any, at: Layout, trig: Any, n: int, width: int) -> None:
+def _read(x: Any, at: Layout, moving: Moving, block: int, n: int, width: int, extra: Any) -> None:
     """Copies a block's cosines and sines, and forms the phases of all basis states."""
     keep_apart()
     size = width << n
+    trig, singles = moving
     # NumPy's layout becomes that of the passes, one number after the other; then whole vectors make the phases.
-    for encoding in range(trig.shape[0]):
-        here = at.trig + 2 * encoding * n * width
+    count = trig.shape[2]
+    for m in range(count):
         for part in range(2):
-            for j in range(n):
-                for i in range(width):
-                    x[here + (part * n + j) * width + i] = trig[encoding, part, j, i]
-        forward_passes.input_phases(x, at.phases + encoding * size, n, width, here)
+            for i in range(width):
+                x[at.trig + (2 * m + part) * width + i] = trig[block, part, m, i]
+    store(x, at.trig + 2 * count * width, splat(x.dtype.type(1)))
+    store(x, at.trig + (2 * count + 1) * width, splat(x.dtype.type(0)))
+    for row in range(len(singles)):
+        forward_passes.input_phases(x, at.phases + row * size, n, width, at.trig, singles[row])
+    if extra is not None:
+        store(x, at.signs, splat(x.dtype.type(1)))
+        store(x, at.signs + width, splat(x.dtype.type(-1)))
+        for k in range(len(extra.products)):
+            row, mask, m = extra.products[k]
+            cosine = at.trig + 2 * m * width
+            forward_passes.product_phases(x, at.phases + row * size, n, width, cosine, cosine + width, mask)
 
 
 @jit
 def forward(
-    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Tables,
-    measurement: Measurement, expectations: Any, out: Any,
+    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, psi: Any,
+    tables: Tables, measurement: Measurement, extra: Any, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
     """The blocks of samples in the parts first..last.
 
-    trig (blocks, encodings, 2, n, width): cos and sin of half the encoding angles
     expectations (blocks, 2, n, width): <Z> and <X> before the last RY layer, if it is part of the measurement
-    out (blocks, outputs, width)
+    out (blocks, values, width)
     """
     measures_last_layer, wires, eigenvalues, last_layer = measurement
-    blocks, encodings = trig.shape[0], trig.shape[1]
-    x = np.empty(_size(n, width, 2, encodings, 0), psi.dtype)
-    at = _layout(start_of_line(x), n, width, 2, encodings, 0)
+    n, width = shape.n, shape.width
+    blocks, count, phases = out.shape[0], moving.trig.shape[2], len(moving.singles)
+    x = np.empty(_layout(0, n, width, 2, phases, count, 0, 0).end + 64, psi.dtype)
+    at = _layout(start_of_line(x), n, width, 2, phases, count, 0, 0)
     q, d = at.scratch, at.gradients
+    masks = tables.flip_masks[once:]
     # A block of samples at a time, through the whole circuit, while its state is in cache.
     for block in range(blocks * first // parts, blocks * last // parts):
-        _read(x, at, trig[block], n, width)
-        end = _forward(x, at, n, width, operations, tables, psi, NOT_STORED)
+        _read(x, at, moving, block, n, width, extra)
+        end = _forward(x, at, n, width, operations, masks, tables, psi, extra, block, NOT_STORED)
         forward_passes.probabilities(x, end, n, width, q)
+        if extra is not None:
+            _measure_extra(x, at, end, n, width, len(wires), extra, block, out)
         # <Z> behind the last RY layer from <Z> and <X> before it: the layer itself need not be applied.
         if measures_last_layer:
             forward_passes.z_sums(x, q, n, width, d)
@@ -260,48 +373,94 @@ def forward(
                     out[block, k, i] = x[d + i]
 
 
+@inner
+def _measure_extra(
+    x: Any, at: Layout, state: int, n: int, width: int, first: int, extra: Extra, block: int, out: Any
+) -> None:
+    """The words that are not of Z's alone, and the probabilities: values from `first` on."""
+    keep_apart()
+    words, outcomes, firsts = extra.words, extra.outcomes, extra.firsts
+    for k in range(len(words)):
+        word_passes.expectation(x, state, n, width, words[k], at.signs, at.gradients)
+        for i in range(width):
+            out[block, first + k, i] = x[at.gradients + i]
+    first += len(words)
+    for row in range(first, out.shape[1]):
+        for i in range(width):
+            out[block, row, i] = 0
+    # Each basis state counts for one outcome of each table.
+    for t in range(len(outcomes)):
+        for b in range(1 << n):
+            row = first + firsts[t] + outcomes[t, b]
+            for i in range(width):
+                out[block, row, i] += x[at.scratch + b * width + i]
+
+
+@inner
+def _apply_extra(x: Any, at: Layout, state: int, n: int, width: int, first: int, extra: Extra, gradient: Any) -> None:
+    """Adds gradient_k O_k state to the adjoint, for the values of `_measure_extra`."""
+    keep_apart()
+    words, outcomes, firsts = extra.words, extra.outcomes, extra.firsts
+    size, weights = width << n, at.signs + 2 * width
+    for k in range(len(words)):
+        for i in range(width):
+            x[weights + i] = gradient[first + k, i]
+        word_passes.store_signs(x, weights, width, load(x, weights))
+        word_passes.add_word(x, state, at.adjoint, n, width, words[k], weights)
+    first += len(words)
+    # The operator of a probability projects on the basis states of an outcome.
+    for t in range(len(outcomes)):
+        for b in range(1 << n):
+            row = first + firsts[t] + outcomes[t, b]
+            for i in range(width):
+                g, j = gradient[row, i], b * width + i
+                x[at.adjoint + j] += g * x[state + j]
+                x[at.adjoint + size + j] += g * x[state + size + j]
+
+
 @jit
 def backward(
-    first: int, last: int, parts: int, operations: Any, n: int, width: int, trig: Any, psi: Any, tables: Tables,
-    measurement: Measurement, expectations: Any, states: int, input_scales: Any, gradient: Any, inputs_out: Any,
-    sums_out: Any, adjoint_out: Any,
+    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, psi: Any,
+    tables: Tables, measurement: Measurement, extra: Any, expectations: Any, last_taps: Any, taps: Any, factors: Any,
+    gradient: Any, stored: bool, inputs_out: Any, sums_out: Any, adjoint_out: Any, starts_out: Any,
 ) -> None:  # fmt: skip
-    """Gradients, given the gradients of the outputs: `gradient` (blocks, outputs, width). The rest is as in `forward`.
+    """Gradients, given the gradients of the values: `gradient` (blocks, values, width). The rest is as in `forward`.
 
-    inputs_out (blocks, n, width): of the inputs
-    sums_out (parts, steps, n): of the angles, summed over each part
+    last_taps (n,): the tap of each wire in the last RY layer, if it is part of the measurement; -1 for none
+    inputs_out (blocks, K, width): of the inputs
+    sums_out (parts, taps): of the angles, summed over each part
     adjoint_out (parts, 2, 2^n): of psi, summed over each part
+    starts_out (blocks, 2, 2^n, width): of the starts, if each sample has its own
     """
     measures_last_layer, wires, eigenvalues, last_layer = measurement
-    blocks, encodings, steps = trig.shape[0], trig.shape[1], sums_out.shape[1]
+    n, width, states, columns = shape
+    blocks, count, phases = gradient.shape[0], moving.trig.shape[2], len(moving.singles)
     size = width << n
-    x = np.zeros(_size(n, width, states, encodings, steps), psi.dtype)
-    at = _layout(start_of_line(x), n, width, states, encodings, steps)
+    x = np.zeros(_layout(0, n, width, states, phases, count, len(taps), columns).end + 64, psi.dtype)
+    at = _layout(start_of_line(x), n, width, states, phases, count, len(taps), columns)
     adjoint, d = at.adjoint, at.gradients
+    masks, squares = tables.flip_masks[once:], tables.squares[once:]
     # A part is a fixed range of blocks with sums of its own, whichever thread takes it. The sums over all parts are
     # taken in order afterwards, so the bits do not depend on the number of threads.
     for part in range(first, last):
-        _fill_zero(x, at.sums, steps * n, width)
+        _fill_zero(x, at.sums, len(taps), width)
         _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
-            _read(x, at, trig[block], n, width)
-            end = _forward(x, at, n, width, operations, tables, psi, STORED)
+            _read(x, at, moving, block, n, width, extra)
+            end = _forward(x, at, n, width, operations, masks, tables, psi, extra, block, stored)
             # The adjoint starts as sum_k g_k O_k |state>. Where the last RY layer is part of the measurement, O_k is
             # a Z + b X of the output's wire, and the angles of that layer have their gradients from <Z> and <X>.
             if measures_last_layer:
                 _fill_zero(x, at.factors, 2 * n, width)
                 for k in range(len(wires)):
                     j = wires[k]
-                    a, b, c = (
-                        at.factors + j * width,
-                        at.factors + (n + j) * width,
-                        at.sums + ((steps - 1) * n + j) * width,
-                    )
+                    a, b = at.factors + j * width, at.factors + (n + j) * width
                     for i in range(width):
                         g, z, x_ = gradient[block, k, i], expectations[block, 0, j, i], expectations[block, 1, j, i]
                         x[a + i] += last_layer[0, j] * g
                         x[b + i] += last_layer[1, j] * g
-                        x[c + i] += g * (last_layer[2, j] * z + last_layer[3, j] * x_)
+                        if last_taps[j] >= 0:
+                            x[at.sums + last_taps[j] * width + i] += g * (last_layer[2, j] * z + last_layer[3, j] * x_)
                 backward_passes.apply_observables(x, end, adjoint, n, width, at.factors, at.scratch)
             else:
                 _fill_zero(x, adjoint, 2 << n, width)
@@ -315,15 +474,21 @@ def backward(
                         store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
                         i += size
                         store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
-            _fill_zero(x, at.inputs, n, width)
-            _backward(x, at, n, width, operations, tables, input_scales, end)
-            for j in range(n):
+                if extra is not None:
+                    _apply_extra(x, at, end, n, width, len(wires), extra, gradient[block])
+            _fill_zero(x, at.inputs, columns, width)
+            _backward(x, at, n, width, operations, masks, squares, taps, factors, tables, extra, end, stored)
+            for j in range(columns):
                 for i in range(width):
                     inputs_out[block, j, i] = x[at.inputs + j * width + i]
+            if extra is not None and len(extra.starts):
+                for side in range(2):
+                    for b in range(1 << n):
+                        for i in range(width):
+                            starts_out[block, side, b, i] = x[adjoint + ((side << n) + b) * width + i]
         # The lanes of each vector are samples; they are added up once a part.
-        for step in range(steps):
-            for j in range(n):
-                sums_out[part, step, j] = _sum(x, at.sums + (step * n + j) * width, width)
+        for k in range(len(taps)):
+            sums_out[part, k] = _sum(x, at.sums + k * width, width)
         for b in range(1 << n):
             adjoint_out[part, 0, b] = _sum(x, at.first_adjoint + b * width, width)
             adjoint_out[part, 1, b] = _sum(x, at.first_adjoint + size + b * width, width)

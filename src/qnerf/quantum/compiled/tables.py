@@ -1,14 +1,15 @@
-"""From weights to the tables that the compiled engine reads: tangents, diagonals, signs. Once a step, in float64.
+"""From a program and its angles to the tables that the compiled engine reads: tangents, phases, signs. Once a step.
 
-A circuit becomes `CircuitArrays` once. `bind_weights` then turns the weights of a step, (rows, n, 3), into `Tables`.
+A program becomes `ProgramArrays` once. `bind` then turns the fixed angles of a step, (F,) float64, into `Tables`.
 
 RY layers run with tangents (`forward_passes.ry_layer`). To keep |tan| <= 1, RY(angle) = Y^k RY(angle - k pi) up to a
 phase, with |angle - k pi| <= pi/2. The Y's are never applied. They are carried through the circuit as a Pauli frame, a
 product X^x Z^z on each wire in front of the state. The frame flips bits in the diagonals that follow, flips signs of
-angles (of an RY angle where x + z is odd), and in the end flips the signs of <Z> and <X>.
+angles (of an RY angle where x + z is odd), and in the end flips the signs of what is measured.
+
+The cosines that a layer of tangents lacks are one number. It is a factor of the last diagonal before the layer.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 from math import cos, sin
 from typing import Any, NamedTuple
@@ -17,287 +18,368 @@ import numpy as np
 
 from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner
-from qnerf.quantum.normal_form import (
-    CNOTs,
-    Diagonal,
-    NormalForm,
-    Step,
-    cnot_permutation,
-    cz_signs,
-    z_eigenvalues,
-)
+from qnerf.quantum.angles import Angles
+from qnerf.quantum.basis import cnot_permutation, z_signs
+from qnerf.quantum.program import CNOTs, Diagonal, Program, RYLayer
+from qnerf.quantum.words import Word
 
-DIAGONAL, RY, PERMUTATION, START = range(4)
-
-Operation = tuple[int, int, int, int]
-"""Code, step, row of `encoding_scales` or -1, permutation or -1."""
+DIAGONAL, RY, PERMUTATION, START, TURN, START_EACH = range(6)
+CODE, TABLE, PHASES, EVEN, SEVERAL, FIRST, LAST, UNDO, FOLD = range(9)
+"""The columns of an operation: its kind; its row in the tables of its kind, or -1; its row in the phases of the input,
+or -1; whether these are of even products; whether a product of several Z's has a gradient here; its first tap and the
+one after its last; whether the backward pass needs the state before it; for RY, the operation that takes the cosines.
+"""
+SOURCE, FIXED, COLUMN, MASK = range(4)
+"""The columns of a tap, where a gradient is read: wire or mask; the number of the fixed angle, or -1; the column of the
+input, or -1; the wires as bits."""
 
 
 class Steps(NamedTuple):
-    """The steps of a normal form, without the weights. Compiled loops take it as it is."""
+    """A program without its angles. Compiled loops take it as it is."""
 
-    codes: Any  # (steps,) DIAGONAL, RY or PERMUTATION
-    weight_ranges: Any  # (steps + 1,) where the weights of each step begin in `weights`
-    weights: Any  # (uses, 2) row and kind of each weight: weights[row, :, kind] is added to the angles of the step
-    constants: Any  # (steps, n) radians
-    cz_signs: Any  # (steps, 2^n) diagonals of the CZs
-    cnots: Any  # (pairs, 3) step, control and target of each CNOT
+    operations: Any  # (operations, 9), those that run once, then those that run for every sample
+    taps: Any  # (taps, 4)
+    constants: Any  # (diagonals, 2, 2^n) real and imaginary parts of the constant phases
+    cnots: Any  # (pairs, 3) row of the permutation, control and target bit of each CNOT
+    turns: Any  # (turns, 6) a word (see `word_passes`), 1 if its angle moves with the input, the angle's number
 
 
 class Tables(NamedTuple):
-    """What a step needs of the weights. Compiled loops take it as it is."""
+    """What a step needs of the angles. Compiled loops take it as it is."""
 
-    tangents: Any  # (steps, n) of half the angles of RY layers
-    diagonals: Any  # (steps, 2, 2^n) real and imaginary parts, times the cosines of the RY layer that follows
-    flip_masks: Any  # (steps,) bits that the Pauli frame flips
-    angle_signs: Any  # (steps, n) signs that the Pauli frame gives the angles
-    permutations: Any  # (permutations, 2^n) of the CNOTs, whatever the weights are
+    tangents: Any  # (layers, n) of half the angles of RY layers
+    diagonals: Any  # (diagonals, 2, 2^n) real and imaginary parts, times the cosines of an RY layer
+    flip_masks: Any  # (operations,) bits that the Pauli frame flips
+    signs: Any  # (taps,) that the Pauli frame gives the angles
+    squares: Any  # (operations,) of the cosines that the state here still lacks or has too many of
+    permutations: Any  # (permutations, 2^n) of the CNOTs, whatever the angles are
 
 
 class Measurement(NamedTuple):
     """What is measured. Compiled loops take it as it is."""
 
     measures_last_layer: Any  # whether <Z> and <X> before the last RY layer are measured instead of <Z> after it
-    wires: Any  # (outputs,) the measured wire, where each output has one
-    eigenvalues: Any  # (outputs, 2^n) of the measured products of Z
+    wires: Any  # (words of Z's,) the measured wire, where each has one
+    eigenvalues: Any  # (words of Z's, 2^n)
     last_layer: Any  # (4, n) factors of <Z> and <X> before the last RY layer, and their derivatives by its angle
 
 
-@dataclass(frozen=True)
-class CircuitArrays:
-    """A normal form as arrays. The weights are not in them.
+class Extra(NamedTuple):
+    """What only some programs have; None for the others, whose loops are compiled without it."""
+
+    turns: Any  # (turns, 6), with the signs of the Pauli frame
+    fixed: Any  # (2, F) cos and sin of half the fixed angles
+    evens: Any  # (phases,) whether they are of even products of Z
+    products: Any  # (products, 3) row of the phases, mask and moving angle of each product of several Z's
+    words: Any  # (words, 4) that are measured and are not of Z's alone, with the signs of the Pauli frame
+    outcomes: Any  # (tables, 2^n) of the basis states, behind the Pauli frame
+    firsts: Any  # (tables + 1,) where the outcomes of each table begin
+    starts: Any  # (blocks, 2, 2^n, width) the start of each sample; or no blocks
+
+
+class ProgramArrays:
+    """A program as arrays, without its angles.
 
     Attributes:
-        form: the normal form.
-        once: (operations, 4) on |0...0>, once for a batch.
-        per_sample: (operations, 4) on every sample.
-        steps: all of these steps, and the last RY layer if it is part of the measurement.
-        input_scales: (steps, n) the input's factor in each step's angles.
-        encoding_scales: (encodings, n) the rows of `input_scales` that differ and are not 0.
-        permutations: (permutations, 2^n).
-        wires: (outputs,) the measured wire, where each output has one.
-        eigenvalues: (outputs, 2^n) of the measured products of Z.
+        once: number of operations that run once for a batch, on |0...0> or the start.
+        steps: all operations, and the last RY layer if it is part of the measurement.
+        per_sample: (operations, 9) those that run for every sample.
+        factors: (taps,) the input's factor in the angle.
+        singles: (phases, n) the number of the moving angle of each wire; that past the last one stands for 0.
     """
 
-    form: NormalForm
-    once: np.ndarray
-    per_sample: np.ndarray
-    steps: Steps
-    input_scales: np.ndarray
-    encoding_scales: np.ndarray
-    permutations: np.ndarray
-    wires: np.ndarray
-    eigenvalues: np.ndarray
+    def __init__(self, program: Program, angles: Angles) -> None:
+        self.program, n = program, program.wires
+        self.n, self.inputs = n, angles.inputs
+        self.rows: list[list[int]] = [[START, -1, -1, 0, 0, 0, 0, 0, -1]]
+        self.taps: list[tuple[int, int, int, int]] = []
+        self.tap_factors: list[float] = []
+        self.constants: list[np.ndarray] = []
+        self.phases: list[tuple[tuple[int, int], ...]] = []
+        self.evens: list[bool] = []
+        self.pairs: list[tuple[int, int, int]] = []
+        self.tables: list[np.ndarray] = []
+        self.turn_rows: list[tuple[int, ...]] = []
+        self.layers = 0
+        self._add_blocks(angles)
+        self._mark_undone()
+        z_words = [word for word in program.words if not word.x]
+        others = [word for word in program.words if word.x]
+        self.steps = Steps(
+            _integers(self.rows, 9), _integers(self.taps, 4),
+            np.array([[c.real, c.imag] for c in self.constants]).reshape(-1, 2, 2**n),
+            _integers(self.pairs, 3), _integers(self.turn_rows, 6),
+        )  # fmt: skip
+        self.per_sample = self.steps.operations[self.once : len(self.rows) - program.measures_last_layer]
+        self.factors = np.array(self.tap_factors)
+        self.permutations = _integers(self.tables, 2**n)
+        count = len(angles.inputs.columns)
+        self.singles = np.full((len(self.phases), n), count, dtype=np.int64)
+        products = []
+        for row, own in enumerate(self.phases):
+            for mask, angle in own:
+                if mask.bit_count() == 1:
+                    self.singles[row, n - mask.bit_length()] = angle
+                else:
+                    products.append((row, mask, angle))
+        self.products = _integers(products, 3)
+        self.wires = _integers([n - word.z.bit_length() for word in z_words])
+        self.eigenvalues = z_signs([word.z for word in z_words], n)
+        self.words = _integers([word_row(word) for word in others], 4)
+        self.outcomes = _integers(list(program.tables), 2**n)
+        self.firsts = np.cumsum([0, *(int(table.max()) + 1 for table in program.tables)]).astype(np.int64)
+        self.is_plain = not (
+            self.turn_rows or products or any(self.evens) or any(row[SEVERAL] for row in self.rows)
+            or others or program.tables or program.start_moves
+        )  # fmt: skip
+
+    def _add_blocks(self, angles: Angles) -> None:
+        program = self.program
+        blocks = program.blocks[: len(program.blocks) - program.measures_last_layer]
+        self.once = 0
+        for place in range(len(blocks) + 1):
+            is_first = place == program.fixed_blocks
+            fused = False
+            if is_first:
+                self.once = len(self.rows)
+                block = blocks[place] if place < len(blocks) else None
+                odd = (word for word, _, moving in angles.rotations[place] if moving >= 0) if block else ()
+                fused = isinstance(block, Diagonal) and any(word.z.bit_count() % 2 for word in odd)
+                fused = fused and not program.start_moves
+                if not fused:
+                    self.rows.append([START_EACH if program.start_moves else START, -1, -1, 0, 0, 0, 0, 0, -1])
+            if place < len(blocks):
+                self._add(place, angles, fused)
+        if program.measures_last_layer:
+            self._add_layer(angles.rotations[len(blocks)], -1)
+
+    def _add(self, place: int, angles: Angles, fused: bool) -> None:
+        block, rows = self.program.blocks[place], angles.rotations[place]
+        if isinstance(block, CNOTs):
+            self.pairs.extend((len(self.tables), control, target) for control, target in block.pairs)
+            self.tables.append(cnot_permutation(block.pairs, self.n))
+            self._operation(PERMUTATION, len(self.tables) - 1)
+        elif isinstance(block, Diagonal):
+            self._add_diagonal(rows, angles.phases[place], fused)
+        elif isinstance(block, RYLayer):
+            fold = self._fold()
+            if fold is None:
+                self._add_diagonal([], None, False)
+                fold = len(self.rows) - 1
+            self._add_layer(rows, fold)
+        else:
+            ((word, own, other),) = rows
+            self.turn_rows.append((*word_row(word), int(other >= 0), own if other < 0 else other))
+            self._tap(0, own, other, 0)
+            self._operation(TURN, len(self.turn_rows) - 1, taps=1)
+
+    def _fold(self) -> int | None:
+        """The operation that takes the cosines of a layer: the last diagonal since the last layer, or the start."""
+        for index in range(len(self.rows) - 1, -1, -1):
+            code, row = self.rows[index][CODE], self.rows[index][TABLE]
+            if code == RY:
+                return None
+            if code == DIAGONAL or (code == START and (row >= 0 or index == 0)):
+                return index
+            if code in (START, START_EACH):
+                return None
+        return None
+
+    def _add_layer(self, rows: list[tuple[Word, int, int]], fold: int) -> None:
+        for word, own, other in rows:
+            self._tap(self.n - word.x.bit_length(), own, other, word.x)
+        self._operation(RY, self.layers, taps=len(rows), fold=fold)
+        self.layers += 1
+
+    def _add_diagonal(self, rows: list[tuple[Word, int, int]], phases: np.ndarray | None, fused: bool) -> None:
+        """A diagonal: phases of the input of odd products of Z, and another operation for those of even ones."""
+        even = [(word.z, other) for word, _, other in rows if other >= 0 and word.z.bit_count() % 2 == 0]
+        masks = {mask for mask, _ in even}
+        odd = [(word.z, other) for word, _, other in rows if other >= 0 and word.z not in masks]
+        main = [(word.z, own, -1 if word.z in masks else other) for word, own, other in rows]
+        self._phases_operation(START if fused else DIAGONAL, main, odd, phases, False)
+        if even:
+            self._phases_operation(DIAGONAL, [(mask, -1, other) for mask, other in even], even, None, True)
+
+    def _phases_operation(
+        self, code: int, entries: list[tuple[int, int, int]], moving: list[tuple[int, int]],
+        phases: np.ndarray | None, even: bool,
+    ) -> None:  # fmt: skip
+        entries = [entry for entry in entries if entry[1] >= 0 or entry[2] >= 0]
+        several = any(mask.bit_count() > 1 for mask, _, _ in entries)
+        for mask, own, other in entries:
+            self._tap(mask if several else self.n - mask.bit_length(), own, other, mask)
+        row, key = -1, tuple(sorted(moving))
+        if key:
+            if key not in self.phases:
+                self.phases.append(key)
+                self.evens.append(even)
+            row = self.phases.index(key)
+        self.constants.append(np.ones(2**self.n, complex) if phases is None else phases)
+        self._operation(code, len(self.constants) - 1, row, even, several, len(entries))
+
+    def _tap(self, source: int, fixed: int, moving: int, mask: int) -> None:
+        column = self.inputs.columns[moving] if moving >= 0 else -1
+        self.taps.append((source, fixed, column, mask))
+        self.tap_factors.append(self.inputs.factors[moving] if moving >= 0 else 0.0)
+
+    def _operation(
+        self, code: int, table: int, phases: int = -1, even: bool = False, several: bool = False, taps: int = 0,
+        fold: int = -1,
+    ) -> None:  # fmt: skip
+        last = len(self.taps)
+        self.rows.append([code, table, phases, int(even), int(several), last - taps, last, 0, fold])
+
+    def _mark_undone(self) -> None:
+        """What works in place needs the state right behind it: diagonals after it are taken off the state again."""
+        needed = False
+        for row in self.rows:
+            if row[CODE] == DIAGONAL:
+                row[UNDO] = int(needed)
+            needed = row[CODE] in (DIAGONAL, TURN) or (row[CODE] == START and row[TABLE] >= 0)
 
     @cached_property
     def stored_states(self) -> int:
-        """States that the backward pass stores: the first one, and one before every operation but diagonals."""
-        return 1 + int((self.per_sample[:, 0] != DIAGONAL).sum())
+        """States that the backward pass stores: the first one, and one before every layer and every permutation."""
+        return 1 + sum(row[CODE] in (RY, PERMUTATION) for row in self.rows[self.once :])
 
 
-class _Builder:
-    """Collects the operations and the steps of a normal form, in order."""
-
-    def __init__(self, form: NormalForm) -> None:
-        self.form = form
-        self.steps: list[Step] = []
-        self.codes: list[int] = []
-        self.once: list[Operation] = [(START, -1, -1, -1)]
-        self.per_sample: list[Operation] = []
-        self.encoding_scales: list[tuple[float, ...]] = []
-        self.permutations: list[np.ndarray] = []
-        self.cnots: list[tuple[int, int, int]] = []
-        for index, step in enumerate(form.steps[:-1] if form.measures_last_layer else form.steps):
-            self.add_step(index, step)
-        if not self.per_sample:
-            self.per_sample.append((START, -1, -1, -1))
-        if form.measures_last_layer:
-            self.steps.append(form.steps[-1])
-            self.codes.append(RY)
-
-    def add_step(self, index: int, step: Step) -> None:
-        operations = self.once if index < self.form.fixed_steps else self.per_sample
-        if isinstance(step, CNOTs):
-            self.cnots.extend((len(self.steps), control, target) for control, target in step.pairs)
-            self.permutations.append(cnot_permutation(step.pairs, self.form.wires))
-            self.add(operations, PERMUTATION, step, permutation=len(self.permutations) - 1)
-        elif isinstance(step, Diagonal):
-            self.add(operations, START if index == self.form.fixed_steps else DIAGONAL, step, self.encoding(step))
-        else:
-            if operations[-1][0] not in (START, DIAGONAL):
-                self.add(operations, DIAGONAL, Diagonal())  # it takes the cosines
-            self.add(operations, RY, step)
-
-    def encoding(self, step: Diagonal) -> int:
-        """The row of the step's scales in `encoding_scales`; -1 where it holds no input."""
-        if step.angles.scales is None:
-            return -1
-        if step.angles.scales not in self.encoding_scales:
-            self.encoding_scales.append(step.angles.scales)
-        return self.encoding_scales.index(step.angles.scales)
-
-    def add(
-        self, operations: list[Operation], code: int, step: Step, encoding: int = -1, permutation: int = -1
-    ) -> None:
-        operations.append((code, len(self.steps), encoding, permutation))
-        self.steps.append(step)
-        self.codes.append(DIAGONAL if isinstance(step, Diagonal) else code)
+def word_row(word: Word) -> tuple[int, int, int, int]:
+    """A word as `word_passes` take it."""
+    return word.x, word.z, word.phase % 2, word.phase // 2
 
 
-def circuit_arrays(form: NormalForm) -> CircuitArrays:
-    """The arrays of a normal form."""
-    n, found = form.wires, _Builder(form)
-    weights: list[tuple[int, int]] = []
-    weight_ranges = [0]
-    constants, input_scales = np.zeros((len(found.steps), n)), np.zeros((len(found.steps), n))
-    signs = np.ones((len(found.steps), 2**n), dtype=np.float32)
-    for index, step in enumerate(found.steps):
-        if not isinstance(step, CNOTs):
-            weights.extend(step.angles.weights)
-            constants[index] += step.angles.constant or 0.0
-            input_scales[index] += step.angles.scales or 0.0
-            if isinstance(step, Diagonal):
-                signs[index] = cz_signs(step.pairs, n)
-        weight_ranges.append(len(weights))
-
-    def integers(rows: list[Any], *columns: int) -> np.ndarray:
-        return np.array(rows, dtype=np.int64).reshape(len(rows), *columns)
-
-    return CircuitArrays(
-        form=form,
-        once=integers(found.once, 4),
-        per_sample=integers(found.per_sample, 4),
-        steps=Steps(
-            integers(found.codes), integers(weight_ranges), integers(weights, 2), constants, signs,
-            integers(found.cnots, 3),
-        ),
-        input_scales=input_scales,
-        encoding_scales=np.array(found.encoding_scales, dtype=np.float64).reshape(len(found.encoding_scales), n),
-        permutations=integers(found.permutations, 2**n),
-        wires=integers([min(product, default=0) for product in form.measured]),
-        eigenvalues=z_eigenvalues(form.measured, n),
-    )  # fmt: skip
+def _integers(rows: list[Any], *columns: int) -> np.ndarray:
+    return np.array(rows, dtype=np.int64).reshape(len(rows), *columns)
 
 
 # Loops rather than expressions of whole arrays: for their checks of shapes Numba compiles its functions of strings,
 # which takes longer than all that is here.
 @inner
-def _fixed_angles(steps: Steps, step: int, weights: Any, total: Any) -> None:
-    """Fills `total` (n,): the angles of a step without the input's part."""
-    for j in range(len(total)):
-        total[j] = steps.constants[step, j]
-        for e in range(steps.weight_ranges[step], steps.weight_ranges[step + 1]):
-            total[j] += weights[steps.weights[e, 0], j, steps.weights[e, 1]]
+def _odd(value: int) -> bool:
+    """Whether an odd number of bits is set."""
+    odd = False
+    while value:
+        value &= value - 1
+        odd = not odd
+    return odd
 
 
 @inner
-def _bit_mask(x: Any) -> int:
-    """The bits that X^x flips in the number of a basis state."""
-    mask = 0
-    for j in range(len(x)):
-        mask |= int(x[j]) << (len(x) - 1 - j)
-    return mask
-
-
-@inner
-def _bind_diagonal(step: int, angle: Any, x: Any, mask: int, signs: Any, tables: Tables) -> None:
+def _bind_diagonal(op: Any, steps: Steps, fixed: Any, x: int, n: int, spare: Any, tables: Tables) -> None:
     """The phases of all basis states, wire by wire: each phase of j wires becomes two phases of j + 1 wires."""
-    table = tables.diagonals[step]
-    table[0, 0], table[1, 0] = 1.0, 0.0
-    for j in range(len(angle)):
-        sign = -1.0 if x[j] else 1.0
-        tables.angle_signs[step, j] = sign
-        c, s = cos(angle[j] / 2), sign * sin(angle[j] / 2)
+    constants = steps.constants[op[TABLE]]
+    spare[0, 0], spare[1, 0] = 1.0, 0.0
+    for j in range(n):
+        angle = 0.0
+        for k in range(op[FIRST], op[LAST]):
+            tap = steps.taps[k]
+            if tap[MASK] == 1 << (n - 1 - j) and tap[FIXED] >= 0:
+                angle = fixed[tap[FIXED]]
+        c, s = cos(angle / 2), sin(angle / 2)
         # From the last state to the first, so that no phase is overwritten before it was read.
         for k in range((1 << j) - 1, -1, -1):
-            a, b = table[0, k], table[1, k]
-            table[0, 2 * k], table[1, 2 * k] = a * c + b * s, b * c - a * s
-            table[0, 2 * k + 1], table[1, 2 * k + 1] = a * c - b * s, b * c + a * s
-    for b in range(1 << len(angle)):
-        table[0, b] *= signs[b ^ mask]
-        table[1, b] *= signs[b ^ mask]
+            a, b = spare[0, k], spare[1, k]
+            spare[0, 2 * k], spare[1, 2 * k] = a * c + b * s, b * c - a * s
+            spare[0, 2 * k + 1], spare[1, 2 * k + 1] = a * c - b * s, b * c + a * s
+    # Then the products of several Z's, one by one.
+    for k in range(op[FIRST], op[LAST]):
+        tap = steps.taps[k]
+        tables.signs[k] = -1.0 if _odd(tap[MASK] & x) else 1.0
+        if tap[FIXED] >= 0 and tap[MASK] & (tap[MASK] - 1):
+            c, sine = cos(fixed[tap[FIXED]] / 2), sin(fixed[tap[FIXED]] / 2)
+            for b in range(1 << n):
+                s = -sine if _odd(b & tap[MASK]) else sine
+                spare[0, b], spare[1, b] = spare[0, b] * c + spare[1, b] * s, spare[1, b] * c - spare[0, b] * s
+    table = tables.diagonals[op[TABLE]]
+    for b in range(1 << n):
+        u, v = spare[0, b ^ x], spare[1, b ^ x]
+        table[0, b] = u * constants[0, b ^ x] - v * constants[1, b ^ x]
+        table[1, b] = u * constants[1, b ^ x] + v * constants[0, b ^ x]
 
 
 @inner
-def _bind_ry(step: int, angle: Any, x: Any, z: Any, tables: Tables) -> float:
-    """The tangents of half angles, and the Y's that enter the frame; returns the product of the cosines."""
-    scale = 1.0
-    for j in range(len(angle)):
-        sign = -1.0 if x[j] != z[j] else 1.0
-        tables.angle_signs[step, j] = sign
-        c, s = cos(angle[j] / 2), sin(angle[j] / 2)
+def _bind_ry(op: Any, steps: Steps, fixed: Any, x: int, z: int, n: int, tables: Tables) -> Any:
+    """The tangents of half angles; returns the wires with a Y that enters the frame, and the product of the cosines."""
+    scale, turned = 1.0, 0
+    for j in range(n):
+        tables.tangents[op[TABLE], j] = 0.0
+    for k in range(op[FIRST], op[LAST]):
+        tap = steps.taps[k]
+        sign = -1.0 if (x ^ z) & tap[MASK] else 1.0
+        tables.signs[k] = sign
+        c, s = cos(fixed[tap[FIXED]] / 2), sin(fixed[tap[FIXED]] / 2)
         if abs(s) > abs(c):  # k is odd; no digit of a large angle is lost to multiples of pi
             c, s = s, -c
-            x[j], z[j] = not x[j], not z[j]
-        tables.tangents[step, j] = sign * s / c
+            turned |= tap[MASK]
+        tables.tangents[op[TABLE], tap[SOURCE]] = sign * s / c
         scale *= abs(c)
-    return scale
+    return turned, scale
 
 
 @inner
-def _bind_last_layer(step: int, angle: Any, x: Any, z: Any, tables: Tables, last_layer: Any) -> None:
+def _bind_last_layer(op: Any, steps: Steps, fixed: Any, x: int, z: int, n: int, tables: Tables, factors: Any) -> None:
     """<Z> after the last RY layer is cos <Z> - sin <X> before it; the frame flips the signs of both."""
-    for j in range(len(angle)):
-        tables.angle_signs[step, j] = 1.0
-        zs, xs = -1.0 if x[j] else 1.0, -1.0 if z[j] else 1.0
-        last_layer[0, j], last_layer[1, j] = zs * cos(angle[j]), -xs * sin(angle[j])
-        last_layer[2, j], last_layer[3, j] = -zs * sin(angle[j]), -xs * cos(angle[j])
+    for j in range(n):
+        place, angle = 1 << (n - 1 - j), 0.0
+        for k in range(op[FIRST], op[LAST]):
+            if steps.taps[k, MASK] == place:
+                angle = fixed[steps.taps[k, FIXED]]
+                tables.signs[k] = 1.0
+        zs, xs = -1.0 if x & place else 1.0, -1.0 if z & place else 1.0
+        factors[0, j], factors[1, j] = zs * cos(angle), -xs * sin(angle)
+        factors[2, j], factors[3, j] = -zs * sin(angle), -xs * cos(angle)
 
 
 @inner
-def _carry_frame(step: int, cnots: Any, x: Any, z: Any) -> None:
-    """The Pauli frame behind the CNOTs of a step: X spreads to the target, Z to the control."""
-    for p in range(len(cnots)):
-        if cnots[p, 0] == step:
-            control, target = cnots[p, 1], cnots[p, 2]
-            x[target] = x[target] != x[control]
-            z[control] = z[control] != z[target]
+def _fold(o: int, op: Any, scale: float, operations: Any, n: int, tables: Tables) -> float:
+    """The cosines of a layer go into the diagonal before it, or else into the amplitude of the start (returned)."""
+    for k in range(op[FOLD], o + 1):
+        tables.squares[k] = scale * scale
+    row = operations[op[FOLD], TABLE]
+    if row < 0:
+        return scale
+    for b in range(1 << n):
+        tables.diagonals[row, 0, b] *= scale
+        tables.diagonals[row, 1, b] *= scale
+    return 1.0
 
 
 @jit
-def bind_weights(steps: Steps, weights: Any, measurement: Measurement, tables: Tables, flipped: Any) -> float:
-    """Fills `tables`, `measurement.last_layer` and `flipped`; returns the amplitude of |0...0> to start from.
+def bind(steps: Steps, fixed: Any, n: int, spare: Any, measurement: Measurement, tables: Tables, frame: Any) -> float:
+    """Fills `tables`, `measurement.last_layer` and `frame`; returns the amplitude of |0...0> to start from.
 
-    weights (rows, n, 3): phi, theta and omega of every wire, radians
-    flipped (outputs, 2^n): `measurement.eigenvalues` behind the Pauli frame
+    fixed (F,): the fixed angles, radians
+    spare (2, 2^n): work space
+    frame (turns + 1, 2): the Pauli frame (x, z) at each turn, and at the end
     """
-    n = steps.constants.shape[1]
-    x, z = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)  # the Pauli frame
-    angle = np.empty(n)
+    operations = steps.operations
+    x, z = 0, 0  # the Pauli frame
     amplitude = 1.0
-    last = len(steps.codes) - 1 if measurement.measures_last_layer else len(steps.codes)
-    # The steps in order, because each of them may change the frame of all that follow.
-    for step in range(len(steps.codes)):
-        _fixed_angles(steps, step, weights, angle)
-        mask = _bit_mask(x)
-        tables.flip_masks[step] = mask
-        if step == last:
-            _bind_last_layer(step, angle, x, z, tables, measurement.last_layer)
-        elif steps.codes[step] == DIAGONAL:
-            _bind_diagonal(step, angle, x, mask, steps.cz_signs[step], tables)
-        elif steps.codes[step] == RY:
-            scale = _bind_ry(step, angle, x, z, tables)
-            # The cosines that a layer of tangents lacks go into the diagonal before it, or else into the start.
-            if step > 0 and steps.codes[step - 1] == DIAGONAL:
-                for b in range(1 << n):
-                    tables.diagonals[step - 1, 0, b] *= scale
-                    tables.diagonals[step - 1, 1, b] *= scale
-            else:
-                amplitude *= scale
-        else:
-            _carry_frame(step, steps.cnots, x, z)
-    # What is left of the frame at the end flips bits of what is measured.
-    mask = _bit_mask(x)
-    for k in range(len(flipped)):
-        for b in range(1 << n):
-            flipped[k, b] = measurement.eigenvalues[k, b ^ mask]
+    last = len(operations) - 1 if measurement.measures_last_layer else len(operations)
+    # The operations in order, because each of them may change the frame of all that follow.
+    for o in range(len(operations)):
+        op = operations[o]
+        tables.flip_masks[o], tables.squares[o] = x, 1.0
+        if o == last:
+            _bind_last_layer(op, steps, fixed, x, z, n, tables, measurement.last_layer)
+        elif op[CODE] == RY:
+            turned, scale = _bind_ry(op, steps, fixed, x, z, n, tables)
+            x, z = x ^ turned, z ^ turned
+            amplitude *= _fold(o, op, scale, operations, n, tables)
+        elif op[CODE] == PERMUTATION:
+            # X spreads to the target, Z to the control.
+            for p in range(len(steps.cnots)):
+                if steps.cnots[p, 0] == op[TABLE]:
+                    control, target = steps.cnots[p, 1], steps.cnots[p, 2]
+                    if x & control:
+                        x ^= target
+                    if z & target:
+                        z ^= control
+        elif op[CODE] == TURN:
+            tables.signs[op[FIRST]] = 1.0
+            frame[op[TABLE], 0], frame[op[TABLE], 1] = x, z
+        elif op[TABLE] >= 0:
+            _bind_diagonal(op, steps, fixed, x, n, spare, tables)
+    frame[len(frame) - 1, 0], frame[len(frame) - 1, 1] = x, z
     return amplitude
-
-
-@jit
-def add_weight_gradients(steps: Steps, angle_signs: Any, sums: Any, gradient: Any) -> None:
-    """Adds the gradients of the angles, `sums` (steps, n), to `gradient` (rows, n, 3) of the weights."""
-    for step in range(len(angle_signs)):
-        for e in range(steps.weight_ranges[step], steps.weight_ranges[step + 1]):
-            for j in range(sums.shape[1]):
-                gradient[steps.weights[e, 0], j, steps.weights[e, 1]] += angle_signs[step, j] * sums[step, j]

@@ -16,7 +16,7 @@ from qnerf.kernels.simd import inner, intrinsic, keep_apart, load, splat, store
 
 
 @intrinsic
-def _parity(typing_context: Any, bits: Any) -> Any:
+def parity(typing_context: Any, bits: Any) -> Any:
     """Whether an odd number of bits is set."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -50,7 +50,7 @@ def rotate(x: Any, state: int, n: int, width: int, word: Any, cosine: Any, sines
     # A word of Z's alone: every amplitude gets a phase of its own.
     if wx == 0:
         for b in range(1 << n):
-            s = load(x, sines + (_parity(b & wz) ^ flip) * width)
+            s = load(x, sines + (parity(b & wz) ^ flip) * width)
             i = state + b * width
             re, im = load(x, i), load(x, i + size)
             store(x, i, cosine * re + s * im)
@@ -61,7 +61,7 @@ def rotate(x: Any, state: int, n: int, width: int, word: Any, cosine: Any, sines
     half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            s = load(x, sines + (_parity((b ^ wx) & wz) ^ flip) * width)
+            s = load(x, sines + (parity((b ^ wx) & wz) ^ flip) * width)
             i, k = state + b * width, state + (b ^ wx) * width
             re, im = load(x, i), load(x, i + size)
             re_, im_ = load(x, k), load(x, k + size)
@@ -95,7 +95,7 @@ def rotate_back(
     total = splat(x.dtype.type(0))
     if wx == 0:
         for b in range(1 << n):
-            odd = (_parity(b & wz) ^ flip) * width
+            odd = (parity(b & wz) ^ flip) * width
             s, one = load(x, sines + odd), load(x, ones + odd)
             i, j = state + b * width, adjoint + b * width
             re, im, u, v = load(x, i), load(x, i + size), load(x, j), load(x, j + size)
@@ -109,7 +109,7 @@ def rotate_back(
     half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            odd = (_parity((b ^ wx) & wz) ^ flip) * width
+            odd = (parity((b ^ wx) & wz) ^ flip) * width
             s, one = load(x, sines + odd), load(x, ones + odd)
             i, k = state + b * width, state + (b ^ wx) * width
             j, m = adjoint + b * width, adjoint + (b ^ wx) * width
@@ -150,13 +150,13 @@ def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, ou
         for b in range(1 << n):
             i = state + b * width
             re, im = load(x, i), load(x, i + size)
-            total = total + load(x, ones + (_parity(b & wz) ^ flip) * width) * (re * re + im * im)
+            total = total + load(x, ones + (parity(b & wz) ^ flip) * width) * (re * re + im * im)
         store(x, out, total)
         return
     half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            one = load(x, ones + (_parity((b ^ wx) & wz) ^ flip) * width)
+            one = load(x, ones + (parity((b ^ wx) & wz) ^ flip) * width)
             i, k = state + b * width, state + (b ^ wx) * width
             re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k + size)
             product = im * re_ - re * im_ if imaginary else re * re_ + im * im_
@@ -174,7 +174,7 @@ def add_word(x: Any, state: int, adjoint: int, n: int, width: int, word: Any, we
     # The loops are as in `rotate`.
     if wx == 0:
         for b in range(1 << n):
-            w = load(x, weights + (_parity(b & wz) ^ flip) * width)
+            w = load(x, weights + (parity(b & wz) ^ flip) * width)
             i, j = state + b * width, adjoint + b * width
             store(x, j, load(x, j) + w * load(x, i))
             store(x, j + size, load(x, j + size) + w * load(x, i + size))
@@ -182,7 +182,7 @@ def add_word(x: Any, state: int, adjoint: int, n: int, width: int, word: Any, we
     half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            w = load(x, weights + (_parity((b ^ wx) & wz) ^ flip) * width)
+            w = load(x, weights + (parity((b ^ wx) & wz) ^ flip) * width)
             i, k = state + b * width, state + (b ^ wx) * width
             j, m = adjoint + b * width, adjoint + (b ^ wx) * width
             re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k + size)

@@ -1,0 +1,148 @@
+"""The angles of a program, in PyTorch: many expressions at once, differentiable to any order."""
+
+from collections.abc import Sequence
+from math import pi, prod
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from qnerf.quantum.expressions import Expression
+from qnerf.quantum.program import Diagonal, Program, Turn, rotations_of
+from qnerf.quantum.words import Word
+
+
+def offsets(parameters: dict[str, tuple[int, ...]]) -> dict[str, int]:
+    """Where each parameter begins in the flat weights."""
+    where, first = {}, 0
+    for name, shape in parameters.items():
+        where[name] = first
+        first += prod(shape)
+    return where
+
+
+class ExpressionTable:
+    """The values (B, E) of E expressions. Sums are float64, whatever the weights and inputs are.
+
+    Expressions without features give (1, E) if `fixed`, else every value is of one sample.
+    """
+
+    def __init__(self, expressions: Sequence[Expression], parameters: dict[str, tuple[int, ...]], fixed: bool) -> None:
+        first = offsets(parameters)
+        terms = [(row, *term) for row, expression in enumerate(expressions) for term in expression.terms]
+        self.size, self.fixed = len(expressions), fixed
+        rows = [row for row, *_ in terms]
+        self.in_order = rows == list(range(self.size))  # one term each
+        # Factor k of every term; -1 stands for the number 1.
+        of_weights = _padded([[first[name] + index for name, index in weights] for _, _, weights, _ in terms])
+        of_features = _padded([list(features) for *_, features in terms])
+        # Arrays, because a tensor that is made inside a mode of PyTorch, such as that of torch.export, keeps it.
+        numbers = np.array([number for _, number, _, _ in terms], dtype=np.float64)
+        indices = (np.array(each, dtype=np.int64) for each in (rows, of_weights, of_features))
+        self.rows, self.numbers, self.of_weights, self.of_features = next(indices), numbers, *indices
+
+    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
+        """Values for inputs x (B, features) and flat weights."""
+        arrays = self.rows, self.numbers, self.of_weights, self.of_features
+        rows, coefficients, of_weights, of_features = (torch.from_numpy(each).to(weights.device) for each in arrays)
+        values = coefficients
+        padded = torch.cat([weights.double(), weights.new_ones(1, dtype=torch.float64)])
+        for index in of_weights:
+            values = values * padded[index]
+        values = values[None]
+        if not self.fixed:
+            inputs = torch.cat([x.double(), x.new_ones(x.shape[0], 1, dtype=torch.float64)], 1)
+            if not len(of_features):
+                values = values.expand(x.shape[0], -1)
+            for index in of_features:
+                values = values * inputs[:, index]
+        if self.in_order:
+            return values
+        return values.new_zeros(values.shape[0], self.size).index_add(1, rows, values)
+
+
+def _padded(rows: list[list[int]]) -> list[list[int]]:
+    """Lists of indices -> for each position the index in every list, -1 past its end."""
+    longest = max(map(len, rows), default=0)
+    return [[row[k] if k < len(row) else -1 for row in rows] for k in range(longest)]
+
+
+class Inputs:
+    """What angles that depend on the input are made of: angle m is factors[m] times column columns[m] of the inputs.
+
+    Where every angle is a number times one feature, the inputs are the features as they are. Else they are the values
+    of the angles, in float64.
+    """
+
+    def __init__(self, angles: Sequence[Expression], parameters: dict[str, tuple[int, ...]]) -> None:
+        terms = [angle.terms[0] for angle in angles if len(angle.terms) == 1]
+        self.table: ExpressionTable | None = None
+        self.columns, self.factors = list(range(len(angles))), [1.0] * len(angles)
+        if len(terms) == len(angles) and all(not weights and len(features) == 1 for _, weights, features in terms):
+            self.columns = [features[0] for *_, features in terms]
+            self.factors = [factor for factor, *_ in terms]
+        else:
+            self.table = ExpressionTable(angles, parameters, fixed=False)
+
+    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
+        """(B, inputs) from inputs x (B, features) of the circuit and flat weights."""
+        return x if self.table is None else self.table(x, weights)
+
+
+class Angles:
+    """The angles of a program: the different ones, and which of them each rotation has.
+
+    Attributes:
+        rotations: for each block, its rotations as (word, fixed, moving): the numbers of a fixed angle and of one that
+            moves with the input, whose sum is the angle; -1 for none. The constants of diagonals are `phases`.
+        phases: for each block, the constant phases (2^n,) of a diagonal, complex128; None where there are none.
+    """
+
+    def __init__(self, program: Program) -> None:
+        parameters = program.circuit.parameters
+        fixed: dict[Expression, int] = {}
+        moving: dict[Expression, int] = {}
+        self.rotations: list[list[tuple[Word, int, int]]] = []
+        self.phases: list[np.ndarray | None] = []
+        for block in program.blocks:
+            rows = []
+            constants: dict[int, float] = {}
+            for word, angle in rotations_of(block, program.wires):
+                still, moved = (Expression(), angle) if isinstance(block, Turn) and angle.features else angle.parts()
+                if isinstance(block, Diagonal):
+                    constant, still = still.split_constant()
+                    if constant:
+                        constants[word.z] = constant
+                rows.append((
+                    word,
+                    fixed.setdefault(still, len(fixed)) if still.terms else -1,
+                    moving.setdefault(moved, len(moving)) if moved.terms else -1,
+                ))  # fmt: skip
+            self.rotations.append(rows)
+            self.phases.append(constant_phases(constants, program.wires) if constants else None)
+        self.fixed = ExpressionTable(list(fixed), parameters, fixed=True)
+        self.inputs = Inputs(list(moving), parameters)
+        used = [*fixed, *moving, *(Expression.of(value) for part in program.start for value in part.angles)]
+        self.takes_all = (
+            bool(program.words or program.outcomes)
+            and any(angle.features for angle in used)
+            and any(angle.weights for angle in used)
+        )
+
+
+def constant_phases(angles: dict[int, float], wires: int) -> np.ndarray:
+    """(2^n,) exp(-i/2 sum_m angles[m] z_m), complex128, for products of Z on the wires of each mask m.
+
+    The phase of |0...0> is 1, and multiples of pi/4 are exact: the phases of CZ are 1 and -1.
+    """
+    basis = np.arange(2**wires)
+    total = np.zeros(2**wires)
+    for mask, angle in angles.items():
+        total += angle * (np.bitwise_count(basis & mask) & 1)  # less the phase of |0...0>
+    turns = total / (pi / 4)
+    near = np.rint(turns)
+    total = np.where(np.abs(turns - near) < 1e-9, near % 8, turns) * (pi / 4)
+    phases = np.exp(1j * total)
+    snapped = np.where(np.abs(phases.real) < 1e-15, 1j * phases.imag, phases)
+    out: np.ndarray = np.where(np.abs(phases.imag) < 1e-15, phases.real + 0j, snapped)
+    return out
