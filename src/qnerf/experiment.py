@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from qnerf.config import devices
 from qnerf.config.checks import is_number
 from qnerf.config.identity import picture_names
 from qnerf.config.settings import SignalSettings
+from qnerf.geometry.bounds import described_bounds
 from qnerf.kernels import dispatch
 from qnerf.metrics import quality_metrics
 from qnerf.model.labels import labels
@@ -97,6 +98,9 @@ class FieldTask:
         check_samples_of_a_step(self.settings, self.model)
         self.table = ray_table(self.settings, self.scene)
         self.curve_views = self.settings.train.eval_views
+        near, far = self.table.near, self.table.far
+        self.columns = {"render.near": near, "render.far": far}  # what acts
+        self.bounds = described_bounds(self.scene, near, far)
         # Files that cannot be used are reported now, not at the first evaluation.
         lpips.weights()
         colormap()
@@ -113,6 +117,8 @@ class SignalTask:
     """Trains one head on a signal. ValueError as `run`."""
 
     curve_views = 0
+    columns: ClassVar[dict[str, float]] = {}
+    bounds = ""
 
     def __init__(self, prepared: Prepared) -> None:
         assert isinstance(prepared.settings, SignalSettings)
@@ -186,7 +192,7 @@ def _run(
         torch.set_num_threads(settings.threads)
     task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
 
-    columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions)
+    columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions) | task.columns
     columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
     types = column_types(prepared.config)
     store = RunStore(settings.store)
@@ -209,7 +215,7 @@ def _run(
 def _describe(prepared: Prepared, task: Task, record: Run, display: Display) -> None:
     """Says what is trained, on what, and what about the scene is doubtful."""
     scene = prepared.scene
-    display.note(f"scene {scene.name}: {scene.description()}")
+    display.note("; ".join(filter(None, [f"scene {scene.name}: {scene.description()}", task.bounds])))
     display.describe(prepared.config, parameter_counts(task.model))
     if prepared.decisions:
         decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]

@@ -100,11 +100,12 @@ class Scene:
     def description(self) -> str:
         """One line: how many views of which size, how they are split, masks, and the reader's remarks.
 
-        "29 views of 36 x 64 pixels, 27 train, 2 held out, 0 masks; keys not read: aabb_scale"
+        "29 views of 36 x 64 pixels, 27 train, 2 held out, 29 masks (20.8% of the pixels)"
         """
         cameras = self.cameras
         upto = "" if cameras.sizes is None else "up to "
-        counts = f"{len(self.train)} train, {len(self.eval)} held out, {self.masks} masks"
+        share = "" if self.mask is None else f" ({1 - float(self.mask.double().mean()):.1%} of the pixels)"
+        counts = f"{len(self.train)} train, {len(self.eval)} held out, {self.masks} masks{share}"
         views = f"{len(cameras)} views of {upto}{cameras.width} x {cameras.height} pixels, {counts}"
         return "; ".join([views, *self.remarks])
 
@@ -124,10 +125,11 @@ class Scene:
         """(H, W) bool: the pixels of the view that are not masked; None: the scene has no masks."""
         return None if self.mask is None else self._of_view(self.mask, view)
 
-    def require_training_pixels(self) -> None:
-        """ValueError if the masks leave no pixel of any training view."""
-        if self.mask is not None and not any(bool(self._of_view(self.mask, view).any()) for view in self.train):
-            raise ValueError(f"scene {self.name}: the masks leave no pixel to train on")
+    def require_pixels(self) -> None:
+        """ValueError if the masks leave no pixel of any training view, or of any held-out view."""
+        for views, what in ((self.train, "train on"), (self.eval, "measure: all held-out views are masked")):
+            if self.mask is not None and not any(bool(self._of_view(self.mask, view).any()) for view in views):
+                raise ValueError(f"scene {self.name}: the masks leave no pixel to {what}")
 
     def _of_view(self, values: Tensor, view: int) -> Tensor:
         if self.cameras.sizes is None:
