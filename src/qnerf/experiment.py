@@ -281,6 +281,9 @@ class _Course:
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
         for metrics in trainer.steps(record, self.stopping):
             self.display.phase("train")
+            if untaught := ", ".join(trainer.untaught):
+                trainer.untaught = []
+                self.display.note(f"warning: no gradient reaches the parameters of {untaught}: they stay as they are")
             if metrics:
                 record.log(trainer.step, trainer.seconds, metrics)
                 self.display.step(trainer.step, metrics)

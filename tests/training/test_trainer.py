@@ -22,7 +22,7 @@ def test_the_paper_recipe_is_the_papers(config):
     assert (sampler["samples"], sampler["final"], sampler["update_every"]) == ([256, 96], 48, 5)
     assert (sampler["anneal_steps"], sampler["anneal_slope"], sampler["log2_table_size"]) == (1000, 10.0, 17)
     assert sampler["max_resolutions"] == [128, 256]
-    assert (settings.render.near, settings.render.far) == (0.05, 1000)
+    assert (settings.render.near, settings.render.far) == (None, None)
     assert settings.visibility.cameras == 0
     head = settings.color["qiren"]
     assert (head["init"], head["gain"], head["sum_layers"], head["input_scale"]) == ("uniform", 1.0, False, 1.0)

@@ -49,6 +49,8 @@ def prepare(config: Mapping[str, Any], scene: Scene | Signal | None = None) -> P
     checked = complete(config)  # before the scene is read, which may take long
     scene = component(SCENES, checked["scene"]) if scene is None else scene
     decisions: dict[str, auto.Decision] = {}
+    if isinstance(scene, Signal):
+        scene.check()
     if isinstance(scene, Scene):
         scene = add_pose_noise(scene, **vars(built(PoseNoise, checked.get("pose_noise", {}))))
         scene.require_pixels()

@@ -7,6 +7,7 @@ from annotated_types import Interval
 from torch import Tensor, nn
 
 from qnerf.config import bounds
+from qnerf.config.checks import returned
 from qnerf.config.registry import Registry
 
 CONTRACTIONS: Registry["Contraction"] = Registry("contraction")
@@ -60,6 +61,9 @@ class Contraction(nn.Module):
 
     bounded = False
     """Whether the unit cube is only a part of the world, so that some points fall outside it."""
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return returned(self, super().__call__(points), points.shape, points)
 
     def forward(self, points: Tensor) -> Tensor:
         raise NotImplementedError

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
+from qnerf.config.checks import returned
 from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
 from qnerf.kernels.dispatch import serves
@@ -181,7 +182,7 @@ class RayTable:
             directions = self.directions[self.first_direction[lens] + pixels]
         poses = self.poses[views]
         if refinement is not None:
-            poses = refinement.poses(views, poses)
+            poses = returned(refinement, refinement.poses(views, poses), poses.shape, poses)
         return rays_from(directions, poses, views, self.near, self.far)
 
     def batch(

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from qnerf.config.checks import require_tensor
 from qnerf.config.registry import Registry
 
 MIN_VIEWS = 3
@@ -33,6 +34,19 @@ class Cameras:
     height: int  # of the highest view if sizes differ
     sizes: Tensor | None = None  # (V, 2) int64, width and height of each view; None: all have one size
     fisheye: Tensor | None = None  # (V,) bool: whether the lens is a fisheye; None: none is
+
+    def __post_init__(self) -> None:
+        """ValueError unless all values have the shapes above, and poses and focal lengths are numbers."""
+        require_tensor("Cameras.poses", self.poses, ("V", 3, 4), torch.float64)
+        for name in ("fx", "fy", "cx", "cy"):
+            require_tensor(f"Cameras.{name}", getattr(self, name), (len(self),), torch.float64)
+        require_tensor("Cameras.distortion", self.distortion, (len(self), 4), torch.float64)
+        if not bool(self.poses.isfinite().all() & self.intrinsics.isfinite().all()):
+            raise ValueError("Cameras: expected finite poses and intrinsics, got NaN or infinity")
+        if self.sizes is not None:
+            require_tensor("Cameras.sizes", self.sizes, (len(self), 2), torch.int64)
+        if self.fisheye is not None:
+            require_tensor("Cameras.fisheye", self.fisheye, (len(self),), torch.bool)
 
     def __len__(self) -> int:
         return self.poses.shape[0]
@@ -96,6 +110,23 @@ class Scene:
     mask: Tensor | None = None  # bool, of the images' shape without channels: False is neither trained on nor measured
     masks: int = 0  # views that have a mask
     remarks: tuple[str, ...] = ()  # what the reader has to say: what it corrected, and what it did not read
+
+    def __post_init__(self) -> None:
+        """ValueError unless images, masks, depths, names and the split fit the cameras."""
+        of, views = self.cameras, len(self.cameras)
+        shape: tuple[int, ...] = (views, of.height, of.width) if of.sizes is None else (int(of.sizes.prod(1).sum()),)
+        label = f"scene {self.name}: "
+        require_tensor(f"{label}images", self.images, (*shape, 4 if self.has_alpha else 3), torch.uint8)
+        if self.mask is not None:
+            require_tensor(f"{label}mask", self.mask, shape, torch.bool)
+        if self.depth is not None:
+            require_tensor(f"{label}depth", self.depth, shape, torch.float32, torch.float64)
+        require_tensor(f"{label}transform", self.transform, (4, 4), torch.float64)
+        if len(self.names) != views:
+            raise ValueError(f"{label}expected a name for each of {views} views, got {len(self.names)}")
+        for use, chosen in (("train", self.train), ("eval", self.eval)):
+            if not set(chosen) <= set(range(views)):
+                raise ValueError(f"{label}{use}: expected indices of views, 0 to {views - 1}, got {str(chosen)[:100]}")
 
     def description(self) -> str:
         """One line: how many views of which size, how they are split, masks, and the reader's remarks.

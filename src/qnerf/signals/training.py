@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.config.checks import require_tensor
 from qnerf.config.settings import Fit, SignalSettings
 from qnerf.metrics import quality_metrics
 from qnerf.signals.base import Signal
@@ -81,6 +82,12 @@ class SignalEvaluator:
         self.model.eval()
         self.watch.begin(measure=False)
         measured, panels = self.scene.evaluate(self)
+        if not panels:
+            raise ValueError(
+                f"{type(self.scene).__name__}: `evaluate` returned no panels; expected one or more (H, W, 3)"
+            )
+        for panel in panels:
+            require_tensor(f"{type(self.scene).__name__}: a panel", panel, (panels[0].shape[0], "W", 3))
         declared = [metric.key for metric in quality_metrics()]
         for key in (*measured, self.scene.headline):
             if key not in measured or key not in declared:

@@ -2,12 +2,13 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from qnerf.config.checks import require_tensor
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.geometry.rays import RayTable
 from qnerf.kernels.dispatch import is_plain
@@ -75,6 +76,7 @@ class Loop:
         self.train = settings.train
         self.watch = watch
         self.step_seconds: list[float] = []
+        self.untaught: list[str] = []  # parts of the model whose parameters got no gradient in the first step
         self.seconds = 0.0  # of training so far, over all resumptions
         self.plateau = plateau
         device = settings.torch_device
@@ -123,6 +125,8 @@ class Loop:
             with self.watch.stage("sampling"):
                 self.prepare_step()
             terms = self.terms(self.streams, self.step)
+            for name, term in terms.items():
+                require_tensor(f"the loss term {name!r}", term, ())
             with self.watch.stage("render"):
                 loss = torch.stack(list(terms.values())).sum()
                 value = float(loss.detach())
@@ -131,6 +135,8 @@ class Loop:
             with self.watch.stage("backward"):
                 forget_gradients(self.optimiser)
                 self.backward(loss)
+            if not self.step_seconds:
+                self.untaught = [name for name, parts in self.model.parts.items() if parts and not _learns(parts)]
         with self.watch.stage("optimiser"):
             apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
@@ -254,6 +260,11 @@ class Loop:
             if name := first_non_finite(kind, state[kind]):
                 raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
         checkpoints.save_checkpoint(state)
+
+
+def _learns(parameters: Iterable[nn.Parameter]) -> bool:
+    """Whether any of the parameters has a gradient other than 0."""
+    return any(one.grad is not None and bool((one.grad != 0).any()) for one in parameters)
 
 
 class Trainer(Loop):
