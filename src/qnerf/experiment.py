@@ -1,5 +1,6 @@
 """One run, top to bottom: scene -> rays -> samples -> field -> render -> loss -> metrics -> parquet."""
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,12 +31,15 @@ from qnerf.scenes.base import even_subset
 from qnerf.signals import Signal, SignalEvaluator, SignalTrainer, build_signal_model
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
-from qnerf.training.evaluation import Evaluator, colormap
+from qnerf.training.evaluation import MAX_PREVIEW, Evaluator, Stopped, colormap
 from qnerf.training.finite_checks import check_every_value
+from qnerf.training.forecast import foretold, seconds_of_circuits
 from qnerf.training.preview import Preview
 from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
+
+SLOW, LONG = 1.0, 10.0  # seconds of a step: a checkpoint follows each one; it is foretold before the first one
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,13 @@ class FieldTask:
         lpips.weights()
         colormap()
 
+    def seconds_of_circuits(self) -> float:
+        """See `qnerf.training.forecast.seconds_of_circuits`."""
+        model, rays, shading = self.model, self.settings.train.rays, self.settings.shading
+        colored = shading.get("parts") or shading.get("samples") or model.sampler.rendered_samples
+        density = seconds_of_circuits(model.field.density_head, rays * model.sampler.rendered_samples)
+        return density + seconds_of_circuits(model.field.color_head, rays * colored)
+
     def trainer(self, watch: Stopwatch) -> Trainer:
         return Trainer(self.model, self.table, self.settings, watch)
 
@@ -126,6 +137,9 @@ class SignalTask:
         self.settings, self.scene = prepared.settings, prepared.scene
         self.model = build_signal_model(self.settings, self.scene)
         colormap()
+
+    def seconds_of_circuits(self) -> float:
+        return seconds_of_circuits(self.model, min(self.settings.train.points, len(self.scene.points)))
 
     def trainer(self, watch: Stopwatch) -> SignalTrainer:
         return SignalTrainer(self.model, self.scene, self.settings, watch)
@@ -153,6 +167,7 @@ def run(
     stopping: Callable[[], bool] = lambda: False,
     name: str | None = None,
     unpromising: Unpromising = never,
+    abandon: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
@@ -164,9 +179,12 @@ def run(
     name: id of an existing run; None: the configuration's.
     unpromising: called after every evaluation but the last. If it is true, the run is pruned: it stops with a
         checkpoint, its summary says so (`stopped`), and a search does not continue it. Everybody else may.
+    abandon: ends this process, with a message. It is called where a signal is not answered in time, because a loop
+        takes long, once the last whole step is in a checkpoint. None: the loop goes on to its end.
 
     Raises:
-        ValueError: a mistake in the configuration or the scene; nothing has been written.
+        ValueError: a mistake in the configuration or the scene, or more than `run.hours` by what circuits cost, and
+            nothing has been written; or more by the first steps, and there is a checkpoint.
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
@@ -176,7 +194,7 @@ def run(
     finished = not settings.run.force and state(Path(settings.store) / name) == "finished"
     with devices.dealt("cpu" if finished else settings.device, display.note, stopping) as device:
         prepared = replace(prepared, settings=replace(settings, device=device))
-        return _run(prepared, name, overrides, display, stopping, unpromising)
+        return _run(prepared, name, overrides, display, stopping, unpromising, abandon)
 
 
 def _run(
@@ -186,12 +204,17 @@ def _run(
     display: Display,
     stopping: Callable[[], bool],
     unpromising: Unpromising,
+    abandon: Callable[[str], None] | None,
 ) -> Outcome:
     settings, scene = prepared.settings, prepared.scene
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
 
+    known = None
+    if settings.run.force or state(Path(settings.store) / name) != "finished":
+        step = task.seconds_of_circuits()
+        known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
     columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions) | task.columns
     columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
     types = column_types(prepared.config)
@@ -201,10 +224,20 @@ def _run(
         _compare(claim.dir, prepared.config, display)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
-    with claim.run as record, stop_requests() as stops, dispatch.report() as aside:
+    course: _Course | None = None
+
+    def unanswered() -> None:
+        step = course.trainer.step if course else 0
+        if abandon and (not course or course.trainer.saved == step):
+            record.interrupt(step)
+            abandon(_stopped(step, settings.train.steps, settings.run.force))
+
+    with claim.run as record, stop_requests(unanswered) as stops, dispatch.report() as aside:
         if claim.outcome == "resumed":
             display.note(claim.message)
         _describe(prepared, task, record, display)
+        if known:
+            display.note(known)
         record.write_environment(capture(settings.seed), dirty_diff())
         if isinstance(scene, Scene):
             record.write_transform(scene.transform.numpy())
@@ -246,10 +279,19 @@ class _Course:
         self.record, self.display, self.stopped, self.unpromising = record, display, stopped, unpromising
         watch = Stopwatch(self.settings.torch_device, task.model, QuantumLayer)
         self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
-        self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
+        if isinstance(self.evaluator, Evaluator):
+            self.evaluator.stopping = self.stopped
+        rays = min(MAX_PREVIEW, self.rays([self.scene.eval[0]]))
+        self.preview = Preview(
+            self.settings.run.preview_seconds,
+            self.evaluator.preview,
+            record.save_preview,
+            lambda: rays * self.trainer.seconds_a_ray,
+        )
         chosen = even_subset(len(self.scene.eval), task.curve_views or None)
         self.curve_views = [self.scene.eval[index] for index in chosen]
         self.pruned = False
+        self.taken = 0  # steps, by this command
         if self.settings.numerics.finite_checks:
             check_every_value(self.trainer)
 
@@ -287,13 +329,38 @@ class _Course:
             if metrics:
                 record.log(trainer.step, trainer.seconds, metrics)
                 self.display.step(trainer.step, metrics)
-            self.preview.refresh(trainer.step)
+            self.foresee()
+            if self.is_due() or trainer.step_seconds[-1] > SLOW:  # a stop may have to end what comes next at once
+                trainer.save(record)
+            with contextlib.suppress(Stopped):
+                self.preview.refresh(trainer.step)
             if self.is_due():
                 measured = self.assess()
-        self.preview.refresh(trainer.step, now=True)
+        with contextlib.suppress(Stopped):
+            self.preview.refresh(trainer.step, now=True)
         if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
             _, measured = self.evaluate(self.scene.eval)
         return measured
+
+    def foresee(self) -> None:
+        """Says what the training is going to take, after a step without compiling; ValueError as `foretold`."""
+        trainer, train = self.trainer, self.settings.train
+        step = trainer.step_seconds[-1]
+        self.taken += 1
+        if self.taken != 2 + (step < LONG):
+            return
+        left = train.steps - trainer.step
+        evaluations = left // train.eval_every if train.eval_every else 0
+        rays = evaluations * self.rays(self.curve_views) + self.rays(self.scene.eval)
+        trainer.save(self.record)
+        if line := foretold("", step, step * left + rays * trainer.seconds_a_ray, self.settings.run.hours):
+            self.display.note(line)
+
+    def rays(self, views: Sequence[int]) -> int:
+        """How many rays the views have; the points of a signal."""
+        if isinstance(self.scene, Scene):
+            return int(self.scene.cameras.all_sizes[list(views)].prod(1).sum())
+        return len(self.scene.points)
 
     def assess(self) -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
@@ -311,7 +378,10 @@ class _Course:
         return result
 
     def evaluate(self, views: Sequence[int]) -> tuple[list[Measures], Measures | None]:
-        return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase)
+        try:
+            return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase)
+        except Stopped:
+            return [], None
 
     def stopping(self) -> bool:
         return self.pruned or self.stopped()
@@ -336,15 +406,17 @@ class _Course:
 
 def _stop(record: Run, step: int, steps: int, pruned: bool, force: bool) -> Outcome:
     """Ends a run that is not finished."""
-    where = f"at step {step} of {steps}"
+    message = _stopped(step, steps, force)
     if pruned:
         record.write_summary({"stopped": PRUNED})
-        message = f"pruned {where}: finished runs were better by then"
-    else:
-        command = "the same command without run.force=true" if force else "the same command"
-        message = f"stopped {where}; {command} continues from there"
+        message = f"pruned at step {step} of {steps}: finished runs were better by then"
     record.interrupt(step)
     return Outcome(record.run_id, record.dir, PRUNED if pruned else "interrupted", read_summary(record.dir), message)
+
+
+def _stopped(step: int, steps: int, force: bool) -> str:
+    command = "the same command without run.force=true" if force else "the same command"
+    return f"stopped at step {step} of {steps}; {command} continues from there"
 
 
 def was_evaluated(path: Path, step: int) -> bool:

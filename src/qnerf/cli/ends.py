@@ -72,6 +72,17 @@ def output_lost() -> bool:
     return any(output.lost for output in _outputs)
 
 
+def is_command() -> bool:
+    """Whether this is inside `stoppable`: the process belongs to a command, not to a program of somebody's own."""
+    return bool(_outputs)
+
+
+def abandon(message: str) -> None:
+    """Ends a command that was stopped, whatever its threads do."""
+    print(message, file=sys.stderr, flush=True)
+    os._exit(stopped_code())
+
+
 def stopped_code() -> int:
     """The exit code of a command that was stopped."""
     return OUTPUT_LOST if output_lost() else INTERRUPTED

@@ -145,6 +145,7 @@ class Run:
 
     force: bool = False
     progress: bool = True
+    hours: PositiveFactor = 24.0  # a training that is going to take longer is refused
     preview_seconds: Annotated[float, Interval(ge=0, le=1e9)] = 30.0  # between two preview pictures; 0: none
 
 

@@ -27,7 +27,7 @@ class SignalTrainer(Loop):
     train: Fit
 
     def __init__(self, model: SignalModel, signal: Signal, settings: SignalSettings, watch: Stopwatch) -> None:
-        self.points_a_step = min(settings.train.points, len(signal.points))
+        self.points_a_step = self.rays_a_step = min(settings.train.points, len(signal.points))
         super().__init__(model, settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))
         self.signal = signal
         self.points, self.targets = (

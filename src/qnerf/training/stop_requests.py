@@ -2,13 +2,20 @@
 
 import contextlib
 import signal
-from collections.abc import Iterator
+import socket
+from collections.abc import Callable, Collection, Iterator
+from threading import Event, Thread
 from typing import Any
+
+GRACE = 8.0  # seconds after a request, within which the run is to stop by itself
 
 
 @contextlib.contextmanager
-def stop_requests() -> Iterator[list[int]]:
+def stop_requests(unanswered: Callable[[], None] = lambda: None) -> Iterator[list[int]]:
     """Collects SIGINT, SIGTERM and SIGHUP, so that the run can stop with a checkpoint.
+
+    A compiled loop may take minutes, and Python handles no signal before it returns. But it releases the GIL. So a
+    thread hears of the signal too, and calls `unanswered` after `GRACE` seconds, again and again until the end.
 
     A second SIGINT or SIGTERM acts as usual. SIGHUP may come many times, because a terminal that closes sends it more
     than once; it stays ignored if it is (`nohup`).
@@ -33,10 +40,43 @@ def stop_requests() -> Iterator[list[int]]:
         with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             previous[kind] = signal.signal(kind, note)
     try:
-        yield received
+        with _heard(urgent, unanswered):
+            yield received
     finally:
         for kind, handler in previous.items():
             signal.signal(kind, handler)
         for kind in warnings:
             if kind in received:
                 signal.raise_signal(kind)
+
+
+@contextlib.contextmanager
+def _heard(urgent: Collection[int], unanswered: Callable[[], None]) -> Iterator[None]:
+    """Calls `unanswered` some time after the first of the urgent signals, if the body has not ended by then."""
+    here, there = socket.socketpair()
+    there.setblocking(False)
+    ended = Event()
+
+    def listen() -> None:
+        while not {*here.recv(64)} & {*urgent, 0}:
+            pass
+        ended.wait(GRACE)
+        while not ended.wait(0.2):
+            unanswered()
+
+    try:
+        before = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
+    except ValueError:  # outside the main thread
+        before = None
+    listener = Thread(target=listen, name="qnerf-signals", daemon=True)
+    listener.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        if before is not None:
+            signal.set_wakeup_fd(before)
+        there.send(b"\0")
+        listener.join()
+        here.close()
+        there.close()

@@ -20,6 +20,7 @@ from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.chain import Chain
+from qnerf.training.forecast import FORWARD
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
@@ -69,7 +70,8 @@ class Loop:
 
     train: Schedule
     points_a_step: int
-    """Points at which a step evaluates the model, known before `__init__`."""
+    """Points at which a step evaluates the model, known before `__init__`; so are the rays, or points, of a batch."""
+    rays_a_step: int
 
     def __init__(self, model: Any, settings: Settings | SignalSettings, watch: Stopwatch, plateau: Plateau) -> None:
         self.model = model
@@ -78,6 +80,7 @@ class Loop:
         self.step_seconds: list[float] = []
         self.untaught: list[str] = []  # parts of the model whose parameters got no gradient in the first step
         self.seconds = 0.0  # of training so far, over all resumptions
+        self.saved = 0  # the step of the last checkpoint; a run without one has lost nothing before its first step
         self.plateau = plateau
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
@@ -206,6 +209,7 @@ class Loop:
         except ValueError as error:
             raise ValueError(f"the checkpoint does not fit this run's model: {error}") from error
         self._set_step(state["step"])
+        self.saved = self.step
         self.model.load_state_dict(state["model"])
         # Copies, because tensors of a foreign file may share their memory. The options of the groups are this run's.
         kept = {
@@ -255,11 +259,19 @@ class Loop:
 
     def save(self, checkpoints: Checkpoints) -> None:
         """Writes a checkpoint. Diverged if a parameter, a buffer or a value of the optimiser is not finite."""
+        if self.step and self.saved == self.step:
+            return
         state = self.state()
         for kind in ("model", "optimiser"):
             if name := first_non_finite(kind, state[kind]):
                 raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
         checkpoints.save_checkpoint(state)
+        self.saved = self.step
+
+    @property
+    def seconds_a_ray(self) -> float:
+        """About how long an evaluation takes for a ray, or for a point of a signal, from the last step; 0 before it."""
+        return FORWARD * self.step_seconds[-1] / self.rays_a_step if self.step_seconds else 0.0
 
 
 def _learns(parameters: Iterable[nn.Parameter]) -> bool:
@@ -282,7 +294,8 @@ class Trainer(Loop):
 
     def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
         stop = settings.stop
-        self.points_a_step = settings.train.rays * model.sampler.rendered_samples
+        self.rays_a_step = settings.train.rays
+        self.points_a_step = self.rays_a_step * model.sampler.rendered_samples
         super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
         self.table = table
         self.background = settings.render.background
