@@ -31,15 +31,15 @@ from qnerf.scenes.base import even_subset
 from qnerf.signals import Signal, SignalEvaluator, SignalTrainer, build_signal_model
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
-from qnerf.training.evaluation import MAX_PREVIEW, Evaluator, Stopped, colormap
+from qnerf.training.evaluation import Evaluator, Stopped, colormap
 from qnerf.training.finite_checks import check_every_value
-from qnerf.training.forecast import foretold, seconds_of_circuits
+from qnerf.training.forecast import FORWARD, foretold, seconds_of_circuits
 from qnerf.training.preview import Preview
 from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
 
-SLOW, LONG = 1.0, 10.0  # seconds of a step: a checkpoint follows each one; it is foretold before the first one
+SLOW, LONG = 1.0, 10.0  # seconds of a step: each one is saved; it is foretold, and there are no previews
 
 
 @dataclass(frozen=True)
@@ -102,19 +102,13 @@ class FieldTask:
         check_samples_of_a_step(self.settings, self.model)
         self.table = ray_table(self.settings, self.scene)
         self.curve_views = self.settings.train.eval_views
+        self.points_a_step = self.settings.train.rays * self.model.sampler.rendered_samples
         near, far = self.table.near, self.table.far
         self.columns = {"render.near": near, "render.far": far}  # what acts
         self.bounds = described_bounds(self.scene, near, far)
         # Files that cannot be used are reported now, not at the first evaluation.
         lpips.weights()
         colormap()
-
-    def seconds_of_circuits(self) -> float:
-        """See `qnerf.training.forecast.seconds_of_circuits`."""
-        model, rays, shading = self.model, self.settings.train.rays, self.settings.shading
-        colored = shading.get("parts") or shading.get("samples") or model.sampler.rendered_samples
-        density = seconds_of_circuits(model.field.density_head, rays * model.sampler.rendered_samples)
-        return density + seconds_of_circuits(model.field.color_head, rays * colored)
 
     def trainer(self, watch: Stopwatch) -> Trainer:
         return Trainer(self.model, self.table, self.settings, watch)
@@ -136,10 +130,8 @@ class SignalTask:
         assert isinstance(prepared.scene, Signal)
         self.settings, self.scene = prepared.settings, prepared.scene
         self.model = build_signal_model(self.settings, self.scene)
+        self.points_a_step = min(self.settings.train.points, len(self.scene.points))
         colormap()
-
-    def seconds_of_circuits(self) -> float:
-        return seconds_of_circuits(self.model, min(self.settings.train.points, len(self.scene.points)))
 
     def trainer(self, watch: Stopwatch) -> SignalTrainer:
         return SignalTrainer(self.model, self.scene, self.settings, watch)
@@ -167,7 +159,6 @@ def run(
     stopping: Callable[[], bool] = lambda: False,
     name: str | None = None,
     unpromising: Unpromising = never,
-    abandon: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
@@ -179,8 +170,6 @@ def run(
     name: id of an existing run; None: the configuration's.
     unpromising: called after every evaluation but the last. If it is true, the run is pruned: it stops with a
         checkpoint, its summary says so (`stopped`), and a search does not continue it. Everybody else may.
-    abandon: ends this process, with a message. It is called where a signal is not answered in time, because a loop
-        takes long, once the last whole step is in a checkpoint. None: the loop goes on to its end.
 
     Raises:
         ValueError: a mistake in the configuration or the scene, or more than `run.hours` by what circuits cost, and
@@ -194,7 +183,7 @@ def run(
     finished = not settings.run.force and state(Path(settings.store) / name) == "finished"
     with devices.dealt("cpu" if finished else settings.device, display.note, stopping) as device:
         prepared = replace(prepared, settings=replace(settings, device=device))
-        return _run(prepared, name, overrides, display, stopping, unpromising, abandon)
+        return _run(prepared, name, overrides, display, stopping, unpromising)
 
 
 def _run(
@@ -204,7 +193,6 @@ def _run(
     display: Display,
     stopping: Callable[[], bool],
     unpromising: Unpromising,
-    abandon: Callable[[str], None] | None,
 ) -> Outcome:
     settings, scene = prepared.settings, prepared.scene
     if settings.threads is not None:
@@ -213,7 +201,7 @@ def _run(
 
     known = None
     if settings.run.force or state(Path(settings.store) / name) != "finished":
-        step = task.seconds_of_circuits()
+        step = seconds_of_circuits(task.model, task.points_a_step)
         known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
     columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions) | task.columns
     columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
@@ -226,13 +214,15 @@ def _run(
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
     course: _Course | None = None
 
-    def unanswered() -> None:
+    def last_words() -> str | None:
+        """Ends the record, if the last whole step is in a checkpoint."""
         step = course.trainer.step if course else 0
-        if abandon and (not course or course.trainer.saved == step):
-            record.interrupt(step)
-            abandon(_stopped(step, settings.train.steps, settings.run.force))
+        if course and course.trainer.saved != step:
+            return None
+        record.interrupt(step)
+        return _stopped(step, settings.train.steps, settings.run.force)
 
-    with claim.run as record, stop_requests(unanswered) as stops, dispatch.report() as aside:
+    with claim.run as record, stop_requests(last_words) as stops, dispatch.report() as aside:
         if claim.outcome == "resumed":
             display.note(claim.message)
         _describe(prepared, task, record, display)
@@ -281,13 +271,7 @@ class _Course:
         self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
         if isinstance(self.evaluator, Evaluator):
             self.evaluator.stopping = self.stopped
-        rays = min(MAX_PREVIEW, self.rays([self.scene.eval[0]]))
-        self.preview = Preview(
-            self.settings.run.preview_seconds,
-            self.evaluator.preview,
-            record.save_preview,
-            lambda: rays * self.trainer.seconds_a_ray,
-        )
+        self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
         chosen = even_subset(len(self.scene.eval), task.curve_views or None)
         self.curve_views = [self.scene.eval[index] for index in chosen]
         self.pruned = False
@@ -332,12 +316,10 @@ class _Course:
             self.foresee()
             if self.is_due() or trainer.step_seconds[-1] > SLOW:  # a stop may have to end what comes next at once
                 trainer.save(record)
-            with contextlib.suppress(Stopped):
-                self.preview.refresh(trainer.step)
+            self.show()
             if self.is_due():
                 measured = self.assess()
-        with contextlib.suppress(Stopped):
-            self.preview.refresh(trainer.step, now=True)
+        self.show(now=True)
         if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
             _, measured = self.evaluate(self.scene.eval)
         return measured
@@ -350,17 +332,20 @@ class _Course:
         if self.taken != 2 + (step < LONG):
             return
         left = train.steps - trainer.step
-        evaluations = left // train.eval_every if train.eval_every else 0
-        rays = evaluations * self.rays(self.curve_views) + self.rays(self.scene.eval)
+        rays = 0
+        if isinstance(self.scene, Scene):
+            evaluated = [*self.scene.eval, *self.curve_views * (left // (train.eval_every or train.steps))]
+            rays = int(self.scene.cameras.all_sizes[evaluated].prod(1).sum())
         trainer.save(self.record)
-        if line := foretold("", step, step * left + rays * trainer.seconds_a_ray, self.settings.run.hours):
+        whole = step * (left + FORWARD * rays / trainer.rays_a_step)
+        if line := foretold("", step, whole, self.settings.run.hours):
             self.display.note(line)
 
-    def rays(self, views: Sequence[int]) -> int:
-        """How many rays the views have; the points of a signal."""
-        if isinstance(self.scene, Scene):
-            return int(self.scene.cameras.all_sizes[list(views)].prod(1).sum())
-        return len(self.scene.points)
+    def show(self, *, now: bool = False) -> None:
+        """Refreshes the preview, unless it would take minutes."""
+        if max(self.trainer.step_seconds[-1:], default=0) < LONG:
+            with contextlib.suppress(Stopped):
+                self.preview.refresh(self.trainer.step, now=now)
 
     def assess(self) -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import signal
 import sys
 from difflib import get_close_matches
 
@@ -13,6 +14,7 @@ from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS
 from qnerf.cli.ends import OUTPUT_LOST, escape_unencodable, interruptible, output_lost, stoppable, stopped_code
 from qnerf.cli.errors import Parser, exit_code, report
+from qnerf.training.stop_requests import heard
 
 FIRST_STEPS = """\
 first steps:
@@ -82,5 +84,5 @@ def dispatch(command: str, arguments: list[str]) -> int:
             code = module.main(parser.parse_intermixed_args(arguments))
         return code
 
-    with interruptible():
+    with interruptible(), heard((signal.SIGINT, signal.SIGTERM), lambda: "stopped"):
         return exit_code(start)

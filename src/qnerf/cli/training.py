@@ -9,7 +9,6 @@ from typing import Any
 
 from qnerf import experiment
 from qnerf.building.acting import without_effect
-from qnerf.cli import ends
 from qnerf.cli.sweep import RETRY
 from qnerf.experiment import Display, Outcome, Unpromising, never
 
@@ -27,8 +26,7 @@ def train(
     config = {**config, "threads": config["threads"] or _threads_of_slurm()}
 
     def attempt() -> Outcome:
-        abandon = ends.abandon if ends.is_command() else None
-        return experiment.run(config, overrides, display, stopping, unpromising=unpromising or never, abandon=abandon)
+        return experiment.run(config, overrides, display, stopping, unpromising=unpromising or never)
 
     outcome = attempt()
     # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.

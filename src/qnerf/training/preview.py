@@ -15,26 +15,18 @@ class Preview:
         seconds: between two pictures, at least; 0: there are none.
         draw: the picture of the model after a step, such as `Evaluator.preview`.
         write: takes the picture.
-        cost: about how many seconds a picture takes; one that takes longer than `seconds` is not drawn.
     """
 
-    def __init__(
-        self,
-        seconds: float,
-        draw: Callable[[int], np.ndarray],
-        write: Callable[[np.ndarray], None],
-        cost: Callable[[], float] = lambda: 0.0,
-    ) -> None:
+    def __init__(self, seconds: float, draw: Callable[[int], np.ndarray], write: Callable[[np.ndarray], None]) -> None:
         self.seconds = seconds
         self.draw = draw
         self.write = write
-        self.cost = cost
         self.due = time.monotonic() + seconds
 
     def refresh(self, step: int, *, now: bool = False) -> None:
         """Writes the picture if it is due, or `now`."""
         start = time.monotonic()
-        if not self.seconds or (start < self.due and not now) or self.cost() > self.seconds:
+        if not self.seconds or (start < self.due and not now):
             return
         self.write(self.draw(step))
         end = time.monotonic()

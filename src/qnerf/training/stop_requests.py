@@ -7,15 +7,18 @@ from collections.abc import Callable, Collection, Iterator
 from threading import Event, Thread
 from typing import Any
 
+end: Callable[[str], None] | None = None
+"""How a command ends this process at once, with a message; None where the process is a program of somebody's own."""
 GRACE = 8.0  # seconds after a request, within which the run is to stop by itself
 
 
 @contextlib.contextmanager
-def stop_requests(unanswered: Callable[[], None] = lambda: None) -> Iterator[list[int]]:
+def stop_requests(last_words: Callable[[], str | None] = lambda: None) -> Iterator[list[int]]:
     """Collects SIGINT, SIGTERM and SIGHUP, so that the run can stop with a checkpoint.
 
-    A compiled loop may take minutes, and Python handles no signal before it returns. But it releases the GIL. So a
-    thread hears of the signal too, and calls `unanswered` after `GRACE` seconds, again and again until the end.
+    A compiled loop may take minutes, and Python handles no signal before it returns; but it releases the GIL. So a
+    thread hears of the signal, too. After `GRACE` seconds it ends the process of a command (`end`), as soon as
+    `last_words` returns what there is to say.
 
     A second SIGINT or SIGTERM acts as usual. SIGHUP may come many times, because a terminal that closes sends it more
     than once; it stays ignored if it is (`nohup`).
@@ -40,7 +43,7 @@ def stop_requests(unanswered: Callable[[], None] = lambda: None) -> Iterator[lis
         with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             previous[kind] = signal.signal(kind, note)
     try:
-        with _heard(urgent, unanswered):
+        with heard(urgent, last_words):
             yield received
     finally:
         for kind, handler in previous.items():
@@ -51,8 +54,8 @@ def stop_requests(unanswered: Callable[[], None] = lambda: None) -> Iterator[lis
 
 
 @contextlib.contextmanager
-def _heard(urgent: Collection[int], unanswered: Callable[[], None]) -> Iterator[None]:
-    """Calls `unanswered` some time after the first of the urgent signals, if the body has not ended by then."""
+def heard(urgent: Collection[int], last_words: Callable[[], str | None]) -> Iterator[None]:
+    """Ends the process after an urgent signal, see `stop_requests`, if the body has not ended by then."""
     here, there = socket.socketpair()
     there.setblocking(False)
     ended = Event()
@@ -61,8 +64,9 @@ def _heard(urgent: Collection[int], unanswered: Callable[[], None]) -> Iterator[
         while not {*here.recv(64)} & {*urgent, 0}:
             pass
         ended.wait(GRACE)
-        while not ended.wait(0.2):
-            unanswered()
+        while end is not None and not ended.wait(0.2):
+            if (message := last_words()) is not None:
+                end(message)
 
     try:
         before = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)

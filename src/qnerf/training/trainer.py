@@ -20,7 +20,6 @@ from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.chain import Chain
-from qnerf.training.forecast import FORWARD
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
@@ -267,11 +266,6 @@ class Loop:
                 raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
         checkpoints.save_checkpoint(state)
         self.saved = self.step
-
-    @property
-    def seconds_a_ray(self) -> float:
-        """About how long an evaluation takes for a ray, or for a point of a signal, from the last step; 0 before it."""
-        return FORWARD * self.step_seconds[-1] / self.rays_a_step if self.step_seconds else 0.0
 
 
 def _learns(parameters: Iterable[nn.Parameter]) -> bool:
