@@ -37,5 +37,7 @@ def require_tensor(what: object, value: Any, shape: Sequence[int | str], *dtypes
 
 def returned(component: object, value: Any, shape: Sequence[int | str], like: Tensor) -> Any:
     """`require_tensor` of what a component returned, in the dtype of what it was given; under autocast in any."""
+    if isinstance(value, Tensor) and value.dtype == like.dtype and value.shape == shape:
+        return value
     dtypes = () if torch.is_autocast_enabled(like.device.type) else (like.dtype,)
     return require_tensor(component, value, shape, *dtypes)

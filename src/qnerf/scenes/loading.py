@@ -105,7 +105,7 @@ def load_scene(
         remarks=(
             *capture.remarks,
             *scaled(scales),
-            *outlying(capture, posed),
+            *outlying(posed),
             *upright(lenses, files),
             *unread(capture, posed, views),
         ),
@@ -125,14 +125,14 @@ def existing(capture: Capture, skip_missing: bool, eval_every: int | None) -> li
     enough = len(found) >= MIN_VIEWS
     if enough and (skip_missing or not missing):
         return found
+    place = folder.path / posixpath.dirname((missing or [image.name for image in images])[0].replace("\\", "/"))
+    others = [path for path in photographs(place) if path not in {image.file for image in found}]
+    there = f"; {place} has {len(others)} other images, such as {others[0].name!r}" if others else ""
     if not missing:
-        raise ValueError(f"{folder.path}: expected at least {MIN_VIEWS} images, got {len(found)}")
+        raise ValueError(f"{folder.path}: expected poses of at least {MIN_VIEWS} images, got {len(found)}{there}")
     told = f"{folder.path}: {len(missing)} of {len(images)} images are missing, the first is {missing[0]!r}"
     if enough and all(split_of(found, eval_every)):
         raise ValueError(f"{told}; scene.skip_missing=true goes on with the other {len(found)}")
-    place = folder.path / posixpath.dirname(missing[0].replace("\\", "/"))
-    others = [path for path in photographs(place) if path not in {image.file for image in found}]
-    there = f"; {place} has {len(others)} other images, such as {others[0].name!r}" if others else ""
     needed = f"at least {MIN_VIEWS}, to train on and to hold out,"
     raise ValueError(f"{told}; {needed} are needed{there}")
 
@@ -224,25 +224,21 @@ def scaled(scales: NDArray) -> Iterator[str]:
         yield f"rotations times {low if low == high else f'{low} to {high}'} were divided by it"
 
 
-def outlying(capture: Capture, images: Sequence[PosedImage]) -> Iterator[str]:
+def outlying(images: Sequence[PosedImage]) -> Iterator[str]:
     """A remark on views that stand so far from all others that they do not decide the scale."""
     out = far_out(np.array([image.matrix[:3, 3] for image in images]))
     names = [f"{image.name} {times:,.0f} times" for image, times in zip(images, out, strict=True) if times]
     if names:
-        yield (
-            f"as far out as the others: {shortened(names)}, so the scale is that of the others; "
-            f"if a pose is wrong, take its image out of {capture.source.name}"
-        )
+        far = f"farther out than all others: {shortened(names)}; the scale is that of the others"
+        yield f"{far}; if such a pose is wrong, take it out of the file of poses"
 
 
 def upright(lenses: Sequence[Mapping[str, float]], files: Sequence[ImageFile]) -> Iterator[str]:
     """A remark on upright images whose only focal length is an angle across their shorter side."""
     alone = [lens.keys() & set(FOCAL) == {"camera_angle_x"} for lens in lenses]
     if any(only and file.height > file.width for only, file in zip(alone, files, strict=True)):
-        yield (
-            "camera_angle_x taken across the width, the shorter side; if it is that of the longer side, as Blender has "
-            "it, call it camera_angle_y"
-        )
+        told = "camera_angle_x (or x_fov) is taken across the width, the shorter side"
+        yield f"{told}; if it is that of the longer side, as Blender's, call it camera_angle_y (or y_fov)"
 
 
 def unread(capture: Capture, posed: Sequence[PosedImage], views: Sequence[PosedImage]) -> Iterator[str]:

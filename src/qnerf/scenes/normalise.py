@@ -62,7 +62,7 @@ def far_out(centres: NDArray) -> NDArray[np.float64]:
     """
     away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
     ordered = np.sort(away)
-    for rank in range(len(away) - len(away) // 5, len(away)):  # at most one view in five
+    for rank in range(len(away) - (len(away) - 1) // 4, len(away)):  # at most one view in four
         if 0 < FAR_OUT * ordered[rank - 1] < ordered[rank]:
             return np.where(away >= ordered[rank], away / ordered[rank - 1], 0.0)
     return np.zeros(len(away))
