@@ -17,7 +17,7 @@ from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.experiment import run
 from qnerf.records import read_config, read_metrics, read_status, runs, state
-from qnerf.training import evaluation, forecast, lpips
+from qnerf.training import forecast, lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.preview import Preview
 from qnerf.training.trainer import Diverged, Trainer
@@ -229,15 +229,6 @@ def test_a_process_that_is_ended_in_a_slow_loop_has_the_last_whole_step(tiny, tm
     assert state(path) == "interrupted"
     resumed = experiment.run(tiny("train.steps=6"))
     assert resumed.summary["psnr"] == whole.summary["psnr"]
-
-
-def test_a_long_view_is_given_up_when_the_run_is_to_stop(tiny, monkeypatch):
-    monkeypatch.setattr(evaluation, "LONG", 0.0)
-    stopping = iter([False] * 4)
-    outcome = experiment.run(tiny("train.steps=2", "train.chunk=1"), stopping=lambda: next(stopping, True))
-    assert outcome.state == "interrupted"
-    assert outcome.summary["steps"] == 0  # nothing was measured
-    assert experiment.run(tiny("train.steps=2")).state == "finished"
 
 
 def test_a_training_that_takes_too_long_is_refused_with_the_option_that_goes_on(tiny, tmp_path, monkeypatch):

@@ -1,6 +1,5 @@
 """One run, top to bottom: scene -> rays -> samples -> field -> render -> loss -> metrics -> parquet."""
 
-import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ from qnerf.scenes.base import even_subset
 from qnerf.signals import Signal, SignalEvaluator, SignalTrainer, build_signal_model
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
-from qnerf.training.evaluation import Evaluator, Stopped, colormap
+from qnerf.training.evaluation import Evaluator, colormap
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.forecast import FORWARD, foretold, seconds_of_circuits
 from qnerf.training.preview import Preview
@@ -269,8 +268,6 @@ class _Course:
         self.record, self.display, self.stopped, self.unpromising = record, display, stopped, unpromising
         watch = Stopwatch(self.settings.torch_device, task.model, QuantumLayer)
         self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
-        if isinstance(self.evaluator, Evaluator):
-            self.evaluator.stopping = self.stopped
         self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
         chosen = even_subset(len(self.scene.eval), task.curve_views or None)
         self.curve_views = [self.scene.eval[index] for index in chosen]
@@ -344,8 +341,7 @@ class _Course:
     def show(self, *, now: bool = False) -> None:
         """Refreshes the preview, unless it would take minutes."""
         if max(self.trainer.step_seconds[-1:], default=0) < LONG:
-            with contextlib.suppress(Stopped):
-                self.preview.refresh(self.trainer.step, now=now)
+            self.preview.refresh(self.trainer.step, now=now)
 
     def assess(self) -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
@@ -363,10 +359,7 @@ class _Course:
         return result
 
     def evaluate(self, views: Sequence[int]) -> tuple[list[Measures], Measures | None]:
-        try:
-            return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase)
-        except Stopped:
-            return [], None
+        return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase)
 
     def stopping(self) -> bool:
         return self.pruned or self.stopped()

@@ -71,7 +71,7 @@ def test_a_scene_that_does_not_fit_its_cameras_is_refused_when_it_is_made(change
     [
         ({"poses": lambda x: x.float()}, r"Cameras.poses: expected float64 \(V, 3, 4\), got float32"),
         ({"poses": lambda x: x[:, :, :3]}, r"got float64 \(6, 3, 3\)"),
-        ({"poses": lambda x: x * torch.nan}, "expected finite poses"),
+        ({"poses": lambda x: x * torch.nan}, "Cameras.poses: expected finite numbers"),
         ({"fx": lambda x: x[:1]}, r"Cameras.fx: expected float64 \(6\), got float64 \(1,\)"),
         ({"distortion": lambda x: x[:, :2]}, r"Cameras.distortion: expected float64 \(6, 4\)"),
     ],

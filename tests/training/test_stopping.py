@@ -3,6 +3,7 @@
 import math
 import os
 import signal
+import time
 from threading import Timer
 
 import numpy as np
@@ -87,9 +88,18 @@ def test_a_signal_is_heard_while_a_compiled_loop_keeps_python_from_it(monkeypatc
     assert signal.getsignal(kind) is before
 
 
-def test_a_program_of_somebody_s_own_is_never_ended(monkeypatch):
+def test_a_program_of_somebody_s_own_is_interrupted_and_not_ended(monkeypatch):
+    """By a KeyboardInterrupt in its main thread, once nothing would be lost by it."""
     monkeypatch.setattr(stop_requests, "GRACE", 0.0)
-    assert stop_requests.end is None
-    with stop_requests.stop_requests(lambda: pytest.fail("asked for its last words")) as stops:
-        os.kill(os.getpid(), signal.SIGTERM)
-    assert stops == [signal.SIGTERM]
+    said = [None, None, "stopped at step 3"]
+
+    def waits() -> None:
+        with stop_requests.stop_requests(lambda: said.pop(0)) as stops:
+            os.kill(os.getpid(), signal.SIGTERM)
+            for _ in range(6000):
+                time.sleep(0.01)
+            pytest.fail(f"not interrupted, got {stops}")
+
+    with pytest.raises(KeyboardInterrupt):
+        waits()
+    assert said == []

@@ -36,17 +36,14 @@ class Cameras:
     fisheye: Tensor | None = None  # (V,) bool: whether the lens is a fisheye; None: none is
 
     def __post_init__(self) -> None:
-        """ValueError unless all values have the shapes above, and poses and focal lengths are numbers."""
-        require_tensor("Cameras.poses", self.poses, ("V", 3, 4), torch.float64)
-        for name in ("fx", "fy", "cx", "cy"):
-            require_tensor(f"Cameras.{name}", getattr(self, name), (len(self),), torch.float64)
-        require_tensor("Cameras.distortion", self.distortion, (len(self), 4), torch.float64)
-        if not bool(self.poses.isfinite().all() & self.intrinsics.isfinite().all()):
-            raise ValueError("Cameras: expected finite poses and intrinsics, got NaN or infinity")
-        if self.sizes is not None:
-            require_tensor("Cameras.sizes", self.sizes, (len(self), 2), torch.int64)
-        if self.fisheye is not None:
-            require_tensor("Cameras.fisheye", self.fisheye, (len(self),), torch.bool)
+        """ValueError unless all values have the shapes above, and those of float64 are finite."""
+        shapes = {"poses": ("V", 3, 4), "distortion": (len(self), 4), "sizes": (len(self), 2)}
+        for name in ("poses", "fx", "fy", "cx", "cy", "distortion", "sizes", "fisheye"):
+            if (values := getattr(self, name)) is not None:
+                dtype = {"sizes": torch.int64, "fisheye": torch.bool}.get(name, torch.float64)
+                require_tensor(f"Cameras.{name}", values, shapes.get(name, (len(self),)), dtype)
+                if not bool(values.isfinite().all()):
+                    raise ValueError(f"Cameras.{name}: expected finite numbers, got NaN or infinity")
 
     def __len__(self) -> int:
         return self.poses.shape[0]

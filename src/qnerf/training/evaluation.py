@@ -1,7 +1,6 @@
 """Held-out views of a model: rendered, measured, drawn."""
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,7 +20,6 @@ from qnerf.types import Rays
 MAX_PIXELS = 2**22  # of a depth map, evenly spread, from which its percentiles are computed
 ERROR_GAIN = 4.0  # of the panel that shows the error
 MAX_PREVIEW = 2**14  # rays; a larger view is rendered in every second, third, ... row and column
-LONG = 1.0  # seconds of a view, after which it is given up when the run is to stop
 MAX_WIDTH = 2**13  # pixels; a picture is not enlarged beyond it
 
 
@@ -41,10 +39,6 @@ class RenderedView:
         column, row = torch.div(pixels, self.stride, rounding_mode="floor").long().unbind(1)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         return row.clamp(0, height - 1), column.clamp(0, width - 1), inside
-
-
-class Stopped(Exception):
-    """An evaluation was asked to stop before its end."""
 
 
 Tile = tuple[Tensor, Tensor, Tensor]
@@ -85,8 +79,6 @@ class Evaluator:
         self.background = evaluation_background(background)
         self.chunk = chunk
         self.watch = watch
-        self.stopping: Callable[[], bool] = lambda: False
-        """Called between the chunks of a view that takes long; once it is true, `render` raises `Stopped`."""
 
     @torch.no_grad()
     def render(self, view: int, step: int, stride: int = 1) -> RenderedView:
@@ -103,22 +95,13 @@ class Evaluator:
             numbers = torch.arange(len(rays), device=rays.origins.device).view(height, width)[::stride, ::stride]
             (height, width), rays = numbers.shape, rays[numbers.flatten()]
         tiles = tiles_of(self.model, rays.__getitem__, len(rays), self.chunk, self.background, step, self.watch)
-        try:
-            with torch.random.fork_rng(devices=[]):  # of shots and noise
-                torch.default_generator.manual_seed(view)
-                color, depth, accumulation = map(torch.cat, zip(*self._unless_stopped(tiles), strict=True))
-        finally:
-            self.model.train(training)
+        with torch.random.fork_rng(devices=[]):  # of shots and noise
+            torch.default_generator.manual_seed(view)
+            color, depth, accumulation = (torch.cat(column) for column in zip(*tiles, strict=True))
+        self.model.train(training)
         return RenderedView(
             view, color.view(height, width, 3), depth.view(height, width), accumulation.view(height, width), stride
         )
-
-    def _unless_stopped(self, tiles: Iterator[Tile]) -> Iterator[Tile]:
-        start = time.monotonic()
-        for tile in tiles:
-            if time.monotonic() - start > LONG and self.stopping():
-                raise Stopped
-            yield tile
 
     def truth(self, view: int) -> Tensor:
         """(H, W, 3) in [0, 1], composited on the background where the image has alpha."""

@@ -25,20 +25,7 @@ def foretold(basis: str, step: float, whole: float, hours: float) -> str | None:
     Raises:
         ValueError: the whole takes more than `hours`, which is `run.hours`.
     """
-    told = f"{basis}a step takes about {spoken(step)}, the whole {spoken(whole)}"
+    told = f"{basis}a step takes about {step:,.2f} s, the whole {whole / 3600:,.1f} hours"
     if whole > 3600 * hours:
         raise ValueError(f"{told}, more than run.hours={hours:g}; run.hours={math.ceil(whole / 1800)} goes on")
     return told if whole > WORTH_A_LINE else None
-
-
-def spoken(seconds: float) -> str:
-    """
-    >>> spoken(0.25), spoken(99.9), spoken(280), spoken(5400), spoken(200000)
-    ('0.25 s', '100 s', '5 minutes', '1.5 hours', '2.3 days')
-    """
-    for unit, size in (("days", 86400), ("hours", 3600)):
-        if seconds >= size:
-            return f"{seconds / size:.1f} {unit}"
-    if seconds >= 120:
-        return f"{seconds / 60:.0f} minutes"
-    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"

@@ -1,5 +1,6 @@
 """Signals that ask a training to stop."""
 
+import _thread
 import contextlib
 import signal
 import socket
@@ -7,8 +8,14 @@ from collections.abc import Callable, Collection, Iterator
 from threading import Event, Thread
 from typing import Any
 
-end: Callable[[str], None] | None = None
-"""How a command ends this process at once, with a message; None where the process is a program of somebody's own."""
+
+def interrupt(message: str) -> None:
+    """Raises KeyboardInterrupt in the main thread, once no loop keeps it."""
+    _thread.interrupt_main()
+
+
+end: Callable[[str], None] = interrupt
+"""How the thread stops this process. A command ends it at once, with a message."""
 GRACE = 8.0  # seconds after a request, within which the run is to stop by itself
 
 
@@ -17,8 +24,8 @@ def stop_requests(last_words: Callable[[], str | None] = lambda: None) -> Iterat
     """Collects SIGINT, SIGTERM and SIGHUP, so that the run can stop with a checkpoint.
 
     A compiled loop may take minutes, and Python handles no signal before it returns; but it releases the GIL. So a
-    thread hears of the signal, too. After `GRACE` seconds it ends the process of a command (`end`), as soon as
-    `last_words` returns what there is to say.
+    thread hears of the signal, too. After `GRACE` seconds it stops the process (`end`), as soon as `last_words` returns
+    what there is to say: that nothing is lost.
 
     A second SIGINT or SIGTERM acts as usual. SIGHUP may come many times, because a terminal that closes sends it more
     than once; it stays ignored if it is (`nohup`).
@@ -55,7 +62,7 @@ def stop_requests(last_words: Callable[[], str | None] = lambda: None) -> Iterat
 
 @contextlib.contextmanager
 def heard(urgent: Collection[int], last_words: Callable[[], str | None]) -> Iterator[None]:
-    """Ends the process after an urgent signal, see `stop_requests`, if the body has not ended by then."""
+    """Stops the process after an urgent signal, see `stop_requests`, if the body has not ended by then."""
     here, there = socket.socketpair()
     there.setblocking(False)
     ended = Event()
@@ -64,7 +71,7 @@ def heard(urgent: Collection[int], last_words: Callable[[], str | None]) -> Iter
         while not {*here.recv(64)} & {*urgent, 0}:
             pass
         ended.wait(GRACE)
-        while end is not None and not ended.wait(0.2):
+        while not ended.wait(0.2):
             if (message := last_words()) is not None:
                 end(message)
 
