@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeFactor
-from qnerf.config.checks import returned
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.harmonics import harmonics
 

@@ -3,8 +3,8 @@
 from torch import Tensor, nn
 
 from qnerf.config import bounds
-from qnerf.config.checks import returned
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 
 
 class Encoder(nn.Module):

@@ -7,8 +7,8 @@ from annotated_types import Interval
 from torch import Tensor, nn
 
 from qnerf.config import bounds
-from qnerf.config.checks import returned
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 
 CONTRACTIONS: Registry["Contraction"] = Registry("contraction")
 Order = Literal["linf", "l2"]

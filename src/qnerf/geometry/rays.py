@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
-from qnerf.config.checks import returned
+from qnerf.config.tensors import returned
 from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
 from qnerf.kernels.dispatch import serves

@@ -5,8 +5,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from qnerf.config.checks import returned
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 
 MIN_BATCH = 2  # samples that a head must get in training: batch normalisation needs two
 

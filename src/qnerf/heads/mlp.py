@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, Depth
-from qnerf.config.checks import require_tensor
+from qnerf.config.tensors import require_tensor
 from qnerf.heads.base import HEADS, Head
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.mlp import Layer, mlp

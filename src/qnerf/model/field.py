@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import returned
+from qnerf.config.tensors import returned
 from qnerf.encoders import Encoder, HashEncoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask

@@ -7,7 +7,7 @@ arXiv:2003.08934).
 import torch
 from torch import Tensor
 
-from qnerf.config.checks import require_tensor
+from qnerf.config.tensors import require_tensor
 from qnerf.kernels.derivatives import clamped
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.transmittance import VolumeWeights

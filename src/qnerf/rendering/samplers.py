@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, NonNegativeFactor
-from qnerf.config.checks import returned
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.rendering.pdf import sample_edges

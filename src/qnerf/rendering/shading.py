@@ -12,8 +12,8 @@ from annotated_types import Interval
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count
-from qnerf.config.checks import require_tensor, returned
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import require_tensor, returned
 from qnerf.heads.activations import DENSITY_ACTIVATIONS
 from qnerf.heads.base import MIN_BATCH
 from qnerf.kernels.dispatch import serves

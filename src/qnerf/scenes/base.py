@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from qnerf.config.checks import require_tensor
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import require_tensor
 
 MIN_VIEWS = 3
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from qnerf.config.checks import require_tensor
+from qnerf.config.tensors import require_tensor
 from qnerf.scenes import SCENES
 
 FLOATS = (torch.float64, torch.float32)

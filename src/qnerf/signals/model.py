@@ -5,8 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import returned
 from qnerf.config.settings import SignalSettings
+from qnerf.config.tensors import returned
 from qnerf.encoders import ENCODERS, Encoder
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS

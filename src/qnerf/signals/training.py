@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.config.checks import require_tensor
 from qnerf.config.settings import Fit, SignalSettings
+from qnerf.config.tensors import require_tensor
 from qnerf.metrics import quality_metrics
 from qnerf.signals.base import Signal
 from qnerf.signals.model import SignalModel

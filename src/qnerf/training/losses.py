@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from qnerf.config.checks import require_tensor
+from qnerf.config.tensors import require_tensor
 from qnerf.kernels import histogram
 from qnerf.kernels.dispatch import serves
 from qnerf.types import Samples

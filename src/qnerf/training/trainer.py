@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from qnerf.config.checks import require_tensor
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
+from qnerf.config.tensors import require_tensor
 from qnerf.geometry.rays import RayTable
 from qnerf.kernels.dispatch import is_plain
 from qnerf.kernels.jit import one_torch_thread
