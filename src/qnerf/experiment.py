@@ -199,7 +199,8 @@ def _run(
     task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
 
     known = None
-    if settings.run.force or state(Path(settings.store) / name) != "finished":
+    asked = settings.run.force or state(Path(settings.store) / name) != "finished"
+    if asked and settings.torch_device.type == "cpu":
         step = seconds_of_circuits(task.model, task.points_a_step)
         known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
     columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions) | task.columns

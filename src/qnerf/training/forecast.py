@@ -7,7 +7,7 @@ from torch import nn
 from qnerf.kernels.jit import loop_threads
 from qnerf.quantum import QuantumLayer
 
-FASTEST = 1e10  # multiply-adds of a circuit in a second of one thread, of modern CPUs: 1e9 to 2e10
+FASTEST = 1e10  # multiply-adds of a circuit in a second of one thread: 1e9 to 2e10; so advice allows ten times the time
 FORWARD = 0.4  # of a step's time, its forward pass, which is all that a ray of an evaluation takes
 WORTH_A_LINE = 600.0  # seconds of a training, from which on its time is said
 
@@ -27,5 +27,5 @@ def foretold(basis: str, step: float, whole: float, hours: float) -> str | None:
     """
     told = f"{basis}a step takes about {step:,.2f} s, the whole {whole / 3600:,.1f} hours"
     if whole > 3600 * hours:
-        raise ValueError(f"{told}, more than run.hours={hours:g}; run.hours={math.ceil(whole / 1800)} goes on")
+        raise ValueError(f"{told}, more than run.hours={hours:g}; run.hours={math.ceil(whole / 360)} goes on")
     return told if whole > WORTH_A_LINE else None
