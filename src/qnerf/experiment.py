@@ -334,8 +334,9 @@ class _Course:
         if isinstance(self.scene, Scene):
             evaluated = [*self.scene.eval, *self.curve_views * (left // (train.eval_every or train.steps))]
             rays = int(self.scene.cameras.all_sizes[evaluated].prod(1).sum())
-        trainer.save(self.record)
         whole = step * (left + FORWARD * rays / trainer.rays_a_step)
+        if whole > 3600 * self.settings.run.hours:
+            trainer.save(self.record)
         if line := foretold("", step, whole, self.settings.run.hours):
             self.display.note(line)
 
