@@ -48,6 +48,9 @@ def prepare(config: Mapping[str, Any], scene: Scene | Signal | None = None) -> P
     import_plugins(config.get("plugins", []))
     checked = complete(config)  # before the scene is read, which may take long
     scene = component(SCENES, checked["scene"]) if scene is None else scene
+    if not isinstance(scene, Scene | Signal):
+        name = checked["scene"]["name"]
+        raise ValueError(f"scene={name}: expected a Scene or a Signal, got {type(scene).__name__}")
     decisions: dict[str, auto.Decision] = {}
     if isinstance(scene, Signal):
         scene.check()
