@@ -16,6 +16,7 @@ def interrupt(message: str) -> None:
 
 end: Callable[[str], None] = interrupt
 """How the thread stops this process. A command ends it at once, with a message."""
+URGENT = (signal.SIGINT, signal.SIGTERM)
 GRACE = 8.0  # seconds after a request, within which the run is to stop by itself
 
 
@@ -35,22 +36,21 @@ def stop_requests(last_words: Callable[[], str | None] = lambda: None) -> Iterat
     """
     received: list[int] = []
     previous: dict[signal.Signals, Any] = {}
-    urgent = (signal.SIGINT, signal.SIGTERM)
 
     def note(number: int, _frame: object) -> None:
         received.append(number)
-        for kind in urgent if number in urgent else [signal.Signals(number)] if number in warnings else []:
+        for kind in URGENT if number in URGENT else [signal.Signals(number)] if number in warnings else []:
             signal.signal(kind, previous[kind])
 
     hangups = [kind for kind in signal.Signals if kind.name == "SIGHUP"]  # there is none on Windows
     hangups = [kind for kind in hangups if signal.getsignal(kind) is not signal.SIG_IGN]
     warnings = [kind for kind in signal.Signals if kind.name in ("SIGUSR1", "SIGUSR2")]
     warnings = [kind for kind in warnings if callable(signal.getsignal(kind))]
-    for kind in (*urgent, *hangups, *warnings):
+    for kind in (*URGENT, *hangups, *warnings):
         with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             previous[kind] = signal.signal(kind, note)
     try:
-        with heard(urgent, last_words):
+        with heard(URGENT, last_words):
             yield received
     finally:
         for kind, handler in previous.items():
