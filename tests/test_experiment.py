@@ -5,6 +5,7 @@ import json
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,8 +17,9 @@ from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.experiment import run
 from qnerf.records import read_config, read_metrics, read_status, runs, state
-from qnerf.training import lpips
+from qnerf.training import forecast, lpips
 from qnerf.training.evaluation import Evaluator
+from qnerf.training.preview import Preview
 from qnerf.training.trainer import Diverged, Trainer
 from tests.helpers.scenes import write_scene
 from tests.helpers.stopping import interrupted
@@ -190,7 +192,7 @@ def test_a_stop_request_ends_an_evaluation_which_the_resumed_run_repeats(tiny, t
             yield item
 
     with monkeypatch.context() as patch:
-        patch.setattr(experiment, "stop_requests", lambda: contextlib.nullcontext(requests))
+        patch.setattr(experiment, "stop_requests", lambda _: contextlib.nullcontext(requests))
         patch.setattr(Evaluator, "views", views)
         outcome = run(parts)
     assert (outcome.state, state(outcome.path)) == ("interrupted", "interrupted")
@@ -201,6 +203,53 @@ def test_a_stop_request_ends_an_evaluation_which_the_resumed_run_repeats(tiny, t
     assert resumed.state == "finished"
     pd.testing.assert_frame_equal(logged(resumed.path), logged(whole.path))
     assert resumed.summary["psnr"] == whole.summary["psnr"]
+
+
+@pytest.mark.parametrize("at", [3, 6])
+def test_a_process_that_is_ended_in_a_slow_loop_has_the_last_whole_step(tiny, tmp_path, monkeypatch, at):
+    """Within a preview, or within the last evaluation: the resumed run repeats the uninterrupted one bit for bit."""
+    whole = experiment.run(tiny("train.steps=6", f"store={tmp_path / 'whole'}"))
+    asked: list[Any] = []
+    monkeypatch.setattr(experiment, "SLOW", 0.0)
+    monkeypatch.setattr(experiment, "stop_requests", lambda words: contextlib.nullcontext(asked.append(words) or []))
+    render = Evaluator.render
+
+    def ended(evaluator: Any, view: int, step: int, stride: int = 1) -> Any:
+        if step == at:
+            assert asked[0]() == f"stopped at step {at} of 6; the same command continues from there"
+            raise KeyboardInterrupt
+        return render(evaluator, view, step, stride)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Evaluator, "render", ended)
+        patch.setattr(Preview, "refresh", lambda own, step, now=False: own.draw(step))
+        with pytest.raises(KeyboardInterrupt):
+            experiment.run(tiny("train.steps=6"))
+    (path,) = runs(tiny()["store"])
+    assert state(path) == "interrupted"
+    resumed = experiment.run(tiny("train.steps=6"))
+    assert resumed.summary["psnr"] == whole.summary["psnr"]
+
+
+def test_a_training_that_takes_too_long_is_refused_with_the_option_that_goes_on(tiny, tmp_path, monkeypatch):
+    """Before the first step by what circuits cost, and else from a step; a short one says nothing."""
+    notes: list[str] = []
+
+    class Notes(experiment.Display):
+        def note(self, text: str) -> None:
+            notes.append(text)
+
+    with pytest.raises(ValueError, match=r"circuits alone: a step takes about .*, more than run.hours=24; run.hours="):
+        experiment.run(tiny("qiren.qubits=40", "train.rays=512", "train.steps=100000"))
+    assert not Path(tiny()["store"]).exists()
+    with pytest.raises(ValueError, match=r"^a step takes about .*, more than run.hours=1e-06; run.hours=1 goes on"):
+        experiment.run(tiny("train.steps=5", "run.hours=1e-6"))
+    assert experiment.run(tiny("train.steps=5", "run.hours=1"), display=Notes()).state == "finished"
+    assert not any("a step takes" in note for note in notes)
+    monkeypatch.setattr(forecast, "WORTH_A_LINE", 0.0)
+    experiment.run(tiny("train.steps=5", f"store={tmp_path / 'said'}"), display=Notes())
+    assert [note for note in notes if "a step takes" in note]
+    experiment.run(tiny("train.steps=5", "run.hours=1e-6"))  # it is finished
 
 
 def test_too_few_samples_for_a_circuit_leave_no_run(tiny):

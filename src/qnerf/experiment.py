@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from qnerf.config import devices
 from qnerf.config.checks import is_number
 from qnerf.config.identity import picture_names
 from qnerf.config.settings import SignalSettings
+from qnerf.geometry.bounds import described_bounds
 from qnerf.kernels import dispatch
 from qnerf.metrics import quality_metrics
 from qnerf.model.labels import labels
@@ -31,10 +32,13 @@ from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
 from qnerf.training import lpips
 from qnerf.training.evaluation import Evaluator, colormap
 from qnerf.training.finite_checks import check_every_value
+from qnerf.training.forecast import FORWARD, foretold, seconds_of_circuits
 from qnerf.training.preview import Preview
 from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
+
+SLOW, LONG = 1.0, 10.0  # seconds of a step: each one is saved; it is foretold, and there are no previews
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,10 @@ class FieldTask:
         check_samples_of_a_step(self.settings, self.model)
         self.table = ray_table(self.settings, self.scene)
         self.curve_views = self.settings.train.eval_views
+        self.points_a_step = self.settings.train.rays * self.model.sampler.rendered_samples
+        near, far = self.table.near, self.table.far
+        self.columns = {"render.near": near, "render.far": far}  # what acts
+        self.bounds = described_bounds(self.scene, near, far)
         # Files that cannot be used are reported now, not at the first evaluation.
         lpips.weights()
         colormap()
@@ -113,12 +121,15 @@ class SignalTask:
     """Trains one head on a signal. ValueError as `run`."""
 
     curve_views = 0
+    columns: ClassVar[dict[str, float]] = {}
+    bounds = ""
 
     def __init__(self, prepared: Prepared) -> None:
         assert isinstance(prepared.settings, SignalSettings)
         assert isinstance(prepared.scene, Signal)
         self.settings, self.scene = prepared.settings, prepared.scene
         self.model = build_signal_model(self.settings, self.scene)
+        self.points_a_step = min(self.settings.train.points, len(self.scene.points))
         colormap()
 
     def trainer(self, watch: Stopwatch) -> SignalTrainer:
@@ -160,7 +171,8 @@ def run(
         checkpoint, its summary says so (`stopped`), and a search does not continue it. Everybody else may.
 
     Raises:
-        ValueError: a mistake in the configuration or the scene; nothing has been written.
+        ValueError: a mistake in the configuration or the scene, or more than `run.hours` by what circuits cost, and
+            nothing has been written; or more by the first steps, and there is a checkpoint.
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
@@ -186,7 +198,12 @@ def _run(
         torch.set_num_threads(settings.threads)
     task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
 
-    columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions)
+    known = None
+    asked = settings.run.force or state(Path(settings.store) / name) != "finished"
+    if asked and settings.torch_device.type == "cpu":
+        step = seconds_of_circuits(task.model, task.points_a_step)
+        known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
+    columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions) | task.columns
     columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
     types = column_types(prepared.config)
     store = RunStore(settings.store)
@@ -195,10 +212,22 @@ def _run(
         _compare(claim.dir, prepared.config, display)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
-    with claim.run as record, stop_requests() as stops, dispatch.report() as aside:
+    course: _Course | None = None
+
+    def last_words() -> str | None:
+        """Ends the record, if the last whole step is in a checkpoint."""
+        step = course.trainer.step if course else 0
+        if course and course.trainer.saved != step:
+            return None
+        record.interrupt(step)
+        return _stopped(step, settings.train.steps, settings.run.force)
+
+    with claim.run as record, stop_requests(last_words) as stops, dispatch.report() as aside:
         if claim.outcome == "resumed":
             display.note(claim.message)
         _describe(prepared, task, record, display)
+        if known:
+            display.note(known)
         record.write_environment(capture(settings.seed), dirty_diff())
         if isinstance(scene, Scene):
             record.write_transform(scene.transform.numpy())
@@ -209,7 +238,7 @@ def _run(
 def _describe(prepared: Prepared, task: Task, record: Run, display: Display) -> None:
     """Says what is trained, on what, and what about the scene is doubtful."""
     scene = prepared.scene
-    display.note(f"scene {scene.name}: {scene.description()}")
+    display.note("; ".join(filter(None, [f"scene {scene.name}: {scene.description()}", task.bounds])))
     display.describe(prepared.config, parameter_counts(task.model))
     if prepared.decisions:
         decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]
@@ -244,6 +273,7 @@ class _Course:
         chosen = even_subset(len(self.scene.eval), task.curve_views or None)
         self.curve_views = [self.scene.eval[index] for index in chosen]
         self.pruned = False
+        self.taken = 0  # steps, by this command
         if self.settings.numerics.finite_checks:
             check_every_value(self.trainer)
 
@@ -275,16 +305,45 @@ class _Course:
         # Rows are logged before the checkpoint of their step, so a resumed run neither repeats nor misses one.
         for metrics in trainer.steps(record, self.stopping):
             self.display.phase("train")
+            if untaught := ", ".join(trainer.untaught):
+                trainer.untaught = []
+                self.display.note(f"warning: no gradient reaches the parameters of {untaught}: they stay as they are")
             if metrics:
                 record.log(trainer.step, trainer.seconds, metrics)
                 self.display.step(trainer.step, metrics)
-            self.preview.refresh(trainer.step)
+            self.foresee()
+            if self.is_due() or trainer.step_seconds[-1] > SLOW:  # a stop may have to end what comes next at once
+                trainer.save(record)
+            self.show()
             if self.is_due():
                 measured = self.assess()
-        self.preview.refresh(trainer.step, now=True)
+        self.show(now=True)
         if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
             _, measured = self.evaluate(self.scene.eval)
         return measured
+
+    def foresee(self) -> None:
+        """Says what the training is going to take, after a step without compiling; ValueError as `foretold`."""
+        trainer, train = self.trainer, self.settings.train
+        step = trainer.step_seconds[-1]
+        self.taken += 1
+        if self.taken != 2 + (step < LONG):
+            return
+        left = train.steps - trainer.step
+        rays = 0
+        if isinstance(self.scene, Scene):
+            evaluated = [*self.scene.eval, *self.curve_views * (left // (train.eval_every or train.steps))]
+            rays = int(self.scene.cameras.all_sizes[evaluated].prod(1).sum())
+        whole = step * (left + FORWARD * rays / trainer.rays_a_step)
+        if whole > 3600 * self.settings.run.hours:
+            trainer.save(self.record)
+        if line := foretold("", step, whole, self.settings.run.hours):
+            self.display.note(line)
+
+    def show(self, *, now: bool = False) -> None:
+        """Refreshes the preview, unless it would take minutes."""
+        if max(self.trainer.step_seconds[-1:], default=0) < LONG:
+            self.preview.refresh(self.trainer.step, now=now)
 
     def assess(self) -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
@@ -327,15 +386,17 @@ class _Course:
 
 def _stop(record: Run, step: int, steps: int, pruned: bool, force: bool) -> Outcome:
     """Ends a run that is not finished."""
-    where = f"at step {step} of {steps}"
+    message = _stopped(step, steps, force)
     if pruned:
         record.write_summary({"stopped": PRUNED})
-        message = f"pruned {where}: finished runs were better by then"
-    else:
-        command = "the same command without run.force=true" if force else "the same command"
-        message = f"stopped {where}; {command} continues from there"
+        message = f"pruned at step {step} of {steps}: finished runs were better by then"
     record.interrupt(step)
     return Outcome(record.run_id, record.dir, PRUNED if pruned else "interrupted", read_summary(record.dir), message)
+
+
+def _stopped(step: int, steps: int, force: bool) -> str:
+    command = "the same command without run.force=true" if force else "the same command"
+    return f"stopped at step {step} of {steps}; {command} continues from there"
 
 
 def was_evaluated(path: Path, step: int) -> bool:

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from qnerf.auto.poses import distances, epipolar_error, fundamental, matched, warning
+from qnerf.auto import poses
+from qnerf.auto.poses import Epipolar, distances, epipolar_error, fundamental, matched, warning
 from qnerf.geometry.rays import project
 from qnerf.scenes.normalise import normalise
 from tests.helpers.worlds import ball, constant, floor, turned
@@ -62,15 +63,24 @@ def test_warnings_name_what_is_wrong_and_following_them_ends_them(poster):
             assert warning(dataclasses.replace(poster, cameras=cured)) is None
 
 
+@pytest.mark.parametrize(("left", "advised"), [(0.3, True), (0.9, True), (5.7, False)])
+def test_advice_is_given_only_where_it_leaves_less_than_a_pixel(monkeypatch, left, advised):
+    found = Epipolar(given=19.0, best=0.14, pairs=8, others={poses.BOTH: left, poses.CENTRE: 18.0})
+    monkeypatch.setattr(poses, "epipolar_error", lambda scene: found)
+    told = str(warning(FLOOR))
+    assert ("the poses seem to be inverted" in told) is advised
+    assert ("the poses do not fit the images" in told) is not advised
+
+
 @given(seed=st.integers(0, 2**20))
 def test_points_seen_twice_lie_on_each_others_epipolar_lines(seed):
     generator = torch.Generator().manual_seed(seed)
     points = torch.rand(10, 3, dtype=torch.float64, generator=generator) - 0.5
-    poses = turned(FLOOR, 20.0, seed)
-    seen = [project(poses.cameras, torch.full((10,), view), points) for view in (0, 2)]
+    world = turned(FLOOR, 20.0, seed)
+    seen = [project(world.cameras, torch.full((10,), view), points) for view in (0, 2)]
     if bool((torch.stack([depth for _, depth in seen]) > 0.1).all()):
         pixels = torch.stack([where for where, _ in seen], dim=1).numpy()
-        assert distances(fundamental(poses.cameras, 0, 2), pixels).max() < 1e-6
+        assert distances(fundamental(world.cameras, 0, 2), pixels).max() < 1e-6
 
 
 @given(offset=st.floats(-5, 5))

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from qnerf import experiment
-from qnerf.cli import launch, sweep_start
+from qnerf.cli import launch, main, sweep_start
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import Output, stoppable
 from qnerf.cli.sweep import Sweep
@@ -302,6 +302,24 @@ def test_a_second_request_ends_at_once_and_the_handlers_are_restored():
             signal.raise_signal(signal.SIGINT)
     assert stops == [signal.SIGHUP] * 3 + [signal.SIGTERM]
     assert (sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM)) == before
+
+
+@pytest.mark.usefixtures("signals")
+def test_a_command_ends_also_where_a_library_has_swallowed_the_interrupt(monkeypatch):
+    ended: list[str] = []
+
+    def swallow() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60)
+        for _ in range(6000):
+            time.sleep(0 if ended else 0.01)
+
+    monkeypatch.setattr("qnerf.training.stop_requests.GRACE", 0.0)
+    monkeypatch.setattr("qnerf.cli.ends.end", ended.append)
+    monkeypatch.setattr("qnerf.cli.launch.run_command", swallow)
+    main.run()
+    assert ended[0] == "stopped"
 
 
 def test_an_ignored_hangup_stays_ignored():

@@ -19,7 +19,7 @@ BAD = {
     "train.lr=nan": "train.lr must be between 1e-30 and 1000000.0, got nan",
     "train.rays=many": "train.rays expects int, got 'many' (str)",
     "render.background=blue": "render.background expects one of last_sample, white, black, random, got 'blue'",
-    "render.near=2000": "render.near must be below render.far, got 2000 and 1000.0",
+    "render.near=2000 render.far=1000": "render.near must be below render.far, got 2000 and 1000",
     "device=gpu": "device=gpu: PyTorch has no such device here; known: auto, ",
     "numerics.dtype=float16": "numerics.dtype expects one of float32, float64, got 'float16'",
     "seed=-1": "seed must be between 0 and",

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import qnerf.geometry.rays
 from qnerf.config import memory
 from qnerf.geometry import rays
+from qnerf.geometry.bounds import bounds_of, described_bounds, misfit
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
 from qnerf.scenes import Cameras, Scene
@@ -191,12 +192,34 @@ def test_poses_are_refined_and_differentiated_through_the_rays(name):
     torch.testing.assert_close(held_out.directions, table.view(4).directions)
 
 
-def test_a_scene_s_own_bounds_win():
-    table = RayTable(scene(cameras(), near=0.5, far=1.5), near=0.05, far=1000.0)
+@pytest.mark.parametrize(
+    ("own", "asked", "act"),
+    [
+        ((None, None), (None, None), (0.05, 1000.0)),
+        ((1.0, 6.0), (None, None), (1.0, 6.0)),
+        ((1.0, 6.0), (0.05, None), (0.05, 6.0)),
+        ((1.0, 6.0), (None, 1000.0), (1.0, 1000.0)),
+        ((None, None), (0.25, 8.0), (0.25, 8.0)),
+    ],
+)
+def test_bounds_are_the_user_s_else_the_scene_s(own, asked, act):
+    table = RayTable(scene(cameras(), near=own[0], far=own[1]), near=asked[0], far=asked[1])
     rays = table.view(0)
-    assert (float(rays.near[0]), float(rays.far[0])) == (0.5, 1.5)
-    rays = RayTable(scene(cameras()), near=0.25, far=8.0).view(0)
-    assert (float(rays.near[0]), float(rays.far[0])) == (0.25, 8.0)
+    assert (float(rays.near[0]), float(rays.far[0])) == pytest.approx(act)
+
+
+@pytest.mark.parametrize(("radius", "factor"), [(4.0, None), (12.0, 3.0), (2.0, 0.5), (1.0, 0.25), (6.0, 1.5)])
+def test_bounds_follow_the_scale_of_the_cameras(radius, factor):
+    """As synthetic NeRF's: near 2 and far 6 belong to cameras that are 4 away from what they look at."""
+    of = worlds.cameras(worlds.ring(8, radius=radius, height=0.0), focal=40.0)
+    world = worlds.scene(torch.zeros(8, 24, 32, 3, dtype=torch.uint8), of, near=2.0, far=6.0)
+    assert misfit(world) == (factor and pytest.approx(factor))
+    near, far = bounds_of(world, None, None)
+    assert (near, far) == pytest.approx((2 * (factor or 1), 6 * (factor or 1)))
+    assert ("do not fit the cameras" in described_bounds(world, near, far)) == (factor is not None)
+    assert bounds_of(world, 0.5, None) == pytest.approx((0.5, 6 * (factor or 1)))
+    outward = worlds.cameras(worlds.ring(8, radius=radius, height=0.0, outward=True))
+    assert misfit(dataclasses.replace(world, cameras=outward)) is None
 
 
 def test_bounds_in_the_wrong_order_are_refused():

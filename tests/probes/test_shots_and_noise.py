@@ -1,5 +1,6 @@
 """Runs rendered under hardware conditions."""
 
+import dataclasses
 import shutil
 
 import pandas as pd
@@ -68,3 +69,12 @@ def test_noise_that_is_slow_is_sampled_with_a_standard_error_and_its_time_told_b
     assert rows["psnr"].nunique() == 2
     assert "about 0 minutes for 1 views" in lines[1]
     assert "standard error of a value 0." in lines[2]
+    lines.clear()
+    evaluate_hardware(load(path), grid([10], "none", [], 0), views=1, tell=lines.append)
+    assert "about 0 minutes for 1 views; views= renders fewer" in lines[1]
+    monkeypatch.setattr(shots_and_noise, "seconds_of", lambda *_: 1e5)
+    with pytest.raises(ValueError, match=r"about 1,667 minutes for 1 views; .*, or run.hours=56 goes on"):
+        evaluate_hardware(load(path), grid([10], "none", [], 0), views=1)
+    longer = dataclasses.replace(load(path).settings.run, hours=56.0)
+    patient = dataclasses.replace(load(path), settings=dataclasses.replace(load(path).settings, run=longer))
+    evaluate_hardware(patient, grid([10], "none", [], 0), views=1)

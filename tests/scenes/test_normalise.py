@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qnerf.scenes import split_views
-from qnerf.scenes.normalise import normalise, rigid, rotation_between
+from qnerf.scenes.normalise import far_out, normalise, rigid, rotation_between
 
 
 def random_rotation(random: np.random.Generator) -> np.ndarray:
@@ -115,3 +115,21 @@ def test_nine_views_in_ten_train_and_the_rest_evaluate(views):
     assert len(train) == min(math.ceil(0.9 * views), views - 1)
     assert train[0] == 0
     assert train[-1] == views - 1
+
+
+@pytest.mark.parametrize("far", [[6], [0, 6], [3]])
+def test_a_view_far_out_does_not_decide_the_scale(far):
+    source = random_poses(3, views=12)
+    inside, similarity = normalise(np.delete(source, far, axis=0))
+    source[far, 0, 3] += 3e4
+    poses, transform = normalise(source)
+    np.testing.assert_allclose(transform, similarity, atol=1e-9)
+    np.testing.assert_allclose(np.delete(poses, far, axis=0), inside, atol=1e-9)
+    assert far_out(source[:, :, 3]).nonzero()[0].tolist() == far
+    assert (far_out(source[:, :, 3])[far] > 1000).all()
+
+
+def test_views_are_not_far_out_where_others_lie_between_or_there_are_few():
+    spread = np.geomspace(1, 1e4, 30)[:, None] * [1.0, 0, 0]
+    for centres in (spread, spread[[0, 1, 2, 29]], random_poses(0)[:, :, 3]):
+        assert not far_out(centres).any()

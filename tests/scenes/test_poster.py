@@ -1,5 +1,7 @@
 """The built-in scene: its shapes, its exact depth, its options."""
 
+import dataclasses
+
 import pytest
 import torch
 
@@ -45,3 +47,36 @@ def test_bad_options():
     ):
         with pytest.raises(ValueError, match=message):
             SCENES.build("poster", **options)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"images": lambda x: x[:1]}, r"images: expected uint8 \(6, 64, 36, 3\), got uint8 \(1, 64, 36, 3\)"),
+        ({"images": lambda x: x.float()}, "images: expected uint8 .*, got float32"),
+        ({"depth": lambda x: x[:, 1:]}, r"depth: expected float32 or float64 \(6, 64, 36\)"),
+        ({"mask": lambda x: torch.ones(6, 64)}, r"mask: expected bool \(6, 64, 36\), got float32 \(6, 64\)"),
+        ({"names": lambda x: x[1:]}, "expected a name for each of 6 views, got 5"),
+        ({"train": lambda x: [0, 9]}, r"train: expected indices of views, 0 to 5, got \[0, 9\]"),
+    ],
+)
+def test_a_scene_that_does_not_fit_its_cameras_is_refused_when_it_is_made(change, message):
+    scene = SCENES.build("poster", views=6)
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(scene, **{name: make(getattr(scene, name)) for name, make in change.items()})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"poses": lambda x: x.float()}, r"Cameras.poses: expected float64 \(V, 3, 4\), got float32"),
+        ({"poses": lambda x: x[:, :, :3]}, r"got float64 \(6, 3, 3\)"),
+        ({"poses": lambda x: x * torch.nan}, "Cameras.poses: expected finite numbers"),
+        ({"fx": lambda x: x[:1]}, r"Cameras.fx: expected float64 \(6\), got float64 \(1,\)"),
+        ({"distortion": lambda x: x[:, :2]}, r"Cameras.distortion: expected float64 \(6, 4\)"),
+    ],
+)
+def test_cameras_are_looked_at_when_they_are_made(change, message):
+    cameras = SCENES.build("poster", views=6).cameras
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(cameras, **{name: make(getattr(cameras, name)) for name, make in change.items()})

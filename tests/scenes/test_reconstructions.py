@@ -1,6 +1,7 @@
 """COLMAP models and LLFF folders, and what is said where a folder holds something else."""
 
 import json
+import shutil
 import struct
 from pathlib import Path
 
@@ -199,6 +200,24 @@ def test_names_with_spaces_and_files_left_over_from_another_model(posed: Path) -
     assert "images/0 3.png" in build("colmap", posed).names
     (place / "points3D.bin").write_bytes(b"\0" * 8)  # now the binary model is complete, and COLMAP reads it
     refused("colmap", posed, "damaged or cut short")
+
+
+@pytest.mark.parametrize(
+    "places", [("sparse/0", "sparse/1"), ("colmap/sparse/0", "colmap/sparse/2"), ("sparse/3", "sparse/1")]
+)
+def test_of_several_models_the_largest_is_read(posed: Path, places: tuple[str, str]) -> None:
+    small, large = places
+    write_text(posed, nested=large)
+    shutil.copytree(posed / large, posed / small)
+    lines = (posed / small / "images.txt").read_text().split("\n")
+    (posed / small / "images.txt").write_text("\n".join(lines[:9]) + "\n")
+    scene = build("colmap", posed)
+    assert len(scene.cameras) == VIEWS
+    told = sorted([f"{small} poses 4", f"{large} poses {VIEWS}"])
+    assert f"of several models the largest is read: {', '.join(told)}" in scene.description()
+    assert len(build("colmap", posed, model=small).cameras) == 4
+    (posed / small / "cameras.txt").write_text("damaged")
+    assert len(build("colmap", posed).cameras) == VIEWS
 
 
 def test_damaged_models_are_one_line(posed: Path) -> None:

@@ -161,7 +161,66 @@ def test_masks_are_found_where_other_tools_put_them(tmp_path: Path) -> None:
     shutil.rmtree(folder / "masks")
     scene = build(folder)
     assert torch.equal(scene.mask, expected.mask)
-    assert scene.description() == "6 views of 8 x 6 pixels, 5 train, 1 held out, 6 masks"
+    assert scene.description() == "6 views of 8 x 6 pixels, 5 train, 1 held out, 6 masks (25.0% of the pixels)"
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P", "cut out"])
+def test_the_alpha_of_a_mask_is_the_mask_where_it_is_transparent(tmp_path: Path, mode: str, inverted: bool) -> None:
+    folder = write_scene(tmp_path / "scene")
+    mask(folder)
+    expected = build(folder)
+    for view in range(6):
+        place = folder / "masks" / f"{view}.png"
+        values = np.asarray(Image.open(place))
+        alpha = 255 - values if inverted else values
+        color = (
+            Image.open(folder / "images" / f"{view:03d}.png")
+            if mode == "cut out"
+            else Image.new("RGB", (8, 6), "white")
+        )
+        color.putalpha(Image.fromarray(alpha))
+        if mode == "P":
+            color = Image.fromarray((alpha // 255).copy(), "P")
+            color.putpalette([255] * 6)
+            color.info["transparency"] = bytes([0, 255])
+        elif mode == "LA":
+            color = color.convert("LA")
+        color.save(folder / "images" / f"dynamic_mask_{view:03d}.png" if inverted else place)
+    if inverted:
+        shutil.rmtree(folder / "masks")
+        change(folder, lambda t: [frame.pop("mask_path") for frame in t["frames"]])
+    scene = build(folder)
+    assert expected.mask is not None
+    assert torch.equal(scene.mask, expected.mask)
+    assert "6 masks (25.0% of the pixels)" in scene.description()
+
+
+def test_pixels_beyond_a_crop_radius_do_not_count(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene", width=16, height=12)
+    plain = build(folder)
+    change(folder, lambda t: t.update(fisheye_crop_radius=5.0))
+    scene = build(folder)
+    y, x = np.mgrid[:12, :16]
+    assert scene.mask is not None
+    np.testing.assert_array_equal(scene.mask[3], np.hypot(x - 7.5, y - 5.5) <= 5)
+    assert "0 masks (58.3% of the pixels)" in scene.description()
+    assert scene.fingerprint != plain.fingerprint
+    whole = {"w": 32, "h": 24, "fl_x": 16.0, "fl_y": 16.0, "cx": 16.0, "cy": 12.0, "fisheye_crop_radius": 10.0}
+    change(folder, lambda t: t.update(whole))
+    assert torch.equal(build(folder).mask, scene.mask)
+    assert int(build(folder, downscale=2).mask.sum()) == 6 * 4 * 4
+    change(folder, lambda t: t.update(fisheye_crop_radius=0))
+    scenes.refused("nerfstudio", folder, "fisheye_crop_radius must be above 0 pixels, got 0")
+
+
+def test_held_out_views_that_are_all_masked_are_refused(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "scene")
+    mask(folder)
+    [held_out] = build(folder).eval
+    Image.new("L", (8, 6)).save(folder / "masks" / f"{held_out}.png")
+    with pytest.raises(ValueError, match="no pixel to measure: all held-out views are masked"):
+        prepare(composed("scene=nerfstudio", f"scene.path={folder}"))
 
 
 def test_bad_masks_are_one_line(tmp_path: Path) -> None:

@@ -85,6 +85,27 @@ def test_comments_are_skipped_as_by_instant_ngp(tiny_scene):
 # --- intrinsics
 
 
+@pytest.mark.parametrize(("key", "said"), [("camera_angle_x", True), ("camera_angle_y", False), ("fl_x", False)])
+def test_an_angle_across_the_shorter_side_is_said(tmp_path, key, said):
+    folder = write_scene(tmp_path / "scene", width=6, height=8)
+    change(folder, lambda t: [t.pop(name) for name in ("fl_x", "fl_y")])
+    change(folder, lambda t: t.update({key: 7.0 if key == "fl_x" else 0.7}))
+    scene = build(folder)
+    assert ("camera_angle_x (or x_fov) is taken across the width, the shorter side" in scene.description()) is said
+    side = {"camera_angle_x": 6, "camera_angle_y": 8}
+    expected = side[key] / 2 / math.tan(0.35) if key in side else 7.0
+    assert float(scene.cameras.fx[0]) == float(scene.cameras.fy[0]) == pytest.approx(expected)
+
+
+def test_a_view_far_out_is_named(tmp_path):
+    folder = write_scene(tmp_path / "scene", views=8)
+    assert "farther out" not in build(folder).description()
+    change(folder, lambda t: t["frames"][3]["transform_matrix"][0].__setitem__(3, 2e4))
+    scene = build(folder)
+    assert "farther out than all others: images/003.png" in scene.description()
+    assert float(np.delete(scene.cameras.poses[:, :, 3].numpy(), 3, axis=0).max()) <= 1
+
+
 def test_intrinsics_shared_or_of_each_frame(tiny_scene):
     change(tiny_scene, lambda t: t.update(k1=0.01, k2=0.002, p1=0.001, p2=-0.002))
     change_frame(tiny_scene, 1, fl_x=9.0, cy=2.5, k1=0.0)
@@ -324,7 +345,7 @@ def test_bad_files_as_a_whole(copies):
         (lambda t: t["frames"].__setitem__(2, 5), "frame 2 must be an object"),
         (lambda t: t["frames"][2].pop("transform_matrix"), "'images/002.png' has no transform_matrix"),
         (lambda t: [t.pop(key) for key in ("fl_x", "fl_y")], "has no intrinsics: expected fl_x"),
-        (lambda t: t.update(frames=t["frames"][:2]), "at least 3 images, got 2"),
+        (lambda t: t.update(frames=t["frames"][:2]), "/images has 4 other images, such as '002.png'"),
         (
             lambda t: [frame.update(transform_matrix=t["frames"][0]["transform_matrix"]) for frame in t["frames"]],
             "all cameras stand at the same point",

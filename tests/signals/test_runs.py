@@ -18,6 +18,7 @@ from qnerf.experiment import SignalTask, run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
 from qnerf.records import details, runs
+from qnerf.signals import Photograph
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
@@ -124,3 +125,48 @@ def test_probes_refuse_a_signal_in_one_line(fit):
     outcome = run(fit("scene=distance"))
     with pytest.raises(ValueError, match="expected a radiance field"):
         load_trained(outcome.path)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        (
+            "targets",
+            lambda y: y[:, 0],
+            r"Photograph.targets: expected .* \(1024, C\), got float64 \(1024,\)",
+        ),
+        (
+            "targets",
+            lambda y: y[:90],
+            r"Photograph.targets: expected .* \(1024, C\), got float64 \(90, 3\)",
+        ),
+        ("targets", lambda y: y.where(y != y[3, 0], torch.nan), "Photograph.targets: expected finite numbers, got"),
+        ("targets", lambda y: y.long(), "got int64"),
+        ("targets", lambda y: y.numpy(), "got ndarray"),
+        ("points", lambda x: 4 * x - 2, r"Photograph.points: expected coordinates in \[0, 1\], got -1.938 to 1.938"),
+        ("points", lambda x: x[:0], "Photograph.points: expected finite numbers, got 0 of 0"),
+    ],
+)
+def test_a_signal_s_data_are_checked_when_it_is_made(fit, name, change, message):
+    config = fit("scene=photograph", "scene.size=32")
+    scene = Photograph(size=32)
+    setattr(scene, name, change(getattr(scene, name)))
+    if name == "points":
+        scene.targets = scene.targets[: len(scene.points)]
+    with pytest.raises(ValueError, match=message):
+        prepare(config, scene)
+
+
+@pytest.mark.parametrize(
+    ("panels", "message"), [([], "returned no panels"), ([torch.zeros(8, 8)], r"expected a tensor \(8, W, 3\)")]
+)
+def test_an_evaluation_without_pictures_is_one_line(fit, monkeypatch, panels, message):
+    monkeypatch.setattr(Photograph, "evaluate", lambda signal, fitted: ({"psnr": 1.0}, panels))
+    with pytest.raises(ValueError, match=f"Photograph.*{message}"):
+        run(fit("scene=photograph"))
+
+
+def test_a_scene_that_is_none_is_one_line(fit, monkeypatch):
+    monkeypatch.setattr("qnerf.building.scene.component", lambda *_: [])
+    with pytest.raises(ValueError, match="scene=photograph: expected a Scene or a Signal, got list"):
+        prepare(fit("scene=photograph"))

@@ -1,4 +1,5 @@
 import copy
+import dataclasses
 import math
 import re
 
@@ -10,6 +11,7 @@ from qnerf.experiment import run
 from qnerf.records import read_metrics
 from qnerf.timing import STAGES
 from qnerf.training.threads import few_products
+from qnerf.types import Samples
 from tests.helpers.trainer import same, trainer
 
 
@@ -22,7 +24,7 @@ def test_the_paper_recipe_is_the_papers(config):
     assert (sampler["samples"], sampler["final"], sampler["update_every"]) == ([256, 96], 48, 5)
     assert (sampler["anneal_steps"], sampler["anneal_slope"], sampler["log2_table_size"]) == (1000, 10.0, 17)
     assert sampler["max_resolutions"] == [128, 256]
-    assert (settings.render.near, settings.render.far) == (0.05, 1000)
+    assert (settings.render.near, settings.render.far) == (None, None)
     assert settings.visibility.cameras == 0
     head = settings.color["qiren"]
     assert (head["init"], head["gain"], head["sum_layers"], head["input_scale"]) == ("uniform", 1.0, False, 1.0)
@@ -230,3 +232,69 @@ def test_which_steps_are_small(tiny):
         assert few_products(model, 8192) == few
     own = torch.nn.ModuleList([type("Own", (torch.nn.Module,), {"__module__": "elsewhere"})()])
     assert not few_products(own, 8192)
+
+
+def _first(values):
+    """What is computed for the first item alone, which a loop would read past."""
+    return values[:1]
+
+
+WRONG = {
+    "density_head, one value": ("density_head", lambda y: y[:, 0], r"MLPHead returned: expected float32 \(\d+, 6\)"),
+    "density_head, too wide": ("density_head", lambda y: torch.cat([y, y], 1), r"\(\d+, 6\), got float32 \(\d+, 12\)"),
+    "color_head, one value": ("color_head", lambda y: y[:, 0], r"MLPHead returned: expected float32 \(\d+, 3\)"),
+    "color_head, one row": ("color_head", _first, r"got float32 \(1, 3\)"),
+    "color_head, float64": ("color_head", lambda y: y.double(), r"expected float32 .*, got float64"),
+    "color_head, a pair": ("color_head", lambda y: (y, y), r"got tuple"),
+    "encoder": ("encoder", lambda y: y[:, 1:], r"HashEncoder returned: expected float32 \(\d+, 12\)"),
+    "directions": ("directions", _first, r"SphericalHarmonics returned: expected float32 \(256, 16\)"),
+    "contraction": ("contraction", lambda y: y[..., :2], r"CubeContraction returned: expected float32 \(\d+, \d+, 3\)"),
+    "sampler": (
+        "sampler",
+        lambda y: dataclasses.replace(y, samples=Samples(y.samples.edges[:1], y.samples.spacing[:1])),
+        r"ProposalSampler returned: expected float32 \(256, K \+ 1\), got float32 \(1, \d+\)",
+    ),
+    "proposals": (
+        "sampler",
+        lambda y: dataclasses.replace(y, proposals=[(one, weights[:, 1:]) for one, weights in y.proposals]),
+        "ProposalSampler returned: expected",
+    ),
+    "shading": ("shading", lambda y: y._replace(geometry=y.geometry[:1]), "MergeShading returned: expected float32"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_component_that_returns_the_wrong_thing_is_named_before_a_loop_reads_it(config, case):
+    name, wrong, message = WRONG[case]
+    one = trainer(config("field=classical"))
+    module = getattr(one.model.field, name, None) or getattr(one.model, name)
+    right = module.forward
+    module.forward = lambda *given, **options: wrong(right(*given, **options))
+    with pytest.raises(ValueError, match=message):
+        one.take_step(measure=False)
+
+
+def test_activations_poses_and_terms_of_the_loss_are_looked_at_too(config):
+    one = trainer(config("field=classical"))
+    one.model.field.color_activation = lambda raw: raw.sigmoid()[:, 0]
+    with pytest.raises(ValueError, match=r"what <lambda> returned: expected float32 \(\d+, 3\)"):
+        one.take_step(measure=False)
+    one = trainer(config("field=classical", "cameras=se3"))
+    one.model.cameras.poses = lambda indices, poses: poses[:1]
+    with pytest.raises(ValueError, match=r"SE3Refinement returned: .* \(256, 3, 4\), got float32 \(1, 3, 4\)"):
+        one.take_step(measure=False)
+    one = trainer(config("field=classical"))
+    one.loss_terms = lambda rendering, sampled, target: {"mse": (rendering.color - target).square()}
+    with pytest.raises(ValueError, match=r"the loss term 'mse': expected a tensor \(\), got float32 \(256, 3\)"):
+        one.take_step(measure=False)
+
+
+def test_a_part_that_gets_no_gradient_in_the_first_step_is_known(config):
+    one = trainer(config("field=classical"))
+    one.take_step(measure=False)
+    assert one.untaught == []
+    one = trainer(config("field=classical"))
+    right = one.model.field.color_head.forward
+    one.model.field.color_head.forward = lambda features: right(features).detach()
+    one.take_step(measure=False)
+    assert one.untaught == ["color"]

@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 
 from qnerf.auto.views import grey, subset
-from qnerf.geometry.camera_paths import focus
+from qnerf.geometry.bounds import focus
 from qnerf.geometry.contraction import Contraction
 from qnerf.scenes import Scene
 

@@ -23,7 +23,7 @@ WITHIN = 1.0  # pixels: a match this close to its epipolar line is consistent
 OUTLINE = 2.0  # features this close to a transparent pixel are left out
 OFF = 0.15  # pixels: poses whose matches fit worse than the best by more are off; true poses stay below 0.06
 WRONG = 1.0  # pixels: poses that are off by more are not merely imprecise
-EXPLAINED = 0.35  # share of the error that may be left where one thing explains it
+EXPLAINED = 0.35  # share of the error that may be left where one thing explains it; nor may it be `WRONG`
 SMALL = 256  # pixels: smaller images are enlarged to this height before matching, at most four times
 
 
@@ -97,7 +97,7 @@ def warning(scene: Scene) -> str | None:
     told = f"matched features lie {error.given:.2g} pixels from where the poses put them, {error.best:.2g} at best"
     likely = min(error.others, key=lambda name: error.others[name])
     left = error.others[likely]
-    if left - error.best < EXPLAINED * off:
+    if left - error.best < EXPLAINED * off and left < WRONG:
         return f"{EXPLANATIONS[likely.split()[0]].format(factor=likely.split()[-1])}: {told}, {left:.2g} so changed"
     if off > WRONG:
         return (

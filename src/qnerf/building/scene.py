@@ -10,6 +10,7 @@ from qnerf.building.acting import acting, complete, run_id, settings_of
 from qnerf.building.components import component
 from qnerf.config.plugins import import_plugins
 from qnerf.config.settings import PoseNoise, Settings, SignalSettings, built
+from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.pose_noise import add_pose_noise
 from qnerf.scenes import SCENES, Scene
 from qnerf.signals import Signal
@@ -47,15 +48,24 @@ def prepare(config: Mapping[str, Any], scene: Scene | Signal | None = None) -> P
     import_plugins(config.get("plugins", []))
     checked = complete(config)  # before the scene is read, which may take long
     scene = component(SCENES, checked["scene"]) if scene is None else scene
+    if not isinstance(scene, Scene | Signal):
+        name = checked["scene"]["name"]
+        raise ValueError(f"scene={name}: expected a Scene or a Signal, got {type(scene).__name__}")
     decisions: dict[str, auto.Decision] = {}
+    if isinstance(scene, Signal):
+        scene.check()
     if isinstance(scene, Scene):
         scene = add_pose_noise(scene, **vars(built(PoseNoise, checked.get("pose_noise", {}))))
-        scene.require_training_pixels()
+        scene.require_pixels()
         checked, decisions = auto.resolve(checked, scene)
     settings = settings_of(checked)
     if isinstance(scene, Scene):
         assert isinstance(settings, Settings)
         check_background(scene, settings)
+        bounds_of(scene, settings.render.near, settings.render.far)
+        # With bounds that hold anyway, and without them, it is one run.
+        implied = dict(zip(("near", "far"), bounds_of(scene, None, None), strict=True))
+        checked["render"] = {key: value for key, value in checked["render"].items() if implied.get(key) != value}
     return Prepared(acting(checked), settings, scene, decisions)
 
 

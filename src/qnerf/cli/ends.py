@@ -19,6 +19,8 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from qnerf.training import stop_requests
+
 DONE, FAILED, WRONG, INTERRUPTED, OUTPUT_LOST = 0, 1, 2, 130, 141
 
 
@@ -77,6 +79,12 @@ def stopped_code() -> int:
     return OUTPUT_LOST if output_lost() else INTERRUPTED
 
 
+def end(message: str) -> None:
+    """Ends a command that was stopped at once, whatever its threads do."""
+    print(message, file=sys.stderr, flush=True)
+    os._exit(stopped_code())
+
+
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
     """SIGTERM and SIGHUP raise KeyboardInterrupt, so that a command removes what it has half written.
@@ -89,9 +97,11 @@ def interruptible() -> Iterator[None]:
         with contextlib.suppress(ValueError):  # outside the main thread signals cannot be handled
             if kind is not None and signal.getsignal(kind) is signal.SIG_DFL:
                 previous[kind] = signal.signal(kind, signal.default_int_handler)
+    outer, stop_requests.end = stop_requests.end, end
     try:
         yield
     finally:
+        stop_requests.end = outer
         for kind, handler in previous.items():
             signal.signal(kind, handler)
 

@@ -13,6 +13,7 @@ from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS
 from qnerf.cli.ends import OUTPUT_LOST, escape_unencodable, interruptible, output_lost, stoppable, stopped_code
 from qnerf.cli.errors import Parser, exit_code, report
+from qnerf.training.stop_requests import URGENT, heard
 
 FIRST_STEPS = """\
 first steps:
@@ -56,7 +57,7 @@ def main() -> None:
 def run() -> None:
     """`qnerf run` and `python -m src.run`: Hydra reads sys.argv."""
     escape_unencodable()
-    with stoppable():
+    with stoppable(), heard(URGENT, lambda: "stopped"):  # a library may have swallowed the KeyboardInterrupt
         try:
             from qnerf.cli.launch import run_command
 
@@ -82,5 +83,5 @@ def dispatch(command: str, arguments: list[str]) -> int:
             code = module.main(parser.parse_intermixed_args(arguments))
         return code
 
-    with interruptible():
+    with interruptible(), heard(URGENT, lambda: "stopped"):
         return exit_code(start)

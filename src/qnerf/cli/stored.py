@@ -26,6 +26,7 @@ CHANGEABLE = (
     "device",
     "run.progress",
     "run.preview_seconds",
+    "run.hours",
     "numerics.finite_checks",
 )
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""

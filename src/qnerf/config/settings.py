@@ -83,12 +83,12 @@ class Fit(Schedule):
 class Render:
     """Bounds of the rays, and the background behind them."""
 
-    near: Length = 0.05  # world units
-    far: Annotated[float, Interval(gt=0, le=1e9)] = 1000.0  # world units
+    near: Length | None = None  # world units; None: the scene's, or 0.05
+    far: Annotated[float, Interval(gt=0, le=1e9)] | None = None  # world units; None: the scene's, or 1000
     background: Background = "last_sample"
 
     def __post_init__(self) -> None:
-        if not self.near < self.far:
+        if self.near is not None and self.far is not None and not self.near < self.far:
             raise ValueError(f"render.near must be below render.far, got {self.near} and {self.far}")
 
 
@@ -145,6 +145,7 @@ class Run:
 
     force: bool = False
     progress: bool = True
+    hours: PositiveFactor = 24.0  # a training that is going to take longer is refused
     preview_seconds: Annotated[float, Interval(ge=0, le=1e9)] = 30.0  # between two preview pictures; 0: none
 
 

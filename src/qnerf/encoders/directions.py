@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeFactor
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.harmonics import harmonics
 
@@ -76,6 +77,9 @@ class Directions(nn.Module):
     def __init__(self, *, interval: Literal["signed", "unit"] = "signed") -> None:
         super().__init__()
         self.interval = interval
+
+    def __call__(self, directions: Tensor) -> Tensor:
+        return returned(self, super().__call__(directions), (*directions.shape[:-1], self.out_dim), directions)
 
     def inputs(self, directions: Tensor) -> Tensor:
         """The directions in the chosen interval."""

@@ -4,6 +4,7 @@ from torch import Tensor, nn
 
 from qnerf.config import bounds
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 
 
 class Encoder(nn.Module):
@@ -18,6 +19,9 @@ class Encoder(nn.Module):
         super().__init__()
         bounds.check("in_dim", in_dim, bounds.PositiveInt)
         self.in_dim = in_dim
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return returned(self, super().__call__(points), (*points.shape[:-1], self.out_dim), points)
 
     def forward(self, points: Tensor) -> Tensor:
         raise NotImplementedError

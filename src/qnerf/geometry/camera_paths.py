@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
+from qnerf.geometry.bounds import focus
 from qnerf.geometry.rays import rays_from
 from qnerf.scenes.base import Cameras
 from qnerf.scenes.normalise import rigid
@@ -85,19 +86,6 @@ def look_at(centre: ArrayLike, target: ArrayLike, up: ArrayLike) -> NDArray:
         right = np.cross(np.roll(up, 1), backward)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(backward, right), backward, centre], axis=1)
-
-
-def focus(poses: NDArray) -> NDArray | None:
-    """The point (3,) nearest to all optical axes; None unless most cameras see it near the middle of their picture."""
-    centres, axes = poses[:, :, 3], -poses[:, :, 2]
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(0)
-    if np.linalg.cond(total) > 1e3:  # they look the same way
-        return None
-    point = np.linalg.solve(total, (across @ centres[..., None])[..., 0].sum(0))
-    along = ((point - centres) * axes).sum(-1)
-    beside = np.linalg.norm((across @ (point - centres)[..., None])[..., 0], axis=-1)
-    return point if np.median(along - 2 * beside) > 0 else None
 
 
 def orbit(poses: NDArray, frames: int) -> NDArray:

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from qnerf.config import bounds
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 
 CONTRACTIONS: Registry["Contraction"] = Registry("contraction")
 Order = Literal["linf", "l2"]
@@ -60,6 +61,9 @@ class Contraction(nn.Module):
 
     bounded = False
     """Whether the unit cube is only a part of the world, so that some points fall outside it."""
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return returned(self, super().__call__(points), points.shape, points)
 
     def forward(self, points: Tensor) -> Tensor:
         raise NotImplementedError

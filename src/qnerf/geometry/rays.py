@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from qnerf.config import memory
+from qnerf.config.tensors import returned
+from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.jit import Call, prepared
@@ -116,7 +118,7 @@ class RayTable:
 
     Args:
         scene: training batches are drawn from its training views.
-        near, far: world units; if the scene has bounds too, the narrower ones hold.
+        near, far: see `bounds_of`.
         device: of rays and colours.
         dtype: of rays and colours.
         validation_stride: every `validation_stride`-th training pixel is held out for validation; 0: none.
@@ -129,25 +131,20 @@ class RayTable:
         self,
         scene: Scene,
         *,
-        near: float = 0.05,
-        far: float = 1000.0,
+        near: float | None = None,
+        far: float | None = None,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
         validation_stride: int = 0,
     ) -> None:
         cameras = scene.cameras
-        self.near = near if scene.near is None else max(near, scene.near)
-        self.far = far if scene.far is None else min(far, scene.far)
+        self.near, self.far = bounds_of(scene, near, far)
         self.validation_stride = validation_stride
         self.training = TrainingPixels(scene)
-        scene.require_training_pixels()
+        scene.require_pixels()
         if validation_stride > len(self.training):
             raise ValueError(
                 f"stop.share holds out one training pixel in {validation_stride}, which is none here; make it larger"
-            )
-        if not 0 <= self.near < self.far:
-            raise ValueError(
-                f"scene {scene.name}: near must be at least 0 and below far, got {self.near:g} and {self.far:g}"
             )
         self.device, self.dtype, self.cameras = torch.device(device), dtype, cameras
         self.poses = cameras.poses.to(self.device, dtype)
@@ -185,7 +182,7 @@ class RayTable:
             directions = self.directions[self.first_direction[lens] + pixels]
         poses = self.poses[views]
         if refinement is not None:
-            poses = refinement.poses(views, poses)
+            poses = returned(refinement, refinement.poses(views, poses), poses.shape, poses)
         return rays_from(directions, poses, views, self.near, self.far)
 
     def batch(

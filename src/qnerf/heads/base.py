@@ -6,6 +6,7 @@ from typing import Any
 from torch import Tensor, nn
 
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 
 MIN_BATCH = 2  # samples that a head must get in training: batch normalisation needs two
 
@@ -18,6 +19,12 @@ class Head(nn.Module):
     recipe = "mlp"
     """The built-in head whose rates, initial density and colour activation this head gets from a recipe (conf/train),
     unless the configuration names this head itself."""
+    out_dim: int = 0
+    """Set by `HEADS.build`; 0: not known."""
+
+    def __call__(self, features: Tensor) -> Tensor:
+        values = super().__call__(features)
+        return returned(self, values, (*features.shape[:-1], self.out_dim or "out_dim"), features)
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:
@@ -33,7 +40,14 @@ class Head(nn.Module):
         raise NotImplementedError
 
 
-HEADS: Registry[Head] = Registry("head")
+class _Heads(Registry[Head]):
+    def build(self, name: str, /, *wiring: Any, **options: Any) -> Head:
+        head = super().build(name, *wiring, **options)
+        head.out_dim = wiring[1]
+        return head
+
+
+HEADS = _Heads("head")
 
 
 def chosen(node: Mapping[str, Any]) -> type[Head]:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, Depth
+from qnerf.config.tensors import require_tensor
 from qnerf.heads.base import HEADS, Head
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.mlp import Layer, mlp
@@ -72,7 +73,11 @@ class MLPHead(Head):
         layers = self.as_layers()
         but = "not linear layers with biases and ReLU between them" if layers is None else None
         but = "autocast" if torch.is_autocast_enabled(features.device.type) else but
-        return layers if serves("MLP", features, modules=(self,), but=but) else None
+        if not serves("MLP", features, modules=(self,), but=but):
+            return None
+        assert layers is not None
+        require_tensor("the features of an MLP", features, ("N", layers[0].weight.shape[1]))
+        return layers
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""

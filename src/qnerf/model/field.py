@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
+from qnerf.config.tensors import returned
 from qnerf.encoders import Encoder, HashEncoder
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
@@ -155,9 +156,14 @@ class Field(nn.Module):
         if mask is None:
             expanded = of_rays[:, None, :].expand(-1, geometry.shape[1], -1)
             features = torch.cat([expanded, geometry], dim=-1)
-            return self.color_activation(self.color_head(features.flatten(0, 1))).view(*geometry.shape[:2], 3)
+            return self.activated_color(self.color_head(features.flatten(0, 1))).view(*geometry.shape[:2], 3)
         features, index = color_inputs(of_rays, geometry, mask)
-        return scatter(self.color_activation(self.color_head(features)), index, mask.shape)
+        return scatter(self.activated_color(self.color_head(features)), index, mask.shape)
+
+    def activated_color(self, raw: Tensor) -> Tensor:
+        """Raw colours (N, 3) -> colours (N, 3)."""
+        color: Tensor = returned(self.color_activation, self.color_activation(raw), (len(raw), 3), raw)
+        return color
 
     def forward(self, points: Tensor, directions: Tensor, cameras: Tensor) -> tuple[Tensor, Tensor]:
         """World points (R, K, 3), unit directions (R, 3), views (R,) -> density (R, K), colours (R, K, 3)."""

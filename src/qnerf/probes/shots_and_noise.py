@@ -1,6 +1,7 @@
 """A trained run rendered as on hardware: with finitely many shots, or with noisy gates."""
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -81,12 +82,13 @@ def grid(
 
 
 @torch.no_grad()
-def seconds_of_noise(evaluator: Evaluator, condition: Condition, patterns: int, views: int) -> float:
+def seconds_of(evaluator: Evaluator, condition: Condition, patterns: int, views: int) -> float:
     """About how long a condition takes, from rendering a few rays under it."""
     pixels = evaluator.table.view(evaluator.scene.eval[0])
     rays = pixels[:RAYS]
     begun = 0.0
-    with hardware_conditions.conditions(evaluator.model, noise=condition.device, patterns=patterns):
+    given = {"shots": condition.shots or None, "noise": condition.device, "patterns": patterns}
+    with hardware_conditions.conditions(evaluator.model, **given, seed=condition.seed):
         for _ in range(2):  # the first time compiles, and computes the polynomials of small light cones
             begun = time.perf_counter()
             evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
@@ -129,8 +131,12 @@ def evaluate_hardware(
     table = pd.DataFrame()
     for condition in conditions:
         count = len(scene.eval[: views or None])
-        if condition.device.gates and (seconds := seconds_of_noise(evaluator, condition, patterns, count)) > TELL:
-            tell(f"{_text(condition)}: about {seconds / 60:,.0f} minutes for {count} views; views= renders fewer")
+        drawn = condition.device.gates or condition.shots
+        if drawn and (seconds := seconds_of(evaluator, condition, patterns, count)) > TELL:
+            told = f"{_text(condition)}: about {seconds / 60:,.0f} minutes for {count} views; views= renders fewer"
+            if seconds > 3600 * trained.settings.run.hours:
+                raise ValueError(f"{told}, or run.hours={math.ceil(seconds / 1800)} goes on")
+            tell(told)
         rows = []
         with hardware_conditions.conditions(
             model, shots=condition.shots or None, noise=condition.device, seed=condition.seed, patterns=patterns

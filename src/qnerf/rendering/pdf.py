@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from qnerf.config.tensors import require_tensor
 from qnerf.kernels import histogram
 from qnerf.kernels.dispatch import serves
 
@@ -30,6 +31,7 @@ def sample_edges(s: Tensor, w: Tensor, count: int, *, padding: float = 0.01, jit
         (R, count) non-decreasing, within [s_0, s_J], detached.
     """
     s, w = s.detach(), w.detach()
+    require_tensor("sample_edges: s", s, (len(w), w.shape[-1] + 1))
     if serves("drawing edges", s, w):
         return histogram.draw(s, w, count, padding, jitter, MIN_TOTAL)
     return sample_edges_reference(s, w, count, padding=padding, jitter=jitter)

@@ -7,6 +7,7 @@ arXiv:2003.08934).
 import torch
 from torch import Tensor
 
+from qnerf.config.tensors import require_tensor
 from qnerf.kernels.derivatives import clamped
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.transmittance import VolumeWeights
@@ -31,6 +32,7 @@ def volume_weights(density: Tensor, delta: Tensor) -> Tensor:
     Returns:
         (R, K) in [0, 1].
     """
+    require_tensor("volume_weights: delta", delta, density.shape)
     if serves("volume weights", density, delta):
         weights: Tensor = VolumeWeights.apply(density, delta, volume_weights_reference)
         return weights

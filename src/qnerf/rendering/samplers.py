@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, NonNegativeFactor
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import returned
 from qnerf.geometry.contraction import Contraction
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.rendering.pdf import sample_edges
@@ -45,6 +47,15 @@ class Sampler(nn.Module):
         self.contraction = contraction
         self.mask: SpaceMask | None = None
         """Where density may be; None: everywhere."""
+
+    def __call__(self, rays: Rays, density: Density, **options: Any) -> SampledRays:
+        sampled: SampledRays = super().__call__(rays, density, **options)
+        for samples, weights in [(sampled.samples, None), *sampled.proposals]:
+            edges = returned(self, samples.edges, (len(rays), "K + 1"), rays.origins)
+            returned(self, samples.spacing, edges.shape, edges)
+            if weights is not None:
+                returned(self, weights, (len(rays), edges.shape[1] - 1), edges)
+        return sampled
 
     def forward(
         self, rays: Rays, density: Density, *, generator: torch.Generator | None = None, step: int = 0

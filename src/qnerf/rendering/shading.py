@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import require_tensor, returned
 from qnerf.heads.activations import DENSITY_ACTIVATIONS
 from qnerf.heads.base import MIN_BATCH
 from qnerf.kernels.dispatch import serves
@@ -39,6 +40,14 @@ class Shading(nn.Module):
     (R, K, G), and which samples were `evaluated` (R, K), None for all. It works the same way in training and
     evaluation, so a head's normalisation sees the same kind of inputs in both.
     """
+
+    def __call__(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
+        shaded: Shaded = super().__call__(shares, geometry, evaluated)
+        chosen = returned(self, shaded.shares, (len(shares), "M"), shares)
+        returned(self, shaded.geometry, (*chosen.shape, geometry.shape[-1]), geometry)
+        if shaded.mask is not None:
+            require_tensor(self, shaded.mask, chosen.shape, torch.bool)
+        return shaded
 
     def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
         raise NotImplementedError
@@ -159,7 +168,7 @@ def merge(shares: Tensor, geometry: Tensor, parts: int) -> tuple[Tensor, Tensor]
 
 def activated(raw: Tensor, inside: Tensor | None, activation: Callable[[Tensor], Tensor], initial: float) -> Tensor:
     """Raw density -> density per world unit: `initial` times the activation, 0 where not `inside`."""
-    density = activation(raw)
+    density = returned(activation, activation(raw), raw.shape, raw)
     density = density if initial == 1.0 else density * initial
     return density if inside is None else density.masked_fill(~inside, 0)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from qnerf.config.registry import Registry
+from qnerf.config.tensors import require_tensor
 
 MIN_VIEWS = 3
 
@@ -33,6 +34,16 @@ class Cameras:
     height: int  # of the highest view if sizes differ
     sizes: Tensor | None = None  # (V, 2) int64, width and height of each view; None: all have one size
     fisheye: Tensor | None = None  # (V,) bool: whether the lens is a fisheye; None: none is
+
+    def __post_init__(self) -> None:
+        """ValueError unless all values have the shapes above, and those of float64 are finite."""
+        shapes = {"poses": ("V", 3, 4), "distortion": (len(self), 4), "sizes": (len(self), 2)}
+        for name in ("poses", "fx", "fy", "cx", "cy", "distortion", "sizes", "fisheye"):
+            if (values := getattr(self, name)) is not None:
+                dtype = {"sizes": torch.int64, "fisheye": torch.bool}.get(name, torch.float64)
+                require_tensor(f"Cameras.{name}", values, shapes.get(name, (len(self),)), dtype)
+                if not bool(values.isfinite().all()):
+                    raise ValueError(f"Cameras.{name}: expected finite numbers, got NaN or infinity")
 
     def __len__(self) -> int:
         return self.poses.shape[0]
@@ -97,14 +108,32 @@ class Scene:
     masks: int = 0  # views that have a mask
     remarks: tuple[str, ...] = ()  # what the reader has to say: what it corrected, and what it did not read
 
+    def __post_init__(self) -> None:
+        """ValueError unless images, masks, depths, names and the split fit the cameras."""
+        of, views = self.cameras, len(self.cameras)
+        shape: tuple[int, ...] = (views, of.height, of.width) if of.sizes is None else (int(of.sizes.prod(1).sum()),)
+        label = f"scene {self.name}: "
+        require_tensor(f"{label}images", self.images, (*shape, 4 if self.has_alpha else 3), torch.uint8)
+        if self.mask is not None:
+            require_tensor(f"{label}mask", self.mask, shape, torch.bool)
+        if self.depth is not None:
+            require_tensor(f"{label}depth", self.depth, shape, torch.float32, torch.float64)
+        require_tensor(f"{label}transform", self.transform, (4, 4), torch.float64)
+        if len(self.names) != views:
+            raise ValueError(f"{label}expected a name for each of {views} views, got {len(self.names)}")
+        for use, chosen in (("train", self.train), ("eval", self.eval)):
+            if not set(chosen) <= set(range(views)):
+                raise ValueError(f"{label}{use}: expected indices of views, 0 to {views - 1}, got {str(chosen)[:100]}")
+
     def description(self) -> str:
         """One line: how many views of which size, how they are split, masks, and the reader's remarks.
 
-        "29 views of 36 x 64 pixels, 27 train, 2 held out, 0 masks; keys not read: aabb_scale"
+        "29 views of 36 x 64 pixels, 27 train, 2 held out, 29 masks (20.8% of the pixels)"
         """
         cameras = self.cameras
         upto = "" if cameras.sizes is None else "up to "
-        counts = f"{len(self.train)} train, {len(self.eval)} held out, {self.masks} masks"
+        share = "" if self.mask is None else f" ({1 - float(self.mask.double().mean()):.1%} of the pixels)"
+        counts = f"{len(self.train)} train, {len(self.eval)} held out, {self.masks} masks{share}"
         views = f"{len(cameras)} views of {upto}{cameras.width} x {cameras.height} pixels, {counts}"
         return "; ".join([views, *self.remarks])
 
@@ -124,10 +153,11 @@ class Scene:
         """(H, W) bool: the pixels of the view that are not masked; None: the scene has no masks."""
         return None if self.mask is None else self._of_view(self.mask, view)
 
-    def require_training_pixels(self) -> None:
-        """ValueError if the masks leave no pixel of any training view."""
-        if self.mask is not None and not any(bool(self._of_view(self.mask, view).any()) for view in self.train):
-            raise ValueError(f"scene {self.name}: the masks leave no pixel to train on")
+    def require_pixels(self) -> None:
+        """ValueError if the masks leave no pixel of any training view, or of any held-out view."""
+        for views, what in ((self.train, "train on"), (self.eval, "measure: all held-out views are masked")):
+            if self.mask is not None and not any(bool(self._of_view(self.mask, view).any()) for view in views):
+                raise ValueError(f"scene {self.name}: the masks leave no pixel to {what}")
 
     def _of_view(self, values: Tensor, view: int) -> Tensor:
         if self.cameras.sizes is None:

@@ -36,10 +36,11 @@ class ImageFile:
 
 @dataclass(frozen=True)
 class Mask:
-    """An image that says which pixels of another one count: not where it is black."""
+    """An image that says which pixels of another one count: not where it is black, or where it is transparent, if it is
+    so anywhere."""
 
     file: Path
-    inverted: bool = False  # not where it is other than black
+    inverted: bool = False  # the other way around
 
 
 def open_header(folder: Path, path: Path) -> ImageFile:
@@ -132,6 +133,7 @@ def read_masks(
     folder: Path,
     files: Sequence[ImageFile],
     masks: Sequence[Mask | None],
+    radii: Sequence[float | None],
     sizes: Sequence[tuple[int, int]],
     downscale: int,
 ) -> tuple[NDArray[np.bool_] | None, list[str | None]]:
@@ -139,32 +141,60 @@ def read_masks(
 
     A pixel counts if no pixel of the mask that it covers a part of says otherwise. A mask may be larger than its image.
 
+    Args:
+        radii: in pixels of the file; pixels farther from the middle of the image do not count, either.
+
     Raises:
         ValueError: a mask does not decode, or is no larger image of its image's shape.
     """
-    if not any(masks):
+    if not any(masks) and not any(radii):
         return None, [None] * len(files)
     parts: list[NDArray[np.bool_]] = []
     hashes: list[str | None] = []
-    for file, mask, (width, height) in zip(files, masks, sizes, strict=True):
-        if mask is None:
-            parts.append(np.ones(width * height, dtype=bool))
-            hashes.append(None)
-            continue
-        header = open_header(folder, mask.file)
-        ratio = header.width / file.width
-        if ratio < 1 or abs(header.height - ratio * file.height) >= ratio:
-            raise ValueError(
-                f"{folder}: mask {header.name!r} has {header.width} x {header.height} pixels; expected the "
-                f"{file.width} x {file.height} of its image {file.name!r}, or a larger mask of the same shape"
-            )
-        data, black = _decode(folder, header, lambda image: np.asarray(image.convert("L")) == 0)
-        excluded = (~black if mask.inverted else black).astype(np.float32)[..., None]
-        if downscale > 1:
-            excluded = area_means(excluded, file.width, file.height)[: height * downscale, : width * downscale]
-        parts.append(area_means(excluded, width, height).reshape(-1) == 0)
-        hashes.append(digest("inverted", data) if mask.inverted else digest(data))
+    for file, mask, radius, size in zip(files, masks, radii, sizes, strict=True):
+        counts, content = np.ones(size[0] * size[1], dtype=bool), None
+        if radius is not None:
+            y, x = np.ogrid[: file.height, : file.width]
+            outside = np.hypot(x + 0.5 - file.width / 2, y + 0.5 - file.height / 2) > radius
+            counts &= _counting(outside, file, size, downscale)
+        if mask is not None:
+            excluded, content = _excluded(folder, file, mask)
+            counts &= _counting(excluded, file, size, downscale)
+        parts.append(counts)
+        hashes.append(content)
     return _stacked(np.concatenate(parts), sizes), hashes
+
+
+def _excluded(folder: Path, file: ImageFile, mask: Mask) -> tuple[NDArray[np.bool_], str]:
+    """Which pixels of the mask say that they do not count, and the hash of the mask."""
+    header = open_header(folder, mask.file)
+    ratio = header.width / file.width
+    if ratio < 1 or abs(header.height - ratio * file.height) >= ratio:
+        raise ValueError(
+            f"{folder}: mask {header.name!r} has {header.width} x {header.height} pixels; expected the "
+            f"{file.width} x {file.height} of its image {file.name!r}, or a larger mask of the same shape"
+        )
+
+    def empty(image: Image.Image) -> NDArray[np.bool_]:
+        if header.alpha:
+            image = image.convert("RGBA")
+            transparent = np.asarray(image)[..., 3] == 0
+            if transparent.any():
+                return transparent
+        black: NDArray[np.bool_] = np.asarray(image.convert("L")) == 0
+        return black
+
+    data, left_out = _decode(folder, header, empty)
+    return (~left_out, digest("inverted", data)) if mask.inverted else (left_out, digest(data))
+
+
+def _counting(excluded: NDArray[np.bool_], file: ImageFile, size: tuple[int, int], downscale: int) -> NDArray[np.bool_]:
+    """Which pixels of the reduced image, row by row, cover no part of what is excluded."""
+    width, height = size
+    share = excluded.astype(np.float32)[..., None]
+    if downscale > 1:
+        share = area_means(share, file.width, file.height)[: height * downscale, : width * downscale]
+    return area_means(share, width, height).reshape(-1) == 0
 
 
 def _decode(folder: Path, file: ImageFile, pixels: Callable[[Image.Image], NDArray[Any]]) -> tuple[bytes, NDArray[Any]]:

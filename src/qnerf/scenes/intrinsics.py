@@ -21,7 +21,8 @@ FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
 CENTRE = ("cx", "cy")
 DISTORTION = ("k1", "k2", "p1", "p2")
 FISHEYE_DISTORTION = ("k1", "k2", "k3", "k4")
-LENS = ("camera_model", "is_fisheye", *SIZE, *FOCAL, *CENTRE, *DISTORTION, "k3", "k4", "k5", "k6")
+CROP = "fisheye_crop_radius"  # nerfstudio's: pixels farther from the middle of the image do not count
+LENS = ("camera_model", "is_fisheye", *SIZE, *FOCAL, *CENTRE, *DISTORTION, "k3", "k4", "k5", "k6", CROP)
 """Keys of a frame, or of a whole transforms file, that decide its intrinsics."""
 FIELD_OF_VIEW = (2.0, 170.0)  # degrees, along the longer side of the image
 USUAL = (10.0, 150.0)  # degrees: a unit that gives such a field of view is the likely one
@@ -60,8 +61,8 @@ def stated_intrinsics(lens: Mapping[str, Any], label: str) -> dict[str, float]:
     if said not in (None, False, True):
         raise ValueError(f"{label}: is_fisheye must be true or false, got {_short(said)}")
     fisheye = model in FISHEYE or bool(said)
-    names, others = (FISHEYE_DISTORTION, DISTORTION[2:]) if fisheye else (DISTORTION, ("k3", "k4", "k5", "k6"))
-    for key, value in stated_numbers(lens, others, label).items():
+    names, unknown = (FISHEYE_DISTORTION, DISTORTION[2:]) if fisheye else (DISTORTION, ("k3", "k4", "k5", "k6"))
+    for key, value in stated_numbers(lens, unknown, label).items():
         if value:
             what = "of a fisheye " if fisheye else ""
             raise ValueError(
@@ -76,7 +77,10 @@ def stated_intrinsics(lens: Mapping[str, Any], label: str) -> dict[str, float]:
     if fisheye and not focal.keys() & {"fl_x", "fl_y"}:
         raise ValueError(f"{label}: a fisheye's focal length must be fl_x, in pixels")
     distortion = {key: value for key, value in stated_numbers(lens, names, label).items() if value}
-    return ({"fisheye": 1.0} if fisheye else {}) | focal | stated_numbers(lens, (*SIZE, *CENTRE), label) | distortion
+    others = stated_numbers(lens, (*SIZE, *CENTRE, CROP), label)
+    if others.get(CROP, 1) <= 0:
+        raise ValueError(f"{label}: {CROP} must be above 0 pixels, got {others[CROP]:g}")
+    return ({"fisheye": 1.0} if fisheye else {}) | focal | others | distortion
 
 
 def focal_lengths(stated: Mapping[str, float], width: int, height: int) -> dict[str, float]:

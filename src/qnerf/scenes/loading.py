@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from qnerf.scenes.base import MIN_VIEWS, Cameras, Scene, digest, split_views
 from qnerf.scenes.folders import SMALLER, SceneFolder, photographs
 from qnerf.scenes.images import ImageFile, Mask, open_header, read_images, read_masks, reduced_sizes
-from qnerf.scenes.intrinsics import check_lenses, intrinsics, stated_intrinsics
-from qnerf.scenes.normalise import normalise, rigid
+from qnerf.scenes.intrinsics import CROP, FOCAL, check_lenses, intrinsics, stated_intrinsics
+from qnerf.scenes.normalise import far_out, normalise, rigid
 
 FINGERPRINT = "2"  # raise it whenever `fingerprint` hashes something else
 MASKS = "masks"  # folder with a mask for each image, where no other mask is named
@@ -76,7 +76,11 @@ def load_scene(
     sizes = reduced_sizes(f"scene={name}", files, downscale, width)
     lenses, table, fisheye = read_lenses(capture.source, views, files)
     images, hashes = read_images(folder, files, sizes, downscale)
-    mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], sizes, downscale)
+    radii = [
+        lens[CROP] * file.width / (lens.get("w") or file.width) if CROP in lens else None
+        for lens, file in zip(lenses, files, strict=True)
+    ]
+    mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], radii, sizes, downscale)
     contents = [
         {"frame": index, "image": file.name, "content": content, "lens": lens} | ({"mask": black} if black else {})
         for index, file, content, lens, black in zip(used, files, hashes, lenses, mask_hashes, strict=True)
@@ -98,7 +102,13 @@ def load_scene(
         far=far,
         mask=None if mask is None else torch.from_numpy(mask),
         masks=sum(image.mask is not None for image in views),
-        remarks=(*capture.remarks, *scaled(scales), *unread(capture, posed, views)),
+        remarks=(
+            *capture.remarks,
+            *scaled(scales),
+            *outlying(posed),
+            *upright(lenses, files),
+            *unread(capture, posed, views),
+        ),
     )
 
 
@@ -115,14 +125,14 @@ def existing(capture: Capture, skip_missing: bool, eval_every: int | None) -> li
     enough = len(found) >= MIN_VIEWS
     if enough and (skip_missing or not missing):
         return found
+    place = folder.path / posixpath.dirname((missing or [image.name for image in images])[0].replace("\\", "/"))
+    others = [path for path in photographs(place) if path not in {image.file for image in found}]
+    there = f"; {place} has {len(others)} other images, such as {others[0].name!r}" if others else ""
     if not missing:
-        raise ValueError(f"{folder.path}: expected at least {MIN_VIEWS} images, got {len(found)}")
+        raise ValueError(f"{folder.path}: expected poses of at least {MIN_VIEWS} images, got {len(found)}{there}")
     told = f"{folder.path}: {len(missing)} of {len(images)} images are missing, the first is {missing[0]!r}"
     if enough and all(split_of(found, eval_every)):
         raise ValueError(f"{told}; scene.skip_missing=true goes on with the other {len(found)}")
-    place = folder.path / posixpath.dirname(missing[0].replace("\\", "/"))
-    others = [path for path in photographs(place) if path not in {image.file for image in found}]
-    there = f"; {place} has {len(others)} other images, such as {others[0].name!r}" if others else ""
     needed = f"at least {MIN_VIEWS}, to train on and to hold out,"
     raise ValueError(f"{told}; {needed} are needed{there}")
 
@@ -212,6 +222,23 @@ def scaled(scales: NDArray) -> Iterator[str]:
     low, high = f"{scales.min():.4g}", f"{scales.max():.4g}"
     if max(abs(scales - 1)) > 1e-3:
         yield f"rotations times {low if low == high else f'{low} to {high}'} were divided by it"
+
+
+def outlying(images: Sequence[PosedImage]) -> Iterator[str]:
+    """A remark on views that stand so far from all others that they do not decide the scale."""
+    out = far_out(np.array([image.matrix[:3, 3] for image in images]))
+    names = [f"{image.name} {times:,.0f} times" for image, times in zip(images, out, strict=True) if times]
+    if names:
+        far = f"farther out than all others: {shortened(names)}; the scale is that of the others"
+        yield f"{far}; if such a pose is wrong, take it out of the file of poses"
+
+
+def upright(lenses: Sequence[Mapping[str, float]], files: Sequence[ImageFile]) -> Iterator[str]:
+    """A remark on upright images whose only focal length is an angle across their shorter side."""
+    alone = [lens.keys() & set(FOCAL) == {"camera_angle_x"} for lens in lenses]
+    if any(only and file.height > file.width for only, file in zip(alone, files, strict=True)):
+        told = "camera_angle_x (or x_fov) is taken across the width, the shorter side"
+        yield f"{told}; if it is that of the longer side, as Blender's, call it camera_angle_y (or y_fov)"
 
 
 def unread(capture: Capture, posed: Sequence[PosedImage], views: Sequence[PosedImage]) -> Iterator[str]:

@@ -1,10 +1,11 @@
-"""World frames: from the source's to the normalised one, with +z up and all cameras within [-1, 1]^3."""
+"""World frames: from the source's to the normalised one, with +z up and the cameras within [-1, 1]^3."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 MAX_RIGID_ERROR = 1e-3  # largest entry of |R^T R - I| that is taken as rounding
 MAX_ENTRY = 1e12  # largest absolute entry of a pose
+FAR_OUT = 20.0  # times as far from the middle as the farthest other view: such a view does not decide the scale
 
 
 def rigid(pose: NDArray, label: str) -> tuple[NDArray, float]:
@@ -53,27 +54,42 @@ def rotation_between(a: NDArray, b: NDArray) -> NDArray:
     return np.eye(3) + k + k @ k / (1 + cosine)
 
 
+def far_out(centres: NDArray) -> NDArray[np.float64]:
+    """Of camera centres (V, 3), how many times as far from their middle they are as the others: (V,), 0 for most.
+
+    >>> far_out(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0], [202, 0, 0]])).round().tolist()
+    [0.0, 0.0, 0.0, 0.0, 0.0, 80.0]
+    """
+    away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    ordered = np.sort(away)
+    for rank in range(len(away) - (len(away) - 1) // 4, len(away)):  # at most one view in four
+        if 0 < FAR_OUT * ordered[rank - 1] < ordered[rank]:
+            return np.where(away >= ordered[rank], away / ordered[rank - 1], 0.0)
+    return np.zeros(len(away))
+
+
 def normalise(poses: NDArray, *, orient: bool = True, centre: bool = True) -> tuple[NDArray, NDArray]:
-    """Orients, centres and scales camera-to-world poses (V, 3, 4).
+    """Orients, centres and scales camera-to-world poses (V, 3, 4). Views that are `far_out` decide nothing of that.
 
     Args:
         orient: turn the mean of the cameras' up vectors to +z.
         centre: move the mean of the camera centres to the origin.
 
     Returns:
-        The poses (V, 3, 4), whose centres have a largest absolute coordinate of 1, and the similarity (4, 4) that was
+        The poses (V, 3, 4), the largest absolute coordinate of whose centres is 1, and the similarity (4, 4) that was
         applied to the world.
 
     Raises:
         ValueError: all cameras stand at one point, so there is no scale.
     """
-    origin = poses[:, :, 3].mean(axis=0) if centre else np.zeros(3)
-    up = poses[:, :, 1].mean(axis=0)
+    deciding = poses[far_out(poses[:, :, 3]) == 0]
+    origin = deciding[:, :, 3].mean(axis=0) if centre else np.zeros(3)
+    up = deciding[:, :, 1].mean(axis=0)
     turn = rotation_between(up, np.array([0.0, 0, 1])) if orient and np.linalg.norm(up) > 1e-6 else np.eye(3)
     centres = (poses[:, :, 3] - origin) @ turn.T
-    size = float(np.abs(centres).max())
-    extent = float(np.ptp(poses[:, :, 3], axis=0).max())
-    if extent <= 1e-9 * max(float(np.abs(poses[:, :, 3]).max()), 1e-30) or not size > 0:
+    size = float(np.abs((deciding[:, :, 3] - origin) @ turn.T).max())
+    extent = float(np.ptp(deciding[:, :, 3], axis=0).max())
+    if extent <= 1e-9 * max(float(np.abs(deciding[:, :, 3]).max()), 1e-30) or not size > 0:
         raise ValueError("all cameras stand at the same point: a radiance field needs views from different places")
     scale = 1 / size
     similarity = np.eye(4)

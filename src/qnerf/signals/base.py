@@ -3,9 +3,13 @@
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import torch
 from torch import Tensor
 
+from qnerf.config.tensors import require_tensor
 from qnerf.scenes import SCENES
+
+FLOATS = (torch.float64, torch.float32)
 
 
 class Fitted(Protocol):
@@ -37,6 +41,19 @@ class Signal:
     @property
     def names(self) -> list[str]:
         return [self.name]
+
+    def check(self) -> None:
+        """ValueError unless points and targets have the shapes above, are finite, and the points lie in the cube."""
+        name = type(self).__name__
+        require_tensor(f"{name}.points", self.points, ("N", "D"), *FLOATS)
+        require_tensor(f"{name}.targets", self.targets, (len(self.points), "C"), *FLOATS)
+        for what, values in (("points", self.points), ("targets", self.targets)):
+            finite = int(values.isfinite().sum())
+            if finite < max(1, values.numel()):
+                raise ValueError(f"{name}.{what}: expected finite numbers, got {finite} of {values.numel()}")
+        if not bool(((self.points >= 0) & (self.points <= 1)).all()):
+            low, high = self.points.min(), self.points.max()
+            raise ValueError(f"{name}.points: expected coordinates in [0, 1], got {low:.4g} to {high:.4g}")
 
     def description(self) -> str:
         """One line: how much there is to train on."""

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.config.settings import SignalSettings
+from qnerf.config.tensors import returned
 from qnerf.encoders import ENCODERS, Encoder
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS
@@ -28,7 +29,9 @@ class SignalModel(nn.Module):
         return {"encoder": list(self.encoder.parameters()), "head": list(self.head.parameters())}
 
     def forward(self, points: Tensor) -> Tensor:
-        return self.activation(self.head(self.encoder(points)))
+        raw = self.head(self.encoder(points))
+        values: Tensor = returned(self.activation, self.activation(raw), raw.shape, raw)
+        return values
 
 
 def build_signal_model(settings: SignalSettings, signal: Signal) -> SignalModel:

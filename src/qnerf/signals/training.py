@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from qnerf.config.settings import Fit, SignalSettings
+from qnerf.config.tensors import require_tensor
 from qnerf.metrics import quality_metrics
 from qnerf.signals.base import Signal
 from qnerf.signals.model import SignalModel
@@ -26,7 +27,7 @@ class SignalTrainer(Loop):
     train: Fit
 
     def __init__(self, model: SignalModel, signal: Signal, settings: SignalSettings, watch: Stopwatch) -> None:
-        self.points_a_step = min(settings.train.points, len(signal.points))
+        self.points_a_step = self.rays_a_step = min(settings.train.points, len(signal.points))
         super().__init__(model, settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))
         self.signal = signal
         self.points, self.targets = (
@@ -81,6 +82,12 @@ class SignalEvaluator:
         self.model.eval()
         self.watch.begin(measure=False)
         measured, panels = self.scene.evaluate(self)
+        if not panels:
+            raise ValueError(
+                f"{type(self.scene).__name__}: `evaluate` returned no panels; expected one or more (H, W, 3)"
+            )
+        for panel in panels:
+            require_tensor(f"{type(self.scene).__name__}: a panel", panel, (panels[0].shape[0], "W", 3))
         declared = [metric.key for metric in quality_metrics()]
         for key in (*measured, self.scene.headline):
             if key not in measured or key not in declared:

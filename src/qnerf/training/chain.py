@@ -267,7 +267,7 @@ class Colors:
                 self.raw_colors = field.color_head(self.inputs)
             else:
                 self.raw_colors = self.mlp_pass.forward(count).requires_grad_()
-            self.values = field.color_activation(self.raw_colors)
+            self.values = field.activated_color(self.raw_colors)
 
     def losses(self, generator: torch.Generator, learns: bool, logs: bool) -> dict[str, Tensor]:
         """The terms, and their gradients by colours, shares and weights, and by the weights of the proposals."""

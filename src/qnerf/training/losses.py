@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from qnerf.config.tensors import require_tensor
 from qnerf.kernels import histogram
 from qnerf.kernels.dispatch import serves
 from qnerf.types import Samples
@@ -37,6 +38,8 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
     total = weights.new_zeros(())
     for proposal, proposed in proposals:
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
+        for edges, values in ((arguments[0], weights), (arguments[2], proposed)):
+            require_tensor("interlevel: edges", edges, (len(weights), values.shape[-1] + 1))
         if serves("interlevel loss", proposed, *arguments):
             term: Tensor = histogram.Regulariser.apply(histogram.interlevel, interlevel_reference, proposed, *arguments)
         else:
@@ -81,7 +84,7 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     >>> [round(float(distortion(Samples(edges, edges), torch.tensor([w]))), 4) for w in ([1.0, 0.0], [0.5, 0.5])]
     [0.1667, 0.3333]
     """
-    s = samples.spacing.detach()
+    s = require_tensor("distortion: edges", samples.spacing.detach(), (len(weights), weights.shape[-1] + 1))
     if serves("distortion loss", weights, s):
         total = histogram.Regulariser.apply(histogram.distortion, distortion_reference, weights, s)
         return total / weights.shape[0]

@@ -2,13 +2,14 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
+from qnerf.config.tensors import require_tensor
 from qnerf.geometry.rays import RayTable
 from qnerf.kernels.dispatch import is_plain
 from qnerf.kernels.jit import one_torch_thread
@@ -68,14 +69,17 @@ class Loop:
 
     train: Schedule
     points_a_step: int
-    """Points at which a step evaluates the model, known before `__init__`."""
+    """Points at which a step evaluates the model, known before `__init__`; so are the rays, or points, of a batch."""
+    rays_a_step: int
 
     def __init__(self, model: Any, settings: Settings | SignalSettings, watch: Stopwatch, plateau: Plateau) -> None:
         self.model = model
         self.train = settings.train
         self.watch = watch
         self.step_seconds: list[float] = []
+        self.untaught: list[str] = []  # parts of the model whose parameters got no gradient in the first step
         self.seconds = 0.0  # of training so far, over all resumptions
+        self.saved = 0  # the step of the last checkpoint; a run without one has lost nothing before its first step
         self.plateau = plateau
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
@@ -123,6 +127,8 @@ class Loop:
             with self.watch.stage("sampling"):
                 self.prepare_step()
             terms = self.terms(self.streams, self.step)
+            for name, term in terms.items():
+                require_tensor(f"the loss term {name!r}", term, ())
             with self.watch.stage("render"):
                 loss = torch.stack(list(terms.values())).sum()
                 value = float(loss.detach())
@@ -131,6 +137,8 @@ class Loop:
             with self.watch.stage("backward"):
                 forget_gradients(self.optimiser)
                 self.backward(loss)
+            if not self.step_seconds:
+                self.untaught = [name for name, parts in self.model.parts.items() if parts and not _learns(parts)]
         with self.watch.stage("optimiser"):
             apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
@@ -200,6 +208,7 @@ class Loop:
         except ValueError as error:
             raise ValueError(f"the checkpoint does not fit this run's model: {error}") from error
         self._set_step(state["step"])
+        self.saved = self.step
         self.model.load_state_dict(state["model"])
         # Copies, because tensors of a foreign file may share their memory. The options of the groups are this run's.
         kept = {
@@ -249,11 +258,19 @@ class Loop:
 
     def save(self, checkpoints: Checkpoints) -> None:
         """Writes a checkpoint. Diverged if a parameter, a buffer or a value of the optimiser is not finite."""
+        if self.step and self.saved == self.step:
+            return
         state = self.state()
         for kind in ("model", "optimiser"):
             if name := first_non_finite(kind, state[kind]):
                 raise Diverged(f"{name} is not finite after step {self.step - 1}; {ADVICE}")
         checkpoints.save_checkpoint(state)
+        self.saved = self.step
+
+
+def _learns(parameters: Iterable[nn.Parameter]) -> bool:
+    """Whether any of the parameters has a gradient other than 0."""
+    return any(one.grad is not None and bool((one.grad != 0).any()) for one in parameters)
 
 
 class Trainer(Loop):
@@ -271,7 +288,8 @@ class Trainer(Loop):
 
     def __init__(self, model: Model, table: RayTable, settings: Settings, watch: Stopwatch) -> None:
         stop = settings.stop
-        self.points_a_step = settings.train.rays * model.sampler.rendered_samples
+        self.rays_a_step = settings.train.rays
+        self.points_a_step = self.rays_a_step * model.sampler.rendered_samples
         super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
         self.table = table
         self.background = settings.render.background

@@ -57,7 +57,8 @@ def colmap(
         path: the folder.
         images: folder of the photographs inside `path`, such as images_4. Where it lacks one, `path` itself, images_2,
             images_4 and images_8 are searched. Smaller images than the model's are fine, and another suffix.
-        model: folder of the model inside `path`; None: sparse/0, sparse, colmap/sparse/0, or `path` itself.
+        model: folder of the model inside `path`; None: sparse/0, sparse, colmap/sparse/0, or `path` itself. The largest
+            is read of sparse/0, sparse/1 and so on.
         downscale: integer factor by which images are reduced, with an area filter.
         width: that of images which are wider, in pixels; the area filter reduces them to it.
         eval_every: every so many views one is held out, the first view among them; None: 10 % of the views.
@@ -67,14 +68,14 @@ def colmap(
         ValueError: one line that names the mistake and the file or photograph.
     """
     folder = SceneFolder(path)
-    place = find_model(folder.path) if model is None else folder.path / model
+    place, others = find_model(folder.path) if model is None else (folder.path / model, [])
     if place is None or model_ending(place) is None:
         where = f"no COLMAP model{contents(folder.path, FORMATS['colmap'])}" if model is None else f"none in {model}"
         raise ValueError(f"scene.path={str(path)!r} has {where}; expected cameras.bin and images.bin, or .txt")
     content = read_model(place)
     posed = sorted((posed_image(folder, images, frame) for frame in content["frames"]), key=lambda image: image.name)
     top = place.relative_to(folder.path).parts[:1] or tuple(file.name for file in place.glob("*.*"))
-    capture = Capture("colmap", folder, place, posed, remarks=content["remarks"], read=top)
+    capture = Capture("colmap", folder, place, posed, remarks=[*others, *content["remarks"]], read=top)
     return load_scene(capture, downscale, width, skip_missing=skip_missing, eval_every=eval_every)
 
 
@@ -99,9 +100,31 @@ def model_ending(place: Path) -> str | None:
     return None
 
 
-def find_model(folder: Path) -> Path | None:
-    """The folder of a COLMAP model, binary or text, inside a scene's folder."""
-    return next((folder / place for place in PLACES if model_ending(folder / place)), None)
+def find_model(folder: Path) -> tuple[Path | None, list[str]]:
+    """The folder of a COLMAP model, binary or text, inside a scene's folder, and a remark if it was chosen.
+
+    COLMAP's mapper leaves sparse/0, sparse/1 and so on where it could not join all photographs. The model that poses
+    most of them is taken.
+    """
+    for place in PLACES:
+        numbered = sorted((folder / place).parent.glob("[0-9]*")) if place.endswith("0") else [folder / place]
+        models = [one for one in numbered if model_ending(one)]
+        if len(models) > 1:
+            posed = {one.relative_to(folder).as_posix(): posed_count(one) for one in models}
+            largest = max(posed, key=lambda name: posed[name])
+            told = ", ".join(f"{name} poses {count}" for name, count in posed.items())
+            return folder / largest, [f"of several models the largest is read: {told}"]
+        if models:
+            return models[0], []
+    return None, []
+
+
+def posed_count(place: Path) -> int:
+    """How many images a COLMAP model poses; 0 if it cannot be read."""
+    try:
+        return len(read_model(place)["frames"])
+    except ValueError:
+        return 0
 
 
 def read_model(place: Path) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def with_lenses(
     folder: SceneFolder, images: Sequence[PosedImage]
 ) -> tuple[Sequence[PosedImage], list[str], tuple[str, ...]]:
     """The images with the lenses of the COLMAP model in the folder; a remark; and what was read."""
-    place = find_model(folder.path)
+    place, _ = find_model(folder.path)
     if place is None:
         return images, [], ()
     name = place.relative_to(folder.path).as_posix()

@@ -1,0 +1,31 @@
+"""How long a training is going to take: before its first step from the cost model of circuits, then from a step."""
+
+import math
+
+from torch import nn
+
+from qnerf.kernels.jit import loop_threads
+from qnerf.quantum import QuantumLayer
+
+FASTEST = 1e10  # multiply-adds of a circuit in a second of one thread: 1e9 to 2e10; so advice allows ten times the time
+FORWARD = 0.4  # of a step's time, its forward pass, which is all that a ray of an evaluation takes
+WORTH_A_LINE = 600.0  # seconds of a training, from which on its time is said
+
+
+def seconds_of_circuits(model: nn.Module, points: int) -> float:
+    """About how long the circuits of a model take at best in a step that evaluates them at `points` points."""
+    costs = [module.cost(points) for module in model.modules() if isinstance(module, QuantumLayer)]
+    operations = sum(cost.operations * points + cost.operations_once for cost in costs)
+    return operations / (FASTEST * loop_threads())
+
+
+def foretold(basis: str, step: float, whole: float, hours: float) -> str | None:
+    """A line with the seconds of a step and of the whole, after `basis`; None where the whole is short.
+
+    Raises:
+        ValueError: the whole takes more than `hours`, which is `run.hours`.
+    """
+    told = f"{basis}a step takes about {step:,.2f} s, the whole {whole / 3600:,.1f} hours"
+    if whole > 3600 * hours:
+        raise ValueError(f"{told}, more than run.hours={hours:g}; run.hours={math.ceil(whole / 360)} goes on")
+    return told if whole > WORTH_A_LINE else None
