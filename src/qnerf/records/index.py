@@ -22,10 +22,7 @@ from pandas.api.types import infer_dtype
 from qnerf.records import annotations, read
 from qnerf.records.files import StoreError, read_json, replace
 from qnerf.records.location import existing_store
-from qnerf.records.schemas import known_kind
-
-RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
-"""Columns that do not come from the summary, even if it has values with these names."""
+from qnerf.records.schemas import RUN_COLUMNS, known_kind
 
 INDEX = Path(".index", "runs.json")  # below a store
 

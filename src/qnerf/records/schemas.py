@@ -29,6 +29,12 @@ _RESULTS = {
     **dict.fromkeys(("step", "steps", "eval_views"), "int"),
 }
 _PREFIXES = {"params.": "int", "time.": "float"}
+RESULT_GROUPS = ("params", "time", "cost")
+"""First parts of the dotted names of results; a dotted name that begins otherwise is an option."""
+LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
+"""Columns that name a run's choices; a label that does not act in a run is absent."""
+RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
+"""Columns of the table of all runs that do not come from the summary, even if it has values with these names."""
 _HEAD_NUMBERS = ("mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NUMBERS = ("seed", "train.steps", *(f"{head}.{name}" for head in ("density", "color") for name in _HEAD_NUMBERS))
 """Options that tables and figures compute with."""
@@ -53,6 +59,22 @@ def result_kind(name: str) -> str | None:
 def known_kind(name: str) -> str | None:
     """The kind of a summary's column that tables and figures compute with; None for any other column."""
     return "int" if name in NUMBERS else result_kind(name)
+
+
+def check_result(name: str, config: Mapping[str, Any]) -> None:
+    """ValueError if a result has the name of an option of the run, or of a column that says which run it is."""
+    group, dot, _ = name.partition(".")
+    if name in ("seed", "scene", "scene_name", *LABELS, *RUN_COLUMNS) or name in flatten(config):
+        raise ValueError(
+            f"{name}: is the name of an option or of the run's own column; expected another for the result"
+        )
+    if dot and group not in RESULT_GROUPS:
+        raise ValueError(f"{name}: dots are for options; expected a result such as {name.replace('.', '/')}")
+
+
+def is_option(name: str) -> bool:
+    """Whether a column with a dotted name is an option of a run, not a result."""
+    return "." in name and " @ " not in name and name.partition(".")[0] not in RESULT_GROUPS
 
 
 def evaluation(rows: Iterable[Mapping[str, Any]], step: int) -> pa.Table:
