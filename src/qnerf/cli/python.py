@@ -187,7 +187,7 @@ def load(run: str, *overrides: str, store: str | Path = "runs") -> StoredRun:
     Raises:
         ValueError: no run or more than one, with the nearest ids.
     """
-    return StoredRun(find(run, store), overrides)
+    return StoredRun(find(run, store).absolute(), overrides)
 
 
 def runs(conditions: str = "", store: str | Path = "runs") -> pd.DataFrame:
@@ -219,7 +219,7 @@ def _train(config: dict[str, Any], overrides: Sequence[str], usual: Any = None, 
     outcome = train(config, overrides, kind(console, progress, usual))
     print_outcome(console, outcome, brief=brief or notebook)
     same = tuple(override for override in overrides if override.lstrip("+").startswith("plugins="))
-    return StoredRun(outcome.path, same)
+    return StoredRun(outcome.path.absolute(), same)
 
 
 def _in_notebook() -> bool:

@@ -19,6 +19,7 @@ from typing import Any
 import pandas as pd
 from pandas.api.types import infer_dtype
 
+from qnerf.config.identity import is_unicode
 from qnerf.records import annotations, read
 from qnerf.records.files import StoreError, read_json, replace
 from qnerf.records.location import existing_store
@@ -105,8 +106,10 @@ def _row(folder: Path) -> Row | None:
     with contextlib.suppress(StoreError):
         annotated = annotations.read(folder)
     stored = status.get("state")
+    name = folder.name.encode(errors="backslashreplace").decode()
+    damage = damage if is_unicode(folder.name) else f"{name}: expected a folder whose name is UTF-8; rename it"
     own = {
-        "run_id": folder.name,
+        "run_id": name,
         "state": "damaged" if damage else stored if stored in ("running", *read.ENDED) else "interrupted",
         "error": damage or status.get("error") or summary.get("error"),
         "path": None,  # the store may be moved

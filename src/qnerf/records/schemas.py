@@ -47,6 +47,13 @@ TABLES = {
 """Table of a run, such as eval.parquet -> the columns that its readers need, and the kind of their values."""
 
 
+PROBES = (
+    "eval_hardware", "spectrum", "encoding", "rays", "units", "cost", "expressibility", "entangling", "fisher",
+    "kernel", "surrogate",
+)  # fmt: skip
+"""Tables that `qnerf probe` leaves in a run's folder."""
+
+
 def result_kind(name: str) -> str | None:
     """The declared kind of a result; None: text and booleans keep theirs, any other number is a float."""
     if name in METRICS:
