@@ -11,6 +11,7 @@ The folder works for jobs on any machine that shares the store:
 """
 
 import copy
+import itertools
 import json
 import os
 import signal
@@ -100,14 +101,18 @@ class Grid(BasicSweeper):
 
     def sweep(self, arguments: list[str]) -> Any:
         parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
-        parsed = parser.parse_overrides([*self._parse_config(), *arguments])
-        count = check_count(parsed)
+        jobs = combinations(parser.parse_overrides([*self._parse_config(), *arguments]))
         composer = Composer(self.hydra_context.config_loader, self.config)
-        announce(self.split_arguments(parsed, None)[0], composer.configuration)
+        announce(jobs, composer.configuration)
         returned = super().sweep(arguments)
         if "submitit" not in self.config.hydra.runtime.choices["hydra/launcher"]:
-            self._go_back(Sweep(self.config.hydra.sweep.dir), count)
+            self._go_back(Sweep(self.config.hydra.sweep.dir), len(jobs))
         return returned
+
+    @staticmethod
+    def split_arguments(overrides: list[Override], max_batch_size: int | None) -> list[list[list[str]]]:
+        """All jobs as one batch. Hydra's own drops the first of two mappings."""
+        return [combinations(overrides)]
 
     def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
         """Nothing: `announce` has composed the jobs."""
@@ -131,6 +136,31 @@ class Grid(BasicSweeper):
                     print(f"waiting for runs that other processes train: {names}", flush=True)
                 told = True
                 time.sleep(RETRY)
+
+
+def effective(parsed: Sequence[Override]) -> list[Override]:
+    """Without what a later override of the same option replaces, as in a single run; a mapping replaces nothing."""
+    keys = [override.get_key_element() for override in parsed]
+    last = {key: number for number, key in enumerate(keys) if not _is_mapping(parsed[number])}
+    return [override for number, override in enumerate(parsed) if number >= last.get(keys[number], 0)]
+
+
+def texts_of(override: Override) -> list[str]:
+    """`OPTION=VALUE` of each value."""
+    swept = override.is_sweep_override()
+    values = override.sweep_string_iterator() if swept else [override.get_value_element_as_str()]
+    return [f"{override.get_key_element()}={value}" for value in values]
+
+
+def _is_mapping(override: Override) -> bool:
+    return isinstance(override.value(), dict) or (override.is_choice_sweep() and "{" in override.input_line)
+
+
+def combinations(parsed: Sequence[Override]) -> list[list[str]]:
+    """The overrides of each job of a sweep; ValueError as `check_count`."""
+    acting = effective(parsed)
+    check_count(acting)
+    return [list(job) for job in itertools.product(*map(texts_of, acting))]
 
 
 def check_count(parsed: Sequence[Override]) -> int:
