@@ -14,6 +14,7 @@ from hydra.core.utils import JobRuntime
 
 from qnerf import experiment
 from qnerf.cli.compose import arguments_for_hydra, configuration, expand_sweep, parse
+from qnerf.cli.errors import one_line
 from qnerf.cli.sweep import combinations
 from qnerf.config.folders import SWEEPS
 
@@ -103,6 +104,16 @@ def test_sweeps_are_files_that_hydra_finds(tmp_path):
         expected = ["-cd", str(file.parent), "-cn", file.stem, "budget=short"]
         assert expand_sweep(["--sweep", name, "budget=short"]) == expected
         assert expand_sweep([f"--sweep={name}", "budget=short"]) == expected
+
+
+@pytest.mark.parametrize("text", ["", "seed: 1", "defaults: []", "- 1", "a: [", "defaults:\n  - nothing"])
+def test_a_file_that_is_no_sweep_is_one_line(tmp_path, text):
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"^--sweep .*mine\.yaml: (expected `defaults|cannot be read)") as caught:
+        expand_sweep(["--sweep", str(tmp_path / "mine.yaml")])
+    assert "\n" not in one_line(caught.value)
+    for file in SWEEPS.glob("*.yaml"):
+        assert expand_sweep([f"--sweep={file.stem}"])
 
 
 def test_a_bug_and_errors_that_are_wanted_in_full_keep_their_traceback(qnerf, monkeypatch):

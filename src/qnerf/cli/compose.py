@@ -20,6 +20,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from packaging.version import Version
+from yaml import YAMLError
 
 from qnerf.cli import plugins as plugin_modules
 from qnerf.cli.errors import one_line
@@ -69,8 +70,19 @@ def expand_sweep(arguments: Sequence[str]) -> list[str]:
         if not file.is_file():
             known = sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml"))
             raise ValueError(f"--sweep expects a .yaml file or a known sweep, got {name!r}{_suggested(name, known)}")
+        _check_sweep(file)
         expanded += ["-cd", str(file.parent.absolute()), "-cn", file.stem]
     return expanded
+
+
+def _check_sweep(file: Path) -> None:
+    """ValueError unless the file adds to the configuration, as the sweeps that come with qnerf do."""
+    try:
+        content = OmegaConf.load(file)
+    except (YAMLError, OSError, ValueError) as error:
+        raise ValueError(f"--sweep {file}: cannot be read: {one_line(error)}") from None
+    if not isinstance(content, DictConfig) or "config" not in (content.get("defaults") or []):
+        raise ValueError(f"--sweep {file}: expected `defaults: [config, _self_]` first, as in {SWEEPS / 'seeds.yaml'}")
 
 
 def arguments_for_hydra(arguments: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
