@@ -20,7 +20,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from packaging.version import Version
-from yaml import YAMLError
+from yaml import YAMLError  # type: ignore[import-untyped]
 
 from qnerf.cli import plugins as plugin_modules
 from qnerf.cli.errors import one_line

@@ -47,7 +47,7 @@ def reading(label: object) -> Iterator[None]:
 def parse_json(data: bytes) -> dict[str, Any]:
     """A JSON object; ValueError for anything else."""
     record = json.loads(data)
-    if b"\\ud" in data.lower():  # an escape may stand for half a character, which no table can hold
+    if b"\\ud" in data or b"\\uD" in data:  # an escape may stand for half a character, which no table can hold
         json.dumps(record, ensure_ascii=False).encode()
     if not isinstance(record, dict):
         raise ValueError(f"expected an object, got {type(record).__name__}")

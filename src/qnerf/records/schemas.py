@@ -5,6 +5,7 @@ A column's type is declared, here or by the run's options. So the tables of all 
 
 import json
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import pyarrow as pa
@@ -63,6 +64,7 @@ def result_kind(name: str) -> str | None:
     return _RESULTS.get(name) or next((kind for start, kind in _PREFIXES.items() if name.startswith(start)), None)
 
 
+@lru_cache(maxsize=4096)
 def known_kind(name: str) -> str | None:
     """The kind of a summary's column that tables and figures compute with; None for any other column."""
     return "int" if name in NUMBERS else result_kind(name)
