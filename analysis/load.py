@@ -11,9 +11,9 @@ from qnerf.metrics import HEAD_PARAMETERS
 from qnerf.records import filters, index, read_metrics
 from qnerf.records.deletion import holds_runs
 from qnerf.records.location import existing_store
+from qnerf.records.schemas import LABELS
 
 from . import packed
-from .selection import LABELS
 
 _HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NEEDED = (
@@ -21,6 +21,8 @@ NEEDED = (
     "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
 )  # fmt: skip
 """Columns that tables and figures read; in runs that lack them they are empty."""
+NO_SCENE = "none"
+"""The name of the scene of tracked runs that name none."""
 
 
 def runs(store: str | Path, filter: str | Mapping[str, Any] | None = None) -> pd.DataFrame:
@@ -80,5 +82,5 @@ def with_needed(frame: pd.DataFrame) -> pd.DataFrame:
 def _scene_names(frame: pd.DataFrame) -> pd.Series:
     missing = pd.Series(None, index=frame.index, dtype=object)
     pairs = zip(frame.get("scene.path", missing), frame.get("scene", missing), strict=True)
-    names = [Path(path).name if isinstance(path, str) and path else scene for path, scene in pairs]
-    return pd.Series(names, index=frame.index)
+    names = pd.Series([Path(path).name if isinstance(path, str) and path else scene for path, scene in pairs])
+    return names.set_axis(frame.index).mask(names.isna().to_numpy() & frame["state"].ne("damaged"), NO_SCENE)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from qnerf.records.filters import check_column
+from qnerf.records.schemas import LABELS, is_option
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
@@ -17,16 +18,14 @@ FIRST_KEYS = ("scene_name", "field", "density", "color")
 
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
 
-LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
-"""Columns that name a run's choices; a label that does not act in a run is absent."""
 QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head": ("quantum",)}
 """Head -> the fields in which it is a circuit."""
 CIRCUITS = frozenset(itertools.chain(*QUANTUM.values()))
 """Fields with a circuit; a tracked run has a field of its own name."""
 
-_SCALARS = ("experiment", "geo_features", "appearance")
-_RESULTS = ("params", "time", "run", "cost")  # first parts of dotted names that are no configuration
-_RECORDED = ("scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")  # change no result
+_SCALARS = ("field", "experiment", "geo_features", "appearance")
+_OF_TRACKED = ("field", "scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")
+"""Settings of tracked runs alone: in others the heads decide the field, and the options are only recorded."""
 
 
 @dataclass(frozen=True)
@@ -76,17 +75,18 @@ def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def configuration(frame: pd.DataFrame) -> list[str]:
-    """Columns of the flat configuration that decide a result, without the seed."""
-    dotted = [
-        name for name in frame.columns if "." in name and " @ " not in name and name.split(".")[0] not in _RESULTS
-    ]
-    return [name for name in (*_SCALARS, *dotted) if name in frame.columns and name not in _RECORDED]
+    """Columns of the flat configuration, without the seed: the field, and every option."""
+    return [name for name in (*_SCALARS, *filter(is_option, map(str, frame.columns))) if name in frame.columns]
 
 
 def settings(runs: pd.DataFrame) -> pd.DataFrame:
-    """The settings in which the runs differ, as text; "" where one does not act in a run."""
+    """The settings in which the results of runs may differ, as text; "" where one does not act in a run."""
     differing = [name for name in configuration(runs) if runs[name].nunique(dropna=False) > 1]
-    return runs[differing].map(lambda value: "" if value is None or value != value else str(value))
+    texts = runs[differing].map(lambda value: "" if value is None or value != value else str(value))
+    tracked = runs.get("encoder", pd.Series("", runs.index)).isna()  # every run that qnerf trains has an encoder
+    for name in texts.columns.intersection(_OF_TRACKED):
+        texts[name] = texts[name].where(tracked, "")
+    return texts.loc[:, texts.nunique() > 1]
 
 
 def measured(runs: pd.DataFrame) -> list[str]:
@@ -102,7 +102,7 @@ def measured(runs: pd.DataFrame) -> list[str]:
 def row_keys(runs: pd.DataFrame) -> list[str]:
     """Scene, field, heads, and further settings that are needed so that no row mixes configurations."""
     keys = [key for key in FIRST_KEYS if runs[key].notna().any()]
-    names = ("encoder", "hash", *LABELS, *configuration(runs))
+    names = ("encoder", "hash", *LABELS, *settings(runs))
     for name in (name for name in names if runs[name].nunique(dropna=False) > 1):
         if name not in keys and runs.groupby(keys, dropna=False)[name].nunique(dropna=False).max() > 1:
             keys.append(name)
@@ -137,7 +137,7 @@ def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:
     """ValueError where groups of `rows` compare different scenes, or one group mixes configurations."""
     refuse_scenes(runs, rows)
     groups = runs.groupby(list(rows), dropna=False, sort=False)
-    names = [key for key in (*LABELS, *configuration(runs)) if key in runs.columns and key not in rows]
+    names = [key for key in (*LABELS, *settings(runs)) if key in runs.columns and key not in rows]
     varying = [key for key in names if runs[key].nunique(dropna=False) > 1]
     if varying:
         several = groups[varying].nunique(dropna=False) > 1

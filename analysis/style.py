@@ -4,6 +4,7 @@ that are the same bytes each time."""
 import functools
 import io
 import math
+import re
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -79,6 +80,7 @@ _BASE: dict[str, Any] = {
     "svg.hashsalt": "qnerf",
     "pdf.fonttype": 42,
 }
+_UNNAMED = re.compile(r"_(child|container)\d+|_nolegend_")  # matplotlib's own labels
 _INK = {"light": ("#1a1a1a", "#ffffff"), "dark": ("#e6e6e6", "#16181d")}
 _INKED = ("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor", "xtick.color", "ytick.color")
 _PAPER = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "legend.facecolor")
@@ -219,15 +221,19 @@ def legend(figure: Figure | SubFigure) -> None:
     size = mpl.rcParams["legend.fontsize"]
     handles: dict[str, Artist] = {}
     for ax in figure.axes:
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle.lines[0] if isinstance(handle, ErrorbarContainer) else handle)
+        for handle in [*ax.lines, *ax.collections, *ax.containers]:  # not by matplotlib, which skips names with "_"
+            if (label := handle.get_label()) and not _UNNAMED.fullmatch(str(label)):
+                handles.setdefault(str(label), handle.lines[0] if isinstance(handle, ErrorbarContainer) else handle)
     whole = figure.figure if isinstance(figure, SubFigure) else figure
     room, beside = whole.get_figwidth() * 72 - size, 4.6 * size  # beside: the handle, and gaps between columns
     most = int((room - beside) / (0.56 * size))
     names = [textwrap.fill(printable(name), most, break_long_words=False) for name in handles]
     widest = max(text_width(line, size) for name in names for line in name.split("\n")) + beside
     columns = max(1, min(len(names), int(room // widest)))
-    drawn = figure.legend(list(handles.values()), names, loc="outside upper left", ncols=columns)
+    shown = [f"\N{ZERO WIDTH SPACE}{name}" for name in names]
+    drawn = figure.legend(list(handles.values()), shown, loc="outside upper left", ncols=columns)
+    for text, name in zip(drawn.get_texts(), names, strict=True):
+        text.set_text(name)
     drawn.set_gid("legend")
     lines = sum(sorted((name.count("\n") + 1 for name in names), reverse=True)[: -(-len(names) // columns)])
     whole.set_figheight(whole.get_figheight() + lines * 1.7 * size / 72)

@@ -46,6 +46,23 @@ def logged(path: Path) -> pd.DataFrame:
     return timeless[["step", "key", "value"]].reset_index(drop=True)
 
 
+def test_a_copy_a_backup_and_an_export_are_not_the_run(tiny, tmp_path):
+    prepared = prepare(tiny())
+    name = prepared.find_id(tmp_path)
+    digest = name.rpartition("-")[2]
+    for folder, named in (
+        (f"a-backup-{name}", name),
+        (f"a-export-{digest}", None),
+        (f"a-old-{digest}", f"a-old-{digest}"),
+    ):
+        (tmp_path / folder).mkdir()
+        if named:
+            (tmp_path / folder / "status.json").write_text(json.dumps({"run_id": named}))
+    assert prepared.find_id(tmp_path) == f"a-old-{digest}"  # the same scene under its name of before
+    (tmp_path / name).mkdir()
+    assert prepared.find_id(tmp_path) == name
+
+
 def test_steps_that_are_left_to_the_scene_are_numbers_in_the_summary(tiny):
     """`train=large` is a recipe of its own; tables and lists compute with the number of steps."""
     config = tiny("train=large", "train.steps=auto", "hash=auto", "field=classical")

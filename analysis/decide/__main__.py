@@ -1,7 +1,9 @@
 """`qnerf decide A B`: see `--help`."""
 
 import argparse
+import itertools
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from qnerf.cli.identify import run_ids
+from qnerf.cli import compose
 from qnerf.metrics import metric_of
 from qnerf.records.location import DEFAULT
 
@@ -33,6 +35,12 @@ EXAMPLES = """\
   {} field=classical field=qcolor --equal time
   {} field=classical field=qcolor --plan
 """
+CHOSEN = {
+    "seed": "the study chooses the seeds, 0, 1, 2, ...; leave it out",
+    "store": "the store is an option of its own, --store DIR",
+    "run.force": "finished runs count; `qnerf run` does one over",
+}
+"""Overrides that a study cannot honour, and why."""
 UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -41,31 +49,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if len(set(options.candidates)) < max(2, len(options.candidates)):
         raise ValueError(f"expected at least two candidates, each once, got {' '.join(options.candidates)}")
     question = Question(
-        tuple(options.candidates), tuple(options.scene or [""]), options.all, within_of(options.metric, options.within),
-        options.metric, options.equal,
+        tuple(options.candidates), tuple(options.scene or [""]), " ".join(options.all),
+        within_of(options.metric, options.within), options.metric, options.equal,
     )  # fmt: skip
+    check(question)
     names = [name_of(scene) for scene in question.scenes]
     if len(set(names)) < len(names):
         raise ValueError(f"--scene: expected scenes of different names, got {', '.join(names)}")
     store = Path(options.store)
     record = Record.of(question, store)
-    if not record.looks:
-        check_differ(record, store)
     if options.plan:
         plan(record, store)
     else:
         study(record, store, options.budget)
 
 
-def check_differ(record: Record, store: Path) -> None:
-    """ValueError where a configuration or a scene is not valid, or two candidates are the same configuration."""
-    for scene in record.question.scenes:
-        names: dict[str, str] = {}
-        for candidate in record.question.candidates:
-            (run,) = run_ids(record.overrides(scene, candidate), [0], store)
-            if run in names:
-                raise ValueError(f"{title(scene, candidate)}: the same configuration as {names[run]}; leave one out")
-            names[run] = candidate
+def check(question: Question) -> None:
+    """ValueError for an override that the study cannot honour, and for one that seems to be meant for all runs."""
+    places = {"a candidate": question.candidates, "--all": [question.common], "--scene": question.scenes}
+    for place, texts in places.items():
+        for override in (word for text in texts for word in text.split()):
+            key = override.lstrip("+~").partition("=")[0]
+            if key in CHOSEN:
+                raise ValueError(f"{override}: {CHOSEN[key]}")
+            if place == "a candidate" and key.partition(".")[0] == "scene":
+                raise ValueError(f"{override}: candidates share their scenes: --scene or --all {shlex.quote(override)}")
+            if not key.startswith("hydra") and compose.parse(compose.translated(override)).is_sweep_override():
+                raise ValueError(f"{override}: expected one value in {place}; every candidate is a text of its own")
+    keys = [{word.partition("=")[0] for word in text.split()} for text in question.candidates]
+    shared = {key for one, other in itertools.combinations(keys, 2) for key in one & other}
+    if alone := [text for text, own in zip(question.candidates, keys, strict=True) if shared and not own & shared]:
+        known = f"sets none of {', '.join(sorted(shared))}, in which the others differ"
+        raise ValueError(f"{alone[0]}: {known}; for all candidates it is --all {shlex.quote(alone[0])}")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -73,7 +88,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "candidates", nargs="+", metavar="OVERRIDES", help='such as field=qcolor or "color=qiren qiren.layers=2"'
     )
-    made.add_argument("--all", default="", metavar="OVERRIDES", help="of every run, such as train.steps=500")
+    made.add_argument(
+        "--all", action="append", default=[], metavar="OVERRIDES", help="of every run, such as train.steps=500"
+    )
     made.add_argument("--scene", action="append", metavar="OVERRIDES", help="a scene; several times for several scenes")
     made.add_argument(
         "--within", type=float, metavar="DELTA",
@@ -159,7 +176,14 @@ def runs_of(record: Record, scene: str, count: int, store: Path) -> dict[str, pd
             steps = record.steps[title(scene, name)] = round(run["train.steps"] * dearest / run["step_cpu_ms"])
             print(f"{title(scene, name)}: {run['step_cpu_ms']:.1f} ms of CPU a step, so {steps:,} steps")
         record.save(store)
-    return {name: trained(record.overrides(scene, name), range(count), store) for name in names}
+    frames = {name: trained(record.overrides(scene, name), range(count), store) for name in names}
+    for name, frame in frames.items():
+        if record.question.metric not in frame:
+            raise ValueError(
+                f"{title(scene, name)}: its runs have no {record.question.metric}; choose another --metric"
+            )
+        record.runs[title(scene, name)] = list(map(str, frame.index))
+    return frames
 
 
 def judged(

@@ -41,16 +41,24 @@ class Question:
         """How many verdicts the study may give; a race may compare any two candidates."""
         return len(self.scenes) * len(self.candidates) * (len(self.candidates) - 1) // 2
 
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """Each scene with each candidate."""
+        return [(scene, candidate) for scene in self.scenes for candidate in self.candidates]
+
 
 @dataclass
 class Record:
     """What has been found so far. It stays in the store, so that a question is not asked again until it pleases.
 
-    most: seeds a side at the last look, fixed after the first. steps: "scene: candidate" -> training steps where CPU
-    time is to be equal. looks: what each look at each comparison found, in order; `ended`: that was its last.
+    name: of the file; another question, or the same about other runs, has another. runs: "scene: candidate" -> the ids
+    of its runs. most: seeds a side at the last look, fixed after the first. steps: "scene: candidate" -> training steps
+    where CPU time is to be equal. looks: what each look at each comparison found, in order; `ended`: that was its last.
     """
 
     question: Question
+    name: str
+    runs: dict[str, list[str]] = field(default_factory=dict)
     most: int = 0
     steps: dict[str, int] = field(default_factory=dict)
     looks: list[dict[str, Any]] = field(default_factory=list)
@@ -67,16 +75,28 @@ class Record:
         return [name for name in self.question.candidates if name not in ended]
 
     def save(self, store: Path) -> None:
-        path = _path(self.question, store)
+        path = store / FOLDER / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         replace(path, json.dumps(asdict(self), indent=1).encode())
 
     @classmethod
     def of(cls, question: Question, store: Path) -> "Record":
-        """The stored record of this question, or a new one. ValueError where it is damaged."""
-        path = _path(question, store)
+        """The stored record of this question about these runs, or a new one.
+
+        ValueError where it is damaged, a configuration or a scene is not valid, or two candidates are the same.
+        """
+        new, first = cls(question, ""), dict[str, str]()  # "scene: candidate" -> hash in the id of its run of seed 0
+        for scene, candidate in question.pairs:
+            name, (run,) = title(scene, candidate), run_ids(new.overrides(scene, candidate), [0], store)
+            digest = run.rpartition("-")[2]
+            if same := next((other for other, known in first.items() if known == digest), None):
+                raise ValueError(f"{name}: the same configuration as {same}; leave one out")
+            first[name] = digest
+        text = json.dumps([asdict(question), first], sort_keys=True)
+        new.name = hashlib.sha256(text.encode()).hexdigest()[:12]
+        path = store / FOLDER / f"{new.name}.json"
         try:
-            return cls(**(read_json(path) | {"question": question})) if path.exists() else cls(question)
+            return cls(**(read_json(path) | {"question": question})) if path.exists() else new
         except TypeError:
             raise ValueError(f"{path}: no record as this version writes it; move it away to begin anew") from None
 
@@ -133,9 +153,3 @@ def found(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.Dat
     """The rows of these runs, as `load.runs` has them, in the order of the seeds; a missing run's are empty."""
     frame = runs(store).set_index("run_id").reindex(run_ids(overrides, seeds, store))
     return frame.assign(error=frame.get("error"))
-
-
-def _path(question: Question, store: Path) -> Path:
-    """The same question has the same record."""
-    text = json.dumps(asdict(question), sort_keys=True)
-    return store / FOLDER / f"{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"

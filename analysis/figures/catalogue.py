@@ -48,9 +48,6 @@ class Entry:
         """
         given = judged if self.function in (forest, stand_ins) else {}
         options = {"theme": theme} | {name: value for name, value in given.items() if value is not None}
-        if runs["scene_name"].isna().all():
-            raise ValueError(f"no run of {len(runs)} has a scene")
-        runs = runs[runs["scene_name"].notna()]  # a tracked run may have none
         source = best_of(runs, self.probe) if self.probe else runs
         return self.function(source, **self.options, **options)
 

@@ -134,8 +134,8 @@ def _binned(logged: Sequence[pd.DataFrame]) -> list[pd.DataFrame]:
 
 
 def _over_seeds(logged: Sequence[pd.DataFrame], columns: Sequence[str]) -> pd.DataFrame:
-    """Mean and standard deviation of the columns, at the steps that every seed reached."""
-    rows = pd.concat(logged)
+    """Mean and standard deviation of the columns, at the steps that every seed reached; a step's last row counts."""
+    rows = pd.concat([own.drop_duplicates("step", keep="last") for own in logged])
     groups = rows[rows.groupby("step")["step"].transform("size") == len(logged)].groupby("step")
     table = pd.DataFrame({"n": groups.size()})
     for column in columns:

@@ -7,7 +7,9 @@ from string import ascii_lowercase
 
 import pandas as pd
 
-from ..selection import CIRCUITS, LABELS, QUANTUM, settings
+from qnerf.records.schemas import LABELS
+
+from ..selection import CIRCUITS, QUANTUM, settings
 
 _NAME_LABELS = ("field", "encoder", "hash", "density", "color", "head", "sampler", "cameras", "train", "steps")
 _NOTATIONS = {
@@ -29,7 +31,7 @@ def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) 
 def best(runs: pd.DataFrame, values: Sequence[str], most: int) -> tuple[pd.DataFrame, str]:
     """`points` of the `most` best configurations of each scene, and a note that counts the others."""
     table = _grouped(runs, values, ())
-    shown = table.groupby("scene_name").head(most).reset_index(drop=True)
+    shown = table.groupby("scene_name", dropna=False).head(most).reset_index(drop=True)
     left = len(table) - len(shown)
     return shown.assign(name=names(shown, runs)), f"not drawn: {left} configurations of lower PSNR" if left else ""
 
@@ -41,7 +43,7 @@ def families(table: pd.DataFrame, runs: pd.DataFrame, x: str, ignored: Sequence[
     "encoder." ignores every setting that starts with it.
     """
     keys = pd.concat([table["scene_name"], _settings(table, runs, ignored)], axis=1)
-    table = table.assign(family=keys.groupby(list(keys.columns), sort=False).ngroup())
+    table = table.assign(family=keys.groupby(list(keys.columns), sort=False, dropna=False).ngroup())
     return table[table.groupby("family")[x].transform("nunique") > 1].reset_index(drop=True)
 
 
@@ -80,8 +82,7 @@ def names(
     told = labels[used].fillna("").to_numpy()  # a label that a kind of run lacks
     texts = pd.Series([" ".join(filter(None, row)) for row in told], index=table.index, dtype=object)
     own = _settings(table, runs, ignored)
-    alike = [table["scene_name"], texts]
-    several = own.groupby(alike).transform("nunique") > 1
+    several = own.groupby([table["scene_name"], texts], dropna=False).transform("nunique") > 1
     for key in several.columns[several.any()]:
         told = several[key] & (own[key] != "")
         texts = texts.where(~told, texts + f", {key}=" + own[key])
@@ -113,7 +114,7 @@ def notation(names: Iterable[str]) -> str:
 
 def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> pd.DataFrame:
     keys = pd.concat([runs["scene_name"], settings(runs)], axis=1)
-    groups = runs.groupby(keys.groupby(list(keys.columns), sort=False).ngroup())
+    groups = runs.groupby(keys.groupby(list(keys.columns), sort=False, dropna=False).ngroup())
     table = groups[list(dict.fromkeys(["scene_name", *LABELS, "train.steps", *keep]))].first()
     for value in values:
         table[value], table[f"{value}_std"] = groups[value].mean(), groups[value].std()

@@ -11,6 +11,7 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 from .. import style
 from ..figures import points
 from ..load import with_needed
+from ..selection import configuration
 from . import curves, pictures
 from .columns import packed
 
@@ -25,8 +26,7 @@ HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
-_SETTINGS = ("experiment", "seed", "geo_features", "appearance", "device", "threads")
-_RESULTS = ("params.", "time.", "run.")
+_RUN = ("seed", "device", "threads")  # settings that tell no configurations apart
 
 
 def prepared(frame: pd.DataFrame) -> pd.DataFrame:
@@ -65,7 +65,7 @@ def order(frame: pd.DataFrame) -> list[int]:
 def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) -> dict[str, Any]:
     """The data of the page's script."""
     columns = packed(frame.drop(columns=["store", "scene"], errors="ignore"))
-    settings = [name for name in columns if name in _SETTINGS or ("." in name and not name.startswith(_RESULTS))]
+    settings = [name for name in columns if name in (*_RUN, *configuration(frame))]
     finished = frame.loc[frame["state"] == "finished", "scene_name"]
     quality = [metric.key for metric in quality_metrics()]
     usual = list(dict.fromkeys((*FIRST_COLUMNS, *LABEL_COLUMNS, *quality, *COST_COLUMNS)))

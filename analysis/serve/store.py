@@ -39,7 +39,8 @@ class WatchedStore:
         if packed.is_packed(self.folder) and not holds_runs(self.folder):
             raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
         self._lock = threading.Lock()
-        self._stamps: Stamps = index.scan(self.folder)
+        self._watch = index.Watch(self.folder)
+        self._stamps: Stamps = self._watch.scan() if self.folder.is_dir() else {}
         frame = index.load(self.folder)
         self._rows: dict[str, tuple[int, Row | None]] = {}  # version of a run's last change, and its row
         self._version = 0
@@ -75,7 +76,7 @@ class WatchedStore:
         """Reads what has changed, unless somebody did so within `FRESH` seconds."""
         if time.monotonic() - self._looked < FRESH:
             return
-        stamps = index.scan(self.folder)
+        stamps = self._watch.scan() if self.folder.is_dir() else {}
         changed = [run for run, stamp in stamps.items() if self._stamps.get(run) != stamp or run in self._alive]
         rows = self._read(changed) | dict.fromkeys(self._stamps.keys() - stamps.keys())
         self._stamps, self._looked = stamps, time.monotonic()

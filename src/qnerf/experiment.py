@@ -433,6 +433,9 @@ def evaluate(
     record.write_eval(rows)
     measured = means(rows)
     measured |= {"eval_views": len(rows), "eval_s": time.perf_counter() - start}
+    if measured.get("psnr", 0.0) is None:
+        measured["psnr_reason"] = "the masks leave no pixel of the held-out views"
+        record.warn(f"no psnr: {measured['psnr_reason']}")
     record.write_summary(measured | {"steps": step})
     return rows, measured
 

@@ -1,9 +1,12 @@
 """Seeds on demand: error rates over all looks, races, plans, and a study that is stopped and goes on."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
 from qnerf.analysis.decide import __main__ as decide
+from qnerf.analysis.decide import study
 from qnerf.analysis.decide.looks import looks, planned, seeds_needed, shares
 from qnerf.analysis.decide.study import Question, Record, records
 from qnerf.analysis.verdict import fisher, verdict
@@ -91,6 +94,7 @@ class Trainings:
     def __init__(self):
         self.asked = []
         self.stopped = None
+        self.contents = ""  # of the scene
 
     def __call__(self, overrides, seeds, store):
         if self.stopped == 0:
@@ -108,7 +112,7 @@ class Trainings:
 def trainings(monkeypatch):
     made = Trainings()
     monkeypatch.setattr(decide, "trained", made)
-    monkeypatch.setattr(decide, "run_ids", lambda overrides, seeds, store: [" ".join(overrides)])
+    monkeypatch.setattr(study, "run_ids", lambda overrides, seeds, store: [f"s-{made.contents}{' '.join(overrides)}"])
     return made
 
 
@@ -145,6 +149,49 @@ def test_the_last_look_is_not_moved(trainings, tmp_path):
     assert record.looks[-1]["seeds"] == 6
     decide.study(record, tmp_path, 1e6)
     assert Record.of(question, tmp_path).looks == record.looks
+
+
+def test_another_scene_behind_the_same_words_is_another_study(trainings, tmp_path):
+    asked = ["x=a", "x=b", "--scene", "scene.path=fox", "--store", str(tmp_path)]
+    decide.main(asked)
+    (path,) = tmp_path.glob(".decisions/*.json")
+    assert [len(ids) for ids in json.loads(path.read_text())["runs"].values()] == [9, 9]
+    trainings.asked.clear()
+    trainings.contents = "replaced"
+    decide.main(asked)
+    assert len(trainings.asked) == 6  # two candidates, three looks
+    assert len(list(tmp_path.glob(".decisions/*.json"))) == 2
+
+
+def test_several_all_are_one(trainings, tmp_path):
+    decide.main(["x=a", "x=b", "--all", "train.steps=5", "--all", "y=1", "--store", str(tmp_path)])
+    assert trainings.asked[0][0] == ["train.steps=5", "y=1", "x=a"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (["field=qcolor seed=1", "field=classical"], "seed=1: the study chooses the seeds"),
+        (["field=qcolor", "field=classical", "--all", "seed=0,1"], "seed=0,1: the study chooses the seeds"),
+        (["field=qcolor", "field=classical", "--scene", "scene=poster +seed=2"], "seed=2: the study chooses"),
+        (
+            ["field=qcolor", "field=classical", "--all", "store=s"],
+            "store=s: the store is an option of its own, --store",
+        ),
+        (["field=qcolor", "field=classical", "--all", "run.force=true"], "run.force=true: finished runs count"),
+        (["field=qcolor,qboth", "field=classical"], "field=qcolor,qboth: expected one value in a candidate"),
+        (["head=mlp", "head=siren", "scene=photograph"], "scene=photograph: .* --scene or --all scene=photograph"),
+        (["head=mlp", "head=siren", "train.steps=2"], "train.steps=2: sets none of head, .* it is --all train.steps=2"),
+    ],
+)
+def test_what_a_study_cannot_honour_is_refused(asked, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        decide.main([*asked, "--store", str(tmp_path)])
+
+
+def test_a_metric_that_the_runs_lack_is_named(trainings, tmp_path):
+    with pytest.raises(ValueError, match="x=a: its runs have no ssim; choose another --metric"):
+        decide.main(["x=a", "x=b", "--metric", "ssim", "--store", str(tmp_path)])
 
 
 def test_several_candidates_race(trainings, tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from matplotlib.collections import PathCollection
 from qnerf.analysis import figures, style
-from qnerf.analysis.figures import points
+from qnerf.analysis.figures import curves, points
 from qnerf.analysis.load import metrics, runs
 
 from qnerf.experiment import run
@@ -277,3 +277,26 @@ def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():
     shown = [tick for tick in ax.get_xticks() if 800 <= tick <= 1400]
     assert len(shown) >= 3
     assert np.allclose(np.diff(shown), shown[1] - shown[0])
+
+
+def test_a_seed_that_logs_a_step_twice_counts_once():
+    rows = {"time_s": 1.0, "value": 20.0}
+    once = pd.DataFrame([rows | {"step": step} for step in (10, 20)])
+    twice = pd.concat([once, pd.DataFrame([rows | {"step": 20, "value": 30.0}])])
+    table = curves._over_seeds([once, twice, once[:1]], ["value"])
+    assert table[["step", "n", "value"]].to_numpy().tolist() == [[10, 3, 20]]
+    assert curves._over_seeds([once, twice], ["value"])["value"].tolist() == [20, 25]
+
+
+def test_legend_shows_names_that_begin_with_an_underscore():
+    @style.styled
+    def draw():
+        figure = style.new(4, 3)
+        ax = figure.subplots()
+        for name in ("_mine", "plain"):
+            ax.errorbar([1], [1], [1], label=name)
+            ax.fill_between([1], [0], [1])
+        style.legend(figure)
+        return figure
+
+    assert [text.get_text() for text in draw().legends[0].get_texts()] == ["_mine", "plain"]

@@ -2,13 +2,20 @@
 
 import re
 import shlex
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import hydra
 import pytest
+from hydra import version
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.singleton import Singleton
+from hydra.core.utils import JobRuntime
 
 from qnerf import experiment
-from qnerf.cli.compose import arguments_for_hydra, expand_sweep
+from qnerf.cli.compose import arguments_for_hydra, configuration, expand_sweep, parse
+from qnerf.cli.errors import one_line
+from qnerf.cli.sweep import combinations
 from qnerf.config.folders import SWEEPS
 
 MISTAKES = {
@@ -23,6 +30,9 @@ MISTAKES = {
     "qiren.layers=1,2": "several values are a sweep, add -m",
     "color=mlp,qiren": "color=mlp,qiren: several values are a sweep, add -m",
     "hydra.verbose=1,2": "several values are a sweep, add -m",
+    "hydra/sweeper=qnerf_optuna hydra.sweeper.n_trial=3": "sweeper.n_trial; did you mean hydra.sweeper.n_trials=...?",
+    "hydra/sweeper=qnerf_optuna hydra.sweeper.direction=maximize": "sweeper.direction; known: n_jobs, n_trials, object",
+    "hydra.swep.dir=x": "unknown option hydra.swep.dir; known: callbacks",
     "sed=1,2": "unknown option sed; did you mean seed=...?",
     "lr=0.1": "unknown option lr; did you mean train.lr=...?",
     "learning_rate=0.1": "unknown option learning_rate; did you mean train.lr=...?",
@@ -96,6 +106,16 @@ def test_sweeps_are_files_that_hydra_finds(tmp_path):
         assert expand_sweep([f"--sweep={name}", "budget=short"]) == expected
 
 
+@pytest.mark.parametrize("text", ["", "seed: 1", "defaults: []", "- 1", "a: [", "defaults:\n  - nothing"])
+def test_a_file_that_is_no_sweep_is_one_line(tmp_path, text):
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"^--sweep .*mine\.yaml: (expected `defaults|cannot be read)") as caught:
+        expand_sweep(["--sweep", str(tmp_path / "mine.yaml")])
+    assert "\n" not in one_line(caught.value)
+    for file in SWEEPS.glob("*.yaml"):
+        assert expand_sweep([f"--sweep={file.stem}"])
+
+
 def test_a_bug_and_errors_that_are_wanted_in_full_keep_their_traceback(qnerf, monkeypatch):
     monkeypatch.setattr(experiment, "run", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -104,3 +124,40 @@ def test_a_bug_and_errors_that_are_wanted_in_full_keep_their_traceback(qnerf, mo
         qnerf("run", "seed=-1", full_error=True)
     with pytest.raises(Exception, match="Could not override"):
         qnerf("run", "qiren.depth=3", full_error=True)
+
+
+TWICE = {
+    "color.mlp={layers:2} color.mlp={width:16} seed=0,1": [
+        "color.mlp={layers:2} color.mlp={width:16} seed=0",
+        "color.mlp={layers:2} color.mlp={width:16} seed=1",
+    ],
+    "a={b:2},{b:3} a={c:8},{c:9}": ["a={b:2} a={c:8}", "a={b:2} a={c:9}", "a={b:3} a={c:8}", "a={b:3} a={c:9}"],
+    "seed=0,1 seed=2": ["seed=2"],
+    "seed=2 seed=range(0,2)": ["seed=0", "seed=1"],
+    "a={b:3} a=1 a={c:2}": ["a=1 a={c:2}"],
+    "hash=glob(C*) seed=0 hash=glob(C6)": ["seed=0 hash=C6"],
+    "+x=1 +x=2": ["+x=2"],
+}
+"""What is typed -> its jobs: of an option given twice the last holds as in a single run, where mappings are merged."""
+
+
+@pytest.mark.parametrize("typed", TWICE)
+def test_jobs_are_what_single_commands_compose(typed):
+    jobs = combinations([parse(override) for override in typed.split()])
+    assert [" ".join(job) for job in jobs] == TWICE[typed]
+
+
+def test_composing_leaves_the_callers_hydra_alone(tmp_path):
+    (tmp_path / "own.yaml").write_text("lr: 0.1")
+    before = Singleton.get_state()
+    with hydra.initialize_config_dir(str(tmp_path), job_name="mine", version_base="1.2"):
+        base = version.getbase()
+        assert configuration(["seed=3"])["seed"] == 3
+        with pytest.raises(ValueError, match="unknown option sed"):
+            configuration(["sed=3"])
+        assert hydra.compose("own") == {"lr": 0.1}
+        assert (version.getbase(), JobRuntime().get("name")) == (base, "mine")
+    Singleton.set_state(before)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda seed: configuration([f"seed={seed}"])["seed"], range(8)))
+    assert found == list(range(8))

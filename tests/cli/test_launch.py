@@ -1,6 +1,7 @@
 """Trainings and sweeps from the command line: what they say, side by side, killed, stopped, shared with others."""
 
 import contextlib
+import errno
 import os
 import signal
 import subprocess
@@ -8,19 +9,22 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+import torch
 
 from qnerf import experiment
 from qnerf.cli import launch, main, sweep_start
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import Output, stoppable
+from qnerf.cli.errors import is_known, report
 from qnerf.cli.sweep import Sweep
 from qnerf.cli.training import train
 from qnerf.config import devices
 from qnerf.experiment import Outcome
-from qnerf.records import Run, RunStore, read_config, read_metrics, read_summary, runs, state
+from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
 from tests.helpers.configs import ROOT
 from tests.helpers.processes import Forked, call
@@ -209,6 +213,16 @@ def written(run: Path) -> tuple[int, int]:
     return status.st_ino, status.st_mtime_ns
 
 
+def test_a_job_whose_process_alone_is_terminated_has_failed(tmp_path, monkeypatch):
+    own = SimpleNamespace(job=SimpleNamespace(num=3), overrides=SimpleNamespace(task=["seed=3"]))
+    monkeypatch.setattr(launch.HydraConfig, "get", lambda: own)
+    sweep = Sweep(tmp_path)
+    assert launch._terminated(sweep)
+    assert sweep.failures() == [("seed=3", "its process was terminated; the same command continues it")]
+    sweep.stop()
+    assert not launch._terminated(sweep)  # all jobs are to end
+
+
 @posix
 @pytest.mark.usefixtures("signals")
 def test_sweep_side_by_side_that_is_killed_goes_on_and_stops_with_checkpoints(parallel, tmp_path):
@@ -352,3 +366,37 @@ def test_a_stop_while_the_scene_is_read_leaves_no_run(qnerf, small, tmp_path, mo
     done = qnerf("run", *small)
     assert (done.code, done.err) == (130, "stopped\n")
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_full_disk_forgets_no_job_of_a_sweep(tmp_path, monkeypatch):
+    def full(path, *arguments, **options):
+        raise StoreError(f"{path}: cannot write: No space left on device") from OSError(errno.ENOSPC, "no space")
+
+    first = Sweep(tmp_path)
+    first.fail(0, ["seed=0"], "diverged")
+    monkeypatch.setattr(sweeps, "replace", full)
+    Sweep(tmp_path).fail(1, ["seed=1"], "full")
+    assert first.failures() == [("seed=0", "diverged"), ("seed=1", "full")]
+    sweeps._unwritten.clear()  # as in another process
+    assert first.failures() == [("seed=0", "diverged"), ("job 1", "the disk had no room for the reason")]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (
+            torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB\nsee docs"),
+            1,
+            "not enough memory: CUDA",
+        ),
+        (RuntimeError("MPS backend out of memory"), 1, "not enough memory: MPS"),
+        (OSError(errno.ENOSPC, "No space left on device"), 1, "No space left"),
+        (ValueError("wrong"), 2, "wrong"),
+    ],
+)
+def test_shortages_are_one_line_and_exit_code_1(capsys, error, code, said):
+    assert is_known(error)
+    assert report(error) == code
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1

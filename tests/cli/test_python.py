@@ -2,10 +2,12 @@
 
 import base64
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 import qnerf as package
 from qnerf.cli import python
@@ -89,3 +91,13 @@ def test_notebook_bar_is_replaced_not_repeated(small, monkeypatch):
     assert [data["text/html"].partition(">")[0] for data in shown] == [
         f'<progress value="{step}" max="2"' for step in (1, 2)
     ]
+
+
+def test_run_leaves_the_callers_random_stream_and_threads(small, tmp_path):
+    torch.manual_seed(5)
+    before, threads = torch.random.get_rng_state(), torch.get_num_threads()
+    with ThreadPoolExecutor(2) as pool:
+        made = list(pool.map(lambda seed: package.run(*small, f"seed={seed}", "threads=1"), (3, 4)))
+    assert [trained.state for trained in made] == ["finished", "finished"]
+    assert torch.equal(before, torch.random.get_rng_state())
+    assert torch.get_num_threads() == threads

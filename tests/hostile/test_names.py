@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from qnerf import records
-from qnerf.records import RunStore, find, index
+from qnerf.config.identity import is_unicode
+from qnerf.records import RunStore, annotations, details, find, index
 from tests.helpers.stores import CONFIG, claimed
 
 NAMES = [
@@ -57,3 +58,30 @@ def test_what_else_lies_in_a_store(tmp_path: Path) -> None:
     (run.parent / "empty").mkdir()
     assert [path.name for path in records.runs(run.parent)] == ["a", "empty"]
     assert records.state(run.parent / "empty") == "interrupted"
+
+
+def test_what_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        claimed(RunStore(tmp_path), name).finish()
+    with pytest.raises(ValueError, match="expected a note in UTF-8, got 'gr"):
+        annotations.write_note(tmp_path / "a", "gr\udcfcn")
+    with pytest.raises(ValueError, match="expected a folder whose name is UTF-8"):
+        index.load("gr\udcfcn")
+    (tmp_path / "b").rename(tmp_path / "gr\udcfcn")
+    (tmp_path / "a" / "annotations.json").write_text('{"tags": [], "note": "gr\\udcfcn"}')
+    frame = index.load(tmp_path)
+    assert frame["state"].tolist() == ["finished", "damaged"]
+    assert frame["error"][1] == "gr\\udcfcn: expected a folder whose name is UTF-8; rename it"
+    assert all(is_unicode(str(value)) for value in frame.drop(columns="path").to_numpy().ravel())
+    (tmp_path / "a" / "status.json").write_text('{"state": "finished", "error": "\\uDCFC"}')
+    assert index.load(tmp_path)["state"].tolist() == ["damaged", "damaged"]
+
+
+def test_a_path_that_is_not_utf8_has_question_marks_in_a_run(tmp_path: Path) -> None:
+    claim = RunStore(tmp_path).claim("a", {**CONFIG, "label": "gr\udcfcn"}, ["scene.path=gr\udcfcn"])
+    assert claim.run is not None
+    claim.run.write_environment({"command": ["gr\udcfcn"]})
+    claim.run.finish()
+    assert details.read(claim.dir)["problems"] == []
+    assert details.read(claim.dir)["overrides"] == ["scene.path=gr?n"]
+    assert details.read(claim.dir)["environment"] == {"command": ["gr?n"]}

@@ -33,14 +33,21 @@ def test_checkpoints_rotate(store_: RunStore) -> None:
 
 def test_a_checkpoint_that_could_not_be_read_back_is_refused(store_: RunStore) -> None:
     run = claimed(store_)
-    cases = {"numpy": np.ones(2), "Linear": torch.nn.Linear(1, 1), "<lambda>": lambda: 1, "lock": threading.Lock()}
+    run.save_checkpoint({"value": 0.0})  # each is read back, not the first alone
+    cases = {
+        "numpy": np.ones(2),
+        "scalar": np.float64(1.0),
+        "Linear": torch.nn.Linear(1, 1),
+        "<lambda>": lambda: 1,
+        "lock": threading.Lock(),
+    }
     for name, value in cases.items():
         with pytest.raises(
             ValueError, match=f"expected tensors and plain values only, got .*{name}.*state_dict"
         ) as caught:
             run.save_checkpoint({"value": value})
         assert "\n" not in str(caught.value)
-    assert not list(run.dir.glob("*checkpoint*"))
+    assert run.load_checkpoint() == {"value": 0.0}
     run.finish()
 
 

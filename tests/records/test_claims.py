@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -72,6 +73,27 @@ def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> N
     assert records.read_summary(again.dir)["psnr"] is None
     assert store_.claim("a", CONFIG, force=True).outcome == "busy"
     again.run.finish()
+
+
+def test_a_run_done_over_loses_our_files_alone(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.log(0, 0.0, {"loss": 1.0})
+    run.save_image("0", np.zeros((2, 2), np.uint8))
+    run.write_eval([{"image": "0.png", "psnr": 1.0}])
+    run.save_checkpoint({"step": 1})
+    run.text_log("line")
+    run.finish()
+    ours = ["checkpoint.pt", "log.txt", "images/0.png", "units.parquet", "damaged-1-checkpoint.pt"]
+    users = ["notes.md", "plots/a.png", "images/mine.png", "metrics/notes.txt", "checkpoint-best.pt", "mine.parquet"]
+    for name in (*users, *ours[-2:]):
+        (run.dir / name).parent.mkdir(exist_ok=True)
+        (run.dir / name).write_text("x")
+    assert all((run.dir / name).exists() for name in ours)
+    claimed(store_, force=True).interrupt()
+    assert [name for name in ours if (run.dir / name).exists()] == []
+    assert [name for name in users if not (run.dir / name).exists()] == []
+    assert len(records.read_metrics(run.dir)) == 0
+    assert "from the start" in store_.claim("a", CONFIG).message
 
 
 def test_a_kill_while_a_run_is_done_over_leaves_no_old_result(

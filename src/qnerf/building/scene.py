@@ -12,6 +12,7 @@ from qnerf.config.plugins import import_plugins
 from qnerf.config.settings import PoseNoise, Settings, SignalSettings, built
 from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.pose_noise import add_pose_noise
+from qnerf.records.read import read_status
 from qnerf.scenes import SCENES, Scene
 from qnerf.signals import Signal
 
@@ -32,9 +33,15 @@ class Prepared:
         return self.settings, self.scene
 
     def find_id(self, store: str | Path) -> str:
-        """The id of the run; the name of the folder that the store has for it, if the scene was renamed since."""
+        """The id of the run, or the one that the store has for it where the scene was renamed since.
+
+        A copy, a backup or anything else of a user whose name ends with the hash is not the run.
+        """
         name = run_id(self.config, self.scene.fingerprint)
-        return next((path.name for path in Path(store).glob(f"*-{name.rpartition('-')[2]}")), name)
+        others = sorted(Path(store).glob(f"*-{name.rpartition('-')[2]}"))
+        if any(path.name == name for path in others):
+            return name
+        return next((path.name for path in others if read_status(path).get("run_id") == path.name), name)
 
 
 def prepare(config: Mapping[str, Any], scene: Scene | Signal | None = None) -> Prepared:

@@ -3,17 +3,24 @@
 import contextlib
 import re
 import shlex
+import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
-import hydra
+from hydra import version
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.utils import create_config_search_path
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, MissingConfigException
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
+from packaging.version import Version
+from yaml import YAMLError  # type: ignore[import-untyped]
 
 from qnerf.cli import plugins as plugin_modules
 from qnerf.cli.errors import one_line
@@ -36,6 +43,7 @@ HABITS = {
 }
 """What other programs call an option -> the option."""
 
+_turn = threading.Lock()  # one composes at a time: a part of Hydra's state is global
 _OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./@-]*)(?P<value>=.*)?", re.DOTALL)
 
 
@@ -62,8 +70,19 @@ def expand_sweep(arguments: Sequence[str]) -> list[str]:
         if not file.is_file():
             known = sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml"))
             raise ValueError(f"--sweep expects a .yaml file or a known sweep, got {name!r}{_suggested(name, known)}")
+        _check_sweep(file)
         expanded += ["-cd", str(file.parent.absolute()), "-cn", file.stem]
     return expanded
+
+
+def _check_sweep(file: Path) -> None:
+    """ValueError unless the file adds to the configuration, as the sweeps that come with qnerf do."""
+    try:
+        content = OmegaConf.load(file)
+    except (YAMLError, OSError, ValueError) as error:
+        raise ValueError(f"--sweep {file}: cannot be read: {one_line(error)}") from None
+    if not isinstance(content, DictConfig) or "config" not in (content.get("defaults") or []):
+        raise ValueError(f"--sweep {file}: expected `defaults: [config, _self_]` first, as in {SWEEPS / 'seeds.yaml'}")
 
 
 def arguments_for_hydra(arguments: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
@@ -104,7 +123,7 @@ def parse(argument: str) -> Override:
         name = re.split("[ =]", argument)[0]
         raise ValueError(f"{argument!r:.200}: expected OPTION=VALUE{hint(name) if name else ''}")
     try:
-        return OverridesParser.create().parse_override(argument)
+        return OverridesParser.create(config_loader=_loader()).parse_overrides([argument])[0]
     except (HydraException, RecursionError):
         raise ValueError(f"{argument:.200}: cannot be read; {_cure(argument)}") from None
 
@@ -154,14 +173,35 @@ def configuration(overrides: Sequence[str]) -> dict[str, Any]:
         parse(override)
     plugin_modules.load(plugins(own))
     try:
-        with hydra.initialize_config_dir(str(CONF), **HYDRA):
-            composed = hydra.compose("config", own)
-        resolved: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+        resolved: Any = OmegaConf.to_container(_compose(own), resolve=True, throw_on_missing=True)
     except HydraException as error:
         raise ValueError(message(error, own)) from error
     except OmegaConfBaseException as error:
         raise ValueError(one_line(error)) from error
     return resolved
+
+
+def _compose(overrides: Sequence[str], hydra: bool = False) -> DictConfig:
+    """What Hydra composes. Its global state may be that of a program that calls this package, and is left alone.
+
+    hydra: with Hydra's own options.
+    """
+    with _turn:
+        base = version.VersionBase.instance()
+        callers, base.version_base = base.version_base, Version(HYDRA.get("version_base", "1.3"))
+        try:
+            composed = _loader().load_configuration("config", list(overrides), RunMode.RUN, from_shell=False)
+        finally:
+            base.version_base = callers
+    if not hydra:
+        with open_dict(composed):
+            del composed["hydra"]
+    return composed
+
+
+@lru_cache(maxsize=1)
+def _loader() -> ConfigLoaderImpl:
+    return ConfigLoaderImpl(create_config_search_path(str(CONF)))
 
 
 def message(error: Exception, typed: Sequence[str]) -> str:
@@ -177,14 +217,14 @@ def message(error: Exception, typed: Sequence[str]) -> str:
     if ambiguous := re.match(r"Ambiguous value for argument '(?:head@)?((.*?)=(.*))'\n", str(error)):
         override, key, value = ambiguous.groups()
         key = key.lstrip("+~")
-        config = _composed(typed)
-        if config is not None and key not in _names(config) and not key.startswith("hydra"):
+        config = _composed(typed, hydra=key.startswith("hydra."))
+        if config is not None and key not in _names(config) and not key.startswith("hydra/"):
             return unknown_option(key, config)
         known = f"a list is {key}=[{value}], a text {_quoted(key, value)}"
         return f"{override}: several values are a sweep, add -m; {known}"
     unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
     if unknown:
-        return unknown_option(unknown[1], _composed(typed))
+        return unknown_option(unknown[1], _composed(typed, hydra=unknown[1].startswith("hydra.")))
     cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
     return one_line(error).partition(" See https://hydra.cc")[0] + cause
 
@@ -203,7 +243,11 @@ def unknown_option(name: str, config: DictConfig | None) -> str:
         group = group.rpartition(".")[0]
     if suggested := hint(name, config):
         return f"unknown option {name}{suggested}"
-    known = sorted(map(str, node)) if group else sorted({*map(str, config), *_groups()})
+    known = (
+        sorted(key for key in map(str, node) if not key.startswith("_"))
+        if group
+        else sorted({*map(str, config), *_groups()})
+    )
     return f"unknown option {name}; known: {', '.join(known)}"
 
 
@@ -213,8 +257,10 @@ def hint(name: str, config: DictConfig | None = None) -> str:
     name = name.replace("-", "_")
     names = _names(config)
     last, group = name.rpartition(".")[2], f"{name.partition('.')[0]}."
-    near = get_close_matches(last, {known.rpartition(".")[2] for known in names}, n=1, cutoff=0.75)
     found = [HABITS[last]] if last in HABITS else get_close_matches(name, names, n=1, cutoff=0.8)
+    if group == "hydra.":  # an option of Hydra is none of ours
+        names, found = [known for known in names if known.startswith(f"{name.rpartition('.')[0]}.")], []
+    near = get_close_matches(last, {known.rpartition(".")[2] for known in names}, n=1, cutoff=0.75)
     found = found or [known for known in names if known.rpartition(".")[2] in near]
     found = [known for known in found if known.startswith(group)] or found
     found = sorted(dict.fromkeys(found), key=lambda known: (known.count("."), not known.startswith("train"), known))
@@ -240,16 +286,18 @@ def _leaves(node: Any, prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{key}"
 
 
-def _composed(arguments: Iterable[str]) -> DictConfig | None:
+def _composed(arguments: Iterable[str], hydra: bool = False) -> DictConfig | None:
     """The configuration with the typed choices, or without them if they do not exist; None if neither is possible."""
-    typed = [word for word in arguments if word.partition("=")[0].rpartition("@")[2] in (*_groups(), "head")]
+    groups = (*_groups(), "head")
+    typed = [word for word in arguments if word.startswith("hydra/") or _key(word).rpartition("@")[2] in groups]
     for choices in ([word for word in typed if "," not in word], []):
-        with (
-            contextlib.suppress(HydraException, OmegaConfBaseException),
-            hydra.initialize_config_dir(str(CONF), **HYDRA),
-        ):
-            return hydra.compose("config", choices)
+        with contextlib.suppress(HydraException, OmegaConfBaseException):
+            return _compose(choices, hydra)
     return None
+
+
+def _key(word: str) -> str:
+    return word.partition("=")[0]
 
 
 def _suggested(name: str, known: Sequence[str]) -> str:

@@ -1,6 +1,7 @@
 """The one line on standard error for what went wrong, and the exit code that follows from it."""
 
 import argparse
+import errno
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -52,12 +53,19 @@ class Parser(argparse.ArgumentParser):
 def report(error: Exception, before: str = "") -> int:
     """Prints the error as one line, `before` first; returns the exit code."""
     print(f"{before}error: {one_line(error)}", file=sys.stderr)
-    return FAILED if is_shortage(error) or raised_in(error) else WRONG
+    return FAILED if is_shortage(error) or is_full(error) or raised_in(error) else WRONG
 
 
 def is_shortage(error: BaseException) -> bool:
-    """Whether there is too little memory; PyTorch says so by a RuntimeError."""
-    return isinstance(error, MemoryError) or "allocate memory" in str(error)
+    """Whether there is too little memory; PyTorch says so by a RuntimeError, of a GPU in other words."""
+    said = isinstance(error, RuntimeError) and "out of memory" in str(error)
+    return isinstance(error, MemoryError) or said or "allocate memory" in str(error)
+
+
+def is_full(error: BaseException) -> bool:
+    """Whether the disk is full, or the user's part of it."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def one_line(error: BaseException) -> str:

@@ -69,8 +69,9 @@ def job(composed: DictConfig) -> None:
         if not _stopping(sweep):
             _train(composed, prefix, sweep)
     except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
-        sys.exit(ends.stopped_code())
+        if not (side_by_side and _terminated(sweep)):
+            print("stopped", file=sys.stderr)
+            sys.exit(ends.stopped_code())
     except Exception as error:
         _failed(error, prefix, sweep)
     finally:
@@ -92,6 +93,16 @@ def _failed(error: Exception, prefix: str, sweep: Sweep | None) -> None:
         sys.exit(code if isinstance(error, (ValueError, OmegaConfBaseException)) else FAILED)
     reason = one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
     sweep.fail(HydraConfig.get().job.num, list(HydraConfig.get().overrides.task), reason)
+
+
+def _terminated(sweep: Sweep | None) -> bool:
+    """Whether somebody has stopped this process alone, not the sweep; then the job has failed, and others go on."""
+    if sweep is None or _stopping(sweep):
+        return False
+    own = HydraConfig.get()
+    reason = "its process was terminated; the same command continues it"
+    sweep.fail(own.job.num, list(own.overrides.task), reason)
+    return True
 
 
 def _stopping(sweep: Sweep | None) -> bool:
@@ -126,7 +137,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         sweep.busy(own.job.num, overrides, outcome.path)
     elif outcome.state == "busy":
         sys.exit(FAILED)
-    elif outcome.state == "interrupted" and not prefix:
+    elif outcome.state == "interrupted" and not (prefix and (_terminated(sweep) or _stopping(sweep))):
         sys.exit(ends.stopped_code())
 
 
@@ -220,8 +231,9 @@ def _not_launched(error: Exception) -> int:
     """Prints why Hydra could not compose a configuration or a launcher ended early; returns the exit code."""
     if isinstance(error, HydraException):
         return report(ValueError(compose.message(error, sys.argv[1:])))
-    if _jobs or not isinstance(error, (ValueError, OSError, OmegaConfBaseException)):
-        # The launcher failed: a process was killed for lack of memory, or a queue refused the job.
+    if _jobs or "Worker" in type(error).__name__ or any(any((one.folder / "jobs").glob("*")) for one in sweeps.started):
+        # The launcher failed: a process was killed for lack of memory, or a job of a queue was.
         print(f"error: the sweep ended early; the same command continues it: {one_line(error)}", file=sys.stderr)
         return FAILED
-    return report(error)
+    known = isinstance(error, (ValueError, OSError, OmegaConfBaseException))
+    return report(error if known else ValueError(f"nothing was begun: {one_line(error)}"))

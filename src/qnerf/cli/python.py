@@ -5,6 +5,7 @@ The same checks, store and ids as `qnerf run`. No application of Hydra is starte
 
 import base64
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+import torch
 from rich.console import Console
 
 from qnerf.cli import compose
@@ -24,7 +25,7 @@ from qnerf.cli.commands import runs as listing
 from qnerf.cli.display import LiveDisplay, print_outcome
 from qnerf.cli.errors import is_known, report
 from qnerf.cli.stored import load_stored
-from qnerf.cli.sweep import announce, check_count
+from qnerf.cli.sweep import announce, combinations
 from qnerf.cli.text import duration
 from qnerf.cli.training import note_without_effect, train
 from qnerf.metrics import quality_metrics
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from qnerf.probes import Trained
     from qnerf.viewing.frames import Renderer
 
+_turn = threading.RLock()  # one trains at a time: PyTorch's random stream and its threads are the process's
 REFRESH = 0.2  # seconds between two changes of a notebook's progress bar
 PICTURES = 2  # that a run shows of itself
 
@@ -159,9 +161,7 @@ def sweep(*overrides: str) -> list[StoredRun]:
     Raises:
         ValueError: an option or a choice that does not exist, before anything is trained.
     """
-    parsed = [compose.parse(compose.translated(override)) for override in overrides]
-    check_count(parsed)
-    jobs = BasicSweeper.split_arguments(parsed, None)[0]
+    jobs = combinations([compose.parse(compose.translated(override)) for override in overrides])
     announce(jobs, compose.configuration)
     trained = []
     for job in jobs:
@@ -187,7 +187,7 @@ def load(run: str, *overrides: str, store: str | Path = "runs") -> StoredRun:
     Raises:
         ValueError: no run or more than one, with the nearest ids.
     """
-    return StoredRun(find(run, store), overrides)
+    return StoredRun(find(run, store).absolute(), overrides)
 
 
 def runs(conditions: str = "", store: str | Path = "runs") -> pd.DataFrame:
@@ -216,10 +216,15 @@ def _train(config: dict[str, Any], overrides: Sequence[str], usual: Any = None, 
     progress = config["run"]["progress"]
     kind: Callable[..., LiveDisplay] = NotebookDisplay if notebook and progress else LiveDisplay
     console = Console(force_jupyter=False, force_terminal=False if notebook else None)  # the bar is the display's
-    outcome = train(config, overrides, kind(console, progress, usual))
+    with _turn, torch.random.fork_rng(devices=[]):
+        threads = torch.get_num_threads()
+        try:
+            outcome = train(config, overrides, kind(console, progress, usual))
+        finally:
+            torch.set_num_threads(threads)
     print_outcome(console, outcome, brief=brief or notebook)
     same = tuple(override for override in overrides if override.lstrip("+").startswith("plugins="))
-    return StoredRun(outcome.path, same)
+    return StoredRun(outcome.path.absolute(), same)
 
 
 def _in_notebook() -> bool:

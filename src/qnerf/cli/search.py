@@ -22,7 +22,7 @@ from qnerf.building.components import component
 from qnerf.building.scene import prepare
 from qnerf.cli.ends import FAILED
 from qnerf.cli.errors import report
-from qnerf.cli.sweep import Composer, Sweep
+from qnerf.cli.sweep import Composer, Sweep, effective, texts_of
 from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import console
 from qnerf.config import bounds
@@ -83,16 +83,14 @@ class OptunaSweeper(Sweeper):
         goals.check(self.options["objectives"])
         typed = [*(f"{key}={value}" for key, value in self.params.items()), *arguments]
         composer = Composer(self.hydra_context.config_loader, self.config)
-        parsed = composer.parser.parse_overrides(typed)
+        parsed = effective(composer.parser.parse_overrides(typed))
         swept = {item.get_key_element(): item for item in parsed if item.is_sweep_override()}
         if not swept:
             raise ValueError("a search needs a space: an option with several values, such as qiren.layers=1,2,3")
+        if twice := [item for item in parsed if item.get_key_element() in swept and item not in swept.values()]:
+            raise ValueError(f"{twice[0].input_line}: a search varies this option, which is given twice; give it once")
         space = {key: values_of(item) for key, item in swept.items()}
-        fixed = [
-            f"{item.get_key_element()}={item.get_value_element_as_str()}"
-            for item in parsed
-            if item.get_key_element() not in swept
-        ]
+        fixed = [text for item in parsed if not item.is_sweep_override() for text in texts_of(item)]
         try:
             trials = self._search(space, fixed, composer)
         except NoObjective as error:
@@ -125,7 +123,7 @@ class OptunaSweeper(Sweeper):
             if options["prune"]["percentile"] and metric:
                 peers = [name for trial in trials if trial.state == "finished" for name in trial.runs]
                 (sweep.folder / FILE).write_text(json.dumps({"metric": metric, "peers": peers, **options["prune"]}))
-            jobs = [[*overrides(space, point), *fixed, *seed] for point in points for seed in seeds]
+            jobs = [[*fixed, *overrides(space, point), *seed] for point in points for seed in seeds]
             for job in self.launcher.launch(jobs, initial_job_idx=self.jobs):
                 _ = job.return_value  # raises what a job has raised
             self.jobs += len(jobs)

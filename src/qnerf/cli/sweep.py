@@ -10,7 +10,9 @@ The folder works for jobs on any machine that shares the store:
   jobs/            scripts and output of a cluster's jobs
 """
 
+import contextlib
 import copy
+import itertools
 import json
 import os
 import signal
@@ -31,7 +33,8 @@ from qnerf.building.acting import acting, without_effect
 from qnerf.cli import compose
 from qnerf.cli.ends import INTERRUPTED
 from qnerf.cli.errors import one_line
-from qnerf.records import owner, state
+from qnerf.records import StoreError, owner, state
+from qnerf.records.files import read_json, replace
 
 STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
 COUNTED = 300  # jobs; composing more of them to count different runs takes longer than it is worth
@@ -39,6 +42,7 @@ MAX_JOBS = 100_000  # Hydra lists them all in memory
 RETRY = 5.0  # seconds between two looks at runs that other processes train
 
 started: list["Sweep"] = []  # sweeps that this process started
+_unwritten: dict[Path, dict[str, Any]] = {}  # what this process could not write into the folder of a sweep
 
 
 class Sweep:
@@ -75,15 +79,29 @@ class Sweep:
 
     def _write(self, kind: str, job: int, content: Mapping[str, Any]) -> None:
         path = self.folder / kind / f"{job}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            replace(path, json.dumps(content).encode(), durable=False)
+        except (OSError, StoreError):  # the disk is full: the other jobs go on, and this process remembers it
+            _unwritten[path] = dict(content)
+            with contextlib.suppress(OSError):
+                path.touch()
 
     def _read(self, kind: str) -> dict[int, Any]:
-        paths = {int(path.stem): path for path in (self.folder / kind).glob("*.json")}
-        return {number: json.loads(paths[number].read_text()) for number in sorted(paths)}
+        folder = self.folder / kind
+        paths = {int(path.stem): path for path in (*folder.glob("*.json"), *_unwritten) if path.parent == folder}
+        return {number: _unwritten.get(paths[number]) or _job(paths[number]) for number in sorted(paths)}
 
     def _own(self, overrides: Sequence[str]) -> str:
         return " ".join([item for item in overrides if item not in self.common] or overrides)
+
+
+def _job(path: Path) -> dict[str, Any]:
+    """What a job has reported; that it has reported, where the disk had no room for more."""
+    try:
+        return read_json(path)
+    except (OSError, StoreError):
+        return {"overrides": [f"job {path.stem}"], "reason": "the disk had no room for the reason", "run": path.stem}
 
 
 class Grid(BasicSweeper):
@@ -100,14 +118,18 @@ class Grid(BasicSweeper):
 
     def sweep(self, arguments: list[str]) -> Any:
         parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
-        parsed = parser.parse_overrides([*self._parse_config(), *arguments])
-        count = check_count(parsed)
+        jobs = combinations(parser.parse_overrides([*self._parse_config(), *arguments]))
         composer = Composer(self.hydra_context.config_loader, self.config)
-        announce(self.split_arguments(parsed, None)[0], composer.configuration)
+        announce(jobs, composer.configuration)
         returned = super().sweep(arguments)
         if "submitit" not in self.config.hydra.runtime.choices["hydra/launcher"]:
-            self._go_back(Sweep(self.config.hydra.sweep.dir), count)
+            self._go_back(Sweep(self.config.hydra.sweep.dir), len(jobs))
         return returned
+
+    @staticmethod
+    def split_arguments(overrides: list[Override], max_batch_size: int | None) -> list[list[list[str]]]:
+        """All jobs as one batch. Hydra's own drops the first of two mappings."""
+        return [combinations(overrides)]
 
     def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
         """Nothing: `announce` has composed the jobs."""
@@ -131,6 +153,31 @@ class Grid(BasicSweeper):
                     print(f"waiting for runs that other processes train: {names}", flush=True)
                 told = True
                 time.sleep(RETRY)
+
+
+def effective(parsed: Sequence[Override]) -> list[Override]:
+    """Without what a later override of the same option replaces, as in a single run; a mapping replaces nothing."""
+    keys = [override.get_key_element() for override in parsed]
+    last = {key: number for number, key in enumerate(keys) if not _is_mapping(parsed[number])}
+    return [override for number, override in enumerate(parsed) if number >= last.get(keys[number], 0)]
+
+
+def texts_of(override: Override) -> list[str]:
+    """`OPTION=VALUE` of each value."""
+    swept = override.is_sweep_override()
+    values = override.sweep_string_iterator() if swept else [override.get_value_element_as_str()]
+    return [f"{override.get_key_element()}={value}" for value in values]
+
+
+def _is_mapping(override: Override) -> bool:
+    return isinstance(override.value(), dict) or (override.is_choice_sweep() and "{" in (override.input_line or ""))
+
+
+def combinations(parsed: Sequence[Override]) -> list[list[str]]:
+    """The overrides of each job of a sweep; ValueError as `check_count`."""
+    acting = effective(parsed)
+    check_count(acting)
+    return [list(job) for job in itertools.product(*map(texts_of, acting))]
 
 
 def check_count(parsed: Sequence[Override]) -> int:

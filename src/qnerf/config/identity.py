@@ -14,8 +14,15 @@ DIGITS = 10  # hexadecimal
 
 
 def plain(value: Any, name: str = "config") -> Any:
-    """`value` as dicts with text keys, lists, text, numbers, booleans and None; ValueError for any other type."""
+    """`value` as dicts with text keys, lists, text, numbers, booleans and None.
+
+    ValueError for any other type, and for a key that is neither text nor a number, or equals another one as text.
+    """
     if isinstance(value, Mapping):
+        texts = dict.fromkeys(map(str, value))
+        for key in value:
+            if not isinstance(key, (str, int, float)) or not is_unicode(str(key)) or len(texts) < len(value):
+                raise ValueError(f"{name}: expected keys of text, each once, got {key!r:.100}")
         return {str(key): plain(item, f"{name}.{key}") for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item, f"{name}[{i}]") for i, item in enumerate(value)]
@@ -29,6 +36,15 @@ def plain(value: Any, name: str = "config") -> Any:
         if isinstance(value, kind):
             return kind(value)
     raise ValueError(f"{name}: expected text, number, true/false, null, list or dict, got {type(value).__name__}")
+
+
+def is_unicode(text: str) -> bool:
+    """Whether UTF-8 can say it: names of files and arguments in another encoding have characters that it lacks."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def digest(decisive: Mapping[str, Any], fingerprint: str) -> str:

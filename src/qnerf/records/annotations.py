@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from qnerf.config.identity import is_unicode
 from qnerf.records import files
 from qnerf.records.deletion import require_run
 from qnerf.records.files import StoreError, reporting
@@ -72,9 +73,11 @@ def write_note(run_dir: str | Path, note: str) -> Annotations:
     """Replaces the note; an empty one removes it.
 
     Raises:
-        ValueError: longer than `NOTE_LENGTH` characters.
+        ValueError: longer than `NOTE_LENGTH` characters, or not Unicode.
         StoreError: the file cannot be written.
     """
+    if not is_unicode(note):
+        raise ValueError(f"expected a note in UTF-8, got {note!r:.100}; the terminal's encoding may be another one")
     if len(note) > NOTE_LENGTH:
         raise ValueError(f"expected a note of at most {NOTE_LENGTH:,} characters, got {len(note):,}")
     with _changing(Path(run_dir)) as path:

@@ -24,7 +24,6 @@ class Checkpoints:
         self.previous = directory / "checkpoint.prev.pt"
         self._check_owner = check_owner
         self._warn = warn
-        self._was_read_back = False
 
     def save(self, content: dict[str, Any]) -> None:
         import torch
@@ -32,11 +31,9 @@ class Checkpoints:
         archive = io.BytesIO()
         try:
             torch.save(content, archive)
-            if not self._was_read_back:  # content that cannot be loaded should fail now, not when the run is resumed
-                archive.seek(0)
-                torch.load(archive, weights_only=True)
-                self._was_read_back = True
-        except (pickle.PickleError, AttributeError, TypeError) as error:
+            archive.seek(0)
+            torch.load(archive, weights_only=True)  # what cannot be loaded fails now, not when the run is resumed
+        except (pickle.PickleError, AttributeError, TypeError, RecursionError) as error:
             known = re.search(r"GLOBAL (\S+)", str(error))
             raise ValueError(
                 f"checkpoint: expected tensors and plain values only, got {known[1] if known else one_line(error)};"

@@ -65,7 +65,6 @@ def delete_run(folder: Path) -> None:
         folder.rename(gone)
         with contextlib.suppress(FileNotFoundError):  # another command deletes it, too, as a leftover
             shutil.rmtree(gone)
-    delete_leftovers(folder.parent)
 
 
 def delete_leftovers(store: Path) -> None:

@@ -47,6 +47,8 @@ def reading(label: object) -> Iterator[None]:
 def parse_json(data: bytes) -> dict[str, Any]:
     """A JSON object; ValueError for anything else."""
     record = json.loads(data)
+    if b"\\ud" in data or b"\\uD" in data:  # an escape may stand for half a character, which no table can hold
+        json.dumps(record, ensure_ascii=False).encode()
     if not isinstance(record, dict):
         raise ValueError(f"expected an object, got {type(record).__name__}")
     return record
@@ -60,8 +62,8 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def json_bytes(record: Any) -> bytes:
-    """The record as a JSON file, in ASCII."""
-    return (json.dumps(record, indent=1) + "\n").encode()
+    """The record as a JSON file; what is not Unicode, such as a file name in another encoding, gets question marks."""
+    return (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode(errors="replace")
 
 
 def temporary_path(path: Path, folder: Path | None = None) -> Path:

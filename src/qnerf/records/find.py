@@ -25,9 +25,10 @@ def find(name: str | Path, store: str | Path = "runs", *, whole: bool = False) -
         if not any((folder / file).exists() for file in RUN_MARKERS):
             raise ValueError(f"{text}: no such run; expected a folder with {' or '.join(RUN_MARKERS)}")
         return folder
-    known = {path.name: path for path in runs(existing_store(store))}
-    if text in known:
-        return known[text]
+    root = existing_store(store)
+    if text and not text.startswith(".") and (root / text).is_dir():  # in a large store a listing takes long
+        return root / text
+    known = {path.name: path for path in runs(root)}
     matches = [run_id for run_id in known if text and text in run_id]
     if len(matches) == 1 and whole:
         raise ValueError(f"{text}: no such run in {store}; expected a whole id, such as {_listed(matches)}")

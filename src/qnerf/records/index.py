@@ -12,6 +12,7 @@ be written has no index: all runs are read each time.
 import contextlib
 import json
 import os
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,15 @@ from typing import Any
 import pandas as pd
 from pandas.api.types import infer_dtype
 
+from qnerf.config.identity import is_unicode
 from qnerf.records import annotations, read
-from qnerf.records.files import StoreError, read_json, replace
+from qnerf.records.files import StoreError, read_json, replace, reporting
 from qnerf.records.location import existing_store
-from qnerf.records.schemas import known_kind
-
-RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
-"""Columns that do not come from the summary, even if it has values with these names."""
+from qnerf.records.schemas import RUN_COLUMNS, known_kind
 
 INDEX = Path(".index", "runs.json")  # below a store
 
+_YOUNG_NS = 300 * 10**9
 _CHANGES_WORTH_SAVING = 0.01  # share of the runs; below it, reading them again takes less time than writing the index
 
 Row = dict[str, Any]
@@ -70,16 +70,38 @@ def load_runs(store: str | Path, runs: Iterable[str]) -> pd.DataFrame:
 
 def scan(root: Path) -> Stamps:
     """The stamps of all runs of a store, sorted by name; empty if there is no store yet."""
-    stamps = {folder.name: _stamp(folder) for folder in read.runs(root)}
+    stamps = {folder.name: _stamp(str(folder)) for folder in read.runs(root)}
     return {name: stamp for name, stamp in stamps.items() if stamp}
 
 
-def _stamp(folder: Path) -> str:
+class Watch:
+    """`scan` again and again. Every change of a run renames a file into its folder, so an old folder is not entered."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._seen: dict[str, tuple[int, str]] = {}  # name -> time of the folder, stamp
+
+    def scan(self) -> Stamps:
+        young = time.time_ns() - _YOUNG_NS  # a file system's clock may tick slowly, or be another machine's
+        seen = {}
+        with reporting(self.root, "read"), os.scandir(self.root) as entries:
+            for entry in entries:
+                with contextlib.suppress(OSError):  # it has gone meanwhile
+                    if not entry.name.startswith(".") and entry.is_dir():
+                        changed = entry.stat().st_mtime_ns
+                        known = self._seen.get(entry.name)
+                        same = known is not None and known[0] == changed < young
+                        seen[entry.name] = known if known and same else (changed, _stamp(entry.path))
+        self._seen = seen
+        return {name: seen[name][1] for name in sorted(seen) if seen[name][1]}
+
+
+def _stamp(folder: str) -> str:
     """Empty if the folder is not a run."""
     parts = []
     for file in (*read.RUN_MARKERS, annotations.FILE):
         try:
-            status = os.stat(folder / file)
+            status = os.stat(f"{folder}{os.sep}{file}")
         except FileNotFoundError:
             continue
         except OSError:  # the reason is reported when the file is read
@@ -108,8 +130,10 @@ def _row(folder: Path) -> Row | None:
     with contextlib.suppress(StoreError):
         annotated = annotations.read(folder)
     stored = status.get("state")
+    name = folder.name.encode(errors="backslashreplace").decode()
+    damage = damage if is_unicode(folder.name) else f"{name}: expected a folder whose name is UTF-8; rename it"
     own = {
-        "run_id": folder.name,
+        "run_id": name,
         "state": "damaged" if damage else stored if stored in ("running", *read.ENDED) else "interrupted",
         "error": damage or status.get("error") or summary.get("error"),
         "path": None,  # the store may be moved

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from qnerf.config.identity import is_unicode
+
 DEFAULT = "runs"
 """The store of commands that are given none."""
 
@@ -16,11 +18,13 @@ def store_folder(store: str | Path) -> Path:
     """The folder of a store, which need not exist yet.
 
     Raises:
-        ValueError: it is a URL, empty or not a path.
+        ValueError: it is a URL, empty, not a path or not Unicode.
     """
     text = str(store)
     if not text.strip() or "\0" in text:
         raise ValueError(f"store: expected a folder, got {text!r}")
+    if not is_unicode(text):
+        raise ValueError(f"store: expected a folder whose name is UTF-8, got {text!r}")
     if _URL.match(text):
         raise ValueError(f"store: expected a folder, got {text}; copy the store here, or read its files with DuckDB")
     return Path(text)

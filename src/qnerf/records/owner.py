@@ -89,9 +89,22 @@ class Ownership:
         self.directory = directory
         self.number = number
         self.nonce = nonce
+        self._pid = os.getpid()
+
+    @property
+    def inherited(self) -> bool:
+        """Whether this is a fork of the owner's process, which owns nothing."""
+        return os.getpid() != self._pid
+
+    def refuse_fork(self) -> None:
+        """StoreError in a fork of the owner's process. It must not even wait for a lock: nobody would release it."""
+        if self.inherited:
+            what = "is a fork of it, which writes nothing; return the values, and log them there"
+            raise StoreError(f"{self.directory}: process {self._pid} writes the run, and process {os.getpid()} {what}")
 
     def check(self) -> None:
-        """StoreError if the folder is gone or another process has taken the run over."""
+        """StoreError if the folder is gone, another process has taken the run over, or this is a fork of the owner."""
+        self.refuse_fork()
         latest = _latest_number(self.directory)
         if latest < 0:
             raise StoreError(f"{self.directory}: the run's folder was removed or moved while the run was writing to it")
@@ -100,7 +113,7 @@ class Ownership:
 
     def release(self) -> None:
         path = _owner_file(self.directory, self.number)
-        if _read(path).get("nonce") != self.nonce:
+        if self.inherited or _read(path).get("nonce") != self.nonce:
             return
         with reporting(path), open(path, "r+b") as file:
             file.seek(file.read().index(_HELD))

@@ -5,6 +5,7 @@ A column's type is declared, here or by the run's options. So the tables of all 
 
 import json
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import pyarrow as pa
@@ -29,6 +30,12 @@ _RESULTS = {
     **dict.fromkeys(("step", "steps", "eval_views"), "int"),
 }
 _PREFIXES = {"params.": "int", "time.": "float"}
+RESULT_GROUPS = ("params", "time", "cost")
+"""First parts of the dotted names of results; a dotted name that begins otherwise is an option."""
+LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
+"""Columns that name a run's choices; a label that does not act in a run is absent."""
+RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
+"""Columns of the table of all runs that do not come from the summary, even if it has values with these names."""
 _HEAD_NUMBERS = ("mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NUMBERS = ("seed", "train.steps", *(f"{head}.{name}" for head in ("density", "color") for name in _HEAD_NUMBERS))
 """Options that tables and figures compute with."""
@@ -41,6 +48,13 @@ TABLES = {
 """Table of a run, such as eval.parquet -> the columns that its readers need, and the kind of their values."""
 
 
+PROBES = (
+    "eval_hardware", "spectrum", "encoding", "rays", "units", "cost", "expressibility", "entangling", "fisher",
+    "kernel", "surrogate",
+)  # fmt: skip
+"""Tables that `qnerf probe` leaves in a run's folder."""
+
+
 def result_kind(name: str) -> str | None:
     """The declared kind of a result; None: text and booleans keep theirs, any other number is a float."""
     if name in METRICS:
@@ -50,9 +64,26 @@ def result_kind(name: str) -> str | None:
     return _RESULTS.get(name) or next((kind for start, kind in _PREFIXES.items() if name.startswith(start)), None)
 
 
+@lru_cache(maxsize=4096)
 def known_kind(name: str) -> str | None:
     """The kind of a summary's column that tables and figures compute with; None for any other column."""
     return "int" if name in NUMBERS else result_kind(name)
+
+
+def check_result(name: str, config: Mapping[str, Any]) -> None:
+    """ValueError if a result has the name of an option of the run, or of a column that says which run it is."""
+    group, dot, _ = name.partition(".")
+    if name in ("seed", "scene", "scene_name", *LABELS, *RUN_COLUMNS) or name in flatten(config):
+        raise ValueError(
+            f"{name}: is the name of an option or of the run's own column; expected another for the result"
+        )
+    if dot and group not in RESULT_GROUPS:
+        raise ValueError(f"{name}: dots are for options; expected a result such as {name.replace('.', '/')}")
+
+
+def is_option(name: str) -> bool:
+    """Whether a column with a dotted name is an option of a run, not a result."""
+    return "." in name and " @ " not in name and name.partition(".")[0] not in RESULT_GROUPS
 
 
 def evaluation(rows: Iterable[Mapping[str, Any]], step: int) -> pa.Table:

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import json
 import secrets
 import shutil
 import time
@@ -12,15 +13,19 @@ from typing import Any, Literal
 
 import yaml  # type: ignore[import-untyped]
 
-from qnerf.config.identity import plain
+from qnerf.config.identity import picture_names, plain
 from qnerf.records import owner, schemas
 from qnerf.records.deletion import NEW, delete_leftovers, require_run
 from qnerf.records.files import StoreError, json_bytes, remove_temporary_files, replace, reporting
 from qnerf.records.location import RUN_ID, store_folder
 from qnerf.records.owner import OwnerInfo, Ownership
 from qnerf.records.parquet import encode
-from qnerf.records.read import part_name, read_status, runs
+from qnerf.records.read import metric_parts, part_name, read_evaluation, read_status, runs
+from qnerf.records.schemas import PROBES
 from qnerf.records.writer import EMPTY_PART, Run, running_status
+
+CHECKPOINTS = ("checkpoint.pt", "checkpoint.prev.pt")
+RESULTS = ("dirty.diff", "environment.json", "log.txt", "preview.png", "dataparser_transforms.json")
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class RunStore:
         config: resolved, plain values. overrides: what the user typed. columns: further columns of summary.parquet,
         there from the start, as `Run.write_summary` takes them. types: dotted option -> "int", "float", "bool" or
         "text", the type of its column; other options are float64, bool or text. force: throw away the results of a
-        finished or interrupted run and start again; its tags and note stay.
+        finished or interrupted run and start again; its tags, its note and what a user has put into its folder stay.
 
         Raises:
             ValueError: not a run id, or an option is not of its type.
@@ -83,7 +88,7 @@ class RunStore:
             {
                 "summary.parquet": encode(schemas.summary(row, plain(config), types or {})),
                 "config.yaml": to_yaml(config).encode(),
-                "overrides.txt": "".join(f"{line}\n" for line in overrides).encode(),
+                "overrides.txt": "".join(f"{line}\n" for line in overrides).encode(errors="replace"),
                 "eval.parquet": encode(schemas.evaluation([], 0)),
                 f"metrics/{part_name(0)}": EMPTY_PART,
             },
@@ -114,7 +119,9 @@ class RunStore:
         resumed = not created and not force
         message = "new run" if created else "done over"
         if resumed:
-            onward = "from its checkpoint" if any(directory.glob("checkpoint*.pt")) else "from the start"
+            onward = (
+                "from its checkpoint" if any((directory / name).exists() for name in CHECKPOINTS) else "from the start"
+            )
             message = f"was {'failed' if before == 'failed' else 'interrupted'}, going on {onward}"
         if not created:
             remove_temporary_files(directory)
@@ -172,6 +179,9 @@ class _Start:
         folder, now = ownership.directory, time.time()
         status = {"run_id": self.run_id, "step": 0, "created": now, "heartbeat": now} | running_status(ownership)
         files = {"status.json": json_bytes(status), **self.files}
+        results = (
+            [path for path in _results(folder) if path.relative_to(folder).as_posix() not in files] if anew else []
+        )
         with reporting(folder):
             for name in ("images", "metrics"):
                 (folder / name).mkdir(exist_ok=True)
@@ -180,18 +190,24 @@ class _Start:
                 ownership.check()
                 replace(folder / name, data, temporary_folder=folder, durable=False)
             if anew and name == "status.json":  # without a checkpoint the run starts again after a kill
-                _delete(ownership, folder.glob("checkpoint*"))
-        if anew:
-            kept = {"annotations.json", *files}
-            results = (path for path in folder.rglob("*") if path.relative_to(folder).as_posix() not in kept)
-            _delete(ownership, (path for path in results if not path.is_dir() and path.parent != folder / "owner"))
+                _delete(ownership, [*map(folder.joinpath, CHECKPOINTS), *results])
+
+
+def _results(folder: Path) -> Iterator[Path]:
+    """What an earlier training has left beside the checkpoints; what else is in the folder is its user's."""
+    yield from map(folder.joinpath, (*RESULTS, *(f"{name}.parquet" for name in PROBES)))
+    yield from folder.glob("damaged-*-checkpoint*.pt")
+    with contextlib.suppress(StoreError):
+        yield from metric_parts(folder).values()
+        for name in picture_names(list(read_evaluation(folder)["image"])):
+            yield folder / "images" / f"{name}.png"
 
 
 def _delete(ownership: Ownership, files: Iterable[Path]) -> None:
     with reporting(ownership.directory, "delete the results"):
         for path in list(files):
             ownership.check()
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -209,7 +225,7 @@ def _finished(directory: Path) -> Claim:
 
 
 def to_yaml(config: Mapping[str, Any]) -> str:
-    content = plain(config)
+    content = json.loads(json_bytes(plain(config)))  # of Unicode alone
     readable = "\\x85" not in repr(content)  # a line's end to YAML, which PyYAML writes as it is
     text: str = yaml.safe_dump(content, sort_keys=False, allow_unicode=readable, width=120)
     return text

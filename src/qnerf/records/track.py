@@ -1,23 +1,28 @@
 """Tracks a training loop of the user's own as a run of the store, like those that qnerf trains."""
 
 import contextlib
+import os
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from qnerf.config.checks import is_number
-from qnerf.config.identity import clean, digest, plain
+from qnerf.config.identity import clean, digest, leaves, plain
 from qnerf.metrics import metric_of
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.environment import capture, dirty_diff
 from qnerf.records.files import StoreError
-from qnerf.records.location import DEFAULT
+from qnerf.records.location import DEFAULT, store_folder
 from qnerf.records.read import read_evaluation
+from qnerf.records.schemas import NUMBERS, RESULT_GROUPS, check_result
 from qnerf.records.store import RunStore
 from qnerf.records.writer import Run
 
-WHOLE = {"seed": "int", "train.steps": "int"}
+RESERVED = (*RESULT_GROUPS, "field", "hydra")
+"""Names that mean something else in a store; a group of options that is called so is one of the group `train`."""
+
+WHOLE = dict.fromkeys(NUMBERS, "int")
 """Options that are whole numbers in other runs, too. Any other number of a configuration is a float."""
 
 
@@ -40,8 +45,9 @@ def track(
     saved last; it makes no step if the run is finished.
 
     config: nested plain values, which become columns of the run in every table. `scene` and `seed` mean what they mean
-    in other runs; another plain value is an option of the group `train`, such as `train.lr`. name: what is trained, the
-    column `field`. store: the folder of the runs. force: a finished or interrupted run is done over.
+    in other runs. Another plain value is an option of the group `train`, such as `train.lr`, and so is a group with a
+    name of ours, such as `train.params.lr`. name: what is trained, the column `field`. store: the folder of the runs.
+    force: a finished or interrupted run is done over.
 
     Raises:
         ValueError: the configuration holds something else than plain values, the store cannot be written, or another
@@ -49,16 +55,21 @@ def track(
     """
     grouped = _grouped(config)
     run_id = f"{clean(name)}-{digest(grouped, name)}"
-    claim = RunStore(store).claim(run_id, grouped, columns={"field": name}, types=WHOLE, force=force)
+    named = {**grouped, "field": name}
+    claim = RunStore(store_folder(store).absolute()).claim(run_id, named, types=WHOLE, force=force)
     if claim.outcome == "busy":
-        raise StoreError(claim.message)
+        ranks = "; of several ranks one tracks, and hands state and next_step to the others" if _is_ranked() else ""
+        raise StoreError(claim.message + ranks)
     if claim.run is None:
         checkpoint = claim.dir / "checkpoint.pt"
         yield Tracked(claim.dir, None, load_archive(checkpoint) if checkpoint.exists() else None)
         return
     with claim.run as record:
         record.write_environment(capture(config.get("seed"), Path.cwd()), dirty_diff(Path.cwd()))
-        yield Tracked(claim.dir, record, record.go_on(_check) if record.resumed else None)
+        tracked = Tracked(claim.dir, record, record.go_on(_check, by="seconds") if record.resumed else None)
+        yield tracked
+    if tracked.record is not None:
+        tracked.record, tracked.closed = None, True
 
 
 class Tracked:
@@ -72,8 +83,12 @@ class Tracked:
     def __init__(self, path: Path, record: Run | None, checkpoint: Mapping[str, Any] | None) -> None:
         saved = checkpoint or {"step": 0, "seconds": 0.0, "state": None}
         self.path, self.record, self.state = path, record, saved["state"]
+        self.closed = False
         self.next_step: int = saved["step"] + 1
         self._step: int = saved["step"]
+        self._counts = False  # whether `steps` counts the steps
+        self._logged = 0
+        self._saved: float | None = None  # seconds at the save of this step
         self._start = time.perf_counter() - saved["seconds"]
 
     @property
@@ -82,35 +97,69 @@ class Tracked:
         return time.perf_counter() - self._start
 
     def steps(self, last: int) -> Iterator[int]:
-        """The numbers of the steps that are left, from `next_step` to `last`; none if the run is finished."""
-        for step in range(self.next_step, last + 1 if self.record else 0):
-            self._step = step
-            yield step
+        """The numbers of the steps that are left, from `next_step` to `last`; none if the run is finished.
+
+        StoreError if the run has made more than `last` already.
+        """
+        if self.record is not None and self._step > last:
+            raise StoreError(
+                f"{self.path}: has made {self._step} steps, expected at most {last}; force=True does it over"
+            )
+        self._counts = True
+        while self.record is not None and self._step < last:
+            self._step, self._saved = self._step + 1, None
+            yield self._step
+        self._saved = None
 
     def log(self, step: int, values: Mapping[str, float] | None = None, /, **more: float) -> None:
-        """One row of metrics for each value; ValueError if one is not a number."""
-        self._step = step
-        self._writer().log(step, self.seconds, {**(values or {}), **more})
+        """One row of metrics for each value. step: the step of `steps`, or where the values stand on another axis, such
+        as an epoch; only `steps` says where the run goes on.
+
+        ValueError if the step is no whole number, a key no text or a value no number.
+        """
+        # A row after the save of its step is of that step, which will not be done again.
+        seconds = self.seconds if self._saved is None else self._saved
+        self._writer().log(step, seconds, {**(values or {}), **more}, done=self._step if self._counts else None)
+        self._logged = int(step)
 
     def save(self, state: Any) -> None:
-        """Saves tensors and plain values after the step of `steps` or `log`; ValueError for anything else."""
-        self._writer().save_checkpoint({"step": self._step, "seconds": self.seconds, "state": state})
+        """Saves tensors and plain values after the step of `steps`.
+
+        ValueError for anything else, and in a loop that logs steps which `steps` does not count.
+        """
+        writer = self._writer()
+        if self._logged and not self._counts:
+            raise StoreError(
+                f"{self.path}: save: expected `for step in run.steps(N)`, which says where the run goes on"
+            )
+        seconds = self.seconds
+        writer.save_checkpoint({"step": self._step, "seconds": seconds, "state": state})
+        self._saved = seconds
 
     def finish(self, results: Mapping[str, Any] | None = None, /, **more: Any) -> None:
         """The results of the run, columns of every table. Nothing if the run was finished before.
 
         Verdicts compare eval.parquet, one row a held-out image. If `record.write_eval` was not called, it gets one row.
+
+        Raises:
+            ValueError: a result has the name of an option or of another column, or is outside of the `with` block.
         """
-        if self.record is None:
+        if self.record is None and not self.closed:
             return
+        record = self._writer()
         measured = plain({**(results or {}), **more}, "summary")
+        for key in measured:
+            check_result(key, record.config)
         if read_evaluation(self.path).empty:
             numbers = {key: value for key, value in measured.items() if is_number(value) and _is_quality(key)}
-            self.record.write_eval([{"image": "all", **numbers}])
-        self.record.finish({"steps": self._step, "train_s": self.seconds, **measured})
+            record.write_eval([{"image": "all", **numbers}])
+        steps = self._step if self._counts else self._logged
+        record.finish({"steps": steps, "train_s": self.seconds, **measured})
         self.record = None
 
     def _writer(self) -> Run:
+        if self.closed:
+            raise StoreError(f"{self.path}: the `with` block of the run has ended, and the run with it")
         if self.record is None:
             raise StoreError(f"{self.path}: finished already; force=True does it over")
         return self.record
@@ -120,10 +169,26 @@ def _is_quality(key: str) -> bool:
     return metric_of(key).kind not in ("size", "time")
 
 
+def _is_ranked() -> bool:
+    """Whether this is one of several processes that a launcher such as torchrun has started together."""
+    return any(os.environ.get(name, "1") != "1" for name in ("WORLD_SIZE", "OMPI_COMM_WORLD_SIZE", "SLURM_NTASKS"))
+
+
 def _grouped(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration with its plain values in the group `train`; `scene` and `seed` stay outside."""
-    own = {key: value for key, value in config.items() if key in ("scene", "seed") or isinstance(value, Mapping)}
+    """The configuration with its plain values in the group `train`, and groups with names of our own.
+
+    `scene` and `seed` stay outside. ValueError where two options have one name then.
+    """
+    own = {
+        key: value
+        for key, value in config.items()
+        if key in ("scene", "seed") or (isinstance(value, Mapping) and key not in RESERVED)
+    }
     train = {key: value for key, value in config.items() if key not in own}
+    names = [name for name, _ in leaves(plain({**own, "train": {}}))]
+    names += [f"train.{name}" for group in (own.get("train", {}), train) for name, _ in leaves(plain(group))]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"config: expected options of different names, got {twice[0]} twice")
     return own | {"train": {**own.get("train", {}), **train}} if train else own
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from qnerf.config.identity import plain
+from qnerf.config.identity import is_unicode, plain
 from qnerf.records import schemas
 from qnerf.records.checkpoints import Checkpoints
 from qnerf.records.environment import differences
@@ -89,21 +89,24 @@ class Run:
 
     # Rows of metrics
 
-    def log(self, step: int, time_s: float, values: Mapping[str, float]) -> None:
-        """One row per value. step: training step, from 0. time_s: seconds of training so far.
+    def log(self, step: int, time_s: float, values: Mapping[str, float], *, done: int | None = None) -> None:
+        """One row per value. step: training step, from 0, or where the values stand on another axis; done: the training
+        step then. time_s: seconds of training so far.
 
         Raises:
-            ValueError: a value is not a number; no row is logged then.
-            StoreError: an earlier row could not be written.
+            ValueError: the step is no whole number, a key no text or a value no number; no row is logged then.
+            StoreError: an earlier row could not be written, or this is a fork of the process that writes the run.
         """
         assert self._accepts_rows, "a resumed run logs only after resume(step)"
         assert not self._closed, "the run has ended"
+        self._ownership.refuse_fork()
         if self._error is not None:
             raise self._error
-        rows = [(int(step), float(time_s), key, _number(key, value)) for key, value in values.items()]
+        place = _whole(step)
+        rows = [(place, float(time_s), _key(key), _number(key, value)) for key, value in values.items()]
         with self._lock:
             self._rows += rows
-            self._step = int(step)
+            self._step = place if done is None else done
             full = len(self._rows) >= PART_ROWS
         if full:
             self._wake.set()
@@ -123,8 +126,10 @@ class Run:
                 if table.num_rows == PART_ROWS:
                     self._part, self._part_table = self._part + 1, table.slice(0, 0)
 
-    def resume(self, step: int) -> None:
+    def resume(self, step: int, seconds: float | None = None) -> None:
         """Drops all rows after `step`, the step of the checkpoint from which training goes on; -1 drops all rows.
+
+        seconds: of training at that checkpoint, which decide instead where rows have other axes.
 
         Raises:
             StoreError: a part is damaged.
@@ -134,7 +139,8 @@ class Run:
             for number, path in metric_parts(self.dir).items():
                 with _advising_deletion():
                     table = read_part(path)
-                remaining = table.filter(pc.less_equal(table["step"], step))
+                column, last = ("step", step) if seconds is None else ("time_s", seconds)
+                remaining = table.filter(pc.less_equal(table[column], last))
                 # The part is emptied, not removed: a reader may just have listed the folder and must find every file.
                 if remaining.num_rows < table.num_rows:
                     self._write_part(number, encode(remaining))
@@ -209,6 +215,7 @@ class Run:
         """Appends the local time and the line to log.txt."""
         path = self.dir / "log.txt"
         text = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {' '.join(line.splitlines())}\n"
+        self._ownership.refuse_fork()
         with self._io, reporting(path), open(path, "ab") as file:
             file.write(text.encode())
 
@@ -225,6 +232,7 @@ class Run:
 
         content: tensors and plain values that torch.load(weights_only=True) accepts; ValueError otherwise.
         """
+        self._ownership.refuse_fork()
         with self._io:
             self.flush()
             self._ownership.check()
@@ -235,10 +243,13 @@ class Run:
         with self._io:
             return self._checkpoints.load(check)
 
-    def go_on(self, check: Callable[[dict[str, Any]], None]) -> dict[str, Any] | None:
-        """The last checkpoint, as `load_checkpoint`; rows of metrics after its `step` go."""
+    def go_on(self, check: Callable[[dict[str, Any]], None], by: str = "step") -> dict[str, Any] | None:
+        """The last checkpoint, as `load_checkpoint`; rows of metrics after it go, by its `step` or by its `seconds`."""
         content = self.load_checkpoint(check)
-        self.resume(-1 if content is None else content["step"])
+        if content is None:
+            self.resume(-1)
+        else:
+            self.resume(content["step"], content["seconds"] if by == "seconds" else None)
         return content
 
     # State
@@ -263,7 +274,7 @@ class Run:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._closed:
+        if self._closed or self._ownership.inherited:
             return
         if error is None:
             self.interrupt()
@@ -281,6 +292,7 @@ class Run:
         """
         if self._closed:
             return
+        self._ownership.refuse_fork()
         self._stop()
         problem = self._error
         try:
@@ -327,6 +339,7 @@ class Run:
 
         The owner is checked last: a process may be stopped, or wait for a disk, for longer than its claim lasts.
         """
+        self._ownership.refuse_fork()
         with self._io:
             self._ownership.check()
             path = self.dir / name
@@ -357,10 +370,23 @@ def _png(image: np.ndarray) -> bytes:
     return data.getvalue()
 
 
+def _whole(step: Any) -> int:
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        if int(step) == step and abs(int(step)) < 2**63:
+            return int(step)
+    raise ValueError(f"log: expected a whole number as the step, got {step!r:.100}")
+
+
+def _key(key: Any) -> str:
+    if not isinstance(key, str) or not key or not is_unicode(key):
+        raise ValueError(f"log: expected text as a key, got {key!r:.100}")
+    return str(key)
+
+
 def _number(key: str, value: Any) -> float:
     try:
-        if not isinstance(value, str):
+        if not isinstance(value, (str, bytes)):
             return float(value.detach() if hasattr(value, "detach") else value)
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         pass
     raise ValueError(f"log: {key} expects a number, got {value!r}")

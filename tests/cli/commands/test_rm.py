@@ -1,9 +1,11 @@
 import errno
 import os
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
+from qnerf.cli.commands import rm
 from qnerf.records import StoreError, owner, runs
 from qnerf.records.deletion import delete_run
 
@@ -105,7 +107,7 @@ def test_the_next_one_finishes_what_a_killed_one_began(make):
     (left / "config.yaml").unlink()
     mine = run.parent / ".deleted-thesis"
     mine.mkdir()
-    delete_run(run)
+    rm.main(Namespace(runs=[str(run)], store=str(run.parent), yes=True))
     assert [path.name for path in run.parent.iterdir()] == [mine.name]
 
 

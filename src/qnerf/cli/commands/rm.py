@@ -7,7 +7,7 @@ from pathlib import Path
 from qnerf.cli.commands import add_many_runs
 from qnerf.cli.text import STATE_STYLES, console, styled
 from qnerf.records import find, state
-from qnerf.records.deletion import delete_run, require_run
+from qnerf.records.deletion import delete_leftovers, delete_run, require_run
 from qnerf.records.find import is_path
 from qnerf.records.location import existing_store
 
@@ -33,6 +33,8 @@ def main(options: argparse.Namespace) -> int:
     for path in paths:
         delete_run(path)
         out.print("deleted", styled(path.name), soft_wrap=True)
+    for store in {path.parent for path in paths}:
+        delete_leftovers(store)
     return 0
 
 
