@@ -52,8 +52,11 @@ class Schedule:
     name: Name = "custom"  # of the recipe
     steps: PositiveInt
     lr: Rate
-    lr_final: Rate  # reached at the last step by exponential decay
+    lr_final: Annotated[float, Interval(ge=0, le=1e6)]  # after the last step
     eps: Rate  # of Adam
+    schedule: Name = "exponential"  # shape of the fall from lr to lr_final
+    cooldown: Annotated[float, Interval(ge=1e-3, le=1)] = 1.0  # share of the steps, the last ones, in which it falls
+    warmup: Annotated[float, Interval(ge=0, le=1)] = 0.0  # share of the steps, the first ones, in which it rises from 0
     eval_every: NonNegativeInt = 0  # steps; 0: only at the end
     log_every: PositiveInt = 10  # steps
     checkpoint_every: Annotated[float, Interval(ge=0, le=1e9)] = 20.0  # seconds
