@@ -52,4 +52,4 @@ def test_the_quick_recipe_falls_to_nothing_by_the_same_rule_at_any_number_of_ste
     for name in ("quick", "large"):
         for budget in ("smoke", "short", "paper"):
             train = settings_of(config(f"train={name}", f"budget={budget}")).train
-            assert (train.schedule, train.cooldown, train.lr_final) == ("linear", 0.5, 0.0)
+            assert (train.schedule, train.cooldown, train.lr_final) == ("linear", 0.3, 0.0)
