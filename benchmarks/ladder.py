@@ -53,7 +53,7 @@ def trained(overrides: str) -> dict[str, float]:
     while not trainer.done:
         trainer.take_step(measure=False)
     seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
-    views = evaluator.views([*range(len(evaluator.scene.eval))], trainer.step)
+    views = evaluator.views(evaluator.scene.eval, trainer.step)
     psnr = mean(float(measures["psnr"] or 0) for _, measures in views)
     return {"steps": trainer.step, "cpu_s": cpu, "seconds": seconds, "psnr": psnr}
 
