@@ -26,10 +26,7 @@ from benchmarks.training import RAW, Row, build, processor
 from qnerf.records.environment import capture
 
 RESULTS = Path(__file__).parent / "results" / "ladder.parquet"
-BEFORE = (
-    "train.steps=3000 train.schedule=exponential train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999] "
-    "color.rates.qiren=0.33"
-)
+BEFORE = "train.steps=3000 train.schedule=exponential train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]"
 COLORS = "color.directions=raw color.mlp.init=he"
 CONTENDERS = {
     "classical": RAW,
