@@ -32,8 +32,8 @@ CONTENDERS = {
     "classical": RAW,
     "qcolor": "field=qcolor",
     "qdensity": f"field=qdensity {COLORS}",
-    "amplitude": f"density=amplitude color=mlp {COLORS}",
-    "siren": "color=siren",
+    "amplitude": f"head@density=amplitude head@color=mlp {COLORS}",
+    "siren": "head@color=siren",
 }
 STEPS = [round(375 * 2 ** (half / 2)) for half in range(10)]  # 375 to 8,485
 
