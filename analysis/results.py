@@ -32,6 +32,9 @@ writes all of these pages from the packed runs in `docs/results/`.
 - A verdict without a scene holds on each scene of the page. Each row of a table without a column of seeds has every
   seed that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
+- **These runs were made with the learning rate that `train=quick` had at first**
+  ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet. `train.schedule=exponential
+  train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them.
 - `density.mlp.init=torch` repeats runs from before `train=quick` gave MLPs He's initial weights.
   `proposal.samples=[128,64]` repeats runs from before it halved the samples of the proposal networks, which changes no
   PSNR.

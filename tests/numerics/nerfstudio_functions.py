@@ -5,8 +5,6 @@ The stored numbers are those of nerfstudio 1.1.5 in float32. `benchmarks/peers/n
 """
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -14,6 +12,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from qnerf.config.settings import Schedule
 from qnerf.encoders import level_resolutions
 from qnerf.encoders.directions import DIRECTIONS
 from qnerf.encoders.hash import HashEncoder
@@ -33,7 +32,7 @@ from qnerf.rendering.shading import SHADINGS
 from qnerf.rendering.spacing import SPACINGS
 from qnerf.timing import Stopwatch
 from qnerf.training.losses import distortion, interlevel, mse
-from qnerf.training.trainer import learning_rate
+from qnerf.training.schedules import learning_rate
 from qnerf.types import Rays, Samples
 
 STORED = Path(__file__).parent / "nerfstudio_1.1.5.npz"
@@ -163,7 +162,7 @@ def _rays(given: dict[str, Tensor], theirs: dict[str, Tensor]) -> dict[str, Tens
 
 
 def _schedules() -> dict[str, Tensor]:
-    schedule: Any = SimpleNamespace(lr=1e-2, lr_final=1e-4, steps=STEPS)
+    schedule = Schedule(rates=None, lr=1e-2, lr_final=1e-4, steps=STEPS, eps=1e-15)
     # nerfstudio counts 5 where its longest interval has 6 steps.
     sampler = ProposalSampler(CONTRACTIONS.build("linf"), log2_table_size=4, update_every=6, update_warmup=5000)
     return {

@@ -8,7 +8,7 @@ from qnerf.config.settings import Fit, SignalRates
 from qnerf.kernels import plain
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients
 
-TRAIN = Fit(rates=SignalRates(), steps=6, lr=1e-2, lr_final=1e-2, eps=1e-15, points=1)
+TRAIN = Fit(rates=SignalRates(), steps=6, lr=1e-2, lr_final=1e-2, eps=1e-15, points=1, betas=[0.8, 0.99])
 
 
 def trained(dtype: torch.dtype, steps: int) -> tuple[list[nn.Parameter], torch.optim.Optimizer]:

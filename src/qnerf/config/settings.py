@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import torch
-from annotated_types import Interval, MinLen
+from annotated_types import Interval, Len, MinLen
 
 from qnerf.config import devices
 from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, PositiveFactor, PositiveInt, Seed
 
 # Float32, in which most runs compute, has no larger or smaller numbers than about 1e38 and 1e-38.
 Rate = Annotated[float, Interval(ge=1e-30, le=1e6)]
+Beta = Annotated[float, Interval(ge=0, lt=1)]
 Length = Annotated[float, Interval(ge=0, le=1e9)]  # world units
 Name = Annotated[str, MinLen(1)]
 Background = Literal["last_sample", "white", "black", "random"]
@@ -52,8 +53,12 @@ class Schedule:
     name: Name = "custom"  # of the recipe
     steps: PositiveInt
     lr: Rate
-    lr_final: Rate  # reached at the last step by exponential decay
+    lr_final: Annotated[float, Interval(ge=0, le=1e6)]  # after the last step
     eps: Rate  # of Adam
+    betas: Annotated[list[Beta], Len(2, 2)] = field(default_factory=lambda: [0.9, 0.999])  # of Adam
+    schedule: Name = "exponential"  # shape of the fall from lr to lr_final
+    cooldown: Annotated[float, Interval(ge=1e-3, le=1)] = 1.0  # share of the steps, the last ones, in which it falls
+    warmup: Annotated[float, Interval(ge=0, le=1)] = 0.0  # share of the steps, the first ones, in which it rises from 0
     eval_every: NonNegativeInt = 0  # steps; 0: only at the end
     log_every: PositiveInt = 10  # steps
     checkpoint_every: Annotated[float, Interval(ge=0, le=1e9)] = 20.0  # seconds

@@ -3,15 +3,11 @@
 The files, in the order in which a circuit passes through them. The description: `expressions` (angles), `gates`,
 `circuit` (what a circuit is, and circuits by name).
 
-`simulator` runs a circuit: it takes the cheapest engine, and splits wide re-uploading circuits into `registers`. What
-differs between the two families of circuits is in `families`; either takes its weights flat.
+`simulator` runs a circuit: it takes the cheapest engine (`cost_model`), and splits wide circuits into `registers`.
 
-Data re-uploading circuits (`reuploading`): `initial_angles`, `normal_form` (what is left after merging gates), `cones`
-(which inputs an output depends on), `cost_model` (which engine), `compiled.engine` and `lightcone` (the two engines on
-the CPU), `statevector` (the plain PyTorch reference).
-
-Any other circuit (`any_circuit`): `pauli_form` (what is left after merging gates), `compiled.pauli_engine` and
-`pauli_statevector` (the engine and its reference).
+`words` and `basis` (Pauli words and basis states as bits), `program` (the blocks that are left after merging gates),
+`angles` (their values), `initial_angles`. `statevector` runs a program in plain PyTorch; `compiled.engine` runs it on the
+CPU. `cones` (which inputs an output depends on) and `lightcone` (polynomials of these inputs).
 
 Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled), `readout`, `measurement`.
 

@@ -12,7 +12,8 @@ from qnerf.kernels.dispatch import serves
 
 def build_optimiser(groups: list[dict[str, Any]], train: Schedule) -> torch.optim.Optimizer:
     """The optimiser of these groups of parameters, with the options of the recipe. Nothing else names its kind."""
-    return torch.optim.Adam(groups, lr=train.lr, eps=train.eps, fused=True)
+    beta1, beta2 = train.betas
+    return torch.optim.Adam(groups, lr=train.lr, betas=(beta1, beta2), eps=train.eps, fused=True)
 
 
 @torch.no_grad()

@@ -26,12 +26,13 @@ class Plateau:
     every: int  # steps between checks; 0: never stop early
     patience: int  # checks
     min_gain_db: float
+    after: int = 0  # steps before the first check
     best: float = -math.inf
     since: int = 0  # checks since the best
 
     def due(self, step: int) -> bool:
         """Whether a check follows this many steps."""
-        return self.every > 0 and step % self.every == 0
+        return self.every > 0 and step > self.after and step % self.every == 0
 
     def add(self, psnr: float) -> None:
         """Records the validation PSNR of a check, in dB."""

@@ -22,6 +22,7 @@ from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.chain import Chain
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
+from qnerf.training.schedules import falls_from, learning_rate
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
 from qnerf.training.stopping import Plateau
 from qnerf.training.threads import few_products
@@ -49,11 +50,6 @@ def decibels(mean_squared_error: float) -> float:
     20.0
     """
     return -10 * math.log10(max(mean_squared_error, 1e-12))
-
-
-def learning_rate(step: int, train: Schedule) -> float:
-    """Exponential decay: lr (lr_final / lr)^(step / steps)."""
-    return train.lr * (train.lr_final / train.lr) ** (step / train.steps)
 
 
 class Loop:
@@ -290,7 +286,9 @@ class Trainer(Loop):
         stop = settings.stop
         self.rays_a_step = settings.train.rays
         self.points_a_step = self.rays_a_step * model.sampler.rendered_samples
-        super().__init__(model, settings, watch, Plateau(stop.every, stop.patience, stop.min_gain_db))
+        # Most is gained while the rate falls: a plateau before that is not the end.
+        plateau = Plateau(stop.every, stop.patience, stop.min_gain_db, after=falls_from(settings.train))
+        super().__init__(model, settings, watch, plateau)
         self.table = table
         self.background = settings.render.background
         self.chain, self.chained = Chain(model, table, self.train, self.background), False
