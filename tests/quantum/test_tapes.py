@@ -252,3 +252,95 @@ def test_device_passes_the_suite_of_pennylane(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stdout + run.stderr
     assert passed is not None
     assert int(passed[1]) > 60
+
+
+class Axis(qml.operation.Operation):
+    """An operation whose decomposition reads an attribute."""
+
+    num_wires, num_params, ndim_params = 1, 1, (0,)
+
+    def __init__(self, x: Any, wires: Any, axis: str = "X", id: Any = None) -> None:
+        self.axis = axis
+        super().__init__(x, wires=wires, id=id)
+
+    def decomposition(self) -> list[Any]:
+        return [(qml.RX if self.axis == "X" else qml.RY)(self.data[0], wires=self.wires)]
+
+
+class U3(qml.operation.Operation):
+    """An operation with the name of a gate, in another convention."""
+
+    num_wires, num_params, ndim_params = 1, 3, (0, 0, 0)
+
+    @staticmethod
+    def compute_decomposition(*angles: Any, wires: Any) -> list[Any]:  # type: ignore[override]
+        return [gate(angle, wires) for gate, angle in zip((qml.RX, qml.RY, qml.RZ), angles, strict=True)]
+
+
+ROUNDED = np.linalg.qr(np.random.RandomState(0).randn(4, 4))[0].round(4)  # not quite a unitary
+SPECIAL: dict[str, Callable[[Any], Any]] = {
+    "two controls": lambda w: qml.ctrl(qml.RX(w[0], wires=0), control=[1, 2]),
+    "a controlled phase": lambda w: qml.ctrl(qml.PhaseShift(w[0], wires=0), control=[1, 2]),
+    "a control of a control": lambda w: qml.ctrl(qml.CRX(w[0], wires=[0, 1]), control=2),
+    "a controlled gate of three angles": lambda w: qml.ctrl(qml.U3(*w, wires=0), control=1),
+    "a matrix of weights": lambda w: qml.QubitUnitary(
+        torch.matrix_exp(1j * w[0] * torch.tensor([[0, 1], [1, 0]], dtype=torch.complex128)), wires=0
+    ),
+    "a rounded matrix": lambda w: (qml.QubitUnitary(ROUNDED, wires=[0, 1]), qml.RX(w[0], wires=0)),
+    "an attribute": lambda w: Axis(w[0], wires=0, axis="Y"),
+    "the name of a gate": lambda w: U3(*w, wires=0),
+    "wires out of order": lambda w: (qml.RX(w[0], wires=2), qml.CNOT(wires=[2, 0])),
+}
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (2 * np.pi, 1e-9, 0.0), (0.3, 0.4, 0.5)], ids=str)
+@pytest.mark.filterwarnings("ignore:from_qnode runs")
+def test_operations_at_special_numbers_are_those_of_default_qubit(angles: tuple[float, ...]) -> None:
+    """Values and gradients of what has no decomposition on expressions, or none that may be trusted."""
+    x = torch.rand(3, 3, dtype=torch.float64)
+    for name, queue in SPECIAL.items():
+
+        def circuit(inputs: Any, w: Any, queue: Callable[[Any], Any] = queue) -> list[Any]:
+            qml.AngleEmbedding(inputs, wires=range(3), rotation="Y")
+            qml.AngleEmbedding(1.3 * inputs, wires=range(3))
+            queue(w)
+            return [qml.expval(qml.X(0)), qml.expval(qml.Y(0) @ qml.Z(2)), qml.expval(qml.Y(1))]
+
+        found = []
+        for make in (qml.qnn.TorchLayer, from_qnode):
+            layer = make(qml.QNode(circuit, qml.device("default.qubit", wires=3)), {"w": (3,)}).double()
+            layer.w.data = torch.tensor(angles, dtype=torch.float64)
+            (out := layer(x)).sum().backward()
+            found.append((out.detach(), layer.w.grad))
+        for one, two in zip(*found, strict=True):
+            torch.testing.assert_close(one, two, rtol=0, atol=1e-8 if angles[1] == 1e-9 else 1e-12, msg=name)
+
+
+def test_probabilities_without_wires_have_the_order_of_pennylane() -> None:
+    def circuit(inputs: Any, w: Any) -> Any:
+        qml.RY(inputs[..., 0], wires=1)
+        qml.RX(w[0], wires=0)
+        return qml.probs()
+
+    x = torch.rand(3, 1, dtype=torch.float64)
+    ours, theirs = (make(qml.QNode(circuit, qml.device("default.qubit")), {"w": (1,)}).double()
+                    for make in (from_qnode, qml.qnn.TorchLayer))  # fmt: skip
+    theirs.load_state_dict(ours.state_dict())
+    torch.testing.assert_close(ours(x), theirs(x), rtol=0, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:from_qnode runs")
+def test_transformed_and_own_devices_are_not_taken_for_their_base() -> None:
+    class Damped(qml.devices.DefaultQubit):
+        pass
+
+    def circuit(inputs: Any) -> Any:
+        qml.RX(inputs[..., 0], wires=0)
+        return qml.expval(qml.Z(0))
+
+    for device in (Damped(wires=1), qml.noise.insert(qml.device("default.qubit", wires=1), qml.RX, 0.3)):
+        node = qml.QNode(circuit, device)
+        x = torch.rand(2, 1, dtype=torch.float64)
+        layer = from_qnode(node, {})
+        torch.testing.assert_close(layer(x), qml.qnn.TorchLayer(node, {})(x))
+        assert layer.runs_on.startswith("default.qubit")
