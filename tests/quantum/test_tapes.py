@@ -293,22 +293,25 @@ SPECIAL: dict[str, Callable[[Any], Any]] = {
 }
 
 
+def encoded(queue: Callable[[Any], Any]) -> Callable[..., Any]:
+    def circuit(inputs: Any, w: Any) -> list[Any]:
+        qml.AngleEmbedding(inputs, wires=range(3), rotation="Y")
+        qml.AngleEmbedding(1.3 * inputs, wires=range(3))
+        queue(w)
+        return [qml.expval(qml.X(0)), qml.expval(qml.Y(0) @ qml.Z(2)), qml.expval(qml.Y(1))]
+
+    return circuit
+
+
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (2 * np.pi, 1e-9, 0.0), (0.3, 0.4, 0.5)], ids=str)
 @pytest.mark.filterwarnings("ignore:from_qnode runs")
 def test_operations_at_special_numbers_are_those_of_default_qubit(angles: tuple[float, ...]) -> None:
     """Values and gradients of what has no decomposition on expressions, or none that may be trusted."""
     x = torch.rand(3, 3, dtype=torch.float64)
     for name, queue in SPECIAL.items():
-
-        def circuit(inputs: Any, w: Any, queue: Callable[[Any], Any] = queue) -> list[Any]:
-            qml.AngleEmbedding(inputs, wires=range(3), rotation="Y")
-            qml.AngleEmbedding(1.3 * inputs, wires=range(3))
-            queue(w)
-            return [qml.expval(qml.X(0)), qml.expval(qml.Y(0) @ qml.Z(2)), qml.expval(qml.Y(1))]
-
         found = []
         for make in (qml.qnn.TorchLayer, from_qnode):
-            layer = make(qml.QNode(circuit, qml.device("default.qubit", wires=3)), {"w": (3,)}).double()
+            layer = make(qml.QNode(encoded(queue), qml.device("default.qubit", wires=3)), {"w": (3,)}).double()
             layer.w.data = torch.tensor(angles, dtype=torch.float64)
             (out := layer(x)).sum().backward()
             found.append((out.detach(), layer.w.grad))
