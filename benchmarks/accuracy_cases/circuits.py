@@ -14,7 +14,6 @@ from qnerf.quantum.compiled.engine import Engine
 from qnerf.quantum.cones import TooLarge, find_cones
 from qnerf.quantum.lightcone import LightCones
 from qnerf.quantum.program import program
-from qnerf.quantum.statevector import Simulate
 
 CIRCUIT_GRADIENTS = 1e-5
 """Of the inputs and of the weights, each relative to its largest, up to S = 6; beyond, and at 14 wires, where gradients
@@ -54,18 +53,18 @@ def engines(circuit: Circuit) -> dict[str, Function]:
     """Variant -> function of inputs (B, n) and weights (rows, n, 3). "plain": the state vector in PyTorch."""
     engine = Engine(circuit)
     plain = engine.plain
-    simulations = {"plain": plain.simulate, "statevector": engine.simulate}
+    functions: dict[str, Function] = {
+        "plain": lambda x, weights: plain.evaluate(x, weights.flatten()),
+        "statevector": lambda x, weights: engine.evaluate(x, weights.flatten()),
+    }
     try:
         cones = LightCones(find_cones(program(circuit)))
-        simulations["lightcone"] = cones.through(engine.simulate, True)
-        simulations["lightcone plain"] = cones.through(plain.simulate, False)
     except TooLarge:  # every output depends on too many inputs
-        pass
-
-    def function(simulate: Simulate) -> Function:
-        return lambda x, weights: plain.evaluate(x, weights.flatten(), simulate)
-
-    return {name: function(simulate) for name, simulate in simulations.items()}
+        return functions
+    return functions | {
+        "lightcone": lambda x, w: cones.evaluate(plain, engine.simulate, x, w.flatten(), True),
+        "lightcone plain": lambda x, w: cones.evaluate(plain, plain.simulate, x, w.flatten(), False),
+    }
 
 
 def _with_range(function: Function, x: Tensor, weights: Tensor) -> Tensor:

@@ -100,7 +100,8 @@ def test_brackets_without_end_are_one_line():
 def test_sweeps_are_files_that_hydra_finds(tmp_path):
     for file in [*SWEEPS.glob("*.yaml"), tmp_path / "mine.yaml"]:
         name = file.stem if file.parent == SWEEPS else str(file)
-        file.touch()
+        if file.parent != SWEEPS:
+            file.write_text("defaults: [config, _self_]\n")
         expected = ["-cd", str(file.parent), "-cn", file.stem, "budget=short"]
         assert expand_sweep(["--sweep", name, "budget=short"]) == expected
         assert expand_sweep([f"--sweep={name}", "budget=short"]) == expected

@@ -31,8 +31,8 @@ def compiled_engine(circuit: Circuit) -> Function:
 
 def through_cones(circuit: Circuit, compiled: bool) -> Function:
     own, cones = Engine(circuit), lightcone.LightCones(find_cones(program(circuit)))
-    simulate = cones.through(own.simulate if compiled else own.plain.simulate, compiled)
-    return lambda x, w: own.plain.evaluate(x, w, simulate)
+    simulate = own.simulate if compiled else own.plain.simulate
+    return lambda x, w: cones.evaluate(own.plain, simulate, x, w, compiled)
 
 
 def cone_engine(circuit: Circuit) -> Function:

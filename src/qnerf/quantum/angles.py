@@ -44,7 +44,7 @@ class ExpressionTable:
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """Values for inputs x (B, features) and flat weights."""
         arrays = self.rows, self.numbers, self.of_weights, self.of_features
-        rows, coefficients, of_weights, of_features = (torch.from_numpy(each).to(weights.device) for each in arrays)
+        rows, coefficients, of_weights, of_features = (_tensor(each, weights.device) for each in arrays)
         values = coefficients
         padded = torch.cat([weights.double(), weights.new_ones(1, dtype=torch.float64)])
         for index in of_weights:
@@ -59,6 +59,12 @@ class ExpressionTable:
         if self.in_order:
             return values
         return values.new_zeros(values.shape[0], self.size).index_add(1, rows, values)
+
+
+def _tensor(array: np.ndarray, device: torch.device) -> Tensor:
+    if array.size:
+        return torch.from_numpy(array).to(device)
+    return torch.empty(array.shape, dtype=torch.float64 if array.dtype.kind == "f" else torch.int64, device=device)
 
 
 def _padded(rows: list[list[int]]) -> list[list[int]]:

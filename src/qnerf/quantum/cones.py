@@ -6,6 +6,7 @@ bits for each wire are tracked: may the observable act there as X or Y, and as Z
 large, never too small. The wires that the observable never meets can be left out (`registers`).
 
 >>> from qnerf.quantum.circuit import ANSATZE
+>>> from qnerf.quantum.program import program
 >>> cone = find_cones(program(ANSATZE.build("qiren", 8, 1))).cones[1]
 >>> cone.features, cone.coefficients
 ((0, 1, 2), 27)

@@ -24,7 +24,7 @@ from qnerf.quantum.circuit import readable_bytes
 from qnerf.quantum.compiled import polynomial
 from qnerf.quantum.compiled.engine import PARTS, cos_sin, from_blocks, to_blocks
 from qnerf.quantum.cones import Cones, TooLarge
-from qnerf.quantum.statevector import Simulate, clipped
+from qnerf.quantum.statevector import PlainCircuit, Simulate, clipped
 from qnerf.quantum.statevector import cos_sin as plain_cos_sin
 
 MAX_ENTRIES = 2**22  # of the interpolation matrix: 32 MiB
@@ -160,26 +160,29 @@ class LightCones:
     def __init__(self, cones: Cones) -> None:
         self.form, self.grid = polynomial_form(cones), interpolation(cones)
 
-    def coefficients(self, simulate: Simulate, fixed: Tensor, start: Tensor | None, device: torch.device) -> Tensor:
+    def coefficients(
+        self, plain: PlainCircuit, simulate: Simulate, weights: Tensor, fixed: Tensor, start: Tensor | None
+    ) -> Tensor:
         """(values, most coefficients), float64, from the values that `simulate` gives on the grid."""
-        points = torch.from_numpy(self.grid.points).to(device)
-        return self.from_values(simulate(fixed, points, start, len(points), torch.float64))
+        points = torch.from_numpy(self.grid.points).to(weights.device)
+        inputs = plain.angles.inputs(points, weights)
+        return self.from_values(simulate(fixed, inputs, start, len(points), torch.float64))
 
     def from_values(self, values: Tensor) -> Tensor:
         """Coefficients (values, most coefficients) of the polynomials with these values (points, values)."""
         return (torch.from_numpy(self.grid.matrix).to(values) @ values.T[:, :, None])[..., 0]
 
-    def through(self, simulate: Simulate, compiled: bool) -> Simulate:
-        """What `PlainCircuit.evaluate` takes: the values by polynomials whose coefficients come from `simulate`."""
+    def evaluate(self, plain: PlainCircuit, simulate: Simulate, x: Tensor, weights: Tensor, compiled: bool) -> Tensor:
+        """Outputs (B, outputs) of the circuit, by polynomials whose coefficients come from `simulate`."""
 
-        def values(fixed: Tensor, inputs: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
-            found = self.coefficients(simulate, fixed, start, inputs.device).to(dtype)
+        def values(fixed: Tensor, _: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
+            found = self.coefficients(plain, simulate, weights, fixed, start).to(dtype)
             if compiled:
-                out: Tensor = _Polynomials.apply(self.form, inputs, found)
+                out: Tensor = _Polynomials.apply(self.form, x, found)
                 return out
-            return polynomials(self.form, inputs, found)
+            return polynomials(self.form, x, found)
 
-        return values
+        return plain.evaluate(x, weights, values)
 
 
 def polynomials(form: PolynomialForm, x: Tensor, coefficients: Tensor) -> Tensor:

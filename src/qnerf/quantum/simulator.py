@@ -104,7 +104,7 @@ class Simulator:
         plain = self._engine.plain
         simulate: Simulate = self._engine.simulate if compiled else plain.simulate
         if cost.method == "lightcone":
-            simulate = self._cones.through(simulate, compiled)
+            return self._cones.evaluate(plain, simulate, x, weights, compiled)
         return plain.evaluate(x, weights, simulate)
 
     def of_registers(self, x: Tensor, weights: Tensor) -> Tensor:

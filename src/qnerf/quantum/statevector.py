@@ -106,7 +106,7 @@ class PlainCircuit:
     def moving(self, inputs: Tensor, dtype: torch.dtype) -> Turns:
         """cos and sin (M, B) of half the angles that move with the inputs (B, K)."""
         own = self.angles.inputs
-        cosine, sine = cos_sin(inputs[:, own.columns], [factor / 2 for factor in own.factors])
+        cosine, sine = cos_sin(picked(inputs, own.columns, 1), [factor / 2 for factor in own.factors])
         return cosine.to(dtype), sine.to(dtype)
 
     def applied(self, place: int, state: Tensor, still: Turns, moving: Turns) -> Tensor:
@@ -122,9 +122,12 @@ class PlainCircuit:
             cosine, sine = still if other < 0 else moving
             return _turned(state, word, n, *(part[own if other < 0 else other] for part in (cosine, sine)))
         own_angles = {word.x: own for word, own, _ in rows}
-        index = tuple(own_angles.get(bit(wire, n), -1) for wire in range(n))
-        return _apply_ry(state, *(torch.nn.functional.pad(part, (0, 0, 0, 1), value=none)[index, :]
-                                  for part, none in zip(still, (1.0, 0.0), strict=True)))  # fmt: skip
+        index = [own_angles.get(bit(wire, n), -1) for wire in range(n)]
+        padded = (
+            torch.nn.functional.pad(part, (0, 0, 0, 1), value=none)
+            for part, none in zip(still, (1.0, 0.0), strict=True)
+        )
+        return _apply_ry(state, *(picked(part, index, 0) for part in padded))
 
     def fixed_phases(self, place: int, state: Tensor, still: Turns) -> Tensor:
         """The states behind the part of a diagonal that does not depend on the input."""
@@ -160,6 +163,15 @@ class PlainCircuit:
                 matrix = self.applied(place, matrix, still, moving)
             is_one = False
         return state if is_one else matrix @ state
+
+
+def picked(tensor: Tensor, places: list[int], dim: int) -> Tensor:
+    """The rows or columns of a tensor at these places."""
+    if places == list(range(tensor.shape[dim])):
+        return tensor
+    if not places:
+        return tensor.narrow(dim, 0, 0)
+    return torch.stack([tensor.select(dim, place) for place in places], dim)
 
 
 def chunk_size(form: Program, itemsize: int) -> int:
