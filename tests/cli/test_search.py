@@ -18,7 +18,7 @@ def test_a_search_prunes_ends_with_a_table_and_is_not_done_twice(small, tmp_path
     search = (
         *SEARCH, *small, "hydra.sweeper.n_trials=4", "hydra.sweeper.startup=5",
         "hydra.sweeper.prune={least: 2, percentile: 99}", "train.steps=10", "train.eval_every=5",
-        "train.schedule=exponential", "train.lr_final=1e-4", "train.betas=[0.9,0.999]",
+        "hydra.sweeper.seed=1",
         "train.lr=tag(log,interval(1e-4,1e-1))",
     )  # fmt: skip
     written = []

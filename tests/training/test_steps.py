@@ -50,7 +50,7 @@ def test_steps_of_compiled_loops_are_those_of_plain_operations(overrides, dtype,
     config = tiny(*overrides.split(), "train.rays=40", "train.steps=100", f"numerics.dtype={dtype}")
     fast, slow = trainer(config), trainer(config)
     errors: dict[str, list[float]] = {}
-    close, closer = (1e-4, 1e-3) if dtype == "float32" else (1e-11, 1e-8)
+    close, closer = (3e-4, 1e-3) if dtype == "float32" else (1e-11, 1e-8)
     for step in range(STEPS):
         if step:
             slow.load(copy.deepcopy(fast.state()))
