@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from qnerf.quantum import statevector
+from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer, rotations_of
 from qnerf.quantum.circuit import (
     ANSATZE,
     GATES,
@@ -30,7 +31,7 @@ from qnerf.quantum.circuit import (
     weight,
 )
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.program import CNOTs, Diagonal, RYLayer, program, rotations_of
+from qnerf.quantum.program import program
 
 W = Weights("w", (2, 3))
 FEATURES = 4
@@ -214,6 +215,18 @@ def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> 
         with monkeypatch.context() as patch:
             patch.setattr(statevector, "CHUNK_BYTES", 20_000)
             for one, two in zip(results(plain, 23), whole, strict=True):
+                torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
+
+
+def test_dense_blocks_are_the_blocks_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a GPU takes, on the CPU."""
+    for circuit in (MIXED, ANSATZE.build("qiren", 4, 2), ANSATZE.build("cnot", 3, 2), ANSATZE.build("rx", 3, 1)):
+        wide = replace(circuit, features=FEATURES)
+        _, plain = layers(wide)
+        whole = results(plain, 7)
+        with monkeypatch.context() as patch:
+            patch.setattr(statevector, "takes_dense_blocks", lambda device, wires: True)
+            for one, two in zip(results(plain, 7), whole, strict=True):
                 torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
 
 

@@ -5,10 +5,11 @@ import pytest
 
 from qnerf.quantum.angles import constant_phases
 from qnerf.quantum.basis import bit, cnot_permutation, cz_signs
+from qnerf.quantum.blocks import Diagonal, RYLayer, rotations_of
 from qnerf.quantum.circuit import ANSATZE, Circuit, Weights, encoding, ring, rotations
 from qnerf.quantum.cones import TooLarge, find_cones
 from qnerf.quantum.pennylane import draw
-from qnerf.quantum.program import Diagonal, RYLayer, program, rotations_of
+from qnerf.quantum.program import program
 
 
 def test_qiren_is_strongly_entangling_layers_with_cz() -> None:

@@ -5,7 +5,7 @@ The files, in the order in which a circuit passes through them. The description:
 
 `simulator` runs a circuit: it takes the cheapest engine (`cost_model`), and splits wide circuits into `registers`.
 
-`words` and `basis` (Pauli words and basis states as bits), `program` (the blocks that are left after merging gates),
+`words` and `basis` (Pauli words and basis states as bits), `blocks` and `program` (what is left after merging gates),
 `angles` (their values), `initial_angles`. `statevector` runs a program in plain PyTorch, `compiled.engine` on the CPU.
 `cones` (which inputs an output depends on) and `lightcone` (polynomials of these inputs).
 

@@ -7,8 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.quantum.blocks import Diagonal, Turn, rotations_of
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import Diagonal, Program, Turn, rotations_of
+from qnerf.quantum.program import Program
 from qnerf.quantum.words import Word
 
 

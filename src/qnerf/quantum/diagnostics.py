@@ -18,11 +18,12 @@ from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
 from qnerf.quantum.angles import offsets
+from qnerf.quantum.blocks import rotations_of
 from qnerf.quantum.circuit import Circuit, Gate
 from qnerf.quantum.cones import TooLarge, scales_of
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
-from qnerf.quantum.program import program, rotations_of
+from qnerf.quantum.program import program
 from qnerf.quantum.simulator import Simulator
 from qnerf.quantum.statevector import gate_by_gate
 

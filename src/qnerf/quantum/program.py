@@ -21,8 +21,8 @@ left out.
 3
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import pi
 from typing import Literal, get_args
@@ -30,6 +30,19 @@ from typing import Literal, get_args
 import numpy as np
 
 from qnerf.quantum.basis import bit
+from qnerf.quantum.blocks import (
+    Block,
+    CNOTs,
+    Diagonal,
+    RYLayer,
+    Turn,
+    add_angle,
+    moves,
+    rotations_of,
+    traced,
+    turn_phases,
+    union,
+)
 from qnerf.quantum.circuit import Circuit, Gate, Observable, PauliWord, Probabilities, as_sum, values_of
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.gates import Amplitudes
@@ -40,101 +53,6 @@ LARGEST_MULTIPLE = 64  # beyond, the rounding of the angle says nothing about mu
 TURN_COST, LAYER_COST, CNOT_COST = 19, 8, 8
 """Multiply-adds for each amplitude, forward and backward, or what takes as long: of a turn, of a wire in a layer of RY,
 of a permutation."""
-
-
-@dataclass
-class Diagonal:
-    """exp(-i/2 sum_m angles[m] Z_m) for products of Z on the wires of each mask m."""
-
-    angles: dict[int, Expression] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.touched = _union(Word(0, mask, 0) for mask in self.angles)[1]
-
-    def commutes(self, word: Word) -> bool:
-        return not word.x & self.touched or all((word.x & mask).bit_count() % 2 == 0 for mask in self.angles)
-
-    def add(self, word: Word, angle: Expression) -> None:
-        _add(self.angles, word.z, angle)
-        self.touched |= word.z
-
-    def passes_cnot(self, control: int, target: int) -> bool:
-        return not self.touched & target
-
-
-@dataclass
-class RYLayer:
-    """RY(angles[bit]) on the wire of each bit. No angle depends on the input."""
-
-    angles: dict[int, Expression] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.touched = _union(Word(0, bit, 0) for bit in self.angles)[1]
-
-    def commutes(self, word: Word) -> bool:
-        return not (word.x ^ word.z) & self.touched
-
-    def add(self, word: Word, angle: Expression) -> None:
-        _add(self.angles, word.x, angle)
-        self.touched |= word.x
-
-    def passes_cnot(self, control: int, target: int) -> bool:
-        return not self.touched & (control | target)
-
-
-@dataclass
-class CNOTs:
-    """CNOT(control, target) for each pair of bits, in this order."""
-
-    pairs: list[tuple[int, int]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.controls, self.targets = _union(Word(*pair, 0) for pair in self.pairs)
-
-    def commutes(self, word: Word) -> bool:
-        return not (word.z & self.targets or word.x & self.controls)
-
-    def turned(self, word: Word) -> Word:
-        """The word before the CNOTs that equals this one behind them."""
-        for control, target in reversed(self.pairs):
-            word = through_cnot(word, control, target)
-        return word
-
-    def append(self, control: int, target: int) -> None:
-        self.pairs.append((control, target))
-        self.controls, self.targets = self.controls | control, self.targets | target
-
-    def passes_cnot(self, control: int, target: int) -> bool:
-        return not (self.controls & target or self.targets & control)
-
-
-@dataclass
-class Turn:
-    """exp(-i angle/2 word)."""
-
-    word: Word
-    angle: Expression
-
-    def commutes(self, word: Word) -> bool:
-        return self.word.commutes(word)
-
-    def add(self, word: Word, angle: Expression) -> None:
-        self.angle = self.angle + angle
-
-    def passes_cnot(self, control: int, target: int) -> bool:
-        return not (self.word.z & target or self.word.x & control)
-
-
-Block = Diagonal | RYLayer | CNOTs | Turn
-
-
-def rotations_of(block: Block, n: int) -> list[tuple[Word, Expression]]:
-    """The rotations of a block, which commute; none for CNOTs."""
-    if isinstance(block, Diagonal):
-        return [(Word(0, mask, 0), angle) for mask, angle in block.angles.items()]
-    if isinstance(block, RYLayer):
-        return [(Word(bit, bit, 1), angle) for bit, angle in block.angles.items()]
-    return [(block.word, block.angle)] if isinstance(block, Turn) else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,13 +142,6 @@ class Program:
         return 2**n * (total + 8 * self.start_moves + 4)
 
 
-def moves(block: Block) -> bool:
-    """Whether a block depends on the input."""
-    if isinstance(block, Turn):
-        return bool(block.angle.features)
-    return isinstance(block, Diagonal) and any(angle.features for angle in block.angles.values())
-
-
 def _cost(block: Block, n: int) -> int:
     if isinstance(block, RYLayer):
         return LAYER_COST * n
@@ -274,14 +185,6 @@ def _built(circuit: Circuit, style: Style) -> Program:
         if isinstance(operation, Gate):
             builder.add_gate(operation)
     return builder.finish()
-
-
-def _add(angles: dict[int, Expression], key: int, angle: Expression) -> None:
-    total = angles[key] + angle if key in angles else angle
-    if total.terms:
-        angles[key] = total
-    else:
-        del angles[key]
 
 
 class _Builder:
@@ -442,7 +345,7 @@ class _Builder:
                     if (a, b) == (control, target):
                         del block.pairs[k]
                         for each in turned:
-                            _turn_phases(each, control, target)
+                            turn_phases(each, control, target)
                         return True
                     if a == target or b == control:
                         return False
@@ -482,44 +385,6 @@ class _Builder:
         return tuple(((word[0][0], "Z"),) for word in observables if isinstance(word, tuple))
 
 
-def _turn_phases(block: Diagonal, control: int, target: int) -> None:
-    """The phases between two equal CNOTs as phases without them."""
-    angles = block.angles
-    block.angles = {}
-    for mask, angle in angles.items():
-        block.add(Word(0, mask ^ control if mask & target else mask, 0), angle)
-
-
-def _union(words: Iterable[Word]) -> tuple[int, int]:
-    x = z = 0
-    for word in words:
-        x, z = x | word.x, z | word.z
-    return x, z
-
-
-def traced(block: Block, x: int, z: int) -> tuple[Block | None, int, int]:
-    """What of a block has an effect on an observable behind it, and where the observable may act before the block.
-
-    The observable may act as X or Y on the wires x, as Z or Y on the wires z. So the answer may be too large, never too
-    small. Wires are bits.
-    """
-    if isinstance(block, CNOTs):
-        pairs = []
-        for control, target in reversed(block.pairs):
-            if x & control or z & target:
-                pairs.append((control, target))
-                x, z = x | (target if x & control else 0), z | (control if z & target else 0)
-        return (CNOTs(pairs[::-1]) if pairs else None), x, z
-    if isinstance(block, Turn):
-        if not block.angle.terms or not (block.word.x & z or block.word.z & x):
-            return None, x, z
-        return block, x | block.word.x, z | block.word.z
-    near = x if isinstance(block, Diagonal) else x | z
-    angles = {mask: angle for mask, angle in block.angles.items() if mask & near}
-    met = _union(Word(0, mask, 0) for mask in angles)[1]
-    return (type(block)(angles) if angles else None), x | (0 if isinstance(block, Diagonal) else met), z | met
-
-
 def _joined(blocks: list[Block], n: int) -> list[Block]:
     """The blocks, neighbours of one kind as one, and small RY layers as turns, unless they are the last block."""
     out: list[Block] = []
@@ -527,7 +392,7 @@ def _joined(blocks: list[Block], n: int) -> list[Block]:
         last = out[-1] if out else None
         if isinstance(block, Diagonal | RYLayer) and type(last) is type(block):
             for mask, angle in block.angles.items():
-                _add(last.angles, mask, angle)
+                add_angle(last.angles, mask, angle)
         else:
             out.append(block)
     turned: list[Block] = []
@@ -561,7 +426,7 @@ class _Measured:
             self.words.append([Word(w.x, w.z, (w.phase + f) % 4) for w, f in zip(words, flipped, strict=True)])
 
     def union(self) -> tuple[int, int]:
-        return _union(word for words in self.words for word in words)
+        return union(word for words in self.words for word in words)
 
     def turn(self, cnots: CNOTs) -> None:
         """The words before the CNOTs that equal these behind them."""

@@ -20,9 +20,10 @@ from torch.utils.checkpoint import checkpoint
 from qnerf.kernels import is_transformed
 from qnerf.quantum.angles import Angles, ExpressionTable
 from qnerf.quantum.basis import bit, cnot_permutation, z_signs
+from qnerf.quantum.blocks import CNOTs, Diagonal, Turn, moves
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import CNOTs, Diagonal, Program, Turn, moves, program
+from qnerf.quantum.program import Program, program
 from qnerf.quantum.words import Word
 
 GROUP = 4  # wires in one dense real matrix
@@ -96,7 +97,7 @@ class PlainCircuit:
         moving = self.moving(inputs, dtype)
         half = fixed[0, :, None] / 2
         still = half.cos().to(dtype), half.sin().to(dtype)
-        if inputs.is_cuda and n <= DENSE_WIRES:
+        if takes_dense_blocks(inputs.device, n):
             state = self.dense(state, still, moving)
         else:
             for place in range(len(self.program.blocks)):
@@ -163,6 +164,11 @@ class PlainCircuit:
                 matrix = self.applied(place, matrix, still, moving)
             is_one = False
         return state if is_one else matrix @ state
+
+
+def takes_dense_blocks(device: torch.device, wires: int) -> bool:
+    """Whether a matrix for what lies between two blocks of data is cheaper than the blocks: on a GPU, of few wires."""
+    return device.type == "cuda" and wires <= DENSE_WIRES
 
 
 def picked(tensor: Tensor, places: list[int], dim: int) -> Tensor:

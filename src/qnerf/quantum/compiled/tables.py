@@ -20,7 +20,8 @@ from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner
 from qnerf.quantum.angles import Angles
 from qnerf.quantum.basis import cnot_permutation, z_signs
-from qnerf.quantum.program import CNOTs, Diagonal, Program, RYLayer
+from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer
+from qnerf.quantum.program import Program
 from qnerf.quantum.words import Word
 
 DIAGONAL, RY, PERMUTATION, START, TURN, START_EACH = range(6)
