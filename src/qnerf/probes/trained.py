@@ -76,7 +76,7 @@ class Trained:
         """Head -> its circuits by their place in it, for heads with circuits. ValueError if no head has one."""
         circuits = {name: found for name, head in self.heads.items() if (found := circuits_of(head))}
         if not circuits:
-            raise ValueError(f"{self.folder}: neither of its heads has a re-uploading circuit")
+            raise ValueError(f"{self.folder}: neither of its heads has a circuit of qnerf (QuantumLayer)")
         return circuits
 
     @torch.no_grad()

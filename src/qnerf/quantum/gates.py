@@ -191,7 +191,8 @@ class Gate:
         """The angle of one of its rotations."""
         if not rotation.factor:
             return Expression.of(rotation.constant)
-        return Expression.of(self.angles[rotation.angle]) * rotation.factor + rotation.constant
+        angle = Expression.of(self.angles[rotation.angle])
+        return angle if rotation.factor == 1 and not rotation.constant else angle * rotation.factor + rotation.constant
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import pi
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -161,7 +161,18 @@ CNOTs turn their words."""
 @lru_cache(maxsize=256)
 def program(circuit: Circuit) -> Program:
     """The cheapest program of a circuit."""
-    return min((_built(circuit, style) for style in get_args(Style)), key=lambda each: each.operations)
+    return min((_built(circuit, style) for style in _styles(circuit)), key=lambda each: each.operations)
+
+
+def _styles(circuit: Circuit) -> list[Style]:
+    """The styles that make a difference to a circuit."""
+    styles: list[Style] = ["phases"]
+    turned = (gate.angle_of(part) for gate in circuit.gates for part in gate.rotations if set(part.letters) & set("XY"))
+    if any(angle.features for angle in turned):
+        styles.append("turns")
+    if any(gate.name in ("CNOT", "SWAP") for gate in circuit.gates):
+        styles.append("words")
+    return styles
 
 
 @lru_cache(maxsize=256)
@@ -215,7 +226,8 @@ class _Builder:
         """A rotation about a word, at the end of the circuit."""
         image = self.image(word)
         word, place = image.letters, image.support
-        angle = angle * float(image.sign)
+        if image.sign < 0:
+            angle = -angle
         before, waiting = self.waiting.get(place, (None, Expression()))
         if before != word:
             self.flush(place)

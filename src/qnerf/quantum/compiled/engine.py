@@ -131,8 +131,7 @@ class _Run:
             rows[:, 3] ^= (np.bitwise_count(rows[:, 0] & own[:, 1]) ^ np.bitwise_count(rows[:, 1] & own[:, 0])) & 1
         fixed = np.stack([np.cos(angles / 2), np.sin(angles / 2)]).astype(self.kind)
         outcomes = np.ascontiguousarray(arrays.outcomes[:, np.arange(2**self.n) ^ frame[-1, 0]])
-        evens = np.array(arrays.evens, dtype=np.bool_)
-        return Extra(turns, fixed, evens, arrays.products, words, outcomes, arrays.firsts, starts)
+        return Extra(turns, fixed, arrays.products, words, outcomes, arrays.firsts, starts)
 
     def _start(self) -> None:
         """The state before the first data, with the fixed phases of the first data if these are phases."""

@@ -70,7 +70,6 @@ class Extra(NamedTuple):
 
     turns: Any  # (turns, 6), with the signs of the Pauli frame
     fixed: Any  # (2, F) cos and sin of half the fixed angles
-    evens: Any  # (phases,) whether they are of even products of Z
     products: Any  # (products, 3) row of the phases, mask and moving angle of each product of several Z's
     words: Any  # (words, 4) that are measured and are not of Z's alone, with the signs of the Pauli frame
     outcomes: Any  # (tables, 2^n) of the basis states, behind the Pauli frame
