@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from qnerf.metrics import COLLAPSED
 from qnerf.records.filters import check_column
 from qnerf.records.schemas import LABELS, is_option
 
@@ -37,10 +38,11 @@ class Selection:
 
     @property
     def note(self) -> str:
-        """`left out: 2 interrupted, 1 NaN psnr`; empty where every run is in."""
-        if not self.left_out:
-            return ""
-        return "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
+        """`left out: 2 interrupted, 1 NaN psnr; collapsed: 1`; empty where every run is in and has learnt colours."""
+        left = "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
+        gone = int(collapsed(self.runs).sum())
+        parts = [left * bool(self.left_out), f"collapsed (explained variance below {COLLAPSED:g}): {gone}" * bool(gone)]
+        return "; ".join(filter(None, parts))
 
 
 def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) -> Selection:
@@ -67,6 +69,11 @@ def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) 
     left_out: dict[str, int] = {str(name): count for name, count in states.drop("finished").items()}
     left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
     return Selection(usable, {reason: count for reason, count in left_out.items() if count})
+
+
+def collapsed(runs: pd.DataFrame) -> pd.Series:
+    """Which runs end with one colour or with nothing: bool."""
+    return runs["explained"] < COLLAPSED if "explained" in runs else pd.Series(False, runs.index)
 
 
 def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -16,6 +16,7 @@ from qnerf.metrics import metric_of
 from qnerf.records.location import DEFAULT
 
 from .. import command
+from ..selection import collapsed
 from ..tables.differences import interval
 from ..verdict import verdict, within_of
 from .looks import FIRST, MOST, looks, planned, shares
@@ -183,6 +184,8 @@ def runs_of(record: Record, scene: str, count: int, store: Path) -> dict[str, pd
                 f"{title(scene, name)}: its runs have no {record.question.metric}; choose another --metric"
             )
         record.runs[title(scene, name)] = list(map(str, frame.index))
+        if gone := int(collapsed(frame).sum()):
+            print(f"{title(scene, name)}: {gone} of {len(frame)} runs collapsed: they show one colour, or nothing")
     return frames
 
 

@@ -20,7 +20,7 @@ from qnerf.config.identity import picture_names
 from qnerf.config.settings import SignalSettings
 from qnerf.geometry.bounds import described_bounds
 from qnerf.kernels import dispatch
-from qnerf.metrics import quality_metrics
+from qnerf.metrics import COLLAPSED, quality_metrics
 from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, state
@@ -38,6 +38,7 @@ from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
 
+EARLY = 300  # steps that a model may take to learn more than the mean colour
 SLOW, LONG = 1.0, 10.0  # seconds of a step: each one is saved; it is foretold, and there are no previews
 
 
@@ -436,6 +437,13 @@ def evaluate(
     if measured.get("psnr", 0.0) is None:
         measured["psnr_reason"] = "the masks leave no pixel of the held-out views"
         record.warn(f"no psnr: {measured['psnr_reason']}")
+    share = measured.get("explained")
+    if is_number(share) and share < COLLAPSED and step >= EARLY:
+        record.warn(
+            f"collapsed: after {step} steps the model explains {max(share, 0):.0%} of the variance of the held-out "
+            "colours: it shows one colour, or nothing; a lower train.lr, another seed, or render.background=random may "
+            "mend it"
+        )
     record.write_summary(measured | {"steps": step})
     return rows, measured
 

@@ -55,6 +55,9 @@ class Metric:
 HEAD_PARAMETERS = ("params.density", "params.color", "params.head")
 """Columns with the parameters of a run's heads: two of a radiance field, one of a signal."""
 
+COLLAPSED = 0.25
+"""Explained variance of held-out colours below which a run has collapsed: it shows one colour, or nothing."""
+
 METRICS: dict[str, Metric] = {}
 """Column -> metric, in the order in which tables show them."""
 
@@ -101,6 +104,16 @@ for _metric in (
     Metric("psnr", "PSNR", "dB", 2, "higher", "image", within=0.5),
     Metric("ssim", "SSIM", "", 3, "higher", "image", within=0.01),
     Metric("lpips", "LPIPS", "", 4, "lower", "image"),
+    Metric(
+        "explained",
+        "explained variance",
+        "",
+        3,
+        "higher",
+        "image",
+        "share of the variance of true colours; 0 is one colour everywhere",
+        on_request=True,
+    ),
     Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger", within=0.01),
     Metric("depth_error_median", "median depth error", "world units", 3, "lower", "image", "median of |depth - truth|"),
     Metric(

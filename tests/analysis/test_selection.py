@@ -32,6 +32,8 @@ def test_what_is_measured_is_no_setting():
 def test_everything_left_out_is_told():
     assert select(FRAME).note == "left out: 1 running"
     assert select(FRAME[:2]).note == ""
+    gone = FRAME[:2].assign(explained=[0.9, -0.1])
+    assert select(gone).note == "collapsed (explained variance below 0.25): 1"
 
 
 def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():

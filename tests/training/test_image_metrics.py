@@ -147,3 +147,18 @@ def test_masked_pixels_are_not_counted() -> None:
     assert (measured[0]["lpips"], measured[0]["lpips_reason"]) == (None, "masked pixels cannot be left out of it")
     nothing = measure(Comparison(image, truth, depth, None, torch.zeros_like(mask)))
     assert nothing["psnr"] is nothing["ssim"] is None
+
+
+def test_explained_variance_tells_a_picture_from_one_colour() -> None:
+    _, truth = (part.double() for part in images())
+    depth, solid = torch.rand(36, 64), torch.zeros(36, 64, dtype=torch.bool)
+    solid[:, 30:] = True
+    grey = truth[solid].mean(0).expand_as(truth)
+    shown = {"itself": truth, "one colour": grey, "nothing": torch.ones_like(truth)}
+    found = {
+        name: measure(Comparison(image, truth, depth, None, None, solid))["explained"] for name, image in shown.items()
+    }
+    assert found["itself"] == 1
+    assert found["one colour"] == pytest.approx(0, abs=1e-12)
+    assert found["nothing"] < 0
+    assert measure(Comparison(grey, grey, depth, None))["explained"] is None  # there is nothing to explain

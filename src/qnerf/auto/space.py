@@ -2,12 +2,11 @@
 
 import math
 
-import numpy as np
 import torch
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.hull import bounding_spheres, carve, project_spheres
-from qnerf.geometry.rays import TrainingPixels, camera_rays
+from qnerf.geometry.rays import spread_rays
 from qnerf.geometry.visibility import count_cameras
 from qnerf.scenes import Scene
 
@@ -43,16 +42,10 @@ class Followed:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        cameras = scene.cameras
-        training = TrainingPixels(scene)
-        chosen = np.linspace(0, len(training) - 1, min(RAYS, len(training))).astype(np.int64)
-        views, pixel = training.locate(torch.from_numpy(chosen))
-        widths = cameras.all_sizes[views, 0]
-        centres = torch.stack([pixel % widths, pixel // widths], dim=-1) + 0.5
-        rays = camera_rays(cameras, views, centres, 0.0, 1.0, torch.float64)
+        rays = spread_rays(scene, RAYS)
         self.distances = torch.logspace(-3, 1, 160, dtype=torch.float64)  # world units
         points = rays.origins[:, None] + rays.directions[:, None] * self.distances[:, None]
-        self.counts = count_cameras(points.reshape(-1, 3), cameras, scene.train).view(len(views), -1)
+        self.counts = count_cameras(points.reshape(-1, 3), scene.cameras, scene.train).view(len(points), -1)
 
     def coverage(self, cameras: int) -> float:
         """Share of the rays that pass, within ten world units, through space seen by at least `cameras` cameras."""

@@ -9,11 +9,12 @@ import torch
 from qnerf.building.components import component
 from qnerf.config.settings import Settings
 from qnerf.encoders import DIRECTIONS, ENCODERS
+from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.contraction import CONTRACTIONS, Contraction
 from qnerf.geometry.hull import visual_hull
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable
-from qnerf.geometry.visibility import SpaceMask, visible_cells
+from qnerf.geometry.visibility import SpaceMask, crossed, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.heads.qiren import Normalisation, check_samples
@@ -70,6 +71,9 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         field, sampler = build_field_and_sampler(settings, scene)
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
         field.mask = sampler.mask = build_mask(settings, scene, field.contraction)
+        near, far = bounds_of(scene, settings.render.near, settings.render.far)
+        # A thin space would start transparent: Adam then learns black fog in it before colours, and they die.
+        field.initial /= min(1.0, crossed(scene, field.contraction, field.mask, near, far))
         return Model(field, sampler, cameras, component(SHADINGS, settings.shading)).to(settings.torch_device)
     finally:
         torch.set_default_dtype(previous)

@@ -4,6 +4,7 @@ A pixel's direction in the camera's frame depends on the lens alone. It is compu
 training step only rotates it by the pose, refined or not, and does not undo lens distortion again.
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -111,6 +112,16 @@ class TrainingPixels:
         if self.unmasked is not None:
             return self.views[rank], self.unmasked[numbers].long()
         return self.views[rank], numbers - torch.nn.functional.pad(self.ends, (1, 0))[rank]
+
+
+def spread_rays(scene: Scene, count: int) -> Rays:
+    """At most `count` training rays in float64, evenly spread over all pixels, from 0 to 1 world units."""
+    training = TrainingPixels(scene)
+    chosen = np.linspace(0, len(training) - 1, min(count, len(training))).astype(np.int64)
+    views, pixel = training.locate(torch.from_numpy(chosen))
+    widths = scene.cameras.all_sizes[views, 0]
+    centres = torch.stack([pixel % widths, pixel // widths], dim=-1) + 0.5
+    return camera_rays(scene.cameras, views, centres, 0.0, 1.0, torch.float64)
 
 
 class RayTable:

@@ -1,13 +1,17 @@
 """Where density may be: space that too few training cameras see cannot be reconstructed and stays empty."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 
 from qnerf.geometry.contraction import Contraction
-from qnerf.geometry.rays import project
+from qnerf.geometry.rays import project, spread_rays
 from qnerf.kernels.jit import one_torch_thread
-from qnerf.scenes import Cameras
+from qnerf.scenes import Cameras, Scene
 
+RAYS, SAMPLES, REACH = 1000, 400, 8.0
+"""Rays that are followed, samples on each, and world units behind `near` where they end at the latest."""
 CHUNK = 2**12  # points at a time: what is computed of them for `VIEWS` views stays in the caches
 VIEWS = 8
 
@@ -107,3 +111,21 @@ def projections(cameras: Cameras, views: Tensor) -> Tensor:
     right, up, backward = poses[:, :, 0], poses[:, :, 1], poses[:, :, 2]
     rotations = torch.stack([fx * right - cx * backward, -fy * up - cy * backward, -backward], dim=1)
     return torch.cat([rotations, -(rotations @ poses[:, :, 3:])], dim=-1)
+
+
+@torch.no_grad()
+def crossed(scene: Scene, contraction: Contraction, mask: SpaceMask | None, near: float, far: float) -> float:
+    """World units of space where density may be along a training ray: three quarters of those that meet any meet more.
+
+    Rays are followed for at most `REACH` world units. Infinity if none of them meets any.
+
+    mask: where density may be; None: everywhere between near and far.
+    """
+    length = min(far - near, REACH)
+    if mask is None:
+        return length
+    rays = spread_rays(scene, RAYS)
+    distances = near + length * (torch.arange(SAMPLES, dtype=torch.float64) + 0.5) / SAMPLES
+    inside = mask(contraction(rays.origins[:, None] + rays.directions[:, None] * distances[:, None]))
+    share = inside.double().mean(1)
+    return length * float(share[share > 0].quantile(0.25)) if bool(inside.any()) else math.inf

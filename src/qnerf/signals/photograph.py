@@ -16,7 +16,7 @@ from qnerf.scenes.folders import PHOTOGRAPHS, SceneFolder
 from qnerf.scenes.images import open_header, read_images
 from qnerf.signals.base import Fitted, Signal
 from qnerf.training.evaluation import shade_error
-from qnerf.training.image_metrics import psnr, ssim
+from qnerf.training.image_metrics import explained, psnr, ssim
 
 BUNDLED = Path(skimage.data.__file__).parent
 LUMINANCE = (0.2125, 0.7154, 0.0721)  # as skimage.color.rgb2gray
@@ -81,6 +81,7 @@ class Photograph(Signal):
         measured = {
             "psnr": psnr(fit, truth),
             "ssim": ssim(fit, truth),
+            "explained": explained(fit.reshape(-1, 3), truth.reshape(-1, 3)),
             "psnr_unseen": psnr(unseen[0], unseen[1]) if len(self.unseen) else None,
         }
         return measured, [truth, fit, shade_error(fit, truth)]

@@ -112,7 +112,8 @@ class Evaluator:
         view = rendered.view
         true_depth = None if self.scene.depth is None else self.scene.depth[view]
         colors = rendered.color.double(), self.truth(view).double()
-        compared = Comparison(*colors, rendered.depth, true_depth, self.scene.valid(view))
+        solid = self.scene.image(view)[:, :, 3] >= 128 if self.scene.has_alpha else None
+        compared = Comparison(*colors, rendered.depth, true_depth, self.scene.valid(view), solid)
         return {"image": self.scene.names[view]} | measure(compared)
 
     def views(self, views: list[int], step: int) -> Iterator[tuple[RenderedView, dict[str, float | str | None]]]:

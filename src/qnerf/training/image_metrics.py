@@ -17,7 +17,7 @@ from qnerf.config.registry import Registry
 from qnerf.metrics import image_metrics
 from qnerf.training.lpips import lpips
 
-__all__ = ["IMAGE_METRICS", "Comparison", "depth_error", "lpips", "measure", "psnr", "ssim"]
+__all__ = ["IMAGE_METRICS", "Comparison", "depth_error", "explained", "lpips", "measure", "psnr", "ssim"]
 
 Measured = float | None | tuple[float | None, str | None]
 """A metric's value, None where it cannot be had; or the value and why there is none."""
@@ -35,6 +35,7 @@ class Comparison:
     depth: Tensor  # (H, W), world units
     true_depth: Tensor | None  # (H, W), world units; None where the scene has no depth
     mask: Tensor | None = None  # (H, W) bool: False is not counted; None: everything is
+    solid: Tensor | None = None  # (H, W) bool: where the true view shows something; None: everywhere
 
 
 def measure(view: Comparison) -> dict[str, float | str | None]:
@@ -95,6 +96,15 @@ def ssim(image: Tensor, truth: Tensor, mask: Tensor | None = None) -> float | No
     return float(values[inside].mean()) if inside.any() else None
 
 
+def explained(image: Tensor, truth: Tensor) -> float | None:
+    """Share of the variance of true colours (N, 3) that the image's explain: 1 - squared error / variance.
+
+    The best single colour everywhere has 0. None where all true colours are the same.
+    """
+    variance = (truth - truth.mean(0)).square().mean() if len(truth) else truth.new_zeros(())
+    return 1 - float((image - truth).square().mean() / variance) if float(variance) > 1e-12 else None
+
+
 def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
     """How far a depth map (H, W) is from the true one, over the pixels whose true depth is finite and above 0.
 
@@ -132,6 +142,14 @@ def _lpips(view: Comparison) -> Measured:
     if view.mask is not None and not bool(view.mask.all()):
         return None, "masked pixels cannot be left out of it"
     return lpips(view.color, view.truth)
+
+
+@IMAGE_METRICS.register("explained")
+def _explained(view: Comparison) -> Measured:
+    counted = torch.ones(view.truth.shape[:2], dtype=torch.bool)
+    for part in (view.mask, view.solid):
+        counted = counted if part is None else counted & part.to(counted.device)
+    return explained(view.color[counted], view.truth[counted])
 
 
 @IMAGE_METRICS.register("depth_error")
