@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from qnerf.metrics import COLLAPSED
+from qnerf.metrics import COLORLESS
 from qnerf.records.filters import check_column
 from qnerf.records.schemas import LABELS, is_option
 
@@ -38,10 +38,13 @@ class Selection:
 
     @property
     def note(self) -> str:
-        """`left out: 2 interrupted, 1 NaN psnr; collapsed: 1`; empty where every run is in and has learnt colours."""
+        """`left out: 2 interrupted, 1 NaN psnr; colourless: 1`; empty where every run is in and has learnt colours."""
         left = "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
-        gone = int(collapsed(self.runs).sum())
-        parts = [left * bool(self.left_out), f"collapsed (explained variance below {COLLAPSED:g}): {gone}" * bool(gone)]
+        gone = int(colorless(self.runs).sum())
+        parts = [
+            left * bool(self.left_out),
+            f"colourless (explained variance below {COLORLESS:g}): {gone}" * bool(gone),
+        ]
         return "; ".join(filter(None, parts))
 
 
@@ -71,9 +74,9 @@ def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) 
     return Selection(usable, {reason: count for reason, count in left_out.items() if count})
 
 
-def collapsed(runs: pd.DataFrame) -> pd.Series:
-    """Which runs end with one colour or with nothing: bool."""
-    return runs["explained"] < COLLAPSED if "explained" in runs else pd.Series(False, runs.index)
+def colorless(runs: pd.DataFrame) -> pd.Series:
+    """Which runs show one colour, or nothing: bool."""
+    return runs["explained"] < COLORLESS if "explained" in runs else pd.Series(False, runs.index)
 
 
 def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

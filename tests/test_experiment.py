@@ -203,8 +203,8 @@ def test_a_stop_request_ends_an_evaluation_which_the_resumed_run_repeats(tiny, t
     parts = tiny(*options, f"store={tmp_path / 'parts'}")
     requests: list[int] = []
 
-    def views(self, chosen, step, original=Evaluator.views):
-        for number, item in enumerate(original(self, chosen, step)):
+    def views(self, chosen, step, rays=None, original=Evaluator.views):
+        for number, item in enumerate(original(self, chosen, step, rays)):
             if step == stop_at and number == 0:
                 requests.append(2)
             yield item

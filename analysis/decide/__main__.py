@@ -16,7 +16,7 @@ from qnerf.metrics import metric_of
 from qnerf.records.location import DEFAULT
 
 from .. import command
-from ..selection import collapsed
+from ..selection import colorless
 from ..tables.differences import interval
 from ..verdict import verdict, within_of
 from .looks import FIRST, MOST, looks, planned, shares
@@ -184,8 +184,8 @@ def runs_of(record: Record, scene: str, count: int, store: Path) -> dict[str, pd
                 f"{title(scene, name)}: its runs have no {record.question.metric}; choose another --metric"
             )
         record.runs[title(scene, name)] = list(map(str, frame.index))
-        if gone := int(collapsed(frame).sum()):
-            print(f"{title(scene, name)}: {gone} of {len(frame)} runs collapsed: they show one colour, or nothing")
+        if gone := int(colorless(frame).sum()):
+            print(f"{title(scene, name)}: {gone} of {len(frame)} runs are colourless: they show one colour, or nothing")
     return frames
 
 

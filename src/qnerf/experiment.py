@@ -1,5 +1,6 @@
 """One run, top to bottom: scene -> rays -> samples -> field -> render -> loss -> metrics -> parquet."""
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from qnerf.config.identity import picture_names
 from qnerf.config.settings import SignalSettings
 from qnerf.geometry.bounds import described_bounds
 from qnerf.kernels import dispatch
-from qnerf.metrics import COLLAPSED, quality_metrics
+from qnerf.metrics import COLORLESS, quality_metrics
 from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, state
@@ -38,6 +39,8 @@ from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.trainer import Trainer
 
+SHARE, FEWEST = 0.05, 2**14  # of the training's time that its curves take, unless a curve has fewer rays a point
+WORTH_A_MENTION = 60.0  # seconds of the evaluation after the last step
 EARLY = 300  # steps that a model may take to learn more than the mean colour
 SLOW, LONG = 1.0, 10.0  # seconds of a step: each one is saved; it is foretold, and there are no previews
 
@@ -58,7 +61,7 @@ class ViewEvaluator(Protocol):
 
     scene: Any
 
-    def views(self, views: list[int], step: int) -> Iterator[tuple[Any, "Measures"]]: ...
+    def views(self, views: list[int], step: int, rays: int | None = None) -> Iterator[tuple[Any, "Measures"]]: ...
 
     def preview(self, step: int) -> np.ndarray: ...
 
@@ -273,6 +276,8 @@ class _Course:
         self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
         chosen = even_subset(len(self.scene.eval), task.curve_views or None)
         self.curve_views = [self.scene.eval[index] for index in chosen]
+        trained = self.trainer.rays_a_step * self.settings.train.eval_every
+        self.curve_rays = math.ceil(max(FEWEST, SHARE / FORWARD * trained) / max(len(chosen), 1))
         self.pruned = False
         self.taken = 0  # steps, by this command
         if self.settings.numerics.finite_checks:
@@ -333,13 +338,16 @@ class _Course:
         left = train.steps - trainer.step
         rays = 0
         if isinstance(self.scene, Scene):
-            evaluated = [*self.scene.eval, *self.curve_views * (left // (train.eval_every or train.steps))]
-            rays = int(self.scene.cameras.all_sizes[evaluated].prod(1).sum())
-        whole = step * (left + FORWARD * rays / trainer.rays_a_step)
+            rays = int(self.scene.cameras.all_sizes[self.scene.eval].prod(1).sum())
+        evaluation = step * FORWARD * rays / trainer.rays_a_step
+        whole = step * left * (1 + SHARE * bool(rays)) + evaluation
         if whole > 3600 * self.settings.run.hours:
             trainer.save(self.record)
         if line := foretold("", step, whole, self.settings.run.hours):
             self.display.note(line)
+        if evaluation > WORTH_A_MENTION:
+            views = f"{len(self.scene.eval)} whole held-out views"
+            self.display.note(f"after the last step, {views} take about {evaluation / 60:,.0f} minutes")
 
     def show(self, *, now: bool = False) -> None:
         """Refreshes the preview, unless it would take minutes."""
@@ -350,9 +358,9 @@ class _Course:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
         scene, trainer = self.scene, self.trainer
         views = scene.eval if trainer.done else self.curve_views
-        rows, result = self.evaluate(views)
+        rows, result = self.evaluate(views, None if trainer.done else self.curve_rays)
         if result is not None:
-            # Every point of the curve is a mean over the same views.
+            # Every point of the curve is a mean over the same views; before the last step, over some of their pixels.
             curve = means([row for view, row in zip(views, rows, strict=True) if view in self.curve_views])
             logged = {f"eval/{key}": value for key, value in curve.items() if is_number(value)}
             self.record.log(trainer.step, trainer.seconds, logged)
@@ -361,8 +369,8 @@ class _Course:
             self.pruned = not trainer.done and self.unpromising(self.record.dir, trainer.step, curve)
         return result
 
-    def evaluate(self, views: Sequence[int]) -> tuple[list[Measures], Measures | None]:
-        return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase)
+    def evaluate(self, views: Sequence[int], rays: int | None = None) -> tuple[list[Measures], Measures | None]:
+        return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase, rays)
 
     def stopping(self) -> bool:
         return self.pruned or self.stopped()
@@ -413,18 +421,20 @@ def evaluate(
     step: int,
     stopping: Callable[[], bool],
     tell: Callable[[str], None] = lambda phase: None,
+    rays: int | None = None,
 ) -> tuple[list[Measures], Measures | None]:
     """Measures the views and writes eval.parquet and the pictures; returns the row of each view, and the means.
 
     stopping: called after each view but the last. Once it is true, there are no means, and no table is written.
     tell: called with the phase before each view, `evaluate 3 of 22 views`.
+    rays: about how many of each view are measured; None: all.
     """
     start = time.perf_counter()
     rows = []
     scene = evaluator.scene
     names = dict(zip(scene.eval, picture_names([scene.names[view] for view in scene.eval]), strict=True))
     tell(f"evaluate 1 of {len(views)} views")
-    for rendered, row in evaluator.views(list(views), step):
+    for rendered, row in evaluator.views(list(views), step, rays):
         rows.append(row)
         if len(rows) < len(views):
             tell(f"evaluate {len(rows) + 1} of {len(views)} views")
@@ -438,11 +448,10 @@ def evaluate(
         measured["psnr_reason"] = "the masks leave no pixel of the held-out views"
         record.warn(f"no psnr: {measured['psnr_reason']}")
     share = measured.get("explained")
-    if is_number(share) and share < COLLAPSED and step >= EARLY:
+    if is_number(share) and share < COLORLESS and step >= EARLY:
         record.warn(
-            f"collapsed: after {step} steps the model explains {max(share, 0):.0%} of the variance of the held-out "
-            "colours: it shows one colour, or nothing; a lower train.lr, another seed, or render.background=random may "
-            "mend it"
+            f"colourless: after {step} steps the model explains {max(share, 0):.0%} of the variance of the held-out "
+            "colours; render.background=random, a larger density.initial or a lower train.rates.color may mend it"
         )
     record.write_summary(measured | {"steps": step})
     return rows, measured

@@ -55,8 +55,8 @@ class Metric:
 HEAD_PARAMETERS = ("params.density", "params.color", "params.head")
 """Columns with the parameters of a run's heads: two of a radiance field, one of a signal."""
 
-COLLAPSED = 0.25
-"""Explained variance of held-out colours below which a run has collapsed: it shows one colour, or nothing."""
+COLORLESS = 0.25
+"""Explained variance of held-out colours below which a run is colourless: it shows one colour, or nothing."""
 
 METRICS: dict[str, Metric] = {}
 """Column -> metric, in the order in which tables show them."""

@@ -33,7 +33,7 @@ def test_everything_left_out_is_told():
     assert select(FRAME).note == "left out: 1 running"
     assert select(FRAME[:2]).note == ""
     gone = FRAME[:2].assign(explained=[0.9, -0.1])
-    assert select(gone).note == "collapsed (explained variance below 0.25): 1"
+    assert select(gone).note == "colourless (explained variance below 0.25): 1"
 
 
 def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():

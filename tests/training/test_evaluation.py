@@ -41,6 +41,17 @@ def test_measures_are_those_of_the_rendered_view(make):
     assert row["depth_error"] is None
 
 
+def test_some_rays_of_a_view_measure_what_the_whole_has_there(make):
+    evaluator = make()
+    ((rendered, row),) = evaluator.views([view := evaluator.scene.eval[0]], step=0, rays=12)
+    ((whole, _),) = evaluator.views([view], step=0)
+    assert rendered.color.shape == (3, 4, 3)  # of 6 x 8
+    assert torch.equal(rendered.color, whole.color[::2, ::2])
+    error = (rendered.color.double() - evaluator.scene.images[view][::2, ::2].double() / 255).square().mean().item()
+    assert row["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-5)
+    assert row["ssim"] is row["lpips"] is None
+
+
 def test_a_picture_has_four_panels_enlarged(make):
     evaluator = make()
     rendered = evaluator.render(evaluator.scene.eval[0], step=0)

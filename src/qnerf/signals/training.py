@@ -76,8 +76,10 @@ class SignalEvaluator:
             parts.append(gradient.double().cpu())
         return torch.cat(parts)
 
-    def views(self, views: list[int], step: int) -> Iterator[tuple[FittedView, dict[str, float | str | None]]]:
-        """The one view of a signal, with its name under `image` and its metrics."""
+    def views(
+        self, views: list[int], step: int, rays: int | None = None
+    ) -> Iterator[tuple[FittedView, dict[str, float | str | None]]]:
+        """The one view of a signal, with its name under `image` and its metrics. It is measured as a whole."""
         training = self.model.training
         self.model.eval()
         self.watch.begin(measure=False)

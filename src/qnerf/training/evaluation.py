@@ -109,16 +109,22 @@ class Evaluator:
 
     def measure(self, rendered: RenderedView) -> dict[str, float | str | None]:
         """The view's name under `image`, and every image metric; see `qnerf.training.image_metrics.measure`."""
-        view = rendered.view
-        true_depth = None if self.scene.depth is None else self.scene.depth[view]
-        colors = rendered.color.double(), self.truth(view).double()
+        view, step = rendered.view, rendered.stride
+        depth = None if self.scene.depth is None else self.scene.depth[view]
         solid = self.scene.image(view)[:, :, 3] >= 128 if self.scene.has_alpha else None
-        compared = Comparison(*colors, rendered.depth, true_depth, self.scene.valid(view), solid)
+        truth = self.truth(view).double()[::step, ::step]
+        depth, mask, solid = (
+            None if whole is None else whole[::step, ::step] for whole in (depth, self.scene.valid(view), solid)
+        )
+        compared = Comparison(rendered.color.double(), truth, rendered.depth, depth, mask, solid, step)
         return {"image": self.scene.names[view]} | measure(compared)
 
-    def views(self, views: list[int], step: int) -> Iterator[tuple[RenderedView, dict[str, float | str | None]]]:
+    def views(
+        self, views: list[int], step: int, rays: int | None = None
+    ) -> Iterator[tuple[RenderedView, dict[str, float | str | None]]]:
+        """Each view and its measures. rays: about how many of each are rendered, evenly spread; None: all."""
         for view in views:
-            rendered = self.render(view, step)
+            rendered = self.render(view, step, 1 if rays is None else self.stride(view, rays))
             yield rendered, self.measure(rendered)
 
     def picture(self, rendered: RenderedView, min_height: int = 240) -> np.ndarray:

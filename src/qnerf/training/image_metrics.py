@@ -36,6 +36,7 @@ class Comparison:
     true_depth: Tensor | None  # (H, W), world units; None where the scene has no depth
     mask: Tensor | None = None  # (H, W) bool: False is not counted; None: everything is
     solid: Tensor | None = None  # (H, W) bool: where the true view shows something; None: everywhere
+    stride: int = 1  # of the view's rows and columns that are here
 
 
 def measure(view: Comparison) -> dict[str, float | str | None]:
@@ -134,11 +135,13 @@ def _psnr(view: Comparison) -> Measured:
 
 @IMAGE_METRICS.register("ssim")
 def _ssim(view: Comparison) -> Measured:
-    return ssim(view.color, view.truth, view.mask)
+    return ssim(view.color, view.truth, view.mask) if view.stride == 1 else None
 
 
 @IMAGE_METRICS.register("lpips")
 def _lpips(view: Comparison) -> Measured:
+    if view.stride > 1:
+        return None, "only some rows and columns were rendered"
     if view.mask is not None and not bool(view.mask.all()):
         return None, "masked pixels cannot be left out of it"
     return lpips(view.color, view.truth)
