@@ -4,6 +4,7 @@ import itertools
 import math
 
 import pennylane as qml
+import pytest
 import torch
 
 from qnerf.heads import HEADS
@@ -41,15 +42,49 @@ def test_surrogate_bias_before_its_normalisation_stays_where_it_is():
     assert float(head.linear.weight.grad.abs().max()) > 0
 
 
-def test_qrun_layer_is_a_fourier_series_of_each_unit():
-    layer = HEADS.build("qrun", 3, 2, width=4, spectral=3).double().hidden[0]
+def test_qrun_is_what_its_published_code_computes():
+    head = HEADS.build("qrun", 3, 2, layers=3, width=4, input_scale=2.0).double()
     x = torch.randn(5, 3, dtype=torch.float64)
-    h = layer.linear(x)
-    expected = layer.constant + sum(
-        a * torch.cos(s * h) + b * torch.sin(s * h)
-        for s, (a, b) in enumerate(zip(layer.cosines.T, layer.sines.T, strict=True), 1)
-    )
-    torch.testing.assert_close(layer(x), expected)
+    values = 2 * head.first(x)
+    for layer in head.hidden:
+        inputs, found = layer.linear(values), torch.empty(5, 4, dtype=torch.float64)
+        for sample, unit in itertools.product(range(5), range(2)):
+            h = inputs[sample, unit]
+            one, two, three = layer.net[::2]
+            hidden = torch.tanh(one.weight @ torch.stack([h.sin(), h.cos(), h.sin(), h.cos()]) + one.bias)
+            hidden = torch.tanh(two.weight @ hidden + two.bias)
+            found[sample, 2 * unit : 2 * unit + 2] = torch.sin(three.weight @ hidden + three.bias)
+        values = found
+    torch.testing.assert_close(head(x), head.readout(values))
+    with pytest.raises(ValueError, match="even"):
+        HEADS.build("qrun", 3, 2, width=5)
+
+
+@pytest.mark.parametrize("trained", [False, True])
+def test_qkan_has_a_circuit_of_one_qubit_on_each_edge(trained):
+    head = HEADS.build("qkan", 3, 2, layers=1, repeats=2, input_scale=1.5, trained_inputs=trained).double()
+    layer, x = head.layers[0], torch.randn(4, 3, dtype=torch.float64)
+    if trained:
+        layer.shifts.data.normal_()
+
+    @qml.qnode(qml.device("default.qubit", wires=1))
+    def edge(theta, scales, shifts, value):
+        qml.Hadamard(0)
+        for turn in range(len(theta)):
+            qml.RZ(theta[turn, 0], 0)
+            qml.RY(theta[turn, 1], 0)
+            if turn < len(scales):
+                qml.RZ(scales[turn] * value + shifts[turn], 0)
+        return qml.expval(qml.Z(0))
+
+    expected = torch.zeros(4, 2, dtype=torch.float64)
+    for sample, out, into in itertools.product(range(4), range(2), range(3)):
+        scales = layer.scales[out, into] if trained else torch.full((2,), 1.5)
+        shifts = layer.shifts[out, into] if trained else torch.zeros(2)
+        value = edge(layer.theta[out, into], scales, shifts, x[sample, into])
+        silu = x[sample, into] * torch.sigmoid(x[sample, into])
+        expected[sample, out] += value + layer.base[out, into] * silu
+    torch.testing.assert_close(head(x), expected)
 
 
 def test_tensor_train_is_multilinear_in_cosines_and_sines_of_its_angles():

@@ -119,7 +119,10 @@ def ray_table(settings: Settings, scene: Scene) -> RayTable:
 
 
 def parameter_counts(model: Model | SignalModel) -> dict[str, int]:
-    counts = {f"params.{name}": sum(p.numel() for p in parameters) for name, parameters in model.parts.items()}
+    counts = {
+        f"params.{name}": sum(p.numel() for p in parameters if p.requires_grad)
+        for name, parameters in model.parts.items()
+    }
     if isinstance(model, Model):
         counts.setdefault("params.appearance", 0)
     return counts | {"params.total": sum(counts.values())}

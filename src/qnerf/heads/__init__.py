@@ -7,12 +7,13 @@ from qnerf.heads.mlp import MLPHead
 from qnerf.heads.qfgn import QFGNHead
 from qnerf.heads.qiren import HybridLayer, QirenHead
 from qnerf.heads.qiren_bypass import QirenBypassHead
+from qnerf.heads.qkan import QKANHead
 from qnerf.heads.qrun import QRunHead
 from qnerf.heads.siren import SirenHead
 from qnerf.heads.surrogate import SurrogateHead
 from qnerf.heads.tensor_train import TensorTrainHead
 
 __all__ = [
-    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "HyperHead", "MLPHead", "QFGNHead", "QRunHead", "QirenBypassHead",
-    "QirenHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen", "head_options",
+    "HEADS", "AmplitudeHead", "Head", "HybridLayer", "HyperHead", "MLPHead", "QFGNHead", "QKANHead", "QRunHead",
+    "QirenBypassHead", "QirenHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen", "head_options",
 ]  # fmt: skip

@@ -1,8 +1,6 @@
-"""Data re-uploading without a circuit, for a linear layer: our reading of Q-RUN's abstract (arXiv:2512.20654)."""
+"""Q-RUN: data re-uploading units without a circuit, as in the public code of arXiv:2512.20654 (QuaRobot/Q-RUN)."""
 
-import math
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any
 
 import torch
@@ -10,74 +8,58 @@ from torch import Tensor, nn
 
 from qnerf.config.bounds import Count, Depth, PositiveFactor
 from qnerf.heads.base import HEADS, Head
-from qnerf.quantum.circuit import Spectral
 
 
-class ReuploadingLayer(nn.Module):
-    """A linear layer and a Fourier series for each unit: (N, in_dim) -> (N, out_dim).
+class ReuploadingUnits(nn.Module):
+    """A linear map, and one small network that all its values share: (N, in_dim) -> (N, 2 units).
 
-    h = W x + b;  y_j = a_j0 + sum over s of a_js cos(f_js h_j) + b_js sin(f_js h_j)
-
-    A wire that encodes h_j S times has such values (arXiv:2008.08605), with s = 1, ..., S. Here its coefficients are
-    free, and its frequencies f are trained from 1, ..., S.
+    h = W x + b. Each h_j becomes sin(net(sin h_j, cos h_j, sin h_j, cos h_j)), two values side by side. `net` is an MLP
+    4 -> 9 -> 9 -> 2 with tanh.
     """
 
-    def __init__(self, in_dim: int, out_dim: int, spectral: int, scale: float) -> None:
+    def __init__(self, in_dim: int, units: int) -> None:
         super().__init__()
-        self.linear = nn.Linear(in_dim, out_dim)
-        self.scale = scale
-        self.frequencies = nn.Parameter(torch.arange(1.0, spectral + 1).expand(out_dim, -1).clone())
-        self.cosines = nn.Parameter(torch.randn(out_dim, spectral) / math.sqrt(spectral))
-        self.sines = nn.Parameter(torch.randn(out_dim, spectral) / math.sqrt(spectral))
-        self.constant = nn.Parameter(torch.zeros(out_dim))
+        self.linear = nn.Linear(in_dim, units)
+        self.net = nn.Sequential(nn.Linear(4, 9), nn.Tanh(), nn.Linear(9, 9), nn.Tanh(), nn.Linear(9, 2))
 
     def forward(self, x: Tensor) -> Tensor:
-        phases = self.scale * self.linear(x)[..., None] * self.frequencies
-        return self.constant + (self.cosines * phases.cos() + self.sines * phases.sin()).sum(-1)
+        h = self.linear(x)
+        once = torch.stack([h.sin(), h.cos()], dim=-1)
+        return self.net(torch.cat([once, once], dim=-1)).sin().flatten(-2)
 
 
 @HEADS.register("qrun")
 class QRunHead(Head):
-    """An MLP whose hidden layers are `ReuploadingLayer`: layers - 1 of them, then a linear map.
+    """A linear map, layers - 1 of `ReuploadingUnits`, and a linear map. All weights start as PyTorch's.
 
     Args:
         in_dim, out_dim: features in and values out.
-        layers: layers, the last linear map included.
-        width: units of each hidden layer.
-        spectral: S, the frequencies of a unit.
-        scale: factor on the linear maps' values, radians.
+        layers: of units, and one.
+        width: values between the layers, an even number: two for each unit.
+        input_scale: factor on the values of the first linear map; 1 as published.
 
-    A hidden layer has width (inputs + 2 + 3 S) parameters.
-
-    >>> QRunHead(3, 4, layers=2, width=8)(torch.zeros(5, 3)).shape
-    torch.Size([5, 4])
+    >>> head = QRunHead(2, 1, layers=2, width=28)
+    >>> sum(parameter.numel() for parameter in head.parameters())  # as in the code
+    674
     """
 
     def __init__(
-        self,
-        in_dim: int,
-        out_dim: int,
-        *,
-        layers: Depth = 2,
-        width: Count = 16,
-        spectral: Spectral = 2,
-        scale: PositiveFactor = 1.0,
+        self, in_dim: int, out_dim: int, *, layers: Depth = 2, width: Count = 28, input_scale: PositiveFactor = 1.0
     ) -> None:
         super().__init__()
-        dims = [in_dim, *[width] * (layers - 1)]
-        self.hidden = nn.Sequential(*(ReuploadingLayer(*sizes, spectral, scale) for sizes in pairwise(dims)))
-        self.readout = nn.Linear(dims[-1], out_dim)
+        if width % 2:
+            raise ValueError(f"qrun.width must be even, two values for each unit, got {width}")
+        self.input_scale = input_scale
+        self.first = nn.Linear(in_dim, width)
+        self.hidden = nn.Sequential(*(ReuploadingUnits(width, width // 2) for _ in range(layers - 1)))
+        self.readout = nn.Linear(width, out_dim)
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:
-        """`qrun2x16S2`: layers x width, frequencies."""
-        return f"qrun{options['layers']}x{options['width']}S{options['spectral']}"
-
-    @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> tuple[str, ...]:
-        return ("width", "spectral", "scale") if options["layers"] == 1 else ()
+        """`qrun2x28`: layers x width."""
+        return f"qrun{options['layers']}x{options['width']}"
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
-        out: Tensor = self.readout(self.hidden(features))
+        out: Tensor = self.readout(self.hidden(self.input_scale * self.first(features)))
         return out
