@@ -9,7 +9,7 @@ import pandas as pd
 
 from qnerf.metrics import COLORLESS
 from qnerf.records.filters import check_column
-from qnerf.records.schemas import LABELS, is_option
+from qnerf.records.schemas import LABELS, RECORDED, is_option
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
@@ -25,7 +25,7 @@ CIRCUITS = frozenset(itertools.chain(*QUANTUM.values()))
 """Fields with a circuit; a tracked run has a field of its own name."""
 
 _SCALARS = ("field", "experiment", "geo_features", "appearance")
-_OF_TRACKED = ("field", "scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")
+_OF_TRACKED = ("field", *RECORDED)
 """Settings of tracked runs alone: in others the heads decide the field, and the options are only recorded."""
 
 

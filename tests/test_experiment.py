@@ -14,8 +14,12 @@ import torch
 from PIL import Image
 
 from qnerf import experiment
+from qnerf.building import acting, configuration
 from qnerf.building.scene import prepare
-from qnerf.experiment import run
+from qnerf.cli import compose
+from qnerf.cli.python import run as qnerf_run
+from qnerf.cli.training import train
+from qnerf.experiment import Display, run
 from qnerf.records import read_config, read_metrics, read_status, runs, state
 from qnerf.training import forecast, lpips
 from qnerf.training.evaluation import Evaluator
@@ -61,6 +65,19 @@ def test_a_copy_a_backup_and_an_export_are_not_the_run(tiny, tmp_path):
     assert prepared.find_id(tmp_path) == f"a-old-{digest}"  # the same scene under its name of before
     (tmp_path / name).mkdir()
     assert prepared.find_id(tmp_path) == name
+
+
+def test_a_configuration_is_worked_out_once_and_a_stored_one_once_more(tiny, monkeypatch):
+    calls: list[object] = []
+    monkeypatch.setattr(configuration, "options", lambda config: (calls.append(config), acting.options(config))[1])
+    overrides = ("field=qcolor", "train.steps=3")
+    started = tiny(*overrides)
+    monkeypatch.setattr(compose, "configuration", lambda _: started)
+    steps = iter([False, False, True])
+    train(configuration.Configuration.of(started), overrides, Display(), lambda: next(steps))
+    assert len(calls) == 1
+    assert qnerf_run(*overrides).state == "finished"
+    assert len(calls) == 1 + 2
 
 
 def test_steps_that_are_left_to_the_scene_are_numbers_in_the_summary(tiny):

@@ -2,42 +2,35 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
-import numpy as np
 import torch
 
 from qnerf import auto
-from qnerf.auto import exposure, poses
-from qnerf.building.acting import RECORDED, changed, column_types
-from qnerf.building.model import build_model, check_samples_of_a_step, parameter_counts, ray_table
+from qnerf.building.configuration import Configuration
+from qnerf.building.model import parameter_counts
 from qnerf.building.scene import Prepared, prepare
 from qnerf.config import devices
 from qnerf.config.checks import is_number
 from qnerf.config.identity import picture_names
-from qnerf.config.settings import SignalSettings
-from qnerf.geometry.bounds import described_bounds
 from qnerf.kernels import dispatch
 from qnerf.metrics import COLORLESS, quality_metrics
 from qnerf.model.labels import labels
 from qnerf.quantum import QuantumLayer
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, state
 from qnerf.records.environment import capture, dirty_diff
-from qnerf.scenes import Scene
+from qnerf.records.schemas import RECORDED
 from qnerf.scenes.base import even_subset
-from qnerf.signals import Signal, SignalEvaluator, SignalTrainer, build_signal_model
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
-from qnerf.training import lpips
-from qnerf.training.evaluation import Evaluator, colormap
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.forecast import FORWARD, foretold, seconds_of_circuits
 from qnerf.training.preview import Preview
 from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
-from qnerf.training.trainer import Trainer
+from qnerf.training.task import Measures, Task, ViewEvaluator
 
 SHARE, FEWEST = 0.05, 2**14  # of the training's time that its curves take, unless a curve has fewer rays a point
 WORTH_A_MENTION = 60.0  # seconds of the evaluation after the last step
@@ -54,22 +47,6 @@ class Outcome:
     state: str
     summary: dict[str, Any]
     message: str
-
-
-class ViewEvaluator(Protocol):
-    """Measures and draws views of its scene."""
-
-    scene: Any
-
-    def views(self, views: list[int], step: int, rays: int | None = None) -> Iterator[tuple[Any, "Measures"]]: ...
-
-    def preview(self, step: int) -> np.ndarray: ...
-
-    def picture(self, rendered: Any) -> np.ndarray: ...
-
-
-Measures = dict[str, float | str | None]
-"""Metric -> value; None if it cannot be computed."""
 
 
 class Display:
@@ -96,53 +73,6 @@ class Display:
     def end(self) -> None: ...
 
 
-class FieldTask:
-    """Trains a radiance field on posed images. ValueError as `run`."""
-
-    def __init__(self, prepared: Prepared) -> None:
-        self.settings, self.scene = prepared.of_field()
-        self.model = build_model(self.settings, self.scene)
-        check_samples_of_a_step(self.settings, self.model)
-        self.table = ray_table(self.settings, self.scene)
-        self.curve_views = self.settings.train.eval_views
-        self.points_a_step = self.settings.train.rays * self.model.sampler.rendered_samples
-        near, far = self.table.near, self.table.far
-        self.columns = {"render.near": near, "render.far": far}  # what acts
-        self.bounds = described_bounds(self.scene, near, far)
-        # Files that cannot be used are reported now, not at the first evaluation.
-        lpips.weights()
-        colormap()
-
-    def trainer(self, watch: Stopwatch) -> Trainer:
-        return Trainer(self.model, self.table, self.settings, watch)
-
-    def evaluator(self, watch: Stopwatch) -> Evaluator:
-        background, chunk = self.settings.render.background, self.settings.train.chunk
-        return Evaluator(self.scene, self.table, self.model, background=background, chunk=chunk, watch=watch)
-
-
-class SignalTask:
-    """Trains one head on a signal. ValueError as `run`."""
-
-    curve_views = 0
-    columns: ClassVar[dict[str, float]] = {}
-    bounds = ""
-
-    def __init__(self, prepared: Prepared) -> None:
-        assert isinstance(prepared.settings, SignalSettings)
-        assert isinstance(prepared.scene, Signal)
-        self.settings, self.scene = prepared.settings, prepared.scene
-        self.model = build_signal_model(self.settings, self.scene)
-        self.points_a_step = min(self.settings.train.points, len(self.scene.points))
-        colormap()
-
-    def trainer(self, watch: Stopwatch) -> SignalTrainer:
-        return SignalTrainer(self.model, self.scene, self.settings, watch)
-
-    def evaluator(self, watch: Stopwatch) -> SignalEvaluator:
-        return SignalEvaluator(self.model, self.scene, self.settings, watch)
-
-
 Unpromising = Callable[[Path, int, Measures], bool]
 """Whether to give a run up, from its folder, the step and the means of its evaluation."""
 
@@ -151,12 +81,8 @@ def never(path: Path, step: int, measured: Measures) -> bool:
     return False
 
 
-Task = FieldTask | SignalTask
-"""What a run trains on, what it trains, how a step's loss is computed, and how the result is judged."""
-
-
 def run(
-    config: Mapping[str, Any],
+    config: Mapping[str, Any] | Configuration | Prepared,
     overrides: Sequence[str] = (),
     display: Display | None = None,
     stopping: Callable[[], bool] = lambda: False,
@@ -168,6 +94,7 @@ def run(
     `device=auto` takes a GPU that no other job has, and waits for one if there are only others. A finished run
     needs none.
 
+    config: the resolved tree, or what was made of it already.
     stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
         checkpoint.
     name: id of an existing run; None: the configuration's.
@@ -180,12 +107,12 @@ def run(
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
     display = display or Display()
-    prepared = prepare(config)
+    prepared = config if isinstance(config, Prepared) else prepare(config)
     settings = prepared.settings
     name = name or prepared.find_id(settings.store)
     finished = not settings.run.force and state(Path(settings.store) / name) == "finished"
     with devices.dealt("cpu" if finished else settings.device, display.note, stopping) as device:
-        prepared = replace(prepared, settings=replace(settings, device=device))
+        prepared = replace(prepared, configuration=prepared.configuration.with_values({"device": device}))
         return _run(prepared, name, overrides, display, stopping, unpromising)
 
 
@@ -197,23 +124,25 @@ def _run(
     stopping: Callable[[], bool],
     unpromising: Unpromising,
 ) -> Outcome:
-    settings, scene = prepared.settings, prepared.scene
+    settings, task = prepared.settings, prepared.task
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    task: Task = SignalTask(prepared) if isinstance(settings, SignalSettings) else FieldTask(prepared)
+    task.build(settings)
 
     known = None
     asked = settings.run.force or state(Path(settings.store) / name) != "finished"
     if asked and settings.torch_device.type == "cpu":
         step = seconds_of_circuits(task.model, task.points_a_step)
         known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
-    columns = labels(prepared.config) | parameter_counts(task.model) | auto.columns(prepared.decisions) | task.columns
-    columns |= {"scene.fingerprint": scene.fingerprint, "steps": 0}
-    types = column_types(prepared.config)
+    configuration = prepared.configuration
+    columns = labels(configuration.acting) | parameter_counts(task.model) | auto.columns(prepared.decisions)
+    columns |= {**task.columns, "scene.fingerprint": task.fingerprint, "steps": 0}
     store = RunStore(settings.store)
-    claim = store.claim(name, prepared.config, overrides, columns=columns, types=types, force=settings.run.force)
+    claim = store.claim(
+        name, configuration.acting, overrides, columns=columns, types=configuration.types, force=settings.run.force
+    )
     if claim.outcome in ("finished", "resumed"):
-        _compare(claim.dir, prepared.config, display)
+        _compare(claim.dir, configuration, display)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
     course: _Course | None = None
@@ -229,32 +158,32 @@ def _run(
     with claim.run as record, stop_requests(last_words) as stops, dispatch.report() as aside:
         if claim.outcome == "resumed":
             display.note(claim.message)
-        _describe(prepared, task, record, display)
+        _describe(prepared, record, display)
         if known:
             display.note(known)
         record.write_environment(capture(settings.seed), dirty_diff())
-        if isinstance(scene, Scene):
-            record.write_transform(scene.transform.numpy())
+        if task.transform is not None:
+            record.write_transform(task.transform.numpy())
         course = _Course(task, record, display, lambda: bool(stops) or stopping(), unpromising)
         return course.to_its_end(aside)
 
 
-def _describe(prepared: Prepared, task: Task, record: Run, display: Display) -> None:
+def _describe(prepared: Prepared, record: Run, display: Display) -> None:
     """Says what is trained, on what, and what about the scene is doubtful."""
-    scene = prepared.scene
-    display.note("; ".join(filter(None, [f"scene {scene.name}: {scene.description()}", task.bounds])))
-    display.describe(prepared.config, parameter_counts(task.model))
+    task = prepared.task
+    display.note("; ".join(filter(None, [f"scene {task.name}: {task.description()}", task.notes()])))
+    display.describe(prepared.configuration.acting, parameter_counts(task.model))
     if prepared.decisions:
         decided = [f"{option}={decision.value}" for option, decision in prepared.decisions.items()]
         display.note(f"the scene needs {', '.join(decided)}")
-    if isinstance(scene, Scene) and not record.resumed and prepared.settings.scene.get("path"):
-        for doubt in filter(None, (poses.warning(scene), exposure.warning(scene))):
+    if not record.resumed and prepared.settings.scene.get("path"):
+        for doubt in task.doubts():
             display.note(f"warning: {doubt}")
 
 
-def _compare(run: Path, config: Mapping[str, Any], display: Display) -> None:
+def _compare(run: Path, configuration: Configuration, display: Display) -> None:
     """Says in what a run of the store was recorded otherwise; StoreError if it computes something else."""
-    differences = changed(read_config(run), config)
+    differences = configuration.differences(Configuration.of(read_config(run)))
     if decisive := [name for name in differences if name not in RECORDED]:
         listed = ", ".join(f"{name}={differences[name][0]} (today {differences[name][1]})" for name in decisive)
         raise StoreError(f"{run}: was trained by a version with other defaults: {listed}; run.force=true does it over")
@@ -269,13 +198,13 @@ class _Course:
     def __init__(
         self, task: Task, record: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
     ) -> None:
-        self.settings, self.scene = task.settings, task.scene
+        self.task, self.settings = task, task.settings
         self.record, self.display, self.stopped, self.unpromising = record, display, stopped, unpromising
         watch = Stopwatch(self.settings.torch_device, task.model, QuantumLayer)
         self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
         self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
-        chosen = even_subset(len(self.scene.eval), task.curve_views or None)
-        self.curve_views = [self.scene.eval[index] for index in chosen]
+        chosen = even_subset(len(task.eval), task.curve_views or None)
+        self.curve_views = [task.eval[index] for index in chosen]
         trained = self.trainer.rays_a_step * self.settings.train.eval_every
         self.curve_rays = math.ceil(max(FEWEST, SHARE / FORWARD * trained) / max(len(chosen), 1))
         self.pruned = False
@@ -325,7 +254,7 @@ class _Course:
                 measured = self.assess()
         self.show(now=True)
         if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
-            _, measured = self.evaluate(self.scene.eval)
+            _, measured = self.evaluate(self.task.eval)
         return measured
 
     def foresee(self) -> None:
@@ -336,9 +265,7 @@ class _Course:
         if self.taken != 2 + (step < LONG):
             return
         left = train.steps - trainer.step
-        rays = 0
-        if isinstance(self.scene, Scene):
-            rays = int(self.scene.cameras.all_sizes[self.scene.eval].prod(1).sum())
+        rays = self.task.rays_of(self.task.eval)
         evaluation = step * FORWARD * rays / trainer.rays_a_step
         whole = step * left * (1 + SHARE * bool(rays)) + evaluation
         if whole > 3600 * self.settings.run.hours:
@@ -346,7 +273,7 @@ class _Course:
         if line := foretold("", step, whole, self.settings.run.hours):
             self.display.note(line)
         if evaluation > WORTH_A_MENTION:
-            views = f"{len(self.scene.eval)} whole held-out views"
+            views = f"{len(self.task.eval)} whole held-out views"
             self.display.note(f"after the last step, {views} take about {evaluation / 60:,.0f} minutes")
 
     def show(self, *, now: bool = False) -> None:
@@ -356,16 +283,16 @@ class _Course:
 
     def assess(self) -> Measures | None:
         """Evaluates the views that are due after this step, and logs their means; None if the run is to stop."""
-        scene, trainer = self.scene, self.trainer
-        views = scene.eval if trainer.done else self.curve_views
+        task, trainer = self.task, self.trainer
+        views = task.eval if trainer.done else self.curve_views
         rows, result = self.evaluate(views, None if trainer.done else self.curve_rays)
         if result is not None:
             # Every point of the curve is a mean over the same views; before the last step, over some of their pixels.
             curve = means([row for view, row in zip(views, rows, strict=True) if view in self.curve_views])
             logged = {f"eval/{key}": value for key, value in curve.items() if is_number(value)}
             self.record.log(trainer.step, trainer.seconds, logged)
-            on = f"{len(self.curve_views)} of {len(scene.eval)} views" if isinstance(scene, Scene) else ""
-            self.display.held_out(trainer.step, scene.headline, curve[scene.headline], on)
+            on = f"{len(self.curve_views)} of {len(task.eval)} {task.held_out}" if task.held_out else ""
+            self.display.held_out(trainer.step, task.headline, curve[task.headline], on)
             self.pruned = not trainer.done and self.unpromising(self.record.dir, trainer.step, curve)
         return result
 

@@ -5,8 +5,8 @@ import math
 import pytest
 
 from qnerf.auto import asked, columns, resolve
-from qnerf.building.acting import complete, settings_of
-from tests.helpers.configs import composed
+from qnerf.building.configuration import Configuration
+from tests.helpers.configs import composed, worked_out
 from tests.helpers.worlds import ball, constant, floor
 
 BALL, FLOOR = ball(), floor()
@@ -20,28 +20,28 @@ def autos(node, path="") -> set[str]:
 
 def test_everything_is_decided_and_builds():
     for world in (BALL, FLOOR, constant(0), constant(0, channels=4)):
-        config = complete(composed("needs=auto"))
-        before = complete(composed("needs=auto"))
+        config = worked_out("needs=auto").complete
+        before = worked_out("needs=auto").complete
         resolved, decisions = resolve(config, world)
         assert config == before
         assert autos(resolved) == {"device", "color.qiren.method"}
-        settings_of(resolved)
+        assert Configuration.of(resolved).settings
         assert set(decisions) == set(asked(config))
         assert all(math.isfinite(value) for value in columns(decisions).values() if isinstance(value, float))
 
 
 def test_without_auto_nothing_is_asked_or_measured():
     for needs in ("none", "full"):
-        config = complete(composed(f"needs={needs}"))
+        config = worked_out(f"needs={needs}").complete
         assert asked(config) == []
         assert resolve(config, None) == (config, {})
 
 
 def test_what_is_set_by_hand_wins():
-    config = complete(composed(
+    config = worked_out(
         "needs=auto", "appearance=4", "hash=C3", "cameras=se3", "shading=top", "contraction.name=l2", "render.near=0.3",
         "render.background=black", "visibility.cameras=2", "visibility.alpha=false", "occupancy.every=0",
-    ))  # fmt: skip
+    ).complete  # fmt: skip
     resolved, decisions = resolve(config, BALL)
     assert set(decisions) == {"render.far"}
     resolved["render"]["far"] = "auto"
@@ -57,13 +57,13 @@ def test_auto_on_one_option_decides_that_one():
 
 
 def test_tables_may_be_decided_but_for_one_option():
-    resolved, decisions = resolve(complete(composed("hash=auto", "encoder.levels=3")), FLOOR)
+    resolved, decisions = resolve(worked_out("hash=auto", "encoder.levels=3").complete, FLOOR)
     assert resolved["encoder"]["levels"] == 3
     assert set(decisions) == {"encoder.max_resolution", "encoder.log2_table_size"}
 
 
 def test_a_component_gets_the_options_that_it_has():
-    config = complete(composed("needs=auto", "hash=C7"))
+    config = worked_out("needs=auto", "hash=C7").complete
     (box, because), (unbounded, _) = (resolve(config, world) for world in (BALL, FLOOR))
     half = because["contraction.name"].because["half_extent"]
     assert box["contraction"] == {"name": "box", "half_extent": half}

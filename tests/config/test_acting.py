@@ -9,20 +9,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qnerf.building.acting import (
-    RECORDED,
-    acting,
-    changed,
-    column_types,
-    complete,
-    decisive,
-    options,
-    run_id,
-    without_effect,
-)
+from qnerf.building.acting import COMPONENTS
+from qnerf.building.components import component
+from qnerf.building.configuration import Configuration
 from qnerf.config.identity import flatten
+from qnerf.geometry.contraction import CONTRACTIONS
+from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.heads import HEADS
-from tests.helpers.configs import composed
+from qnerf.records.schemas import RECORDED
+from tests.helpers.configs import composed, worked_out
 from tests.helpers.trainer import trainer
 
 
@@ -48,7 +43,7 @@ def test_id_tells_apart_what_acts():
         ("scene=photograph head=mlp qiren.layers=1", "scene=photograph head=mlp qiren.layers=2", True),
         ("scene=photograph encoder=pe", "scene=photograph encoder=signed", False),
     ):
-        first, second = (run_id(composed(*typed.split()), "scene") for typed in (one, other))
+        first, second = (worked_out(*typed.split()).run_id("scene") for typed in (one, other))
         assert (first == second) is same, (one, other)
 
 
@@ -57,38 +52,41 @@ EVERY_HEAD = [[f"color={name}", "density=mlp"] for name in HEADS.names()]
 
 def test_acting_of_its_own_result_is_the_same():
     for typed in ([], ["field=qboth"], ["scene=photograph"], ["needs=auto"], *EVERY_HEAD):
-        config = acting(composed(*typed))
-        assert acting(config) == config, typed
-        assert decisive(config) == decisive(composed(*typed))
-        assert set(flatten(config)) <= set(column_types(config)) | {name for name in flatten(config) if "noise" in name}
+        first = worked_out(*typed)
+        again = Configuration.of(first.acting)
+        assert again.acting == first.acting, typed
+        assert again.decisive == first.decisive
+        assert set(flatten(again.acting)) <= set(again.types) | {
+            name for name in flatten(again.acting) if "noise" in name
+        }
 
 
 def test_acting_has_no_options_of_others():
-    names = flatten(acting(composed("field=classical")))
+    names = flatten(worked_out("field=classical").acting)
     assert not [name for name in names if name.startswith(("qiren", "hash", "proposal", "qfgn", "color.qiren", "run"))]
     assert "color.rates.mlp" not in names
 
 
 def test_a_default_is_not_hashed():
     """So an option that is added later, with a default that does what was done before, changes no id."""
-    plain, typed = (decisive(composed(*typed)) for typed in ([], ["color.qiren.statistics=first"]))
+    plain, typed = (worked_out(*typed).decisive for typed in ([], ["color.qiren.statistics=first"]))
     assert typed == plain | {"color.qiren.statistics": "first"}
-    assert not set(RECORDED) & set(decisive(composed("train.log_every=3")))
+    assert not set(RECORDED) & set(worked_out("train.log_every=3").decisive)
 
 
 def test_changed_defaults_and_records_are_named():
-    today = complete(composed())
-    stored = copy.deepcopy(today)
+    today = worked_out()
+    stored = copy.deepcopy(today.complete)
     stored["scene"]["path"] = "elsewhere"
     stored["train"]["log_every"] = 7
     del stored["encoder"]["dense"]  # as a run of before the option has it
-    assert changed(stored, today) == {"train.log_every": (7, 10)}
+    assert today.differences(Configuration.of(stored)) == {"train.log_every": (7, 10)}
     stored["encoder"]["dense"] = False
-    assert changed(stored, today)["encoder.dense"] == (False, True)
+    assert today.differences(Configuration.of(stored))["encoder.dense"] == (False, True)
 
 
 def test_types_of_columns_are_those_of_annotations():
-    types = column_types(composed("train.lr=1", "qiren.noise.bit_flip=0.1"))
+    types = worked_out("train.lr=1", "qiren.noise.bit_flip=0.1").types
     expected = {"seed": "int", "train.lr": "float", "color.qiren.center": "bool", "scene.path": "text"}
     expected |= {"sampler.samples": "text", "color.qiren.shots": "int", "color.qiren.noise.readout": "float"}
     assert {name: types[name] for name in expected} == expected
@@ -106,7 +104,23 @@ def test_without_effect_names_what_was_typed_in_vain():
         ("scene=photograph color.degree=2", ["color.degree=2"]),
     ):
         overrides = typed.split()
-        assert without_effect(composed(*overrides), overrides) == idle
+        assert worked_out(*overrides).without_effect(overrides) == idle
+
+
+def test_a_learning_rate_acts_on_components_with_parameters():
+    """Every component is built: one that is `trainable` without parameters, or the reverse, fails here."""
+    wiring = {"encoder": (3,), "sampler": (CONTRACTIONS.build("linf"),), "cameras": (2, [0])}
+    for group, before in wiring.items():
+        for name in COMPONENTS[group].names():
+            config = worked_out(f"{group}={name}")
+            built = component(COMPONENTS[group], config.complete[group], *before)
+            assert (f"train.rates.{group}" in config.types) is bool(list(built.parameters())), (group, name)
+
+
+def test_a_component_that_denies_its_parameters_is_refused(monkeypatch):
+    monkeypatch.setattr(CAMERAS.get("se3"), "trainable", False)
+    with pytest.raises(ValueError, match=r"cameras=se3: has parameters; expected `trainable = True`"):
+        component(CAMERAS, {"name": "se3"}, 2, [0])
 
 
 def test_mistakes_are_one_line():
@@ -120,7 +134,7 @@ def test_mistakes_are_one_line():
         ({"scene": {"name": "photograph"}}, "scene=photograph needs the group head; choose it with scene=photograph"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
-            acting(composed() | change)
+            Configuration.of(composed() | change)
         assert "\n" not in str(caught.value)
 
 
@@ -159,7 +173,7 @@ def test_options_that_do_not_act_change_no_number(tiny):
         "qiren.qubits=2", "visibility.cameras=0", "train.steps=3",
     )  # fmt: skip
     expected = after_two_steps(config)
-    names = {option.name for option in options(config)}
+    names = {option.name for option in Configuration.of(config).options}
     for name, value in IDLE.items():
         if value is None:
             continue
@@ -181,14 +195,14 @@ HOSTILE: list[Any] = [
 
 @functools.cache
 def completed(override: str) -> dict[str, Any]:
-    return complete(composed(override))
+    return worked_out(override).complete
 
 
 @settings(max_examples=150)
 @given(data=st.data(), typed=st.sampled_from(["seed=0", "field=qboth", "scene=photograph", "needs=auto", "color=qvf"]))
 def test_a_random_value_is_taken_or_refused_in_one_line(data, typed):
     config = copy.deepcopy(completed(typed))
-    option = data.draw(st.sampled_from(options(config)))
+    option = data.draw(st.sampled_from(Configuration.of(config).options))
     fitting = st.from_type(option.hint) if option.hint is not Any and "Any" not in str(option.hint) else st.none()
     *groups, last = option.name.split(".")
     node = config
@@ -197,10 +211,10 @@ def test_a_random_value_is_taken_or_refused_in_one_line(data, typed):
     node[last] = data.draw(st.sampled_from(HOSTILE) | fitting)
     found, refused = None, ""
     try:
-        found = acting(config)
-        run_id(config, "scene")
+        found = Configuration.of(config)
+        found.run_id("scene")
     except ValueError as error:
         refused = f"{type(error).__name__}: {error}"
     assert "\n" not in refused
     assert "Unicode" not in refused.partition(":")[0]
-    assert found is None or acting(found) == found
+    assert found is None or Configuration.of(found.acting).acting == found.acting

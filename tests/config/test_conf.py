@@ -9,7 +9,6 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from qnerf.building.acting import decisive
 from qnerf.building.model import build_head
 from qnerf.cli.plugins import groups
 from qnerf.config.settings import HEAD_GROUPS, Settings
@@ -20,12 +19,12 @@ from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
 from qnerf.quantum.initial_angles import INITS
 from qnerf.rendering.spacing import SPACINGS
 from tests.config.test_acting import after_two_steps
-from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept
+from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept, worked_out
 
 
 def choices(group: str) -> list[str]:
     """What can be named; `auto` is decided by the scene."""
-    return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("_base", "auto"))
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("_base", "_signal", "auto"))
 
 
 REGISTRIES = dict(groups())
@@ -146,7 +145,7 @@ def test_jobs_of_every_sweep_are_configurations():
             parsed = OverridesParser.create().parse_override(f"{key}={values}")
             last = list(parsed.sweep_string_iterator())[-1] if parsed.is_sweep_override() else values
             job.append(f"{key}={last}")
-        assert decisive(composed(*job, "budget=smoke", sweep=name))["train.steps"] == 100
+        assert worked_out(*job, "budget=smoke", sweep=name).decisive["train.steps"] == 100
 
 
 def test_an_ansatz_gets_its_options(tiny):

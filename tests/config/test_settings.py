@@ -2,12 +2,12 @@ import re
 
 import pytest
 
-from qnerf.building.acting import acting, settings_of
-from tests.helpers.configs import composed
+from qnerf.building.configuration import Configuration
+from tests.helpers.configs import worked_out
 
 
 def test_settings_have_every_value():
-    settings = settings_of(acting(composed("seed=3", "train.steps=7", "render.near=0.1")))
+    settings = Configuration.of(worked_out("seed=3", "train.steps=7", "render.near=0.1").acting).settings
     assert (settings.seed, settings.train.steps, settings.render.near) == (3, 7, 0.1)
     assert (settings.color["degree"], settings.stop.rays, settings.store) == (4, 2048, "runs")  # what does not act
 
@@ -38,5 +38,5 @@ BAD = {
 def test_a_bad_value_is_one_line():
     for override, message in BAD.items():
         with pytest.raises(ValueError, match=re.escape(message)) as caught:
-            settings_of(composed(*override.split()))
+            assert worked_out(*override.split()).settings
         assert "\n" not in str(caught.value)

@@ -16,9 +16,8 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
-from qnerf.building.acting import decisive
 from qnerf.cli import main as cli
-from tests.helpers.configs import ROOT, SWEEPS, composed
+from tests.helpers.configs import ROOT, SWEEPS, worked_out
 
 START = r"(?:python3? -m (?:src\.run|qnerf|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
 SETTINGS = r"(?:[A-Z_]+=\S+ )*"
@@ -86,7 +85,7 @@ def check_training(words: list[str]) -> None:
         job = [values[min(number, len(values) - 1)] for values in several]
         if CHECKED.issuperset(job):
             continue
-        decisive(composed(*job, sweep=sweep))  # what is `auto` is decided from the scene
+        worked_out(*job, sweep=sweep)  # what is `auto` is decided from the scene
         CHECKED.update(job)
 
 

@@ -11,6 +11,7 @@ from unittest.mock import patch
 from hydra import compose, initialize_config_dir
 from omegaconf import Container, DictConfig, OmegaConf
 
+from qnerf.building.configuration import Configuration
 from qnerf.cli.compose import translated
 from qnerf.cli.resolvers import HYDRA
 
@@ -43,6 +44,11 @@ MOMENT = (
 def composed(*overrides: str, sweep: str = "") -> dict[str, Any]:
     """The resolved configuration that these overrides give on the command line, `-cd sweeps -cn sweep` where named."""
     return OmegaConf.to_container(_compose(overrides, sweep), resolve=True)  # type: ignore[return-value]
+
+
+def worked_out(*overrides: str, sweep: str = "") -> Configuration:
+    """What `composed` gives, checked: the options that act."""
+    return Configuration.of(composed(*overrides, sweep=sweep))
 
 
 def swept(sweep: str) -> dict[str, str]:

@@ -4,12 +4,11 @@ import csv
 
 import torch
 
-from qnerf.building.acting import settings_of
 from qnerf.building.components import component
 from qnerf.building.model import build_field
 from qnerf.encoders import ENCODERS
 from qnerf.model.labels import HASH_TABLES
-from tests.helpers.configs import ROOT, composed
+from tests.helpers.configs import ROOT, worked_out
 
 
 def rows(name: str) -> list[dict[str, str]]:
@@ -22,7 +21,7 @@ def count(module: torch.nn.Module) -> int:
 
 
 def field(*overrides: str):
-    return build_field(settings_of(composed(*overrides)), views=1, trained=[0])
+    return build_field(worked_out(*overrides).settings, views=1, trained=[0])
 
 
 def circuit(head: str, label: str) -> list[str]:
@@ -51,7 +50,7 @@ def test_heads_of_the_both_table():
 def test_encoders_of_the_hash_table():
     keys = ("levels", "min_res", "max_res", "log2_table_size", "features_per_level")
     for row in rows("hash"):
-        settings = settings_of(composed("field=classical", f"hash={row['config']}"))
+        settings = worked_out("field=classical", f"hash={row['config']}").settings
         encoder = component(ENCODERS, settings.encoder, 3)
         assert count(encoder) == int(row["encoding_params"])
         assert encoder.out_dim == int(row["levels"]) * int(row["features_per_level"])
@@ -61,7 +60,7 @@ def test_encoders_of_the_hash_table():
 
 def test_heads_of_the_hsv_study():
     def built(*overrides: str):
-        return build_field(settings_of(composed(*overrides, sweep="hsv")), views=1, trained=[0])
+        return build_field(worked_out(*overrides, sweep="hsv").settings, views=1, trained=[0])
 
     classical = built("field=classical", "geo_features=11", "color.mlp.width=12")
     assert (count(classical.density_head), count(classical.color_head)) == (1200, 531)

@@ -1,20 +1,19 @@
 import pytest
 import torch
 
-from qnerf.building.acting import settings_of
 from qnerf.building.model import build_field
 from qnerf.geometry.visibility import SpaceMask
 from qnerf.model.field import Field
 from qnerf.rendering.render import color_shares, render, volume_weights
 from qnerf.rendering.shading import SHADINGS
 from qnerf.types import Rays, Samples
-from tests.helpers.configs import composed
+from tests.helpers.configs import worked_out
 
 
 @pytest.fixture
 def field():
     torch.manual_seed(0)
-    settings = settings_of(composed("field=qboth", "encoder=none", "appearance=2", "hash=C7"))
+    settings = worked_out("field=qboth", "encoder=none", "appearance=2", "hash=C7").settings
     return build_field(settings, views=4, trained=[0, 1, 3]).eval()
 
 
@@ -107,7 +106,7 @@ def test_a_masked_field_is_the_whole_one_times_the_mask():
         for share in (0.0, 0.3, 1.0):
             options = ["field=classical", f"encoder={encoder}", "appearance=2", "hash=C7", "density.initial=3"]
             torch.manual_seed(0)
-            field = build_field(settings_of(composed(*options)), views=4, trained=[0, 1, 2]).double()
+            field = build_field(worked_out(*options).settings, views=4, trained=[0, 1, 2]).double()
             with torch.no_grad():
                 for parameter in field.encoder.parameters():
                     parameter.uniform_(-1, 1)
@@ -159,8 +158,6 @@ def test_initial_scales_the_density(points):
     for initial in (1.0, 0.1):
         torch.manual_seed(0)
         fields.append(
-            build_field(
-                settings_of(composed("encoder=none", f"density.initial={initial}")), views=1, trained=[0]
-            ).eval()
+            build_field(worked_out("encoder=none", f"density.initial={initial}").settings, views=1, trained=[0]).eval()
         )
     torch.testing.assert_close(0.1 * fields[0].density(points), fields[1].density(points))

@@ -14,7 +14,7 @@ from qnerf.cli.commands import show
 from qnerf.cli.display import print_outcome
 from qnerf.cli.stored import stored
 from qnerf.encoders import ENCODERS
-from qnerf.experiment import SignalTask, run
+from qnerf.experiment import run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
 from qnerf.records import details, runs
@@ -50,14 +50,14 @@ def test_a_head_fits_a_signal(fit, scene, head):
 def test_every_encoder_takes_pixels_and_points_and_gives_their_gradient(fit):
     for encoder in ENCODERS.names():
         for scene in SCENES:
-            task = SignalTask(prepare(fit(scene, f"encoder={encoder}")))
+            task = built(fit(scene, f"encoder={encoder}"))
             points = task.scene.points[:4].float().requires_grad_()
             task.model(points).sum().backward()
             assert bool(points.grad.isfinite().all()), (scene, encoder)
 
 
 def test_the_hash_grid_of_pixels_is_the_plane_z_0_of_one_of_points():
-    flat, solid = (SignalTask(prepare(composed(*names, "encoder=hash", "device=cpu"))).model.encoder for names in
+    flat, solid = (built(composed(*names, "encoder=hash", "device=cpu")).model.encoder for names in
                    (["scene=photograph"], ["scene=distance", "scene.shape=ellipsoid"]))  # fmt: skip
     solid.table.data.copy_(flat.table)
     points = torch.rand(50, 2)
@@ -70,7 +70,7 @@ def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
     steps = iter([False, False, True])
     assert run(config, stopping=lambda: next(steps)).state == "interrupted"
     (left,) = runs(tmp_path / "runs")
-    assert stored(left)["train"]["points"] == 50
+    assert stored(left)["train.points"] == 50
     resumed = run(config)
     assert resumed.state == "finished"
     assert resumed.summary["psnr"] == whole["psnr"]
@@ -78,7 +78,7 @@ def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
 
 def test_the_eikonal_error_is_that_of_the_gradient(fit):
     """A head that returns the sum of the coordinates, 2 x - 1 each, has a gradient of 2 sqrt(2) everywhere."""
-    task = SignalTask(prepare(fit("scene=distance", "head.mlp.layers=1")))
+    task = built(fit("scene=distance", "head.mlp.layers=1"))
     with torch.no_grad():
         task.model.head.net[0].weight.fill_(1.0)
     [(_, row)] = task.evaluator(task_watch(task)).views([0], 0)
@@ -86,7 +86,7 @@ def test_the_eikonal_error_is_that_of_the_gradient(fit):
 
 
 def test_a_diverged_fit_names_what_is_not_finite(fit):
-    task = SignalTask(prepare(fit("scene=photograph")))
+    task = built(fit("scene=photograph"))
     trainer = task.trainer(task_watch(task))
     with torch.no_grad():
         next(task.model.parameters()).fill_(torch.inf)
@@ -95,6 +95,12 @@ def test_a_diverged_fit_names_what_is_not_finite(fit):
     check_every_value(trainer)
     with pytest.raises(Diverged, match="in the outputs of "):
         trainer.take_step(measure=False)
+
+
+def built(config):
+    prepared = prepare(config)
+    prepared.task.build(prepared.settings)
+    return prepared.task
 
 
 def task_watch(task):
@@ -168,5 +174,5 @@ def test_an_evaluation_without_pictures_is_one_line(fit, monkeypatch, panels, me
 
 def test_a_scene_that_is_none_is_one_line(fit, monkeypatch):
     monkeypatch.setattr("qnerf.building.scene.component", lambda *_: [])
-    with pytest.raises(ValueError, match="scene=photograph: expected a Scene or a Signal, got list"):
+    with pytest.raises(ValueError, match="scene=photograph: expected a Scene or a Task, got list"):
         prepare(fit("scene=photograph"))

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from qnerf import experiment
-from qnerf.building.acting import decisive
+from qnerf.building.configuration import Configuration
 from qnerf.records import read_status, runs
 from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged, Loop
@@ -105,7 +105,7 @@ def test_a_run_that_diverges_goes_on_with_checks_and_names_the_part(tiny: Tiny) 
     with pytest.raises(Diverged, match="the same command with numerics"):
         experiment.run(config)
     checked = tiny(*options, "numerics.finite_checks=true")
-    assert decisive(config) == decisive(checked)
+    assert Configuration.of(config).decisive == Configuration.of(checked).decisive
     with pytest.raises(Diverged, match=r" in the (in|out)puts of ") as caught:
         experiment.run(checked)
     (folder,) = runs(config["store"])

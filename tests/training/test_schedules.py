@@ -1,6 +1,6 @@
 import pytest
 
-from qnerf.building.acting import settings_of
+from qnerf.building.configuration import Configuration
 from qnerf.config.settings import Schedule
 from qnerf.training.schedules import SCHEDULES, falls_from, learning_rate
 from tests.helpers.trainer import trainer
@@ -51,5 +51,5 @@ def test_a_schedule_of_ones_own_sets_the_rates_of_a_training(tiny, monkeypatch):
 def test_the_quick_recipe_falls_to_nothing_by_the_same_rule_at_any_number_of_steps(config):
     for name in ("quick", "large"):
         for budget in ("smoke", "short", "paper"):
-            train = settings_of(config(f"train={name}", f"budget={budget}")).train
+            train = Configuration.of(config(f"train={name}", f"budget={budget}")).settings.train
             assert (train.schedule, train.cooldown, train.lr_final) == ("linear", 0.3, 0.0)

@@ -6,7 +6,7 @@ import re
 import pytest
 import torch
 
-from qnerf.building.acting import settings_of
+from qnerf.building.configuration import Configuration
 from qnerf.experiment import run
 from qnerf.records import read_metrics
 from qnerf.timing import STAGES
@@ -16,7 +16,7 @@ from tests.helpers.trainer import same, trainer
 
 
 def test_the_paper_recipe_is_the_papers(config):
-    settings = settings_of(config("train=paper", "field=qcolor", "qiren=1L2S"))
+    settings = Configuration.of(config("train=paper", "field=qcolor", "qiren=1L2S")).settings
     train = settings.train
     assert (train.steps, train.rays, train.lr, train.lr_final, train.eps) == (30000, 128, 1e-2, 1e-4, 1e-15)
     assert (train.interlevel, train.distortion) == (1.0, 0.002)

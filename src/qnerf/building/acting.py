@@ -1,46 +1,32 @@
-"""Which options act in a configuration. What `acting` returns is the configuration of a run.
+"""Which options act in a configuration, each with its value, its annotation and its declared default.
 
-It is what a run prints, stores, hashes to its id and compares with others. An option of a head that is not chosen is
-not in it, nor is a group such as `qiren`, whose values the heads have copied, nor a degree of unused harmonics.
-
-An option has a declared default, in a component's signature or in `config/settings.py`. The hash leaves out options at
-their default. So a new option whose default does what was done before changes no id.
-
-The hash also leaves out what is only recorded (`RECORDED`), such as where the scene lies or how often views are
-evaluated. A run keeps these options, and another value of them is the same run.
+An option of a head that is not chosen is not among them, nor is a group such as `qiren`, whose values the heads have
+copied, nor a degree of unused harmonics.
 """
 
 import dataclasses
 import functools
-import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import Parameter
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 from qnerf.auto.rules import AUTO, RULES
 from qnerf.config import bounds
-from qnerf.config.identity import clean, digest, plain
+from qnerf.config.identity import plain
 from qnerf.config.registry import Registry, options_of
-from qnerf.config.settings import HEAD_GROUPS, Settings, SignalSettings, built
+from qnerf.config.settings import HEAD_GROUPS, Common, Settings
 from qnerf.encoders import ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.heads import HEADS, chosen
-from qnerf.model.labels import slug
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.noise import Noise
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import SCENES
-from qnerf.signals import is_signal
+from qnerf.training.task import Task
 
-EXECUTION = (
-    "device", "threads", "store", "run", "numerics.finite_checks", "train.checkpoint_every", "train.chunk",
-)  # fmt: skip
-"""Options and groups that say where and how a run is executed, not what it computes."""
-RECORDED = ("scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")
-"""Options that a run keeps but does not hash: the scene's place, the recipe's name, and what is measured how often."""
 COMPONENTS: dict[str, Registry[Any]] = {
     "contraction": CONTRACTIONS,
     "encoder": ENCODERS,
@@ -59,97 +45,32 @@ SOURCES: dict[str, tuple[tuple[str, ...], str]] = {
 """Group of defaults -> the groups that copy its values, and the name of the component whose options they are."""
 HEAD_SOURCES = ("initials", "rates", "activations")
 """Tables by head in the groups of heads, from which other options take their values."""
-UNTRAINED = {
-    "encoder": ("pe", "rff", "none", "signed"),
-    "sampler": ("uniform", "disparity", "geometric", "piecewise", "vanilla"),
-    "cameras": ("fixed",),
-}
-"""Group -> its components without parameters, which no learning rate acts on."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """One option that acts: its dotted name, value and annotation, and its declared default if it has one."""
+    """One option that acts: its dotted name, value and annotation, and its declared default if it has one.
+
+    ValueError where the annotation does not allow the value; `auto` is allowed where a rule decides.
+    """
 
     name: str
     value: Any
     hint: Any
     default: Any = Parameter.empty
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether the option is null, or an empty list, by default."""
-        return self.value in (None, []) and _equal(self.value, self.default)
+    def __post_init__(self) -> None:
+        if not (self.value == AUTO and self.name in RULES):
+            bounds.check(self.name, self.value, self.hint)
 
     @property
-    def executes(self) -> bool:
-        return f"{self.name}.".startswith(tuple(f"{key}." for key in EXECUTION))
+    def is_default(self) -> bool:
+        return equal(self.value, self.default)
 
 
-def acting(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration of the run: the options of `config` that act, in groups, with declared defaults filled in.
-
-    Options that are null by default, and are null, are left out.
-
-    `acting` of its own result is the same.
-
-    Raises:
-        ValueError: an unknown or missing option, or a value that its annotation does not allow.
-    """
-    return _tree([option for option in options(config) if not (option.executes or option.is_empty)])
-
-
-def complete(config: Mapping[str, Any]) -> dict[str, Any]:
-    """`acting`, with the options that say where and how the run is executed."""
-    return _tree(options(config))
-
-
-def settings_of(config: Mapping[str, Any]) -> Settings | SignalSettings:
-    """The checked settings of a configuration without `auto`; ValueError as `acting`."""
-    return built(_kind(config), _tree(options(config)))
-
-
-def column_types(config: Mapping[str, Any]) -> dict[str, str]:
-    """Dotted option -> int, float, bool or text, by its annotation. Text also holds lists, as JSON."""
-    return {option.name: _type(option.hint) for option in options(config) if not option.executes}
-
-
-def decisive(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted options that decide the run's numbers and are not at their declared default: what an id hashes."""
-    return {
-        option.name: option.value
-        for option in options(config)
-        if not option.executes and option.name not in RECORDED and not _equal(option.value, option.default)
-    }
-
-
-def run_id(config: Mapping[str, Any], fingerprint: str) -> str:
-    """A readable beginning and the hash of `decisive` with the scene's fingerprint."""
-    return f"{clean(slug(acting(config)))}-{digest(decisive(config), fingerprint)}"
-
-
-def changed(stored: Mapping[str, Any], today: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Dotted options whose values differ: name -> (stored, today). The scene's place may differ; None: does not act.
-
-    Two configurations of the same id differ where a default has changed since, and in what a run records.
-    """
-    before, now = (
-        {option.name: option.value for option in options(config) if not option.executes and option.name != "scene.path"}
-        for config in (stored, today)
-    )
-    names = [name for name in dict.fromkeys([*before, *now]) if not _equal(before.get(name), now.get(name))]
-    return {name: (before.get(name), now.get(name)) for name in names}
-
-
-def without_effect(config: Mapping[str, Any], overrides: Sequence[str]) -> list[str]:
-    """The overrides that the user typed and that change nothing in this configuration, such as color.degree=2 with
-    color.directions=raw."""
-    names = [option.name for option in options(config)]
-    return [override for override in overrides if not _acts(config, names, override.lstrip("+~").partition("=")[0])]
-
-
-def _acts(config: Mapping[str, Any], names: Sequence[str], key: str) -> bool:
-    known = {one.name for one in dataclasses.fields(_kind(config))}
+def acts(config: Mapping[str, Any], found: Sequence[Option], key: str) -> bool:
+    """Whether an option, a group or a choice that the user typed changes anything. found: the options that act."""
+    known = {one.name for one in dataclasses.fields(kind_of(config))}
     key = key.removeprefix("head@")
     if key == "field":
         return "head" not in known
@@ -162,6 +83,7 @@ def _acts(config: Mapping[str, Any], names: Sequence[str], key: str) -> bool:
         return group in known or group not in {*HEAD_GROUPS, *(one.name for one in dataclasses.fields(Settings))}
     if group in HEAD_GROUPS and option.partition(".")[0] in HEAD_SOURCES:
         return group in config
+    names = [one.name for one in found]
     return any(f"{name}.".startswith(f"{key}.") or f"{key}.".startswith(f"{name}.") for name in names)
 
 
@@ -172,31 +94,37 @@ def _extends(group: str, node: Mapping[str, Any], name: str) -> bool:
 
 
 def options(config: Mapping[str, Any]) -> list[Option]:
-    """Every option that acts in the configuration, checked; ValueError as `acting`."""
-    kind = _kind(config)
-    known = {one.name for one in dataclasses.fields(Settings)} | {*HEAD_GROUPS, *SOURCES, "hydra"}
+    """Every option that acts in the configuration, checked.
+
+    Raises:
+        ValueError: an unknown or missing option, or a value that its annotation does not allow.
+    """
+    kind = kind_of(config)
+    known = {one.name for of in (Settings, kind) for one in dataclasses.fields(of)} | {*HEAD_GROUPS, *SOURCES, "hydra"}
     if unknown := [key for key in config if key not in known]:
         raise ValueError(f"config: unknown option {unknown[0]}; known: {', '.join(sorted(known - {'hydra'}))}")
     found = [*_of_fields("", kind, config, others=known)]
     values = {option.name: option.value for option in found}
-    idle = {name for names, unread in _IDLE for name in names if unread(values)}
-    found = [option for option in found if option.name not in idle]
-    for option in found:
-        if not (option.name in RULES and option.value == AUTO):
-            bounds.check(option.name, option.value, option.hint)
-    return found
+    unread = {name for names, condition in _UNREAD for name in names if condition(values)}
+    return [option for option in found if option.name not in unread]
 
 
-def _kind(config: Mapping[str, Any]) -> type[Settings] | type[SignalSettings]:
-    """The settings of the configuration's kind of scene."""
+def kind_of(config: Mapping[str, Any]) -> type[Common]:
+    """The dataclass of the options that a configuration of this kind of scene has."""
     if "scene" not in config:
         raise ValueError("config: missing scene")
-    signal = is_signal(_group("scene", config["scene"]))
-    wanted = "head" if signal else "density and color"
-    if signal != ("head" in config):
-        name = config["scene"]["name"]
+    kind = options_of_scene(_group("scene", config["scene"])["name"])
+    heads = HEAD_GROUPS.keys() & {one.name for one in dataclasses.fields(kind)}
+    if not heads <= config.keys() or ("head" in config) != ("head" in heads):
+        name, wanted = config["scene"]["name"], " and ".join(group for group in HEAD_GROUPS if group in heads)
         raise ValueError(f"scene={name} needs the group {wanted}; choose it with scene={name}, not by scene.name")
-    return SignalSettings if signal else Settings
+    return kind
+
+
+def options_of_scene(name: str) -> type[Common]:
+    """The dataclass of the options of a scene's task; ValueError for an unknown name."""
+    scene = SCENES.get(name)
+    return scene.options if isinstance(scene, type) and issubclass(scene, Task) else Settings
 
 
 def _of_fields(
@@ -230,62 +158,67 @@ def _of_component(group: str, node: Mapping[str, Any]) -> Iterator[Option]:
     if name is None:
         raise ValueError(f"{group}: missing name")
     yield Option(f"{group}.name", name, str)
-    undecided = name == AUTO and f"{group}.name" in RULES
-    parameters: dict[str, tuple[Parameter, Any]] = {}
-    for candidate in registry.names() if undecided else [name]:
-        parameters |= options_of(registry.get(candidate))
     given = {key: value for key, value in node.items() if key != "name"}
-    if unknown := [key for key in given if key not in parameters]:
-        known = ", ".join(parameters) or "none"
-        raise ValueError(f"{group}={name}: unknown option {unknown[0]}={given[unknown[0]]!r}; known: {known}")
-    for key, (parameter, hint) in parameters.items():
-        if key in given or not undecided:
-            yield _option(f"{group}.{key}", given, key, parameter, hint)
+    if name == AUTO and f"{group}.name" in RULES:
+        parameters: dict[str, tuple[Parameter, Any]] = {}
+        for candidate in registry.names():
+            parameters |= options_of(registry.get(candidate))
+        _check_names(f"{group}={name}", given, parameters)
+        parameters = {key: parameter for key, parameter in parameters.items() if key in given}
+    else:
+        parameters = options_of(registry.get(name))
+        _check_names(f"{group}={name}", given, parameters)
+    for key, parameter in parameters.items():
+        yield _option(f"{group}.{key}", given, key, *parameter)
 
 
 def _of_head(group: str, node: Mapping[str, Any]) -> Iterator[Option]:
     declared = {key: value for key, value in node.items() if key not in HEADS.names() and key not in HEAD_SOURCES}
     yield from _of_fields(f"{group}.", HEAD_GROUPS[group], declared, others=HEADS.names())
     head = chosen(node)
-    owners = [name for name in map(HEADS.name_of, reversed(head.__mro__)) if name]
-    given, places = {}, {}
-    for owner in owners:
-        for key, value in _group(f"{group}.{owner}", node.get(owner, {})).items():
-            given[key], places[key] = value, owner
     parameters = options_of(HEADS.get(node["name"]))
-    if unknown := [key for key in given if key not in parameters]:
-        raise ValueError(
-            f"{group}.{places[unknown[0]]}: unknown option {unknown[0]}={given[unknown[0]]!r}; "
-            f"known: {', '.join(parameters)}"
-        )
-    values = {key: given.get(key, parameter.default) for key, (parameter, _) in parameters.items()}
-    for key, (_, hint) in parameters.items():
-        bounds.check(f"{group}.{places.get(key, owners[-1])}.{key}", values[key], hint)
-    unread = head.unread(values)
-    for key, (parameter, hint) in parameters.items():
-        name = f"{group}.{places.get(key, owners[-1])}.{key}"
+    owners = [name for name in map(HEADS.name_of, reversed(head.__mro__)) if name]
+    given: dict[str, Any] = {}
+    places = dict.fromkeys(parameters, owners[-1])
+    for owner in owners:
+        own = _group(f"{group}.{owner}", node.get(owner, {}))
+        _check_names(f"{group}.{owner}", own, parameters)
+        given |= own
+        places |= dict.fromkeys(own, owner)
+    found = {key: _option(f"{group}.{places[key]}.{key}", given, key, *parameters[key]) for key in parameters}
+    unread = head.unread({key: option.value for key, option in found.items()})
+    for key, option in found.items():
         if key in unread:
             continue
         if key == "noise":
-            yield from _of_fields(f"{name}.", Noise, _group(name, values[key]))
+            yield from _of_fields(f"{option.name}.", Noise, option.value)
         elif key == "ansatz_options":
-            own = (values[key] or {}).get(values["ansatz"], {})
-            ansatz = ANSATZE.get(values["ansatz"])
-            ANSATZE.check(values["ansatz"], own)
-            for inner, (described, inner_hint) in options_of(ansatz).items():
-                yield _option(f"{name}.{values['ansatz']}.{inner}", own, inner, described, inner_hint)
+            yield from _of_ansatz(option, found["ansatz"].value)
         else:
-            yield _option(name, given, key, parameter, hint)
+            yield option
+
+
+def _of_ansatz(given: Option, name: str) -> Iterator[Option]:
+    """The options of the ansatz `name`, out of those that are given for every ansatz."""
+    parameters, own = options_of(ANSATZE.get(name)), (given.value or {}).get(name, {})
+    _check_names(f"ansatz={name}", own, parameters)
+    for key, parameter in parameters.items():
+        yield _option(f"{given.name}.{name}.{key}", own, key, *parameter)
+
+
+def _check_names(where: str, given: Mapping[str, Any], known: Iterable[str]) -> None:
+    """ValueError where an option is given that the component does not have."""
+    if unknown := [key for key in given if key not in known]:
+        listed = ", ".join(known) or "none"
+        raise ValueError(f"{where}: unknown option {unknown[0]}={given[unknown[0]]!r}; known: {listed}")
 
 
 def _option(name: str, given: Mapping[str, Any], key: str, parameter: Parameter, hint: Any) -> Option:
-    if key not in given and parameter.default is Parameter.empty:
+    default = parameter.default
+    if key not in given and default is Parameter.empty:
         raise ValueError(f"{name.rpartition('.')[0]}: missing {key}")
-    return Option(name, plain(given.get(key, parameter.default), name), hint, plain_default(parameter.default))
-
-
-def plain_default(default: Any) -> Any:
-    return default if default is Parameter.empty else plain(default)
+    declared = default if default is Parameter.empty else plain(default)
+    return Option(name, plain(given.get(key, default), name), hint, declared)
 
 
 def _off(*names: str) -> Callable[[Mapping[str, Any]], bool]:
@@ -293,7 +226,17 @@ def _off(*names: str) -> Callable[[Mapping[str, Any]], bool]:
     return lambda values: not any(values.get(name) for name in names)
 
 
-_IDLE: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
+def _untrainable(group: str) -> Callable[[Mapping[str, Any]], bool]:
+    """Whether the component of the group has no parameters, so that no learning rate acts on it."""
+
+    def condition(values: Mapping[str, Any]) -> bool:
+        name = values.get(f"{group}.name")
+        return name is not None and name != AUTO and not getattr(COMPONENTS[group].get(name), "trainable", True)
+
+    return condition
+
+
+_UNREAD: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
     (("pose_noise.seed",), _off("pose_noise.rotation", "pose_noise.translation")),
     (("visibility.resolution",), _off("visibility.cameras", "visibility.alpha", "occupancy.every")),
     (("occupancy.after", "occupancy.min_opacity"), _off("occupancy.every")),
@@ -302,9 +245,9 @@ _IDLE: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
     (("train.rates.appearance",), _off("appearance")),
     (("color.degree",), lambda values: values.get("color.directions") != "sh"),
     (("color.direction_scale",), lambda values: values.get("color.directions") != "raw"),
-    (("train.rates.encoder",), lambda values: values.get("encoder.name") in UNTRAINED["encoder"]),
-    (("train.rates.cameras",), lambda values: values.get("cameras.name") in UNTRAINED["cameras"]),
-    (("train.rates.sampler", "train.interlevel"), lambda values: values.get("sampler.name") in UNTRAINED["sampler"]),
+    (("train.rates.encoder",), _untrainable("encoder")),
+    (("train.rates.cameras",), _untrainable("cameras")),
+    (("train.rates.sampler", "train.interlevel"), _untrainable("sampler")),
 ]
 """Options that do not act where a condition on other groups holds. Options of one head are `Head.unread`."""
 
@@ -326,26 +269,6 @@ def _default(one: "dataclasses.Field[Any]") -> Any:
     return Parameter.empty if one.default_factory is dataclasses.MISSING else one.default_factory()
 
 
-def _equal(one: Any, other: Any) -> bool:
+def equal(one: Any, other: Any) -> bool:
     """Equality of option values; true is not 1."""
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
-
-
-def _type(hint: Any) -> str:
-    if get_origin(hint) is Annotated:
-        return _type(get_args(hint)[0])
-    if get_origin(hint) in (Union, types.UnionType):
-        kinds = {_type(part) for part in get_args(hint) if part is not types.NoneType}
-        return kinds.pop() if len(kinds) == 1 else "text"
-    return {bool: "bool", int: "int", float: "float"}.get(hint, "text")
-
-
-def _tree(found: Sequence[Option]) -> dict[str, Any]:
-    tree: dict[str, Any] = {}
-    for option in found:
-        *groups, last = option.name.split(".")
-        node = tree
-        for group in groups:
-            node = node.setdefault(group, {})
-        node[last] = option.value
-    return tree

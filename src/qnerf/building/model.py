@@ -25,12 +25,11 @@ from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.samplers import SAMPLERS, Sampler
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import Scene
-from qnerf.signals import SignalModel
 
 
 def build_head(node: Mapping[str, Any], in_dim: int, out_dim: int) -> Head:
     """The head that `node`, the group density or color, chooses."""
-    return HEADS.build(node["name"], in_dim, out_dim, **head_options(node))
+    return HEADS.build_checked(node["name"], in_dim, out_dim, **head_options(node))
 
 
 def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field:
@@ -44,7 +43,7 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
     kind = settings.color["directions"]
     options = {"sh": {"degree": settings.color["degree"]}, "raw": {"scale": settings.color["direction_scale"]}}
     interval = settings.color["direction_interval"]
-    directions = DIRECTIONS.build(kind, interval=interval, **options.get(kind, {}))
+    directions = DIRECTIONS.build_checked(kind, interval=interval, **options.get(kind, {}))
     color_in = directions.out_dim + settings.geo_features + settings.appearance
     color = build_head(settings.color, color_in, 3)
     activations = (
@@ -118,11 +117,10 @@ def ray_table(settings: Settings, scene: Scene) -> RayTable:
     )
 
 
-def parameter_counts(model: Model | SignalModel) -> dict[str, int]:
+def parameter_counts(model: Any) -> dict[str, int]:
+    """Of what is trained."""
     counts = {
         f"params.{name}": sum(p.numel() for p in parameters if p.requires_grad)
         for name, parameters in model.parts.items()
     }
-    if isinstance(model, Model):
-        counts.setdefault("params.appearance", 0)
     return counts | {"params.total": sum(counts.values())}

@@ -6,30 +6,42 @@ from pathlib import Path
 from typing import Any
 
 from qnerf import auto
-from qnerf.building.acting import acting, complete, run_id, settings_of
 from qnerf.building.components import component
+from qnerf.building.configuration import Configuration
+from qnerf.building.field import FieldTask
+from qnerf.config import bounds
 from qnerf.config.plugins import import_plugins
-from qnerf.config.settings import PoseNoise, Settings, SignalSettings, built
-from qnerf.geometry.bounds import bounds_of
-from qnerf.geometry.pose_noise import add_pose_noise
+from qnerf.config.settings import Settings
 from qnerf.records.read import read_status
 from qnerf.scenes import SCENES, Scene
-from qnerf.signals import Signal
+from qnerf.training.task import Task
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a run starts from. `config` is what acts; `decisions` are the options that were `auto`."""
+    """What a run starts from.
 
-    config: dict[str, Any]
-    settings: Settings | SignalSettings
-    scene: Scene | Signal
-    decisions: dict[str, auto.Decision]
+    source: the scene as it was read, for `prepare`. decisions: the options that were `auto`.
+    """
+
+    configuration: Configuration
+    source: Scene | Task
+    task: Task
+    decisions: Mapping[str, auto.Decision]
+
+    @property
+    def settings(self) -> Any:
+        return self.configuration.settings
+
+    @property
+    def scene(self) -> Any:
+        return self.task.scene
 
     def of_field(self) -> tuple[Settings, Scene]:
-        """Settings and scene of a radiance field; ValueError if it is a signal, which one head fits."""
+        """Settings and scene of a radiance field; ValueError if it is another task."""
         if not isinstance(self.settings, Settings) or not isinstance(self.scene, Scene):
-            raise ValueError(f"expected a radiance field; scene={self.config['scene']['name']} is fitted by one head")
+            name = self.configuration["scene.name"]
+            raise ValueError(f"expected a radiance field; scene={name} is none")
         return self.settings, self.scene
 
     def find_id(self, store: str | Path) -> str:
@@ -37,48 +49,31 @@ class Prepared:
 
         A copy, a backup or anything else of a user whose name ends with the hash is not the run.
         """
-        name = run_id(self.config, self.scene.fingerprint)
+        name = self.configuration.run_id(self.task.fingerprint)
         others = sorted(Path(store).glob(f"*-{name.rpartition('-')[2]}"))
         if any(path.name == name for path in others):
             return name
         return next((path.name for path in others if read_status(path).get("run_id") == path.name), name)
 
 
-def prepare(config: Mapping[str, Any], scene: Scene | Signal | None = None) -> Prepared:
+def prepare(config: Mapping[str, Any] | Configuration, source: Scene | Task | None = None) -> Prepared:
     """Reads the scene and decides every `auto` for it.
 
-    scene: what the group `scene` names, if it has been read already.
+    source: what the group `scene` names, if it has been read already.
 
     Raises:
         ValueError: an option with a value that it cannot have, or a scene that cannot be read.
     """
-    import_plugins(config.get("plugins", []))
-    checked = complete(config)  # before the scene is read, which may take long
-    scene = component(SCENES, checked["scene"]) if scene is None else scene
-    if not isinstance(scene, Scene | Signal):
-        name = checked["scene"]["name"]
-        raise ValueError(f"scene={name}: expected a Scene or a Signal, got {type(scene).__name__}")
-    decisions: dict[str, auto.Decision] = {}
-    if isinstance(scene, Signal):
-        scene.check()
-    if isinstance(scene, Scene):
-        scene = add_pose_noise(scene, **vars(built(PoseNoise, checked.get("pose_noise", {}))))
-        scene.require_pixels()
-        checked, decisions = auto.resolve(checked, scene)
-    settings = settings_of(checked)
-    if isinstance(scene, Scene):
-        assert isinstance(settings, Settings)
-        check_background(scene, settings)
-        bounds_of(scene, settings.render.near, settings.render.far)
-        # With bounds that hold anyway, and without them, it is one run.
-        implied = dict(zip(("near", "far"), bounds_of(scene, None, None), strict=True))
-        checked["render"] = {key: value for key, value in checked["render"].items() if implied.get(key) != value}
-    return Prepared(acting(checked), settings, scene, decisions)
-
-
-def check_background(scene: Scene, settings: Settings) -> None:
-    if scene.has_alpha and settings.render.background == "last_sample":
-        raise ValueError(
-            f"scene {scene.name}: the images have alpha, which render.background=last_sample cannot be compared with; "
-            "use render.background=white, black or random"
-        )
+    if not isinstance(config, Configuration):
+        import_plugins(config.get("plugins", []))
+    configuration = Configuration.of(config)  # before the scene is read, which may take long
+    node = configuration.complete["scene"]
+    source = component(SCENES, node) if source is None else source
+    if not isinstance(source, Scene | Task):
+        raise ValueError(f"scene={node['name']}: expected a Scene or a Task, got {type(source).__name__}")
+    task = FieldTask(source) if isinstance(source, Scene) else source
+    configuration, decisions = task.decide(configuration)
+    for option in configuration.options:
+        if option.value == auto.AUTO:  # and nothing has decided it
+            bounds.check(option.name, option.value, option.hint)
+    return Prepared(configuration, source, task, decisions)

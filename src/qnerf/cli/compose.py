@@ -208,7 +208,7 @@ def message(error: Exception, typed: Sequence[str]) -> str:
     """Hydra's error about a configuration that cannot be composed from what the user typed, on one line."""
     if isinstance(error, MissingConfigException):
         group, _, name = str(error.missing_cfg_file).rpartition("/")
-        choices = [option for option in error.options or () if option != "_base"]  # what the others share
+        choices = [option for option in error.options or () if not option.startswith("_")]  # what others share
         known = _suggested(name, choices) if choices else "; --sweep NAME lists the sweeps"
         if group == "head":
             words = [word.rpartition("@")[2].partition("=") for word in typed]
@@ -232,10 +232,11 @@ def message(error: Exception, typed: Sequence[str]) -> str:
 def unknown_option(name: str, config: DictConfig | None) -> str:
     """What to type instead of an option that the configuration does not have."""
     if name == "head":
-        scenes = [path.stem for path in (CONF / "scene").glob("*.yaml") if "/head" in path.read_text()]
-        return (
-            f"head: only scenes with one head have it, {', '.join(sorted(scenes))}; others: density=... and color=..."
-        )
+        from qnerf.building.acting import options_of_scene
+        from qnerf.scenes import SCENES
+
+        scenes = [scene for scene in SCENES.names() if "head" in options_of_scene(scene).__annotations__]
+        return f"head: only scenes with one head have it, {', '.join(scenes)}; others: density=... and color=..."
     if config is None or OmegaConf.select(config, name) is not None:
         return f"unknown option {name} with these choices"
     group = name.rpartition(".")[0]

@@ -13,9 +13,9 @@ def run_ids(overrides: Sequence[str], seeds: Iterable[int], store: str | Path) -
     The scene is read once. ValueError where the configuration is not valid or the scene cannot be read.
     """
     own = [item for item in overrides if not item.startswith("hydra")]
-    scene, names = None, []
+    source, names = None, []
     for seed in seeds:
-        prepared = prepare(configuration([*own, f"seed={seed}"]), scene)
-        scene = scene or prepared.scene
+        prepared = prepare(configuration([*own, f"seed={seed}"]), source)
+        source = prepared.source
         names.append(prepared.find_id(store))
     return names

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from qnerf.building.acting import complete
+from qnerf.building.configuration import Configuration
 from qnerf.cli import compose, ends, plugins
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.ends import FAILED, INTERRUPTED
@@ -128,10 +128,11 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     elif sweep is not None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     plugins.load(config["plugins"])  # a launcher's process has not imported them
+    configuration = Configuration.of(config)
     if sweep is None:  # a sweep has said so in its first line
-        note_without_effect(config, overrides)
+        note_without_effect(configuration, overrides)
     display = LiveDisplay(console, config["run"]["progress"], _defaults(overrides) if sweep is None else None)
-    outcome = train(config, overrides, display, partial(_stopping, sweep), _judge(sweep, config["store"]))
+    outcome = train(configuration, overrides, display, partial(_stopping, sweep), _judge(sweep, config["store"]))
     print_outcome(console, outcome, prefix, brief=sweep is not None)
     if outcome.state == "busy" and sweep is not None:
         sweep.busy(own.job.num, overrides, outcome.path)
@@ -171,7 +172,7 @@ def show(composed: DictConfig) -> None:
     try:
         config: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
         plugins.load(config["plugins"])
-        shown: Any = complete(config)
+        shown: Any = Configuration.of(config).complete
     except (ValueError, OmegaConfBaseException) as error:
         print(f"note: not complete: {one_line(error)}", file=sys.stderr)
         shown = composed

@@ -8,18 +8,6 @@ from typing import Any
 from qnerf.config.plugins import import_plugins
 from qnerf.config.registry import Registry
 
-SIGNAL = {
-    "defaults": [
-        {"/head": "mlp"},
-        {"override /encoder": "signed"},
-        {"override /train": "fit"},
-        {"override /sampler": None},
-        "_self_",
-    ],
-    "head": {"activation": "linear", "mlp": {"init": "he"}},
-}
-"""What every YAML of a signal in conf/scene has, besides the group `scene`."""
-
 
 def groups() -> Mapping[str, Registry[Any]]:
     """Config group -> the registry of its components."""
@@ -65,13 +53,14 @@ def _package(group: str, name: str) -> str | None:
     """Where the configuration has the component's options, if not under the group's name."""
     if group == "ansatz":
         return "qiren"
-    return "_global_" if _is_signal(group, name) else None
+    return "_global_" if group == "scene" and _base(name) else None
 
 
-def _is_signal(group: str, name: str) -> bool:
-    from qnerf.signals import is_signal
+def _base(scene: str) -> str:
+    """The file of conf/scene that the YAML of such a scene begins with; empty for posed images."""
+    from qnerf.scenes import SCENES
 
-    return group == "scene" and is_signal({"name": name})
+    return getattr(SCENES.get(scene), "base", "")
 
 
 def node(group: str, name: str) -> dict[str, Any]:
@@ -83,8 +72,8 @@ def node(group: str, name: str) -> dict[str, Any]:
     }
     if group == "ansatz":
         return {"ansatz": name, "ansatz_options": {name: options} if options else {}}
-    if _is_signal(group, name):
-        return {**SIGNAL, "scene": {"name": name, **options}}
+    if group == "scene" and (base := _base(name)):
+        return {"defaults": [base, "_self_"], "scene": {"name": name, **options}}
     if group != "head":
         return {"name": name, **options}
     for ancestor in getattr(registry.get(name), "__mro__", ())[1:]:

@@ -20,6 +20,7 @@ import pandas as pd
 import torch
 from rich.console import Console
 
+from qnerf.building.configuration import Configuration
 from qnerf.cli import compose
 from qnerf.cli.commands import runs as listing
 from qnerf.cli.display import LiveDisplay, print_outcome
@@ -147,7 +148,7 @@ def run(*overrides: str) -> StoredRun:
         ValueError: a mistake in the options or the scene, in one line.
         Diverged: the loss turned NaN or infinite.
     """
-    config = compose.configuration(_without_several_values(overrides))
+    config = Configuration.of(compose.configuration(_without_several_values(overrides)))
     note_without_effect(config, overrides)
     usual = compose.configuration([one for one in overrides if one.startswith(("scene=", "scene.path=", "plugins="))])
     return _train(config, overrides, usual)
@@ -167,7 +168,7 @@ def sweep(*overrides: str) -> list[StoredRun]:
     for job in jobs:
         print(" ".join(job))
         try:
-            trained.append(_train(compose.configuration(job), job, brief=True))
+            trained.append(_train(Configuration.of(compose.configuration(job)), job, brief=True))
         except Exception as error:
             if not (is_known(error) or isinstance(error, Diverged)):
                 raise
@@ -210,10 +211,10 @@ def _without_several_values(overrides: Sequence[str]) -> Sequence[str]:
     return overrides
 
 
-def _train(config: dict[str, Any], overrides: Sequence[str], usual: Any = None, brief: bool = False) -> StoredRun:
+def _train(config: Configuration, overrides: Sequence[str], usual: Any = None, brief: bool = False) -> StoredRun:
     """usual: the configuration from which the start names what differs."""
     notebook = _in_notebook()
-    progress = config["run"]["progress"]
+    progress = config["run.progress"]
     kind: Callable[..., LiveDisplay] = NotebookDisplay if notebook and progress else LiveDisplay
     console = Console(force_jupyter=False, force_terminal=False if notebook else None)  # the bar is the display's
     with _turn, torch.random.fork_rng(devices=[]):

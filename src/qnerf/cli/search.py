@@ -18,7 +18,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
-from qnerf.building.components import component
+from qnerf.building.configuration import Configuration
 from qnerf.building.scene import prepare
 from qnerf.cli.ends import FAILED
 from qnerf.cli.errors import report
@@ -28,7 +28,6 @@ from qnerf.cli.text import console
 from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeInt, PositiveInt, Seed
 from qnerf.metrics import metric_of
-from qnerf.scenes import SCENES
 from qnerf.search import objectives as goals
 from qnerf.search.history import History
 from qnerf.search.loop import NoObjective, search
@@ -112,11 +111,11 @@ class OptunaSweeper(Sweeper):
         def ids(point: Point) -> list[str]:
             found = []
             for seed in seeds:
-                config = composer.configuration([*fixed, *overrides(space, point), *seed])
-                scene = json.dumps(config["scene"], sort_keys=True)
-                if scene not in scenes:
-                    scenes[scene] = component(SCENES, config["scene"])
-                found.append(prepare(config, scenes[scene]).find_id(store))
+                own = Configuration.of(composer.configuration([*fixed, *overrides(space, point), *seed]))
+                scene = json.dumps(own.complete["scene"], sort_keys=True)
+                prepared = prepare(own, scenes.get(scene))
+                scenes.setdefault(scene, prepared.source)
+                found.append(prepared.find_id(store))
             return found
 
         def launch(points: Sequence[Point], trials: Sequence[Trial]) -> None:

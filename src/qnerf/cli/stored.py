@@ -16,6 +16,7 @@ from qnerf.config.plugins import check_plugins
 from qnerf.records import StoreError, read_config, read_summary
 
 if TYPE_CHECKING:
+    from qnerf.building.configuration import Configuration
     from qnerf.building.scene import Prepared
     from qnerf.experiment import Outcome
     from qnerf.probes import Trained
@@ -42,14 +43,14 @@ def split(words: Iterable[str]) -> tuple[list[str], list[str]]:
     return own
 
 
-def stored(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+def stored(run: Path, overrides: Sequence[str] = ()) -> "Configuration":
     """The run's complete configuration with `overrides`; imports the run's plugins.
 
     Raises:
         ValueError: an override of an option that decides the run's numbers; an option that this version does not have;
             plugins of the run that the overrides do not repeat.
     """
-    from qnerf.building.acting import acting
+    from qnerf.building.configuration import Configuration
     from qnerf.cli import compose
 
     config, file = read_config(run), run / "config.yaml"
@@ -59,32 +60,31 @@ def stored(run: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     check_plugins(file, config.get("plugins", []), plugins_again)
     plugins.load(plugins_again)
     try:
-        config = acting(config)
+        configuration = Configuration.of(config)
     except ValueError as error:
         raise StoreError(f"{file}: {error}; it was written by another version of qnerf") from error
+    values: dict[str, Any] = {"store": str(run.parent)}
     for override in overrides:
         key, _, text = override.partition("=")
         if key == "plugins":
             continue
         if key not in CHANGEABLE:
             raise ValueError(f"{override}: cannot change what the run computes; known: {', '.join(CHANGEABLE)}")
-        group, _, last = key.rpartition(".")
-        node = config.setdefault(group, {}) if group else config
-        node[last] = _value(override, text)
-    return config | {"store": str(run.parent)}
+        values[key] = _value(override, text)
+    return configuration.with_values(values)
 
 
-def run_stored(run: Path, config: dict[str, Any], name: str | None = None) -> "Outcome":
-    """Trains with the stored `config`, which may be changed in `CHANGEABLE` options.
+def run_stored(run: Path, configuration: "Configuration", name: str | None = None) -> "Outcome":
+    """Trains with the stored configuration, which may be changed in `CHANGEABLE` options.
 
     name: the run's id, to continue it. ValueError where the scene or the stored configuration has changed.
     """
     from qnerf import experiment
     from qnerf.cli.display import LiveDisplay
 
-    _prepared(run, config)
-    display = LiveDisplay(console(), live=config.get("run", {}).get("progress", True))
-    return experiment.run(config, (), display, output_lost, name=name)
+    prepared = _prepared(run, configuration)
+    display = LiveDisplay(console(), live=configuration["run.progress"])
+    return experiment.run(prepared, (), display, output_lost, name=name)
 
 
 def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = True) -> "Trained":
@@ -92,18 +92,18 @@ def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = 
     `qnerf.probes.load`."""
     from qnerf.probes import load, require_loadable
 
-    config = stored(run, overrides)
+    configuration = stored(run, overrides)
     require_loadable(run, unfinished=unfinished)
-    return load(run, _prepared(run, config), unfinished=unfinished)
+    return load(run, _prepared(run, configuration), unfinished=unfinished)
 
 
-def _prepared(run: Path, config: dict[str, Any]) -> "Prepared":
+def _prepared(run: Path, configuration: "Configuration") -> "Prepared":
     """The configuration with its scene, which must be the run's own."""
     from qnerf.building.scene import prepare
 
-    path = config["scene"].get("path")
+    path = configuration.complete["scene"].get("path")
     try:
-        prepared = prepare(config)
+        prepared = prepare(configuration)
     except ValueError as error:
         if path and not Path(path).exists():
             raise ValueError(f"{error}; if the scene has moved, add scene.path=DIR") from error
@@ -114,14 +114,12 @@ def _prepared(run: Path, config: dict[str, Any]) -> "Prepared":
 
 def check_identity(run: Path, prepared: "Prepared") -> None:
     """ValueError if the stored configuration or the scene's contents have changed since the run was started."""
-    from qnerf.building.acting import run_id
-
-    scene = prepared.scene
-    if run.name.rpartition("-")[2] == run_id(prepared.config, scene.fingerprint).rpartition("-")[2]:
+    fingerprint = prepared.task.fingerprint
+    if run.name.rpartition("-")[2] == prepared.configuration.run_id(fingerprint).rpartition("-")[2]:
         return
-    if read_summary(run).get("scene.fingerprint") == scene.fingerprint:
+    if read_summary(run).get("scene.fingerprint") == fingerprint:
         raise StoreError(f"{run / 'config.yaml'} is not the configuration that the run was started with")
-    path = prepared.config["scene"].get("path")
+    path = prepared.configuration.acting["scene"].get("path")
     raise StoreError(
         f"{run}: scene.path={path}: the scene's contents are not those that the run was started with (docs/runs.md)"
     )

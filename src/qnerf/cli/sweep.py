@@ -29,7 +29,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from qnerf.building.acting import acting, without_effect
+from qnerf.building.configuration import Configuration
 from qnerf.cli import compose
 from qnerf.cli.ends import INTERRUPTED
 from qnerf.cli.errors import one_line
@@ -200,21 +200,22 @@ def announce(jobs: Sequence[Sequence[str]], configuration: Callable[[Sequence[st
     configuration: the configuration that the overrides of a job give.
     """
     different: set[str] = set()
-    idle: dict[str, bool] = {}  # option -> whether it acts in none of the jobs
+    vain: dict[str, bool] = {}  # option -> whether it has no effect in any of the jobs
     for overrides in jobs[:COUNTED]:
         config = configuration(overrides)
         try:
-            different.add(json.dumps(acting(config), sort_keys=True))
-            without = without_effect(config, overrides)
+            own = Configuration.of(config)
+            different.add(json.dumps(own.acting, sort_keys=True))
+            without = own.without_effect(overrides)
         except ValueError:  # the job will say so
             different.add(json.dumps(list(overrides)))
             continue
         for override in overrides:
             option = override.partition("=")[0]
-            idle[option] = idle.get(option, True) and override in without
+            vain[option] = vain.get(option, True) and override in without
     if len(jobs) <= COUNTED:
         print(f"{_count(len(jobs), 'job')}, {_count(len(different), 'different run')}", flush=True)
-        if names := [option for option, without_any in idle.items() if without_any]:
+        if names := [option for option, everywhere in vain.items() if everywhere]:
             print(f"note: no effect in any job: {', '.join(names)}", file=sys.stderr)
 
 

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from qnerf import experiment
-from qnerf.building.acting import without_effect
+from qnerf.building.configuration import Configuration
+from qnerf.building.scene import prepare
 from qnerf.cli.sweep import RETRY
 from qnerf.experiment import Display, Outcome, Unpromising, never
 
@@ -16,17 +17,20 @@ PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the wat
 
 
 def train(
-    config: Mapping[str, Any],
+    config: Mapping[str, Any] | Configuration,
     overrides: Sequence[str],
     display: Display,
     stopping: Callable[[], bool] = lambda: False,
     unpromising: Unpromising | None = None,
 ) -> Outcome:
     """`qnerf.experiment.run` with what a job of Slurm needs: its threads, and patience after a restart."""
-    config = {**config, "threads": config["threads"] or _threads_of_slurm()}
+    configuration = Configuration.of(config)
+    if configuration["threads"] is None:
+        configuration = configuration.with_values({"threads": _threads_of_slurm()})
+    prepared = prepare(configuration)
 
     def attempt() -> Outcome:
-        return experiment.run(config, overrides, display, stopping, unpromising=unpromising or never)
+        return experiment.run(prepared, overrides, display, stopping, unpromising=unpromising or never)
 
     outcome = attempt()
     # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
@@ -38,10 +42,10 @@ def train(
     return outcome
 
 
-def note_without_effect(config: Mapping[str, Any], overrides: Sequence[str]) -> None:
+def note_without_effect(configuration: Configuration, overrides: Sequence[str]) -> None:
     """Names the options that the user typed and that change nothing."""
-    if idle := without_effect(config, overrides):
-        print(f"note: no effect with the chosen components: {', '.join(idle)}", file=sys.stderr)
+    if names := configuration.without_effect(overrides):
+        print(f"note: no effect with the chosen components: {', '.join(names)}", file=sys.stderr)
 
 
 def _threads_of_slurm() -> int | None:

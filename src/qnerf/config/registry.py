@@ -69,6 +69,10 @@ class Registry(Generic[T]):
         ]
         if missing:
             raise ValueError(f"{self.group}={name}: missing {', '.join(missing)}")
+        return self.build_checked(name, *wiring, **options)
+
+    def build_checked(self, name: str, /, *wiring: Any, **options: Any) -> T:
+        """`build` with options that have been checked, as those of a `building.configuration.Configuration`."""
         try:
             return self.get(name)(*wiring, **options)
         except ValueError as error:

@@ -39,6 +39,8 @@ class PositionalEncoding(Encoder):
     torch.Size([5, 60])
     """
 
+    trainable = False
+
     def __init__(
         self,
         in_dim: int,
@@ -73,6 +75,8 @@ class FourierFeatures(Encoder):
         scale: standard deviation of B, in cycles across the unit cube.
         seed: of B, which is drawn from a separate generator.
     """
+
+    trainable = False
 
     directions: Tensor
 

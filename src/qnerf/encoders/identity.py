@@ -9,6 +9,8 @@ from qnerf.encoders.registry import ENCODERS, Encoder
 class Identity(Encoder):
     """The points themselves, (..., in_dim)."""
 
+    trainable = False
+
     def __init__(self, in_dim: int) -> None:
         super().__init__(in_dim)
         self.out_dim = in_dim

@@ -1,5 +1,7 @@
 """The base class of encoders and their registry."""
 
+from typing import ClassVar
+
 from torch import Tensor, nn
 
 from qnerf.config import bounds
@@ -10,6 +12,8 @@ from qnerf.config.tensors import returned
 class Encoder(nn.Module):
     """Points (..., in_dim) in the unit cube -> features (..., out_dim), in the points' dtype."""
 
+    trainable: ClassVar[bool] = True
+    """Whether it has parameters; where not, no learning rate acts on it."""
     in_dim: int
     out_dim: int
     progress: float = 1.0

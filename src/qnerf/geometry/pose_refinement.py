@@ -4,6 +4,8 @@ The motion [Ra | ta] acts in the camera's own frame: the camera-to-world pose [R
 the exponential of six parameters per view, which start at 0. Computing it anew in each step keeps it an exact rotation.
 """
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 
@@ -22,6 +24,9 @@ class PoseRefinement(nn.Module):
         trained: indices of the views that are refined; None: all. The others, and view -1, keep their poses.
     """
 
+    trainable: ClassVar[bool] = True
+    """Whether it has parameters; where not, no learning rate acts on it."""
+
     def __init__(self, views: int, trained: list[int] | None = None) -> None:
         super().__init__()
 
@@ -37,6 +42,8 @@ class PoseRefinement(nn.Module):
 @CAMERAS.register("fixed")
 class FixedPoses(PoseRefinement):
     """No refinement."""
+
+    trainable = False
 
     def poses(self, indices: Tensor, poses: Tensor) -> Tensor:
         return poses

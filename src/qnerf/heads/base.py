@@ -41,8 +41,8 @@ class Head(nn.Module):
 
 
 class _Heads(Registry[Head]):
-    def build(self, name: str, /, *wiring: Any, **options: Any) -> Head:
-        head = super().build(name, *wiring, **options)
+    def build_checked(self, name: str, /, *wiring: Any, **options: Any) -> Head:
+        head = super().build_checked(name, *wiring, **options)
         head.out_dim = wiring[1]
         return head
 

@@ -40,7 +40,7 @@ def hash_label(encoder: Mapping[str, Any]) -> str:
 def labels(config: Mapping[str, Any]) -> dict[str, str]:
     """One label per config group and head of what acts; `qiren` where a head is one, `hash` where the encoder is one.
 
-    With one head, which fits a signal, `field` is classical or quantum.
+    With other heads than density and color, `field` is classical or quantum.
     """
     groups = ("encoder", "scene", "sampler", "shading", "cameras", "train")
     found = {group: config[group]["name"] for group in groups if group in config}
@@ -51,9 +51,10 @@ def labels(config: Mapping[str, Any]) -> dict[str, str]:
     circuits = [head_options(node) for node in heads.values() if issubclass(chosen(node), QirenHead)]
     if circuits:
         found["qiren"] = "+".join(dict.fromkeys(f"{one['layers']}L{one['spectral']}S" for one in circuits))
-    if "head" in heads:
-        return found | {"field": "quantum" if chosen(heads["head"]).quantum else "classical"}
-    return found | {"field": FIELDS[chosen(heads["density"]).quantum, chosen(heads["color"]).quantum]}
+    quantum = {group: chosen(node).quantum for group, node in heads.items()}
+    if quantum.keys() == {"density", "color"}:
+        return found | {"field": FIELDS[quantum["density"], quantum["color"]]}
+    return found | {"field": "quantum" if any(quantum.values()) else "classical"}
 
 
 def slug(config: Mapping[str, Any]) -> str:

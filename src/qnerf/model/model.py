@@ -39,8 +39,8 @@ class Model(nn.Module):
             "cameras": self.cameras,
         }
         parts = {name: list(module.parameters()) for name, module in modules.items()}
-        if self.field.appearance is not None:
-            parts["appearance"] = list(self.field.appearance.parameters())
+        embedding = self.field.appearance
+        parts["appearance"] = [] if embedding is None else list(embedding.parameters())
         assert sum(map(len, parts.values())) == len(list(self.parameters())), "a parameter belongs to no part"
         return parts
 

@@ -34,6 +34,9 @@ RESULT_GROUPS = ("params", "time", "cost")
 """First parts of the dotted names of results; a dotted name that begins otherwise is an option."""
 LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "sampler", "cameras", "train")
 """Columns that name a run's choices; a label that does not act in a run is absent."""
+RECORDED = ("scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")
+"""Options that a run keeps but its id does not hash: the scene's place, the recipe's name, and what is measured how
+often."""
 RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
 """Columns of the table of all runs that do not come from the summary, even if it has values with these names."""
 _HEAD_NUMBERS = ("mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -38,6 +38,9 @@ class Sampler(nn.Module):
     Args:
         contraction: world points (..., 3) -> the unit cube (..., 3), for samplers with networks.
     """
+
+    trainable: ClassVar[bool] = True
+    """Whether it has parameters; where not, no learning rate acts on it."""
 
     rendered_samples: int = 1
     """Samples of a ray that are rendered; 1 where a sampler does not say."""
@@ -96,6 +99,8 @@ def _even(samples: int, dtype: torch.dtype, device: torch.device) -> tuple[Tenso
 class SpacedSampler(Sampler):
     """`samples` intervals, equally long in the normalised coordinate of `spacing`, with one jitter per ray."""
 
+    trainable = False
+
     spacing: str
 
     def __init__(self, contraction: Contraction, *, samples: Count = 128) -> None:
@@ -126,6 +131,8 @@ class VanillaSampler(Sampler):
         spacing: piecewise | uniform | disparity | geometric.
         padding: added to every weight before drawing.
     """
+
+    trainable = False
 
     def __init__(
         self,

@@ -6,11 +6,11 @@ A photograph is a function from pixel coordinates to colour, a shape one from po
 """
 
 from qnerf.scenes import SCENES
-from qnerf.signals.base import Fitted, Signal, is_signal
+from qnerf.signals.base import Signal
 from qnerf.signals.distance import Distance  # each registers its entry
 from qnerf.signals.model import SignalModel, build_signal_model
 from qnerf.signals.photograph import Photograph
-from qnerf.signals.training import SignalEvaluator, SignalTrainer
+from qnerf.signals.training import Fitted, SignalEvaluator, SignalTrainer
 
 __all__ = [
     "SCENES",
@@ -22,5 +22,4 @@ __all__ = [
     "SignalModel",
     "SignalTrainer",
     "build_signal_model",
-    "is_signal",
 ]

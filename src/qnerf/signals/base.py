@@ -1,46 +1,57 @@
 """`Signal`: a function of coordinates, given by its values at points."""
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from qnerf.config.settings import SignalSettings
 from qnerf.config.tensors import require_tensor
-from qnerf.scenes import SCENES
+from qnerf.signals.model import SignalModel, build_signal_model
+from qnerf.signals.training import Fitted, SignalEvaluator, SignalTrainer
+from qnerf.timing import Stopwatch
+from qnerf.training.evaluation import colormap
+from qnerf.training.task import Task
 
 FLOATS = (torch.float64, torch.float32)
 
 
-class Fitted(Protocol):
-    """A trained model in evaluation mode, as a function of points (N, D) in the unit cube. Results are float64."""
-
-    def values(self, points: Tensor) -> Tensor:
-        """(N, C)"""
-
-    def gradients(self, points: Tensor) -> Tensor:
-        """(N, D): of the first value, by the coordinates."""
-
-
-class Signal:
+class Signal(Task):
     """What one head learns by itself: values at points of the unit cube, a loss, and how a fit is measured.
 
     A subclass is registered in `SCENES`. Its keyword-only parameters are the user's options of the group `scene`.
     """
 
-    name: str
-    fingerprint: str
-    """Hash of what the signal is made from; the same on every machine."""
+    options = SignalSettings
+    base = "_signal"
+    held_out = ""
+    settings: SignalSettings
+    model: SignalModel
+
     points: Tensor  # (N, D) float64: the training points, coordinates in [0, 1]
     targets: Tensor  # (N, C) float64: the values there
-    headline: str
-    """Key of the metric that is shown during training."""
 
     eval: Sequence[int] = (0,)  # the whole signal is one view
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> list[str]:  # type: ignore[override]
         return [self.name]
+
+    def build(self, settings: SignalSettings) -> None:
+        self.settings = settings
+        self.model = build_signal_model(settings, self.points.shape[-1], self.targets.shape[-1])
+        colormap()  # a file that cannot be used is reported now
+
+    @property
+    def points_a_step(self) -> int:
+        return min(self.settings.train.points, len(self.points))
+
+    def trainer(self, watch: Stopwatch) -> SignalTrainer:
+        return SignalTrainer(self.model, self, self.settings, watch)
+
+    def evaluator(self, watch: Stopwatch) -> SignalEvaluator:
+        return SignalEvaluator(self.model, self, self.settings, watch)
 
     def check(self) -> None:
         """ValueError unless points and targets have the shapes above, are finite, and the points lie in the cube."""
@@ -55,6 +66,10 @@ class Signal:
             low, high = self.points.min(), self.points.max()
             raise ValueError(f"{name}.points: expected coordinates in [0, 1], got {low:.4g} to {high:.4g}")
 
+    def decide(self, configuration: Any) -> tuple[Any, Mapping[str, Any]]:
+        self.check()
+        return super().decide(configuration)
+
     def description(self) -> str:
         """One line: how much there is to train on."""
         count, dims = self.points.shape
@@ -67,9 +82,3 @@ class Signal:
     def evaluate(self, fitted: Fitted) -> tuple[dict[str, float | None], list[Tensor]]:
         """Metric -> value, and the panels of the picture: truth, fit and error, each (H, W, 3) in [0, 1]."""
         raise NotImplementedError
-
-
-def is_signal(node: Any) -> bool:
-    """Whether the group `scene` names a signal, not posed images; ValueError for an unknown name."""
-    scene = SCENES.get(node["name"])
-    return isinstance(scene, type) and issubclass(scene, Signal)

@@ -11,7 +11,6 @@ from qnerf.encoders import ENCODERS, Encoder
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS
 from qnerf.model.memory import require_parameters
-from qnerf.signals.base import Signal
 
 
 class SignalModel(nn.Module):
@@ -34,8 +33,8 @@ class SignalModel(nn.Module):
         return values
 
 
-def build_signal_model(settings: SignalSettings, signal: Signal) -> SignalModel:
-    """Encoder, head and activation for the signal, in the run's dtype, on its device.
+def build_signal_model(settings: SignalSettings, in_dim: int, out_dim: int) -> SignalModel:
+    """Encoder, head and activation for coordinates and values of a signal, in the run's dtype, on its device.
 
     Raises:
         ValueError: an encoder that does not take as many coordinates, or more memory than there is.
@@ -43,10 +42,8 @@ def build_signal_model(settings: SignalSettings, signal: Signal) -> SignalModel:
 
     def build() -> SignalModel:
         options = {key: value for key, value in settings.encoder.items() if key != "name"}
-        encoder = ENCODERS.build(settings.encoder["name"], signal.points.shape[-1], **options)
-        head = HEADS.build(
-            settings.head["name"], encoder.out_dim, signal.targets.shape[-1], **head_options(settings.head)
-        )
+        encoder = ENCODERS.build_checked(settings.encoder["name"], in_dim, **options)
+        head = HEADS.build_checked(settings.head["name"], encoder.out_dim, out_dim, **head_options(settings.head))
         return SignalModel(encoder, head, COLOR_ACTIVATIONS.get(settings.head["activation"]))
 
     previous = torch.get_default_dtype()

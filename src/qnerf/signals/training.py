@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import torch
@@ -10,14 +11,26 @@ from torch import Tensor
 from qnerf.config.settings import Fit, SignalSettings
 from qnerf.config.tensors import require_tensor
 from qnerf.metrics import quality_metrics
-from qnerf.signals.base import Signal
 from qnerf.signals.model import SignalModel
 from qnerf.timing import Stopwatch
 from qnerf.training.evaluation import beside
 from qnerf.training.stopping import Plateau
 from qnerf.training.trainer import Loop
 
+if TYPE_CHECKING:
+    from qnerf.signals.base import Signal
+
 CHUNK = 4096  # points evaluated at once
+
+
+class Fitted(Protocol):
+    """A trained model in evaluation mode, as a function of points (N, D) in the unit cube. Results are float64."""
+
+    def values(self, points: Tensor) -> Tensor:
+        """(N, C)"""
+
+    def gradients(self, points: Tensor) -> Tensor:
+        """(N, D): of the first value, by the coordinates."""
 
 
 class SignalTrainer(Loop):
@@ -26,7 +39,7 @@ class SignalTrainer(Loop):
     model: SignalModel
     train: Fit
 
-    def __init__(self, model: SignalModel, signal: Signal, settings: SignalSettings, watch: Stopwatch) -> None:
+    def __init__(self, model: SignalModel, signal: "Signal", settings: SignalSettings, watch: Stopwatch) -> None:
         self.points_a_step = self.rays_a_step = min(settings.train.points, len(signal.points))
         super().__init__(model, settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))
         self.signal = signal
@@ -57,7 +70,7 @@ class FittedView:
 class SignalEvaluator:
     """Measures and draws a fit, deterministically and without touching any random state. See `Fitted`."""
 
-    def __init__(self, model: SignalModel, signal: Signal, settings: SignalSettings, watch: Stopwatch) -> None:
+    def __init__(self, model: SignalModel, signal: "Signal", settings: SignalSettings, watch: Stopwatch) -> None:
         self.model = model
         self.scene = signal
         self.device, self.dtype = settings.torch_device, settings.dtype

@@ -54,15 +54,14 @@ def main(options: argparse.Namespace) -> int:
     run = find(options.run, options.store).resolve()
     if (now := state(run)) != "finished":
         raise ValueError(f"{run}: is {now}; only a finished run can be reproduced")
-    config = stored(run, options.overrides)
+    configuration = stored(run, options.overrides)
 
     from qnerf.records.reproduction import compare
 
     then = details.read(run)["environment"]
-    config["threads"] = config.get("threads") or flatten(then).get("threads.torch")
+    threads = configuration["threads"] or flatten(then).get("threads.torch")
     with tempfile.TemporaryDirectory(prefix="qnerf-reproduce-") as store:
-        config["store"] = store
-        outcome = run_stored(run, config)
+        outcome = run_stored(run, configuration.with_values({"store": store, "threads": threads}))
         if outcome.state != "finished":
             print(f"{printable(run.name)}: not compared, the second run is {outcome.state}", file=sys.stderr)
             return stopped_code() if outcome.state == "interrupted" else FAILED

@@ -27,10 +27,10 @@ def main(options: argparse.Namespace) -> int:
         reason = "finished already" if now == "finished" else f"being written by {owner.describe(run)}"
         print(printable(f"{run}: {reason}"))
         return 0
-    config = stored(run, options.overrides)
+    configuration = stored(run, options.overrides)
 
     from qnerf.cli.display import print_outcome
 
-    outcome = run_stored(run, config, run.name)
+    outcome = run_stored(run, configuration, run.name)
     print_outcome(console(), outcome)
     return stopped_code() if outcome.state == "interrupted" else 0
