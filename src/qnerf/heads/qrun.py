@@ -74,7 +74,7 @@ class QRunHead(Head):
         return f"qrun{options['layers']}x{options['width']}S{options['spectral']}"
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> tuple[str, ...]:
+    def without_effect(cls, options: Mapping[str, Any]) -> tuple[str, ...]:
         return ("width", "spectral", "scale") if options["layers"] == 1 else ()
 
     def forward(self, features: Tensor) -> Tensor:
