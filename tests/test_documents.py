@@ -27,7 +27,7 @@ def shown() -> list[str]:
     return sorted(command for command in found if "plugins=[" not in command)  # tests/config/test_plugins.py runs those
 
 
-def test_there_are_commands_of_every_kind():
+def test_commands_of_every_kind_are_in_documents():
     for start in ("python -m src.run", "qnerf run", "qnerf ", "python -m benchmarks.", "pip"):
         assert sum(command.startswith(start) for command in shown()) > 3, start
 
@@ -147,7 +147,7 @@ def test_the_cheapest_stand_ins_of_a_circuit():
     }
 
 
-def test_what_documents_link_to_is_there():
+def test_links_of_documents_lead_somewhere():
     for file in DOCUMENTS:
         for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#([^)\s]+))?\)", file.read_text()):
             if "://" not in target:

@@ -62,7 +62,7 @@ def test_a_copy_a_backup_and_an_export_are_not_the_run(tiny, tmp_path):
         (tmp_path / folder).mkdir()
         if named:
             (tmp_path / folder / "status.json").write_text(json.dumps({"run_id": named}))
-    assert prepared.find_id(tmp_path) == f"a-old-{digest}"  # the same scene under its name of before
+    assert prepared.find_id(tmp_path) == f"a-old-{digest}"  # the same scene under its old name
     (tmp_path / name).mkdir()
     assert prepared.find_id(tmp_path) == name
 
@@ -122,7 +122,7 @@ def test_a_finished_run_leaves_what_pandas_reads(tiny, field):
     assert np.asarray(Image.open(pictures[0])).shape == (240, 4 * 320, 3)
 
 
-def test_there_are_pictures_after_the_first_evaluation(tiny):
+def test_pictures_are_there_after_the_first_evaluation(tiny):
     config = tiny("train.steps=6", "train.eval_every=2", "train.eval_views=1")
     folder = interrupted(config, 3)
     assert len(list((folder / "images").glob("*.png"))) == 1
@@ -337,7 +337,7 @@ def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
         )
 
 
-def test_more_parameters_than_memory_are_refused_before_anything_is_written(monkeypatch, tiny, tmp_path):
+def test_parameters_beyond_memory_are_refused_before_anything_is_written(monkeypatch, tiny, tmp_path):
     monkeypatch.setattr("qnerf.config.memory.available_bytes", lambda: 2**16)
     with pytest.raises(ValueError, match=r"training [\d,]+ parameters would take .* are available; reduce"):
         run(tiny("field=classical", "hash.log2_table_size=15"))

@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable[[str], None]) -> dict[str, Any]:
-    """The values of the page's template. say: gets the name of what is made now."""
+    """The values of the page's template. say: called with the name of each part, before it is made."""
     frame = content.prepared(frame)
     order = content.order(frame)
     most = options.max_images

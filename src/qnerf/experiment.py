@@ -145,12 +145,12 @@ def _run(
         _compare(claim.dir, configuration, display)
     if claim.run is None:
         return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
-    course: _Course | None = None
+    training: _Training | None = None
 
     def last_words() -> str | None:
         """Ends the record, if the last whole step is in a checkpoint."""
-        step = course.trainer.step if course else 0
-        if course and course.trainer.saved != step:
+        step = training.trainer.step if training else 0
+        if training and training.trainer.saved != step:
             return None
         record.interrupt(step)
         return _stopped(step, settings.train.steps, settings.run.force)
@@ -164,8 +164,8 @@ def _run(
         record.write_environment(capture(settings.seed), dirty_diff())
         if task.transform is not None:
             record.write_transform(task.transform.numpy())
-        course = _Course(task, record, display, lambda: bool(stops) or stopping(), unpromising)
-        return course.to_its_end(aside)
+        training = _Training(task, record, display, lambda: bool(stops) or stopping(), unpromising)
+        return training.finish(aside)
 
 
 def _describe(prepared: Prepared, record: Run, display: Display) -> None:
@@ -192,7 +192,7 @@ def _compare(run: Path, configuration: Configuration, display: Display) -> None:
         display.note(f"{run} was recorded with {listed}; run.force=true does it over")
 
 
-class _Course:
+class _Training:
     """A run from its last checkpoint, or from the start, to its results or to where it is stopped."""
 
     def __init__(
@@ -212,7 +212,7 @@ class _Course:
         if self.settings.numerics.finite_checks:
             check_every_value(self.trainer)
 
-    def to_its_end(self, aside: Mapping[str, str]) -> Outcome:
+    def finish(self, aside: Mapping[str, str]) -> Outcome:
         """aside: which compiled loops stepped aside meanwhile, and why."""
         if self.record.resumed:
             checkpoint = self.record.go_on(self.trainer.check)

@@ -184,7 +184,7 @@ def test_several_all_are_one(trainings, tmp_path):
         (["head=mlp", "head=siren", "train.steps=2"], "train.steps=2: sets none of head, .* it is --all train.steps=2"),
     ],
 )
-def test_what_a_study_cannot_honour_is_refused(asked, message, tmp_path):
+def test_decide_refuses_what_a_study_cannot_honour(asked, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         decide.main([*asked, "--store", str(tmp_path)])
 

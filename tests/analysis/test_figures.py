@@ -83,7 +83,7 @@ def test_capacity_draws_mean_and_spread_over_seeds_by_kind(frame):
     assert footnote(figure).startswith("bars: ± standard deviation over seeds, n = 2; ")
 
 
-def test_one_seed_draws_no_bar_and_says_so(frame):
+def test_figures_of_one_seed_draw_no_bar_and_say_so(frame):
     figure = figures.capacity_vs_psnr(frame[frame["seed"] == 0])
     assert len(bars(figure.axes[1])) == 0
     assert "n = 1 seed: no bars" in footnote(figure)

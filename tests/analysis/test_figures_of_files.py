@@ -166,7 +166,7 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
     assert "not drawn: 1 conditions that some measured seeds lack" in footnote(figure)
 
 
-def test_what_is_missing_says_how_to_make_it(frame):
+def test_figures_say_how_to_make_what_is_missing(frame):
     classical = frame[frame["field"] == "classical"]
     with pytest.raises(ValueError, match=r"no run of 2 has rays.parquet; `qnerf probe RUN rays` writes it"):
         figures.best_of(classical, "rays")

@@ -37,7 +37,7 @@ def test_panels_are_the_pixels_that_were_drawn(tmp_path, factor):
         np.testing.assert_array_equal(panel, pixels)
 
 
-def test_what_is_no_such_picture_is_named(tmp_path):
+def test_hsv_names_what_is_no_such_picture(tmp_path):
     run = write_run(tmp_path, pictures={"narrow": noise(4, 7)})
     with pytest.raises(
         ValueError, match=r"narrow.png: expected truth \| render \| error \| depth of equal width, got 7"
@@ -74,7 +74,7 @@ def test_grey_pixels_have_no_hue():
     assert pixels["saturation"].tolist() == pytest.approx([0, 0, 1, 3 / 128, 1])
 
 
-def test_what_cannot_be_compared_is_refused(store):
+def test_hsv_refuses_what_cannot_be_compared(store):
     folder, _ = store
     write_run(folder, "qcolor", 2, scene="chair")
     with pytest.raises(ValueError, match=r"2 scenes in one table \(chair, poster\)"):

@@ -23,7 +23,7 @@ def store(tmp_path: Path) -> Path:
     return root
 
 
-def test_one_row_a_run(store: Path) -> None:
+def test_load_gives_one_row_a_run(store: Path) -> None:
     frame = load.runs(store)
     assert frame["run_id"].tolist() == ["r0", "r1", "r2"]
     assert frame["psnr"].tolist() == [20.0, 21.0, 22.0]

@@ -37,7 +37,7 @@ def page(browser, report):
     assert browser.errors() == []
 
 
-def test_nothing_is_asked_from_the_network_and_nothing_fails(page, report):
+def test_report_asks_nothing_from_the_network_and_nothing_fails(page, report):
     assert page.requested() == {report}
 
 
@@ -173,7 +173,7 @@ def test_the_theme_follows_the_system(browser, report):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark")])
-def test_nothing_sticks_out_sideways(browser, report, width, scheme):
+def test_report_does_not_stick_out_sideways(browser, report, width, scheme):
     browser.opened(report, width, scheme)
     assert browser.execute_script("return innerWidth") == width
     assert browser.overflow() == 0

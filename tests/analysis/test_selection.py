@@ -25,11 +25,11 @@ def test_mistakes_are_named():
         select(FRAME, "lpips")
 
 
-def test_what_is_measured_is_no_setting():
+def test_settings_are_not_what_is_measured():
     assert measured(FRAME) == ["psnr"]
 
 
-def test_everything_left_out_is_told():
+def test_selection_tells_everything_left_out():
     assert select(FRAME).note == "left out: 1 running"
     assert select(FRAME[:2]).note == ""
     gone = FRAME[:2].assign(explained=[0.9, -0.1])

@@ -156,7 +156,7 @@ def test_nobody_asks_without_the_token_of_the_printed_address(many, host):
             assert "default-src 'none'; script-src 'self'" in answer.headers["Content-Security-Policy"]
 
 
-def test_one_client_cannot_keep_others_waiting(many, monkeypatch):
+def test_serve_keeps_no_client_waiting_for_another(many, monkeypatch):
     """Half requests are closed; bodies are bounded; many tables at once leave threads to the rest."""
     monkeypatch.setattr(prompt, "WITHIN", 0.1)
     begun, free = threading.Event(), threading.Event()
@@ -194,7 +194,7 @@ def test_mistakes_are_one_line(tmp_path):
         main([str(tmp_path)])
 
 
-def test_what_changes_among_many_is_found_without_reading_the_others(many, monkeypatch):
+def test_serve_finds_a_change_among_many_without_reading_the_others(many, monkeypatch):
     watched = WatchedStore(many)
     monkeypatch.setattr(serve_store, "FRESH", 0.0)
     read = []

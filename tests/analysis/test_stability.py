@@ -37,6 +37,6 @@ def test_a_row_that_collapsed_as_a_whole_has_not_slipped(tmp_path):
     assert data.loc[("chair", "classical"), "collapsed"] == 0
 
 
-def test_it_counts_decibels_alone(store):
+def test_stability_counts_decibels_alone(store):
     with pytest.raises(ValueError, match="--metric: without effect on this table"):
         main([str(store), "--rows", "field", "--stability", "--metric", "ssim"])

@@ -37,5 +37,5 @@ def test_times_under_the_same_load_are_ranked(tmp_path):
     assert not any("ranked" in note for note in table.notes)
 
 
-def test_one_run_is_compared_with_nothing():
+def test_step_times_of_one_run_are_compared_with_nothing():
     assert incomparable(pd.DataFrame({"step_ms": [20.0]}), "step_ms") == ""

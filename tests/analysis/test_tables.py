@@ -56,7 +56,7 @@ def test_a_row_has_its_verdict_against_the_baseline(store):
     assert ablation(runs(store), ["field"], baseline="field=classical", within=5).text["verdict"][1] == "equivalent *"
 
 
-def test_one_seed_has_no_spread_and_says_so(store):
+def test_ablation_of_one_seed_has_no_spread_and_says_so(store):
     frame = runs(store)
     table = ablation(frame[frame["seed"] == 0], ["field"], baseline={"field": "classical"})
     assert "±" not in table.text.to_string()
@@ -93,7 +93,7 @@ def test_a_value_that_only_some_seeds_have_says_how_many(store):
     assert table.text["LPIPS"].tolist() == ["", "0.6000 ± 0.1414 (n = 2)"]
 
 
-def test_what_must_not_be_averaged_is_refused(store):
+def test_ablation_refuses_what_must_not_be_averaged(store):
     frame = runs(store)
     with pytest.raises(ValueError, match=r"row poster mixes runs of different field \(classical, qcolor\)"):
         ablation(frame, ["scene_name"])
@@ -217,7 +217,7 @@ SPECIAL = st.text(alphabet="ab \\{}$&#_%~^<>|[]*`±\n", max_size=12)
 
 
 @given(SPECIAL)
-def test_no_text_from_outside_changes_a_table(text):
+def test_tables_escape_text_from_outside(text):
     frame = pd.DataFrame({"name": [text], "next": ["x"]})
     table = Table(text, frame, frame, frame == "nothing", (text,))
     cells = [line for line in table.latex().splitlines() if line.endswith(r"& x \\")]

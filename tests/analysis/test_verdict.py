@@ -62,7 +62,7 @@ def test_a_verdict_is_a_sentence():
     assert judge(0.1, 0.5, 18, 0.5).text("ssim") == "undecided"
 
 
-def test_one_run_decides_nothing():
+def test_verdict_of_one_run_is_undecided():
     found = verdict([20.0], [30.0, 31.0], 0.5)
     assert (found.kind, found.excluded, found.reach, found.star) == ("undecided", "", np.inf, False)
     assert verdict([], [30.0, 31.0], 0.5).kind == "undecided"

@@ -18,7 +18,7 @@ def world():
     return floor()
 
 
-def test_one_exposure_is_below_the_limit_and_fifteen_percent_are_above(world):
+def test_exposure_that_varies_by_fifteen_percent_is_above_the_limit(world):
     assert exposure_spread(world) < 0.2 * EXPOSURE
     for seed in range(3):
         assert exposure_spread(brightened(world, 0.15, seed)) > EXPOSURE
@@ -32,7 +32,7 @@ def test_a_spread_that_harms_is_one_line(world, poster):
     assert "\n" not in told
 
 
-def test_it_measures_the_spread(world):
+def test_exposure_spread_is_measured(world):
     """Over neighbours in a row, whose factors are independent."""
     found = np.mean([exposure_spread(brightened(world, 0.08, seed)) for seed in range(6)])
     assert found == pytest.approx(0.08, rel=0.25)

@@ -18,7 +18,7 @@ def autos(node, path="") -> set[str]:
     return {name for key, value in node.items() for name in autos(value, f"{path}.{key}".lstrip("."))}
 
 
-def test_everything_is_decided_and_builds():
+def test_auto_is_decided_everywhere_and_builds():
     for world in (BALL, FLOOR, constant(0), constant(0, channels=4)):
         config = worked_out("needs=auto").complete
         before = worked_out("needs=auto").complete
@@ -30,14 +30,14 @@ def test_everything_is_decided_and_builds():
         assert all(math.isfinite(value) for value in columns(decisions).values() if isinstance(value, float))
 
 
-def test_without_auto_nothing_is_asked_or_measured():
+def test_auto_is_not_asked_where_it_is_not_set():
     for needs in ("none", "full"):
         config = worked_out(f"needs={needs}").complete
         assert asked(config) == []
         assert resolve(config, None) == (config, {})
 
 
-def test_what_is_set_by_hand_wins():
+def test_auto_leaves_what_is_set_by_hand():
     config = worked_out(
         "needs=auto", "appearance=4", "hash=C3", "cameras=se3", "shading=top", "contraction.name=l2", "render.near=0.3",
         "render.background=black", "visibility.cameras=2", "visibility.alpha=false", "occupancy.every=0",

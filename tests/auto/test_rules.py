@@ -27,7 +27,7 @@ def hashed(**table) -> dict:
     }
 
 
-def test_what_a_scene_is_found_to_need():
+def test_rules_find_what_a_scene_needs():
     for option, world, value in (
         ("contraction.name", BALL, "box"),
         ("contraction.name", FLOOR, "linf"),
@@ -144,7 +144,7 @@ def test_a_positional_encoding_reaches_the_images_finest_detail():
     assert decided("encoder.bands", FLOOR, hashed() | set_).value == 8
 
 
-def test_nothing_is_measured_twice_nor_before_it_is_asked_for(monkeypatch):
+def test_rules_measure_once_and_when_asked(monkeypatch):
     without = dataclasses.replace(FLOOR)
     object.__setattr__(without, "images", None)  # whoever looks at them fails
     measured = Measured(without)

@@ -18,7 +18,7 @@ def test_the_box_holds_the_object_and_little_more(radius):
     assert radius <= half < 2.2 * radius + 0.15
 
 
-def test_without_silhouettes_that_bound_an_object_there_is_no_box():
+def test_box_needs_silhouettes_that_bound_an_object():
     for world in (floor(), constant(255, channels=4), constant(0, channels=4), contradicting(), bent()):
         assert box_half_extent(world) is None
 
@@ -53,7 +53,7 @@ def test_rays_are_followed_to_where_enough_cameras_see():
     assert near == pytest.approx(float(first) * (1 - MARGIN))
 
 
-def test_one_place_seen_from_the_start_sets_no_near():
+def test_near_is_not_set_by_one_place_seen_from_the_start():
     """Cameras side by side that look the same way see the same from very near on."""
     of = cameras(np.stack([look_at((1e-4 * view, 0, 0), np.array([1e-4 * view, 1.0, 0])) for view in range(5)]))
     assert Followed(scene(constant(9, views=5).images, of)).near(2) is None

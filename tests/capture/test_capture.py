@@ -140,7 +140,7 @@ def test_frames_at_uneven_times_are_each_taken_once(tmp_path: Path) -> None:
     assert len(folders.photographs(tmp_path / "frames")) == ffmpeg.count_frames_and_secs(tmp_path / "walk.mp4")[0] == 8
 
 
-def test_what_all_frames_share_is_written_once() -> None:
+def test_capture_writes_once_what_all_frames_share() -> None:
     frames = [
         {"file_path": name, "transform_matrix": [], "w": 8, "fl_x": focal} for name, focal in (("b", 2), ("a", 1))
     ]

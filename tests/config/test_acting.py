@@ -68,7 +68,7 @@ def test_acting_has_no_options_of_others():
 
 
 def test_a_default_is_not_hashed():
-    """So an option that is added later, with a default that does what was done before, changes no id."""
+    """So an option that is added later, whose default keeps today's behaviour, changes no id."""
     plain, typed = (worked_out(*typed).decisive for typed in ([], ["color.qiren.statistics=first"]))
     assert typed == plain | {"color.qiren.statistics": "first"}
     assert not set(RECORDED) & set(worked_out("train.log_every=3").decisive)
@@ -79,7 +79,7 @@ def test_changed_defaults_and_records_are_named():
     stored = copy.deepcopy(today.complete)
     stored["scene"]["path"] = "elsewhere"
     stored["train"]["log_every"] = 7
-    del stored["encoder"]["dense"]  # as a run of before the option has it
+    del stored["encoder"]["dense"]  # as in a run that is older than the option
     assert today.differences(Configuration.of(stored)) == {"train.log_every": (7, 10)}
     stored["encoder"]["dense"] = False
     assert today.differences(Configuration.of(stored))["encoder.dense"] == (False, True)
@@ -93,7 +93,7 @@ def test_types_of_columns_are_those_of_annotations():
 
 
 def test_without_effect_names_what_was_typed_in_vain():
-    for typed, idle in (
+    for typed, named in (
         ("field=qcolor color.directions=raw color.degree=2 color.direction_scale=0.5", ["color.degree=2"]),
         ("field=classical qiren.layers=1 ansatz=rx seed=1", ["qiren.layers=1", "ansatz=rx"]),
         ("field=qcolor qiren.layers=1 ansatz=rx color.qiren.gain=2 color.mlp.width=8", ["color.mlp.width=8"]),
@@ -104,7 +104,7 @@ def test_without_effect_names_what_was_typed_in_vain():
         ("scene=photograph color.degree=2", ["color.degree=2"]),
     ):
         overrides = typed.split()
-        assert worked_out(*overrides).without_effect(overrides) == idle
+        assert worked_out(*overrides).without_effect(overrides) == named
 
 
 def test_a_learning_rate_acts_on_components_with_parameters():
@@ -147,7 +147,7 @@ def after_two_steps(config: dict[str, Any]) -> list[torch.Tensor]:
     return [*(parameter.detach().clone() for parameter in taken.model.parameters()), torch.tensor(loss)]
 
 
-IDLE = {
+WITHOUT_EFFECT = {
     "pose_noise.seed": 3,
     "visibility.resolution": 8,
     "visibility.cameras": None,
@@ -174,7 +174,7 @@ def test_options_that_do_not_act_change_no_number(tiny):
     )  # fmt: skip
     expected = after_two_steps(config)
     names = {option.name for option in Configuration.of(config).options}
-    for name, value in IDLE.items():
+    for name, value in WITHOUT_EFFECT.items():
         if value is None:
             continue
         assert name not in names or name == "train.chunk", name

@@ -59,7 +59,7 @@ def test_every_option_has_bounds_or_choices():
         assert not free or option == "ansatz_options", f"{where} accepts any {free}"
 
 
-def test_no_option_accepts_a_number_without_meaning():
+def test_options_accept_no_number_without_meaning():
     for _, option, hint in OPTIONS:
         for value in (2**63, -(2**64), 1e300, float("nan"), float("inf")):
             with pytest.raises(ValueError, match=option):

@@ -22,7 +22,7 @@ def test_builds_with_wiring_and_options(registry):
     assert registry.build("circle", 3, radius=2, tags=[1]).given == (3, 2, 0, [1])
 
 
-def test_what_does_not_fit_is_named_with_the_known(registry):
+def test_registry_names_what_does_not_fit_and_the_known(registry):
     for name, options, message in (
         ("square", {}, "^shape: unknown name 'square'; known: circle$"),
         ("circle", {"side": 1}, "^shape=circle: unknown option side=1; known: radius, corners, tags$"),

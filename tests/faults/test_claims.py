@@ -11,7 +11,7 @@ from tests.helpers.processes import start
 FULL = os.environ.get("QNERF_FAULTS") == "full"
 
 
-def test_one_of_several_contenders_wins(tmp_path: Path) -> None:
+def test_a_claim_is_won_by_one_of_several(tmp_path: Path) -> None:
     count = 100 if FULL else 10
     process = start("jobs", str(tmp_path), str(count), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     out, err = process.communicate(timeout=600)

@@ -25,7 +25,7 @@ def test_density_stays_where_enough_cameras_see(scene, name):
     assert mask(torch.tensor([[float("inf"), 0, 0]])).shape == (1,)
 
 
-def test_more_cameras_asked_leave_less_space(scene):
+def test_visibility_of_more_cameras_leaves_less_space(scene):
     contraction = CONTRACTIONS.build("linf")
     grids = [visible_cells(contraction, scene.cameras, scene.train, least, 24) for least in (1, 2, 3)]
     fractions = [SpaceMask(grid).fraction for grid in grids]
@@ -39,7 +39,7 @@ def test_few_views_are_asked_for_half_of_them(scene):
     assert torch.equal(*asked)
 
 
-def test_nothing_seen_is_one_line(scene):
+def test_visibility_of_nothing_is_one_line(scene):
     away = scene.cameras.poses.clone()
     away[:, :, :3] = -away[:, :, :3]  # no rotation, but every camera looks outward
     away[:, :, 3] *= 1e6

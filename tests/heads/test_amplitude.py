@@ -124,6 +124,6 @@ def test_options_that_are_not_read_change_nothing():
     defaults = {name: parameter.default for name, parameter in HEADS.options("amplitude").items()}
     for options in VARIANTS:
         expected = (head := built(options))[0](head[1])
-        for name in HEADS.get("amplitude").unread(defaults | options):
+        for name in HEADS.get("amplitude").without_effect(defaults | options):
             head, x = built(options | {name: others[name]})
             assert torch.equal(head(x), expected), (options, name)

@@ -62,7 +62,7 @@ def with_gates(wires, spectral):
     return Circuit("with_gates", wires, operations=gates, observables=(((0, "Z"),),), features=1)
 
 
-def test_bad_options_are_one_line(monkeypatch):
+def test_heads_refuse_bad_options_in_one_line(monkeypatch):
     monkeypatch.setitem(ANSATZE._components, "with_gates", with_gates)
     for name, options, message in MISTAKES:
         with pytest.raises(ValueError, match=message) as caught:

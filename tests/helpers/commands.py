@@ -19,7 +19,7 @@ from hydra.core.override_parser.types import Override
 from qnerf.cli import main as cli
 from tests.helpers.configs import ROOT, SWEEPS, worked_out
 
-START = r"(?:python3? -m (?:src\.run|qnerf|benchmarks|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
+START = r"(?:python3? -m (?:src\.run|qnerf|benchmarks|docs|tests|pytest)\b|qnerf [a-z]+(?=\s|$)|pip install )"
 SETTINGS = r"(?:[A-Z_]+=\S+ )*"
 
 

@@ -99,7 +99,7 @@ EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpa
 
 
 @pytest.mark.parametrize("data", [EPS, b"", b"GIF89a", header(2**20, 400), header(0, 0), header(4, 4)[:40]])
-def test_what_is_no_small_png_is_no_picture(store: Path, bad: Path, data: bytes) -> None:
+def test_a_picture_is_a_small_png(store: Path, bad: Path, data: bytes) -> None:
     (bad / "images" / "0.png").write_bytes(data)
     with pytest.raises(StoreError, match=r"0\.png: "):
         images.panels(images.pictures(bad)["0"])

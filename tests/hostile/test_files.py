@@ -105,7 +105,7 @@ def test_a_date_in_yaml_stays_text(run: Path) -> None:
     assert records.read_config(run) == {"a": "2001-01-01", "b": "2001-99-99"}
 
 
-def test_what_is_no_table_is_damaged(run: Path) -> None:
+def test_a_file_that_is_no_table_is_damaged(run: Path) -> None:
     for data in (b"", b"PAR1", b"PAR1" + bytes(100) + b"PAR1", b"hello", bytes(2**16)):
         (run / "metrics" / "part-00000.parquet").write_bytes(data)
         (run / "summary.parquet").write_bytes(data)

@@ -40,14 +40,14 @@ def test_folders_of_any_name_are_found_read_and_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../a", "a/b", "", ".a", ".", "..", "a b", "a" * 300, "a\n", "-a", "a\0b"])
-def test_no_run_is_written_under_such_a_name(tmp_path: Path, name: str) -> None:
+def test_a_hostile_name_is_no_run_s(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match="run_id: expected letters") as error:
         RunStore(tmp_path / "runs").claim(name, CONFIG)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "runs").exists()
 
 
-def test_what_else_lies_in_a_store(tmp_path: Path) -> None:
+def test_a_store_ignores_what_else_lies_in_it(tmp_path: Path) -> None:
     """Files, hidden folders and broken links are not runs; an empty folder is an interrupted run."""
     run = tmp_path / "runs" / "a"
     claimed(RunStore(run.parent)).interrupt()
@@ -60,7 +60,7 @@ def test_what_else_lies_in_a_store(tmp_path: Path) -> None:
     assert records.state(run.parent / "empty") == "interrupted"
 
 
-def test_what_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(tmp_path: Path) -> None:
+def test_text_that_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(tmp_path: Path) -> None:
     for name in ("a", "b"):
         claimed(RunStore(tmp_path), name).finish()
     with pytest.raises(ValueError, match="expected a note in UTF-8, got 'gr"):

@@ -7,7 +7,7 @@ import torch
 from qnerf.building.components import component
 from qnerf.building.model import build_field
 from qnerf.encoders import ENCODERS
-from qnerf.model.labels import HASH_TABLES
+from qnerf.model.labels import hash_tables
 from tests.helpers.configs import ROOT, worked_out
 
 
@@ -55,7 +55,7 @@ def test_encoders_of_the_hash_table():
         assert count(encoder) == int(row["encoding_params"])
         assert encoder.out_dim == int(row["levels"]) * int(row["features_per_level"])
         assert count(field("field=classical", f"hash={row['config']}").density_head) == int(row["mlp_params"])
-        assert HASH_TABLES[row["config"]] == tuple(int(row[key]) for key in keys)
+        assert hash_tables()[row["config"]] == tuple(int(row[key]) for key in keys)
 
 
 def test_heads_of_the_hsv_study():

@@ -14,7 +14,7 @@ from qnerf.records import RunStore, StoreError
 from tests.helpers.stores import CONFIG, claimed
 
 
-def test_no_space(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
     run.save_checkpoint({"step": 0})

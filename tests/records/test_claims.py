@@ -129,7 +129,7 @@ def test_a_missing_file_is_made_again(store_: RunStore) -> None:
     run.finish()
 
 
-def test_no_hard_links(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_claim_without_hard_links(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
     def unsupported(*_: Any, **__: Any) -> None:
         raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
 

@@ -44,7 +44,7 @@ def test_capture_is_plain_and_complete() -> None:
     assert seen["cpu"]["usable"] >= 1
 
 
-def test_git_state(repository: Path) -> None:
+def test_environment_records_the_state_of_git(repository: Path) -> None:
     clean = environment.capture(root=repository)["git"]
     assert clean["branch"] == "main"
     assert len(clean["commit"]) == 40
@@ -53,7 +53,7 @@ def test_git_state(repository: Path) -> None:
     assert environment.capture(root=repository)["git"] == clean | {"dirty": True}
 
 
-def test_no_checkout(tmp_path: Path) -> None:
+def test_environment_outside_of_a_checkout(tmp_path: Path) -> None:
     assert environment.capture(root=tmp_path)["git"] == {"commit": None, "branch": None, "dirty": None}
     assert environment.dirty_diff(tmp_path) == ""
 

@@ -24,7 +24,7 @@ RUNS = pd.DataFrame(
 )
 
 
-def test_what_is_chosen() -> None:
+def test_a_filter_chooses_runs() -> None:
     for condition, chosen in (
         ("field=qcolor", "bc"),
         ("field!=qcolor", "ad"),
@@ -63,7 +63,7 @@ def test_what_is_chosen() -> None:
         assert "".join(filters.require(RUNS, condition)["run_id"]) == chosen, condition
 
 
-def test_what_is_told_when_nothing_is_chosen() -> None:
+def test_a_filter_that_chooses_nothing_says_why() -> None:
     for condition, told in (
         ("field=qboth", "no run of 4 has field=qboth; there are field: classical, qcolor"),
         ("psnr>30 seed=1", "psnr: 20.0, 21.5, 25.0; seed: 0, 1, 2, 3"),

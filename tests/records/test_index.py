@@ -242,7 +242,7 @@ def test_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     assert index.load(store.root)["state"].tolist() == ["finished"]
 
 
-def test_what_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_index_tries_again_what_cannot_be_read_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = tmp_path / "runs"
     write(store, "a", psnr=1.0)
 

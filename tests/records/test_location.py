@@ -13,9 +13,7 @@ from tests.helpers.stores import CONFIG, claimed
 
 
 @pytest.mark.parametrize("store", ["s3://bucket/runs", "http://localhost:1/x", "", "  ", "a\0b"])
-def test_no_run_is_written_elsewhere_than_in_a_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: str
-) -> None:
+def test_a_store_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: str) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="store: expected a folder") as error:
         RunStore(store)
@@ -69,7 +67,7 @@ def test_run_with_one_record_that_a_power_cut_emptied_goes_on(store_: RunStore, 
     claimed(store_).finish()
 
 
-def test_one_mark_is_enough(store_: RunStore) -> None:
+def test_a_folder_is_a_store_by_one_mark(store_: RunStore) -> None:
     run = claimed(store_)
     run.interrupt()
     assert is_run(run.dir)

@@ -34,7 +34,7 @@ def test_log_and_read(store_: RunStore) -> None:
 
 
 @pytest.mark.parametrize("value", ["3", None, [1.0], torch.zeros(2)])
-def test_what_is_no_number_is_refused_whole(store_: RunStore, value: object) -> None:
+def test_metric_rows_refuse_what_is_no_number(store_: RunStore, value: object) -> None:
     run = claimed(store_)
     with pytest.raises(ValueError, match="log: psnr expects a number, got"):
         run.log(0, 0.0, {"loss": 1.0, "psnr": value})  # type: ignore[dict-item]

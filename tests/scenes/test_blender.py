@@ -58,7 +58,7 @@ def test_an_even_subset_evaluates_in_the_same_world(folder):
     assert build(folder, eval_views=99).fingerprint == scene.fingerprint
 
 
-def test_without_a_split_or_its_images_some_training_views_are_held_out(folder):
+def test_blender_without_a_split_holds_out_some_training_views(folder):
     for view in (5, 6, 7):  # poses without images, as of a benchmark
         (folder / "images" / f"{view:03d}.png").unlink()
     scene = build(folder)
@@ -80,7 +80,7 @@ def test_without_a_split_or_its_images_some_training_views_are_held_out(folder):
     assert "one in ten views of transforms_val.json is held out" in scene.description()
 
 
-def test_bad_options_and_files(folder, tmp_path):
+def test_blender_refuses_bad_options_and_files(folder, tmp_path):
     refused(folder, "eval_split expects one of test, val", eval_split="train")
     refused(folder, "eval_views must be between 1 and", eval_views=0)
     refused(tmp_path / "none", "does not exist")

@@ -61,7 +61,7 @@ def test_golden_fingerprints(folder: Path) -> None:
     assert SCENES.build("poster").fingerprint == "4ca3e7e22f3541c06d32"
 
 
-def test_what_decides_the_numbers_decides_the_fingerprint(folder: Path) -> None:
+def test_fingerprint_depends_on_what_decides_the_numbers(folder: Path) -> None:
     one = build(folder).fingerprint
     seen = {
         one,

@@ -39,7 +39,7 @@ def test_points_at_the_depth_of_a_view_are_at_the_depth_of_the_next():
     assert (off < 0.02).double().mean() > 0.9  # others lie at edges, or behind something
 
 
-def test_bad_options():
+def test_poster_refuses_bad_options():
     for options, message in (
         ({"views": 2}, "views must be between 3 and 226"),
         ({"views": 227}, "views must be between 3 and 226"),

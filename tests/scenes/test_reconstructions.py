@@ -258,7 +258,7 @@ def test_llff_takes_its_lens_from_the_model_beside_it(posed: Path) -> None:
     assert "damaged" in told
 
 
-def test_bad_llff_folders_are_one_line(posed: Path) -> None:
+def test_llff_refuses_bad_folders_in_one_line(posed: Path) -> None:
     write_text(posed)
     write_llff(posed, from_text=posed / "sparse/0")
     (posed / "images" / "000.png").unlink()

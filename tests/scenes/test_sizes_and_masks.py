@@ -223,7 +223,7 @@ def test_held_out_views_that_are_all_masked_are_refused(tmp_path: Path) -> None:
         prepare(composed("scene=nerfstudio", f"scene.path={folder}"))
 
 
-def test_bad_masks_are_one_line(tmp_path: Path) -> None:
+def test_masks_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "scene")
     mask(folder)
     for size in ((4, 4), (16, 16), (12, 6)):
@@ -286,7 +286,7 @@ def test_a_width_of_a_whole_factor_is_that_factor(tmp_path: Path) -> None:
     assert narrow.fingerprint != factor.fingerprint
 
 
-def test_any_width_keeps_what_is_seen(tmp_path: Path) -> None:
+def test_scene_width_keeps_what_is_seen(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "scene", width=11, height=7)
     full, small = build(folder), build(folder, width=5)
     assert small.images.shape == (6, 3, 5, 3)

@@ -216,7 +216,7 @@ def test_names_that_stand_for_several_files_or_for_none_inside_are_refused(tiny_
     build(tiny_scene)
 
 
-def test_one_image_under_two_names_is_refused(tiny_scene):
+def test_transforms_refuse_one_image_under_two_names(tiny_scene):
     (tiny_scene / "link.png").symlink_to(tiny_scene / NAMES[0])
     for name in ("images/000", "link.png", "IMAGES/000.png"):
         change_frame(tiny_scene, file_path=name)
@@ -300,7 +300,7 @@ def test_files_that_are_no_scene(tmp_path, tiny_scene):
         refused(tiny_scene, "transforms.json", "frames")
 
 
-def test_bad_frames_are_named(copies):
+def test_transforms_name_bad_frames(copies):
     nan = float("nan")
     for keys, *needles in (
         ({"file_path": 7}, "file_path of frame 2", "7"),
@@ -340,7 +340,7 @@ def test_bad_frames_are_named(copies):
         refused(folder, *needles)
 
 
-def test_bad_files_as_a_whole(copies):
+def test_transforms_refuse_bad_files_as_a_whole(copies):
     for edit, needle in (
         (lambda t: t["frames"].__setitem__(2, 5), "frame 2 must be an object"),
         (lambda t: t["frames"][2].pop("transform_matrix"), "'images/002.png' has no transform_matrix"),

@@ -200,7 +200,7 @@ def test_a_run_is_given_up_below_the_median_of_finished_runs(tmp_path):
 
 @settings(max_examples=30)
 @given(st.data())
-def test_what_a_search_draws_is_found_again_in_the_store(data):
+def test_a_search_finds_its_draws_again_in_the_store(data):
     low, high = sorted(data.draw(st.tuples(st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))))
     interval = Interval(low, high, log=data.draw(st.booleans()))
     text = interval.text(data.draw(st.floats(low, high)))
@@ -214,7 +214,7 @@ def test_what_a_search_draws_is_found_again_in_the_store(data):
     assert choices.find("c") is None
 
 
-def test_no_proposal_is_a_trial():
+def test_a_search_makes_no_trial_of_a_proposal_alone():
     tried = [Trial(("0.01", layers, head), "finished", (1.0,)) for layers in "123" for head in ("mlp", "qiren")]
     points = propose({**SPACE, "train.lr": Interval(0.01, 0.01)}, ["psnr"], tried, 3, Options(9))
     assert points == []

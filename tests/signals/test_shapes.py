@@ -18,7 +18,7 @@ def surface(count: int) -> np.ndarray:
     return 0.5 + SEMI_AXES * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def test_no_point_of_the_surface_is_nearer_than_the_distance():
+def test_distance_is_that_of_the_nearest_point_of_the_surface():
     points = np.random.default_rng(1).random((200, 3))
     nearest = np.sqrt(((points[:, None] - surface(40_000)) ** 2).sum(-1)).min(1)
     exact = np.abs(ellipsoid(points))

@@ -50,7 +50,7 @@ def test_a_camera_goes_to_the_browser_and_back(trained):
     assert (back.width, back.height, back.focal) == (24, 16, pytest.approx(16))
 
 
-def test_what_a_browser_may_ask_for_is_bounded():
+def test_viewer_bounds_what_a_browser_may_ask_for():
     place = np.array([1.0, 0, 0, 0]), np.zeros(3)
     for aspect, height in ((1e-3, 96), (1e9, 6), (math.nan, 96)):
         asked = camera_of(*place, 1.0, aspect, 24)

@@ -24,7 +24,7 @@ from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.noise import Noise
 from qnerf.rendering.samplers import SAMPLERS
 from qnerf.rendering.shading import SHADINGS
-from qnerf.scenes import SCENES
+from qnerf.signals import SCENES
 from qnerf.training.task import Task
 
 COMPONENTS: dict[str, Registry[Any]] = {
@@ -105,8 +105,8 @@ def options(config: Mapping[str, Any]) -> list[Option]:
         raise ValueError(f"config: unknown option {unknown[0]}; known: {', '.join(sorted(known - {'hydra'}))}")
     found = [*_of_fields("", kind, config, others=known)]
     values = {option.name: option.value for option in found}
-    unread = {name for names, condition in _UNREAD for name in names if condition(values)}
-    return [option for option in found if option.name not in unread]
+    left_out = {name for names, condition in _WITHOUT_EFFECT for name in names if condition(values)}
+    return [option for option in found if option.name not in left_out]
 
 
 def kind_of(config: Mapping[str, Any]) -> type[Common]:
@@ -186,9 +186,9 @@ def _of_head(group: str, node: Mapping[str, Any]) -> Iterator[Option]:
         given |= own
         places |= dict.fromkeys(own, owner)
     found = {key: _option(f"{group}.{places[key]}.{key}", given, key, *parameters[key]) for key in parameters}
-    unread = head.unread({key: option.value for key, option in found.items()})
+    left_out = head.without_effect({key: option.value for key, option in found.items()})
     for key, option in found.items():
-        if key in unread:
+        if key in left_out:
             continue
         if key == "noise":
             yield from _of_fields(f"{option.name}.", Noise, option.value)
@@ -236,7 +236,7 @@ def _untrainable(group: str) -> Callable[[Mapping[str, Any]], bool]:
     return condition
 
 
-_UNREAD: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
+_WITHOUT_EFFECT: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
     (("pose_noise.seed",), _off("pose_noise.rotation", "pose_noise.translation")),
     (("visibility.resolution",), _off("visibility.cameras", "visibility.alpha", "occupancy.every")),
     (("occupancy.after", "occupancy.min_opacity"), _off("occupancy.every")),
@@ -249,7 +249,7 @@ _UNREAD: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
     (("train.rates.cameras",), _untrainable("cameras")),
     (("train.rates.sampler", "train.interlevel"), _untrainable("sampler")),
 ]
-"""Options that do not act where a condition on other groups holds. Options of one head are `Head.unread`."""
+"""Options that do not act where a condition on other groups holds. Options of one head are `Head.without_effect`."""
 
 
 def _group(name: str, node: Any) -> Mapping[str, Any]:

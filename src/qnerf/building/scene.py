@@ -13,7 +13,8 @@ from qnerf.config import bounds
 from qnerf.config.plugins import import_plugins
 from qnerf.config.settings import Settings
 from qnerf.records.read import read_status
-from qnerf.scenes import SCENES, Scene
+from qnerf.scenes import Scene
+from qnerf.signals import SCENES
 from qnerf.training.task import Task
 
 

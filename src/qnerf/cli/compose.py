@@ -233,7 +233,7 @@ def unknown_option(name: str, config: DictConfig | None) -> str:
     """What to type instead of an option that the configuration does not have."""
     if name == "head":
         from qnerf.building.acting import options_of_scene
-        from qnerf.scenes import SCENES
+        from qnerf.signals import SCENES
 
         scenes = [scene for scene in SCENES.names() if "head" in options_of_scene(scene).__annotations__]
         return f"head: only scenes with one head have it, {', '.join(scenes)}; others: density=... and color=..."

@@ -58,7 +58,7 @@ def _package(group: str, name: str) -> str | None:
 
 def _base(scene: str) -> str:
     """The file of conf/scene that the YAML of such a scene begins with; empty for posed images."""
-    from qnerf.scenes import SCENES
+    from qnerf.signals import SCENES
 
     return getattr(SCENES.get(scene), "base", "")
 

@@ -208,16 +208,16 @@ class AmplitudeHead(Head):
         return "-".join(parts)
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+    def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
         controls = {"local": ["entangler"], "identity": ["layers", "rotations", "entangler"]}
-        unread = [] if options["unitary"] == "circuit" else controls.get(options["unitary"], ["layers", "entangler"])
+        found = [] if options["unitary"] == "circuit" else controls.get(options["unitary"], ["layers", "entangler"])
         if options["encoding"] == "none":
-            unread = [*unread, "amplitudes", "hidden", "bias", "branch", "direction_features"]
+            found = [*found, "amplitudes", "hidden", "bias", "branch", "direction_features"]
         elif options["branch"] == "joint":
-            unread = [*unread, "direction_features"]
+            found = [*found, "direction_features"]
         if not options["uploads"]:
-            unread = [*unread, "frequencies"]
-        return unread
+            found = [*found, "frequencies"]
+        return found
 
     def __init__(
         self,
@@ -281,7 +281,7 @@ class AmplitudeHead(Head):
 
     @torch.no_grad()
     def _readout(self, in_dim: int) -> nn.Linear:
-        """The last linear map, which makes 0 of the features 0."""
+        """The last linear map, which maps zero features to zero."""
         readout = nn.Linear(sum(self.counts), self.out_dim)
         if not readout.weight.is_meta:
             nn.init.kaiming_normal_(readout.weight, nonlinearity="relu")

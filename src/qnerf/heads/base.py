@@ -32,7 +32,7 @@ class Head(nn.Module):
         return HEADS.name_of(cls) or cls.__name__
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+    def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
         """The options that do not act, given the values of all of them."""
         return ()
 

@@ -65,7 +65,7 @@ class MLPHead(Head):
         return [Layer(layer.weight, layer.bias) for layer in linear]
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+    def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
         return ("width",) if options["layers"] == 1 else ()
 
     def in_loop(self, features: Tensor) -> list[Layer] | None:

@@ -167,7 +167,7 @@ class QirenHead(Head):
         return f"{options['layers']}L{options['spectral']}S{control}"
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+    def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
         noisy = any(options["noise"].values()) if options["noise"] else False
         return () if noisy else ("noise", "patterns")
 
@@ -215,10 +215,10 @@ class QirenHead(Head):
     @torch.no_grad()
     def center(self) -> None:
         """Sets the last bias so that angles of 0, the mean of normalised inputs, give 0."""
-        self.readout.bias.copy_(-nn.functional.linear(self.resting() * self.gain, self.readout.weight)[0])
+        self.readout.bias.copy_(-nn.functional.linear(self.values_at_zero() * self.gain, self.readout.weight)[0])
 
     @torch.no_grad()
-    def resting(self) -> Tensor:
+    def values_at_zero(self) -> Tensor:
         """(1, values): what the last linear map gets, before the gain, for angles of 0 in every circuit."""
         circuits = [module for module in self.modules() if isinstance(module, QuantumLayer)]
         with hardware_conditions.conditions(self):  # exact, also where the head has shots or noise

@@ -32,8 +32,8 @@ class QirenBypassHead(QirenHead):
         return "-".join([*(name for key, name in own.items() if options[key]), super().label(options)])
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
-        return (*super().unread(options), *(["qubits"] if options["wire_per_feature"] else []))
+    def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
+        return (*super().without_effect(options), *(["qubits"] if options["wire_per_feature"] else []))
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class QirenBypassHead(QirenHead):
         super().__init__(in_dim, out_dim, **options)
         self.bypass = nn.Linear(in_dim, out_dim, bias=False) if bypass else None
         self.rest: Tensor | None
-        self.register_buffer("rest", self.resting() if from_zero else None)
+        self.register_buffer("rest", self.values_at_zero() if from_zero else None)
         if from_zero:
             nn.init.zeros_(self.readout.weight)
             nn.init.zeros_(self.readout.bias)

@@ -98,7 +98,7 @@ class QKANHead(Head):
         return f"qkan{options['layers']}x{options['width']}r{options['repeats']}"
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> tuple[str, ...]:
+    def without_effect(cls, options: Mapping[str, Any]) -> tuple[str, ...]:
         return ("width",) if options["layers"] == 1 else ()
 
     def forward(self, features: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ class SirenHead(Head):
         return f"siren{options['layers']}x{options['width']}"
 
     @classmethod
-    def unread(cls, options: Mapping[str, Any]) -> Collection[str]:
+    def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
         return ("width", "omega") if options["layers"] == 1 else ()
 
     def forward(self, features: Tensor) -> Tensor:

@@ -1,24 +1,25 @@
 """Short labels of a configuration, made from its resolved values: `qiren.layers=3` is never labelled 1L2S."""
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml  # type: ignore[import-untyped]
+
+from qnerf.config.folders import CONF
 from qnerf.heads import QirenHead, chosen, head_options
 
 HASH_OPTIONS = ("levels", "min_resolution", "max_resolution", "log2_table_size", "features")
-HASH_TABLES = {
-    "C1": (16, 16, 2048, 19, 2),
-    "C2": (16, 16, 2048, 17, 2),
-    "C3": (12, 16, 2048, 17, 2),
-    "C4": (12, 16, 2048, 17, 1),
-    "C5": (12, 16, 1024, 15, 1),
-    "C6": (8, 16, 1024, 15, 1),
-    "C7": (8, 16, 1024, 13, 1),
-}
-"""Levels, coarsest and finest resolution, log2 of the table size, features per entry: the paper's configurations."""
 
 FIELDS = {(False, False): "classical", (False, True): "qcolor", (True, False): "qdensity", (True, True): "qboth"}
+
+
+@functools.cache
+def hash_tables() -> dict[str, tuple[int, ...]]:
+    """The paper's configurations (conf/hash): name -> the values of `HASH_OPTIONS`."""
+    files = {path.stem: yaml.safe_load(path.read_text()) for path in sorted((CONF / "hash").glob("C*.yaml"))}
+    return {name: tuple(node[key] for key in HASH_OPTIONS) for name, node in files.items()}
 
 
 def head_label(node: Mapping[str, Any]) -> str:
@@ -31,7 +32,7 @@ def hash_label(encoder: Mapping[str, Any]) -> str:
     values = tuple(encoder[key] for key in HASH_OPTIONS)
     if "auto" in values:
         return "auto"
-    for name, known in HASH_TABLES.items():
+    for name, known in hash_tables().items():
         if values == known:
             return name
     return "-".join(str(value) for value in values)

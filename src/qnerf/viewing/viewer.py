@@ -69,7 +69,7 @@ class Client(threading.Thread):
         self.keys: list[Camera] = []  # of a path that the user collects
 
     def changed(self, *_: Any) -> None:
-        """There is something else to show now."""
+        """Redraws."""
         self.version += 1
         self.news.set()
 

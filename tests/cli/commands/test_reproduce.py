@@ -61,7 +61,7 @@ def test_a_run_agrees_with_itself_bit_for_bit(run, reproduce):
     assert records.runs(run.parent) == [run]
 
 
-def test_what_is_compared(run):
+def test_reproduce_compares_these_tables(run):
     compared = {(item.table, item.name): item for item in compare(run, run)}
     logged = records.read_metrics(run)
     for key in ("train/loss", "train/psnr", "train/lr", "eval/psnr"):

@@ -43,7 +43,7 @@ def losses(run: Path) -> list[float]:
     return read_metrics(run).query("key == 'train/loss'")["value"].tolist()
 
 
-def test_what_failed_goes_on(config, tmp_path, resume):
+def test_resume_goes_on_with_a_failed_run(config, tmp_path, resume):
     whole = experiment.run(config | {"store": str(tmp_path / "whole")})
     run = interrupted(config, 4, RuntimeError("the machine is on fire"))
     assert state(run) == "failed"

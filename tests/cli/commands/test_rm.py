@@ -41,7 +41,7 @@ def test_yes_deletes_what_is_named(store, qnerf):
     assert not list(store.glob(".deleted*"))
 
 
-def test_it_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
+def test_rm_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
     for answer in ("n\n", ""):  # "" is Ctrl-D
         monkeypatch.setattr("sys.stdin", Terminal(answer))
         done = qnerf("rm", "aaaa")
@@ -53,7 +53,7 @@ def test_it_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
     assert len(names(store)) == 3
 
 
-def test_without_a_terminal_it_does_not_guess(store, qnerf, monkeypatch):
+def test_rm_does_not_guess_without_a_terminal(store, qnerf, monkeypatch):
     with open(os.devnull) as nobody:
         monkeypatch.setattr("sys.stdin", nobody)
         done = qnerf("rm", "aaaa")
@@ -80,7 +80,7 @@ def test_a_run_that_somebody_takes_at_the_last_moment_stays(make):
     assert not run.exists()
 
 
-def test_what_links_lead_to_stays(make, qnerf, tmp_path):
+def test_rm_keeps_what_links_lead_to(make, qnerf, tmp_path):
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "precious").write_text("x")
@@ -130,7 +130,7 @@ def test_an_empty_name_does_not_delete_a_linked_store(make, qnerf, tmp_path):
     assert store.is_symlink()
 
 
-def test_without_a_question_a_part_of_an_id_deletes_nothing(make, qnerf):
+def test_rm_by_a_part_of_an_id_needs_a_question(make, qnerf):
     """The second of two equal commands must not delete the copy that the user has made of the run."""
     run = make("proj-s0-1234")
     copy = run.rename(run.parent / "proj-s0-1234-backup")

@@ -81,7 +81,7 @@ def test_a_mistake_is_one_line(store, qnerf):
         assert message in done.err
 
 
-def test_none_of_them_and_none_at_all(store, qnerf, tmp_path):
+def test_runs_of_an_empty_store_and_of_no_match(store, qnerf, tmp_path):
     assert qnerf("runs", "seed=7").out == f"no run of 5 in {store} has seed=7\n"
     assert qnerf("runs", "seed=7", "--json").json == []
     for path in store.iterdir():

@@ -1,7 +1,7 @@
 import json
 
 
-def test_everything_about_a_run(store, qnerf):
+def test_show_tells_everything_about_a_run(store, qnerf):
     qnerf("tag", "aaaa", "good")
     qnerf("tag", "aaaa", "--note", "look at the edges")
     done = qnerf("show", "aaaa")
@@ -46,7 +46,7 @@ def test_json_has_all_of_it(store, qnerf):
     assert found["problems"] == []
 
 
-def test_what_is_damaged_is_told_and_the_rest_is_shown(store, qnerf):
+def test_show_tells_what_is_damaged_and_shows_the_rest(store, qnerf):
     (run,) = store.glob("*-eeeeeeeeee")
     (run / "annotations.json").write_text("{")
     (run / "environment.json").write_text("nothing")
@@ -58,7 +58,7 @@ def test_what_is_damaged_is_told_and_the_rest_is_shown(store, qnerf):
     assert "status.json: cannot read: No such file" in qnerf("show", "eeee").out
 
 
-def test_no_line_is_wider_than_the_terminal(store, qnerf, terminal):
+def test_show_is_no_wider_than_the_terminal(store, qnerf, terminal):
     qnerf("tag", "aaaa", "--note", "word " * 40)
     terminal(60)
     out = qnerf("show", "aaaa").out

@@ -17,7 +17,7 @@ def test_tags_are_added_removed_and_listed(store, qnerf):
     assert qnerf("tag", "bbbb").out == ""
 
 
-def test_what_is_no_tag_is_refused(store, qnerf):
+def test_tag_refuses_what_is_no_tag(store, qnerf):
     for tag in ("two words", "k=v", "\x1b[31m", "a\u202eb", "x" * 65, "line\nline"):
         done = qnerf("tag", "aaaa", tag)
         assert (done.code, done.err.count("\n"), done.err[:-1].isprintable()) == (2, 1, True)

@@ -40,7 +40,6 @@ GROUPS = {
         "tables": "tables over seeds as Markdown, CSV or LaTeX",
         "figures": "figures as PNG, SVG and PDF",
         "pack": "the runs as a few small tables, to keep beside a paper",
-        "results": "one page about several packed folders",
     },
 }
 """Title -> command -> purpose, in the order of `qnerf --help`."""
@@ -54,7 +53,6 @@ ANALYSIS = {
     "tables": "tables.__main__",
     "figures": "figures.__main__",
     "pack": "pack",
-    "results": "results",
 }
 """Commands of the analysis package -> their module in it; its `main` takes the arguments as strings."""
 

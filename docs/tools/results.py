@@ -1,31 +1,31 @@
 """The pages of results: docs/results/NAME/README.md for each question, and docs/results.md, which lists them.
 
-`qnerf results docs/results` writes them from packed runs. `qnerf pack` packs the runs of each question into a folder of
-its own; `questions.yaml` beside these folders has the questions.
+`python -m docs.tools.results docs/results` writes them from packed runs. `qnerf pack` packs the runs of each question
+into a folder of its own; `questions.yaml` beside these folders has the questions.
 """
 
+import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
+from qnerf.analysis import command, load
+from qnerf.analysis.figures.files import title
+from qnerf.analysis.selection import SCENES, label
+from qnerf.analysis.tables import Table, stability
+from qnerf.analysis.tables.table import markdown_escape
 
+from docs.tools.question import Question
 from qnerf.metrics import metric_of
 from qnerf.records.files import one_line, replace
 from qnerf.records.printable import printable
 
-from . import command, load
-from .figures.files import title
-from .question import Question
-from .selection import SCENES, label
-from .tables import Table, stability
-from .tables.table import markdown_escape
-
 INDEX = """\
 # Results
 
-One line a question: what its runs say, and the page with the table and the commands. `qnerf results docs/results`
-writes all of these pages from the packed runs in `docs/results/`.
+One line a question: what its runs say, and the page with the table and the commands.
+`python -m docs.tools.results docs/results` writes all of these pages from the packed runs in `docs/results/`.
 
 - PSNR is the mean over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training; ± is the standard
   deviation over seeds. [analysis.md](analysis.md#verdicts) explains the verdicts.
@@ -261,7 +261,7 @@ Writes a page for each question that has a folder of packed runs, FOLDER/NAME/RE
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = command.parser("results", DESCRIPTION)
+    parser = argparse.ArgumentParser(description=DESCRIPTION)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of folders that `qnerf pack` wrote")
     options = parser.parse_args(arguments)
     for file, text in pages(options.folder).items():

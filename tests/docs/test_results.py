@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 from qnerf.analysis.pack import main as pack
-from qnerf.analysis.results import main, pages, questions
 
+from docs.tools.results import main, pages, questions
 from tests.helpers.configs import ROOT
 from tests.helpers.packed_stores import write_run
 

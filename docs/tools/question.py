@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
+from qnerf.analysis.paper import PAPER_TABLES
+from qnerf.analysis.tables import Table, ablation, resources, units
 
 from qnerf.metrics import metric_of
-
-from .paper import PAPER_TABLES
-from .tables import Table, ablation, resources, units
 
 
 @dataclass(frozen=True)
