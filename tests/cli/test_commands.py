@@ -77,7 +77,6 @@ MISTAKES = {
     "figures nowhere": "nowhere",
     f"figures {PAPER} portrait": "portrait",
     "pack nowhere packed": "nowhere",
-    "results nowhere": "nowhere",
 }
 
 

@@ -13,7 +13,9 @@ from tests.helpers.stores import CONFIG, claimed
 
 
 @pytest.mark.parametrize("store", ["s3://bucket/runs", "http://localhost:1/x", "", "  ", "a\0b"])
-def test_a_store_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: str) -> None:
+def test_no_run_is_written_elsewhere_than_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="store: expected a folder") as error:
         RunStore(store)
