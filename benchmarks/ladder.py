@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
 
-import qnerf
+from qnerf.analysis.load import runs
+from qnerf.analysis.selection import select
 
 
 def seconds_to(level: float, rungs: Sequence[tuple[float, float]]) -> float:
@@ -33,9 +34,9 @@ def main() -> None:
     parser.add_argument("store", help="a folder of runs, such as docs/results/time")
     parser.add_argument("--levels", nargs="+", type=float, default=[29.35, 30.35], help="PSNR, dB")
     options = parser.parse_args()
-    runs = qnerf.runs(store=options.store)
-    runs = runs.assign(cpu_s=runs["steps"] * runs["step_cpu_ms"] / 1e3).sort_values("steps")
-    for (scene, density, color), own in runs.groupby(["scene_name", "density", "color"]):
+    frame = select(runs(options.store), "step_cpu_ms").runs.sort_values("steps")
+    frame["cpu_s"] = frame["steps"] * frame["step_cpu_ms"] / 1e3
+    for (scene, density, color), own in frame.groupby(["scene_name", "density", "color"]):
         seeds = [list(zip(rungs["cpu_s"], rungs["psnr"], strict=True)) for _, rungs in own.groupby("seed")]
         found = [f"{level:g} dB {median(seconds_to(level, one) for one in seeds):.1f} s" for level in options.levels]
         print(f"{scene}, density {density}, colour {color}, {len(seeds)} seeds: {', '.join(found)}")
