@@ -1,4 +1,4 @@
-"""CPU seconds to a fixed quality: `python -m benchmarks.ladder STORE --levels 29.35 30.35`.
+"""CPU seconds to a fixed quality: `python -m benchmarks.time_to_quality STORE --levels 29.35 30.35`.
 
 Reads trainings of different lengths from a store, which `python -m src.run --sweep time` makes, and prints for each
 scene and head the CPU seconds after which held-out views reach a PSNR. Between two trainings they lie evenly in the
