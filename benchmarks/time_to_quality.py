@@ -16,7 +16,7 @@ from qnerf.analysis.selection import select
 
 
 def seconds_to(level: float, rungs: Sequence[tuple[float, float]]) -> float:
-    """Seconds at which rungs (seconds, PSNR) first reach the level; infinity where none does.
+    """Seconds at which rungs (seconds, PSNR) reach the level: at most those of the first, infinity if none does.
 
     >>> seconds_to(25.0, [(1.0, 20.0), (4.0, 30.0)])
     2.0
@@ -38,7 +38,10 @@ def main() -> None:
     frame["cpu_s"] = frame["steps"] * frame["step_cpu_ms"] / 1e3
     for (scene, density, color), own in frame.groupby(["scene_name", "density", "color"]):
         seeds = [list(zip(rungs["cpu_s"], rungs["psnr"], strict=True)) for _, rungs in own.groupby("seed")]
-        found = [f"{level:g} dB {median(seconds_to(level, one) for one in seeds):.1f} s" for level in options.levels]
+        found = []
+        for level in options.levels:
+            bound = "at most " * any(one[0][1] >= level for one in seeds)
+            found.append(f"{level:g} dB {bound}{median(seconds_to(level, one) for one in seeds):.1f} s")
         print(f"{scene}, density {density}, colour {color}, {len(seeds)} seeds: {', '.join(found)}")
 
 
