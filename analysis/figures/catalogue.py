@@ -8,9 +8,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ..selection import by_scene
+from .budgets import psnr_vs_time
 from .capacity import capacity_vs_psnr, hash_configurations
 from .colors import hsv_study
-from .curves import loss_curves, psnr_vs_time
+from .curves import loss_curves
 from .encodings import encoding_channels
 from .forest import forest
 from .pareto import speed_vs_error
@@ -73,7 +74,7 @@ FIGURES = {
     ),
     "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True),
     "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
-    "time": Entry("PSNR against wall time", psnr_vs_time),
+    "time": Entry("PSNR against the time of whole trainings", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest),
     "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),

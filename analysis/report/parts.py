@@ -14,7 +14,7 @@ from ..verdict import within_of
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, decisions, over_seeds, smallest_configurations
 
-INTERACTIVE = ("loss", "time")
+INTERACTIVE = ("loss",)
 """Figures that the page's own curves show; `qnerf figures` writes them."""
 
 

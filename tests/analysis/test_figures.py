@@ -178,26 +178,33 @@ def test_long_training_curves_are_means_of_spans():
 def test_a_curve_ends_where_the_first_of_its_seeds_does():
     """With `stop.every` seeds end at steps of their own; the mean of fewer would jump there."""
     seeds = [pd.DataFrame({"step": [2, 4, last], "value": [1.0, 2.0, 3.0 * last]}) for last in (5, 6)]
-    table = figures.curves._over_seeds(seeds, ["value"])
+    table = figures.curves._over_seeds(seeds)
     assert table["step"].tolist() == [2, 4]
     assert table["n"].tolist() == [2, 2]
 
 
-def test_psnr_against_time_ends_at_the_run_s_own_numbers(frame):
+def lengths(frame: pd.DataFrame) -> pd.DataFrame:
+    """The same runs again, twice as long and a decibel better."""
+    twice = {name: 2 * frame[name] for name in ("train.steps", "train_s")}
+    return pd.concat([frame, frame.assign(**twice, psnr=frame["psnr"] + 1)], ignore_index=True)
+
+
+def test_psnr_against_time_joins_trainings_of_different_lengths(frame):
     own = frame[frame["color.qiren.layers"].eq(2) & frame["field"].eq("qcolor")]
-    ax = figures.psnr_vs_time(own).axes[0]
-    (container,) = ax.containers
-    assert container[0].get_ydata(orig=False)[-1] == pytest.approx(own["psnr"].mean())
-    times = [metrics(path, "eval/psnr")["time_s"].iloc[-1] for path in own["path"]]
-    assert container[0].get_xdata(orig=False)[-1] == pytest.approx(np.mean(times))
+    (container,) = figures.psnr_vs_time(lengths(own)).axes[0].containers
+    seconds, psnr = own["train_s"].mean(), own["psnr"].mean()
+    np.testing.assert_allclose(container[0].get_xdata(orig=False), [seconds, 2 * seconds])
+    np.testing.assert_allclose(container[0].get_ydata(orig=False), [psnr, psnr + 1])
+    assert len(figures.psnr_vs_time(lengths(frame)).axes[0].containers) == len(GRID)
+    with pytest.raises(ValueError, match="no two configurations differ in train\\.steps alone"):
+        figures.psnr_vs_time(frame)
 
 
 def test_configurations_beyond_the_best_are_told(frame):
-    figure = figures.psnr_vs_time(frame, most=2)
-    assert len(figure.axes[0].containers) == 2
+    figure = figures.loss_curves(frame, most=2)
     best = frame.groupby(["field", "color", "hash"])["psnr"].mean().nlargest(2)
-    drawn = [container[0].get_ydata(orig=False)[-1] for container in figure.axes[0].containers]
-    np.testing.assert_allclose(drawn, best)
+    drawn = [line.get_ydata()[-1] for line in figure.axes[0].lines if line.get_linestyle() == "--"]
+    np.testing.assert_allclose(-10 * np.log10(drawn), best)
     assert "not drawn: 4 configurations of lower PSNR" in footnote(figure)
 
 
@@ -224,7 +231,7 @@ def test_times_of_two_machines_have_no_front(frame):
     assert not figures.speed_points(frame)["front"].any()
     assert not [text for ax in figure.axes for text in ax.texts]
     assert "time of a step is not ranked: measured on 2 machines" in footnote(figure)
-    assert "training time is not ranked" in footnote(figures.psnr_vs_time(frame))
+    assert "training time is not ranked" in footnote(figures.psnr_vs_time(lengths(frame)))
 
 
 @given(arrays.arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=st.integers(0, 5).map(float)))
@@ -283,9 +290,9 @@ def test_a_seed_that_logs_a_step_twice_counts_once():
     rows = {"time_s": 1.0, "value": 20.0}
     once = pd.DataFrame([rows | {"step": step} for step in (10, 20)])
     twice = pd.concat([once, pd.DataFrame([rows | {"step": 20, "value": 30.0}])])
-    table = curves._over_seeds([once, twice, once[:1]], ["value"])
+    table = curves._over_seeds([once, twice, once[:1]])
     assert table[["step", "n", "value"]].to_numpy().tolist() == [[10, 3, 20]]
-    assert curves._over_seeds([once, twice], ["value"])["value"].tolist() == [20, 25]
+    assert curves._over_seeds([once, twice])["value"].tolist() == [20, 25]
 
 
 def test_legend_shows_names_that_begin_with_an_underscore():

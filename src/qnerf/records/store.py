@@ -221,7 +221,8 @@ def _released_on_error(ownership: Ownership) -> Iterator[None]:
 
 
 def _finished(directory: Path) -> Claim:
-    return Claim("finished", directory, f"{directory}: finished already; run.force=true does it over")
+    again = "run.force=true does it over; more steps (train.steps=N) are another run, from the start"
+    return Claim("finished", directory, f"{directory}: finished already; {again}")
 
 
 def to_yaml(config: Mapping[str, Any]) -> str:
