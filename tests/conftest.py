@@ -60,6 +60,7 @@ SLOW = (
     "scenes/test_fingerprint.py",
     "scenes/test_sizes_and_masks.py::test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size",
     "signals/test_runs.py",
+    "quantum/test_engines.py::test_engines_agree",
     "quantum/test_tapes.py::test_random",
     "quantum/test_tapes.py::test_device_passes",
     "search/",

@@ -1,4 +1,4 @@
-"""Circuits beyond re-uploading: engine against engine, all derivatives, and what a wrong description says."""
+"""Circuits of all parts at once: their programs, batches and precisions, and what a wrong description says."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,18 +8,14 @@ import numpy as np
 import pennylane as qml
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
 from qnerf.quantum import statevector
 from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer, rotations_of
 from qnerf.quantum.circuit import (
     ANSATZE,
-    GATES,
     Amplitudes,
     Circuit,
-    Expression,
     Gate,
     Hamiltonian,
     Probabilities,
@@ -60,51 +56,6 @@ MIXED = Circuit(
 )
 
 
-@st.composite
-def expressions(draw: st.DrawFn) -> Expression:
-    terms = [Expression.of(draw(st.sampled_from([0.0, 0.3, -1.7])))]
-    for _ in range(draw(st.integers(0, 2))):
-        factors = draw(
-            st.lists(
-                st.one_of(
-                    st.integers(0, FEATURES - 1).map(feature), st.integers(0, 5).map(lambda index: weight("w", index))
-                ),
-                min_size=1,
-                max_size=2,
-            )
-        )
-        term = Expression.of(draw(st.sampled_from([1.0, -0.5])))
-        for factor in factors:
-            term = term * factor
-        terms.append(term)
-    return sum(terms, Expression())
-
-
-@st.composite
-def circuits(draw: st.DrawFn, without: str = "") -> Circuit:
-    n = draw(st.integers(1, 5))
-    wires = st.permutations(range(n))
-    operations: list[Any] = []
-    if draw(st.booleans()):
-        values = tuple(draw(expressions()) + (2.0 if k == 0 else 0.0) for k in range(2))
-        operations.append(Amplitudes((draw(wires)[0],), values))
-    for _ in range(draw(st.integers(1, 12))):
-        names = [name for name, kind in GATES.items() if (kind.wires or 1) <= n and name != without]
-        name = draw(st.sampled_from(names))
-        where = tuple(draw(wires)[: GATES[name].wires or draw(st.integers(1, n))])
-        word = draw(st.text("IXYZ", min_size=len(where), max_size=len(where))) if name == "PauliRot" else ""
-        angles = tuple(draw(expressions()) for _ in range(GATES[name].angles))
-        operations.append(Gate(name, where, angles, word))
-    words = st.dictionaries(st.integers(0, n - 1), st.sampled_from("XYZ"), max_size=n).map(lambda d: tuple(d.items()))
-    observables: list[Any] = draw(st.lists(words, min_size=1, max_size=2))
-    if draw(st.booleans()):
-        chosen = draw(st.lists(words, min_size=1, max_size=3))
-        observables.append(Hamiltonian(tuple(0.5 * k - 0.7 for k in range(len(chosen))), tuple(chosen)))
-    if draw(st.booleans()):
-        observables.append(Probabilities(tuple(draw(wires)[: draw(st.integers(1, n))])))
-    return Circuit("random", n, tuple(operations), tuple(observables), FEATURES, (W,))
-
-
 def results(layer: QuantumLayer, batch: int, dtype: torch.dtype = torch.float64) -> list[Tensor]:
     """Outputs, and gradients of the input and of every weight."""
     generator = torch.Generator().manual_seed(5)
@@ -119,26 +70,6 @@ def layers(circuit: Circuit) -> tuple[QuantumLayer, QuantumLayer]:
     fast, plain = QuantumLayer(circuit).double(), QuantumLayer(circuit, backend="torch").double()
     plain.load_state_dict(fast.state_dict())
     return fast, plain
-
-
-@settings(max_examples=40)
-@given(circuit=circuits())
-def test_engines_agree_on_random_circuits(circuit: Circuit) -> None:
-    fast, plain = layers(circuit)
-    for one, two in zip(results(fast, 11), results(plain, 11), strict=True):
-        torch.testing.assert_close(one, two, rtol=1e-11, atol=1e-11)
-    assert fast.cost(11).backend == "compiled"
-
-
-@settings(max_examples=12)
-@given(circuit=circuits(without="IsingXY"))  # PennyLane's own has no batch of angles with gradients
-def test_random_circuits_equal_pennylane(circuit: Circuit) -> None:
-    fast, _ = layers(circuit)
-    peer = QuantumLayer(circuit, method="pennylane").double()
-    peer.load_state_dict(fast.state_dict())
-    x = torch.randn(3, FEATURES, dtype=torch.float64)
-    with torch.no_grad():
-        torch.testing.assert_close(fast(x), peer(x), rtol=0, atol=1e-12)
 
 
 def test_lists_of_gates_and_gates_are_one_circuit() -> None:
@@ -192,17 +123,6 @@ def test_program_leaves_out_what_has_no_effect() -> None:
         plain.load_state_dict(fast.state_dict())
         x = torch.randn(4, 3)
         torch.testing.assert_close(fast(x), plain(x), rtol=0, atol=2e-6)
-
-
-def test_second_derivatives_are_those_of_differences() -> None:
-    layer = QuantumLayer(MIXED).double()
-    x = torch.randn(2, FEATURES, dtype=torch.float64, requires_grad=True)
-    names = list(layer.state_dict())
-
-    def function(x: Tensor, *weights: Tensor) -> Any:
-        return torch.func.functional_call(layer, dict(zip(names, weights, strict=True)), (x,))
-
-    assert torch.autograd.gradgradcheck(function, (x, *layer.parameters()))
 
 
 def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,22 +1,21 @@
-"""Every engine of re-uploading circuits against every other and PennyLane, outputs and derivatives."""
+"""Every engine against every other and PennyLane, outputs and derivatives."""
 
 from collections.abc import Callable
-from functools import partial
+from contextlib import suppress
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor
 
-from qnerf.quantum import lightcone, statevector
-from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, Weights, encoding, entanglers, rotations
+from qnerf.quantum import lightcone
+from qnerf.quantum.circuit import ANSATZE, Circuit
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.compiled.engine import Engine
 from qnerf.quantum.cones import find_cones
 from qnerf.quantum.pennylane import make_node
 from qnerf.quantum.program import program
 from qnerf.quantum.statevector import PlainCircuit
+from tests.helpers.circuits import CHUNKS, derivatives, random_circuit
 
 Function = Callable[[Tensor, Tensor], Tensor]
 
@@ -66,49 +65,25 @@ def assert_same(a: list[Tensor], b: list[Tensor], output: float, gradient: float
         assert (one.double() - two.double()).abs().max() <= gradient * scale
 
 
-@st.composite
-def circuits(draw: st.DrawFn, wires: int = 5) -> Circuit:
-    """Any order of rotations, CZ and CNOT on any pairs, and encodings about any axis; Pauli words in one basis."""
-    n, rows = draw(st.integers(1, wires)), draw(st.integers(1, 6))
-    angles = Weights("w", (rows, n, 3))
-    pairs = st.tuples(st.integers(0, n - 1), st.integers(0, n - 1)).filter(lambda pair: pair[0] != pair[1])
-    operations: list[Gate] = []
-    for row in range(rows):
-        if draw(st.booleans()) or row == 0:
-            operations += rotations(angles[row])
-        if n > 1:
-            operations += entanglers(draw(st.sampled_from(["CZ", "CNOT"])), draw(st.lists(pairs, max_size=4)))
-        if draw(st.booleans()):
-            scales = draw(st.lists(st.sampled_from([0.0, 0.5, 1.0, -1.0, 3.0]), min_size=n, max_size=n))
-            operations += encoding(draw(st.sampled_from("XYZ")), scales)
-    letters = [draw(st.sampled_from("XYZ")) for _ in range(n)]
-    words = []
-    for _ in range(draw(st.integers(1, n))):
-        chosen = draw(st.sets(st.integers(0, n - 1), min_size=1, max_size=2))
-        words.append(tuple((wire, letters[wire]) for wire in sorted(chosen)))
-    return Circuit("random", n, tuple(operations), tuple(words), weights=(angles,))
-
-
-@settings(max_examples=60)
-@given(circuit=circuits())
-def test_engines_agree_on_random_descriptions(circuit: Circuit) -> None:
-    expected = results(torch_engine(circuit), circuit)
-    assert_same(results(compiled_engine(circuit), circuit), expected, 1e-12, 1e-11)
-    try:
-        points = lightcone.interpolation(find_cones(program(circuit))).points
-    except lightcone.TooLarge:
-        return
-    if len(points) <= 3000:
-        assert_same(results(cone_engine(circuit), circuit), expected, 1e-11, 1e-10)
-        assert_same(results(cone_reference(circuit), circuit), expected, 1e-11, 1e-10)
-
-
-@settings(max_examples=15)
-@given(circuit=circuits(wires=4))
-def test_random_descriptions_agree_with_pennylane(circuit: Circuit) -> None:
-    # Only outputs: PennyLane has no gradient where nothing depends on the input.
-    x, w = data(circuit, 3)
-    assert (make_node(circuit)(x, w) - compiled_engine(circuit)(x, w)).abs().max() <= 1e-12
+@pytest.mark.parametrize("numbers", CHUNKS, ids=str)
+def test_engines_agree_on_random_circuits_and_equal_pennylane(numbers: range) -> None:
+    """Values, first and second derivatives."""
+    for number in numbers:
+        circuit = random_circuit(number)
+        x, w = (tensor.requires_grad_() for tensor in data(circuit, 3, seed=number))
+        compiled = Engine(circuit)
+        engines = {"compiled": compiled.evaluate, "torch": compiled.plain.evaluate, "pennylane": make_node(circuit)}
+        with suppress(lightcone.TooLarge):
+            if len(lightcone.interpolation(find_cones(program(circuit))).points) <= 3000:
+                engines |= {"cones": cone_engine(circuit), "plain cones": cone_reference(circuit)}
+        tolerances = {"cones": 1e-10, "plain cones": 1e-10}  # an interpolation at up to 3,000 points
+        if "1e-09" in str(circuit.operations):
+            tolerances["pennylane"] = 1e-8  # some of its gates leave out such an angle
+        found = {name: (y := engine(x, w), *derivatives(y, x, w)) for name, engine in engines.items()}
+        for name, own in found.items():
+            for one, two in zip(own, found["torch"], strict=True):
+                error = (one - two).abs().max() / two.abs().max().clamp(min=1)
+                assert error <= tolerances.get(name, 1e-12), (number, name)
 
 
 def test_named_circuits_equal_pennylane_with_their_gradients() -> None:
@@ -122,15 +97,6 @@ def test_named_circuits_equal_pennylane_with_their_gradients() -> None:
             assert_same(results(engine, circuit, batch=3), expected, 1e-12, 1e-12)
             assert_same(results(engine, circuit, batch=3, dtype=torch.float32), expected, 2e-6, 1e-5)
         assert_same(results(torch_engine(circuit), circuit, batch=3), expected, 1e-12, 1e-12)
-
-
-def test_second_derivatives_are_those_of_differences() -> None:
-    circuit = ANSATZE.build("qiren", 2, 1)
-    x, w = (tensor.requires_grad_() for tensor in data(circuit, 2))
-    for engine in (compiled_engine, cone_engine):
-        function = engine(circuit)
-        assert torch.autograd.gradgradcheck(function, (x, w))
-        assert torch.autograd.gradgradcheck(partial(function, x.detach()), (w,))
 
 
 def test_engines_take_many_blocks_of_samples() -> None:
@@ -157,14 +123,6 @@ def test_nan_in_a_cone_stays_in_the_cone() -> None:
     x, w = data(circuit, 1)
     x[0, 2] = float("nan")
     assert cone_engine(circuit)(x, w)[0].isnan().nonzero().flatten().tolist() == [1, 2, 3]
-
-
-def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> None:
-    circuit = ANSATZE.build("qiren", 3, 2)
-    whole = results(torch_engine(circuit), circuit, batch=23)
-    monkeypatch.setattr(statevector, "CHUNK_BYTES", 20_000)
-    assert statevector.chunk_size(program(circuit), 8) < 10
-    assert_same(results(torch_engine(circuit), circuit, batch=23), whole, 1e-14, 1e-13)
 
 
 def test_empty_batches_have_zero_gradients() -> None:

@@ -34,8 +34,12 @@ def through_reference(
 
     A compiled backward pass is a constant to autograd. Second derivatives through it would be wrong.
     """
-    needed = [tensor for tensor in inputs if tensor.requires_grad]
     with torch.enable_grad():
-        gradients = torch.autograd.grad(reference(*inputs), needed, upstream, create_graph=True, allow_unused=True)
+        own = [tensor.view_as(tensor) for tensor in inputs]  # one of the inputs may be made of another one
+        needed = [tensor for tensor in own if tensor.requires_grad]
+        out = reference(*own)
+        if torch.is_tensor(out) and not out.requires_grad:  # it depends on none of them
+            return [None] * len(own)
+        gradients = torch.autograd.grad(out, needed, upstream, create_graph=True, allow_unused=True)
     found = iter(gradients)
     return [next(found) if tensor.requires_grad else None for tensor in inputs]

@@ -12,7 +12,8 @@ The files, in the order in which a circuit passes through them. The description:
 Hardware: `noise` (what goes wrong), `density` (exact), `pauli_errors` (sampled), `readout`, `measurement`.
 
 PennyLane: `pennylane` runs circuits on its devices, and is the reference of everything. `tapes`, `qnode` and
-`pennylane_device` bring its circuits here. `diagnostics` says what a circuit can express and how it learns.
+`pennylane_device` bring its circuits here. `effects` names what of a circuit has no effect, `diagnostics` says what it
+can express and how it learns.
 """
 
 from typing import Any

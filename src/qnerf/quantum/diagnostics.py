@@ -21,6 +21,7 @@ from qnerf.quantum.angles import offsets
 from qnerf.quantum.blocks import rotations_of
 from qnerf.quantum.circuit import Circuit, Gate
 from qnerf.quantum.cones import TooLarge, scales_of
+from qnerf.quantum.effects import without_effect as without_effect
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.program import program

@@ -11,6 +11,7 @@ from qnerf.config.bounds import NonNegativeFactor, PositiveInt, Seed, checked
 from qnerf.quantum import measurement, pennylane
 from qnerf.quantum.circuit import ANSATZE, Circuit, Spectral, check_state, check_wires
 from qnerf.quantum.cost_model import Cost
+from qnerf.quantum.effects import warn
 from qnerf.quantum.initial_angles import INITS
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.simulator import Backend, Simulator
@@ -68,6 +69,8 @@ class QuantumLayer(nn.Module):
     outputs are within 3e-6 of float64 (8 wires, S = 2; 1e-5 at S = 32) and never beyond 1. Inputs that are NaN or
     infinite give NaN.
 
+    Warns of weights and features without effect and of constant outputs, see `qnerf.quantum.effects`.
+
     Raises:
         ValueError: a wrong last dimension, integer inputs, wires outside 1..1024, a state that memory cannot hold, an
             unknown name, or method=lightcone for a circuit without small light cones.
@@ -105,6 +108,7 @@ class QuantumLayer(nn.Module):
             if hasattr(self, name):
                 raise ValueError(f"weights cannot be called {name}, which is an attribute of a layer")
             self.register_parameter(name, nn.Parameter(values))
+        warn(self.circuit)
 
     @property
     def wires(self) -> int:

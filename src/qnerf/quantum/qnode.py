@@ -6,6 +6,7 @@ now. qnerf evaluates the tape; what it cannot evaluate runs on the QNode's own d
 
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from copy import copy
 from typing import Any
 
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from qnerf.quantum.circuit import Circuit, Weights, feature
+from qnerf.quantum.effects import warn
 from qnerf.quantum.tapes import Measured, decomposed, described, execution_of, places_of
 
 EXACT_DEVICES = {"default.qubit": "pennylane.", "qnerf.fast": "qnerf.", "lightning.qubit": "pennylane_lightning."}
@@ -41,7 +43,8 @@ def from_qnode(
     (torch.Size([5, 2]), ['w'], 'qnerf')
 
     `layer.runs_on` says what has evaluated the last call: qnerf, or the QNode's device and why. The layer warns once in
-    the latter case.
+    the latter case. If the QNode is a circuit of polynomials (`layer.circuit`), its first call warns of what has no
+    effect, see `qnerf.quantum.effects`. For that it calls the function once more.
 
     Args:
         qnode: a QNode whose function takes `inputs`, one sample or a batch (..., features), and the weights by name.
@@ -63,7 +66,7 @@ class _FastQnode(qml.QNode):
     def __init__(self, qnode: Any) -> None:
         self.__dict__.update(vars(copy(qnode)))
         self.runs_on = "qnerf"
-        self._has_warned = False
+        self._has_warned = self.is_checked = False
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_tape": None, "_qfunc_output": None}  # the last call's: tensors that cannot be copied
@@ -134,6 +137,10 @@ class TorchLayer(qml.qnn.TorchLayer):
             one: Tensor = super().forward(inputs.new_zeros(1, inputs.shape[-1]))
             return one[:0].reshape(*inputs.shape[:-1], *one.shape[1:]) + inputs.sum()
         out: Tensor = super().forward(inputs)
+        if self.qnode.runs_on == "qnerf" and not self.qnode.is_checked:
+            self.qnode.is_checked = True
+            with suppress(ValueError):  # no circuit of polynomials
+                warn(self.circuit(inputs.shape[-1]))
         return out
 
     def circuit(self, features: int) -> Circuit:
@@ -144,13 +151,13 @@ class TorchLayer(qml.qnn.TorchLayer):
         """
         weights = [Weights(name, tuple(value.shape)) for name, value in self.qnode_weights.items()]
         arguments = {own.name: _entries(own) for own in weights}
-        x = np.array([feature(index) for index in range(features)], dtype=object)
+        x, node = np.array([feature(index) for index in range(features)], dtype=object), copy(self.qnode)
         try:
             try:
-                tape = self.qnode.construct((), arguments | {self.input_arg: x})
+                tape = node.construct((), arguments | {self.input_arg: x})
             except IndexError:  # the function expects a batch
-                tape = self.qnode.construct((), arguments | {self.input_arg: x[None]})
-            places = places_of(tape, self.qnode.device.wires)
+                tape = node.construct((), arguments | {self.input_arg: x[None]})
+            places = places_of(tape, node.device.wires)
             measured = Measured(tape.measurements, places)
             operations = described(decomposed(tape.operations), places)
         except Exception as error:

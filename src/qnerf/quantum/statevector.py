@@ -64,11 +64,12 @@ class PlainCircuit:
         if not self.starts:
             return None
         n = self.circuit.wires
-        state, wires = torch.ones(1, 1, dtype=torch.complex128, device=weights.device), []
-        for part in self.starts:
-            amplitudes = part(x, weights)
+        state, *others = (part(x, weights) for part in self.starts)
+        for amplitudes in others:
             state = (state[:, :, None] * amplitudes[:, None, :]).flatten(1)
-            wires += part.wires
+        wires = [wire for part in self.starts for wire in part.wires]
+        if wires == list(range(n)):
+            return state
         rest = [wire for wire in range(n) if wire not in wires]
         state = torch.nn.functional.pad(state[:, :, None], (0, 2 ** len(rest) - 1)).reshape(-1, *(2,) * n)
         order = np.argsort(wires + rest).tolist()
@@ -356,4 +357,4 @@ class _Start:
         norm = values.square().sum(1, keepdim=True).sqrt()
         values = values / norm
         real, imaginary = values[:, : self.size], values[:, self.size :]
-        return torch.complex(real, imaginary if imaginary.shape[1] else torch.zeros_like(real))
+        return torch.complex(real, imaginary) if imaginary.shape[1] else real.to(torch.complex128)

@@ -37,7 +37,8 @@ WITHOUT_EFFECT = frozenset({"Identity", "GlobalPhase", "Barrier", "WireCut"})
 STATES = frozenset({"StatePrep", "AmplitudeEmbedding"})
 OWN = {getattr(qml, name) for name in (*GATES, *SHORT_NAMES, *WITHOUT_EFFECT, *STATES)}
 """PennyLane's classes that need no decomposition. A class of the same name may compute something else."""
-SLICED = (qml.MERA, qml.TTN, qml.MPS)  # their decompositions hand slices of the weights to a function of the user
+PARTS = (qml.ops.Prod, qml.MERA, qml.TTN, qml.MPS)
+"""Operations that are taken apart first: their parts may batch their own numbers, or be made by a user's function."""
 LARGEST_MATRIX = 3  # wires of a fixed matrix that is decomposed; a larger one takes more gates than it saves
 CHECKED_WIRES = 6  # of operations whose decomposition at their numbers is compared with their matrix
 MEASUREMENTS = (qml.measurements.ExpectationMP, qml.measurements.VarianceMP, qml.measurements.ProbabilityMP)
@@ -142,10 +143,10 @@ def _fixed_parts(operation: Any) -> tuple[Any, ...]:
     """
     if type(operation) in OWN:
         return (operation,)
-    of_pennylane = type(operation).__module__.startswith("pennylane.")
-    if isinstance(operation, SLICED) or not of_pennylane:
-        if getattr(operation, "has_matrix", False) or not getattr(operation, "has_decomposition", False):
-            raise ValueError(f"{operation.name} is an operation with a matrix of its own")
+    foreign = not type(operation).__module__.startswith("pennylane.")
+    if foreign and (getattr(operation, "has_matrix", False) or not getattr(operation, "has_decomposition", False)):
+        raise ValueError(f"{operation.name} is an operation with a matrix of its own")
+    if foreign or isinstance(operation, PARTS):
         return tuple(part for own in operation.decomposition() for part in _fixed_parts(own))
     leaves, structure = qml.pytrees.flatten(operation)
     try:
@@ -258,7 +259,10 @@ def _is_batched(operation: Any, place: int, dimensions: int) -> bool:
     """Whether a parameter has an entry for each sample."""
     if not dimensions:
         return False
-    expected = operation.ndim_params[place]
+    known: Any = getattr(operation, "ndim_params", None)  # a product below a control or an adjoint has none
+    if known is None:
+        raise ValueError(f"{operation.name} does not say which of its parameters are batches")
+    expected = known[place]
     if dimensions not in (expected, expected + 1):
         raise ValueError(f"{operation.name} has a parameter with {dimensions} dimensions")
     return bool(dimensions > expected)
@@ -350,7 +354,7 @@ def places_of(tape: Any, labels: Any) -> dict[Any, int]:
     measurements = getattr(tape, "measurements", ())
     everything = labels is not None and any(not measurement.wires for measurement in measurements)
     wires = list(labels if everything else tape.wires)
-    if set(wires) == set(range(len(wires))):  # PennyLane's order of these, whichever is used first
+    if not everything and set(wires) == set(range(len(wires))):  # PennyLane's order, whichever is used first
         wires = list(range(len(wires)))
     return {wire: place for place, wire in enumerate(wires)}
 
