@@ -1,6 +1,5 @@
 """A question to decide: its candidates, the runs that belong to them, and its record in the store."""
 
-import contextlib
 import hashlib
 import json
 import re
@@ -17,9 +16,7 @@ from qnerf.cli.identify import run_ids
 from qnerf.records.files import read_json, replace
 
 from ..load import runs
-
-FOLDER = ".decisions"
-"""In a store: a record a question."""
+from .records import FOLDER
 
 
 @dataclass(frozen=True)
@@ -99,20 +96,6 @@ class Record:
             return cls(**(read_json(path) | {"question": question})) if path.exists() else new
         except TypeError:
             raise ValueError(f"{path}: no record as this version writes it; move it away to begin anew") from None
-
-
-def records(store: str | Path) -> pd.DataFrame:
-    """The records of a store: what ended or was compared last in each scene, and the question that it belongs to."""
-    tables = []
-    for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
-            found = read_json(path)
-            looks = pd.DataFrame(found["looks"])
-            last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
-            asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
-            steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
-            tables.append(last.assign(**asked, most=found["most"], steps=steps))
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def name_of(scene: str) -> str:
