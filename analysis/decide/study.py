@@ -111,14 +111,14 @@ def title(scene: str, candidate: str) -> str:
 def trained(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
     """`found` after the runs that are not finished were trained, by any launcher; a run that diverged has no metric.
 
-    Of what the trainings print, a line each stays: the run's folder; with Slurm, where its output is. ValueError where
-    a run failed for another reason, KeyboardInterrupt where it was stopped.
+    Of what the trainings print, the run's folder and how long it takes stay; with Slurm, where its output is.
+    ValueError where a run failed for another reason, KeyboardInterrupt where it was stopped.
     """
     command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"store={store}"]
     command.append(f"seed={','.join(map(str, seeds))}")
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
-            if re.match(r"(\d+ \| )?run |jobs go to ", line):
+            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to ", line):
                 print(line, end="", flush=True)
     code = process.returncode
     if code in (130, -2):
