@@ -1,6 +1,5 @@
 """A question to decide: its candidates, the runs that belong to them, and its record in the store."""
 
-import contextlib
 import hashlib
 import json
 import re
@@ -17,9 +16,7 @@ from qnerf.cli.identify import run_ids
 from qnerf.records.files import read_json, replace
 
 from ..load import runs
-
-FOLDER = ".decisions"
-"""In a store: a record a question."""
+from .records import FOLDER
 
 
 @dataclass(frozen=True)
@@ -101,20 +98,6 @@ class Record:
             raise ValueError(f"{path}: no record as this version writes it; move it away to begin anew") from None
 
 
-def records(store: str | Path) -> pd.DataFrame:
-    """The records of a store: what ended or was compared last in each scene, and the question that it belongs to."""
-    tables = []
-    for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
-            found = read_json(path)
-            looks = pd.DataFrame(found["looks"])
-            last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
-            asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
-            steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
-            tables.append(last.assign(**asked, most=found["most"], steps=steps))
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
-
-
 def name_of(scene: str) -> str:
     """The name of a scene by its overrides: its folder's or, without one, its kind."""
     values = dict(part.partition("=")[::2] for part in scene.split())
@@ -128,14 +111,14 @@ def title(scene: str, candidate: str) -> str:
 def trained(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
     """`found` after the runs that are not finished were trained, by any launcher; a run that diverged has no metric.
 
-    Of what the trainings print, a line each stays: the run's folder; with Slurm, where its output is. ValueError where
-    a run failed for another reason, KeyboardInterrupt where it was stopped.
+    Of what the trainings print, the run's folder and how long it takes stay; with Slurm, where its output is.
+    ValueError where a run failed for another reason, KeyboardInterrupt where it was stopped.
     """
     command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"store={store}"]
     command.append(f"seed={','.join(map(str, seeds))}")
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
-            if re.match(r"(\d+ \| )?run |jobs go to ", line):
+            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to ", line):
                 print(line, end="", flush=True)
     code = process.returncode
     if code in (130, -2):

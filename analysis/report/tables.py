@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from ..decide.study import records
+from ..decide.records import records
 from ..figures import points
 from ..figures.files import collecting
 from ..selection import classical_baseline, row_keys, select

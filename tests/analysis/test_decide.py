@@ -8,7 +8,8 @@ import pytest
 from qnerf.analysis.decide import __main__ as decide
 from qnerf.analysis.decide import study
 from qnerf.analysis.decide.looks import looks, planned, seeds_needed, shares
-from qnerf.analysis.decide.study import Question, Record, records
+from qnerf.analysis.decide.records import records
+from qnerf.analysis.decide.study import Question, Record
 from qnerf.analysis.verdict import fisher, verdict
 from scipy import stats
 

@@ -61,6 +61,16 @@ def test_configurations_that_differ_in_nothing_that_acts_are_tried_once(small, t
     assert len(runs(tmp_path / "runs")) == 3
 
 
+def test_a_search_of_more_than_run_hours_is_refused_after_its_first_trial(small, tmp_path, qnerf):
+    long = (*SEARCH, *small, "seed=0,1,2", "train.steps=1", "train.eval_every=0")
+    done = qnerf("run", *long, "run.hours=1e-6")
+    assert done.code != 0
+    assert "2 trials more: about 0 minutes; hydra.sweeper.n_trials takes fewer, or run.hours=1 goes on" in done.err
+    assert len(runs(tmp_path / "runs")) == 1
+    assert qnerf("run", *long, "run.hours=1").code == 0
+    assert len(runs(tmp_path / "runs")) == 3
+
+
 def test_a_wrong_search_is_one_line(qnerf):
     mistakes = {
         "seed=1": "a search needs a space",

@@ -10,6 +10,7 @@ from qnerf.probes import load, shots_and_noise
 from qnerf.probes.shots_and_noise import Condition, evaluate_hardware, grid
 from qnerf.quantum import density
 from qnerf.records import StoreError
+from qnerf.training import forecast
 
 
 @pytest.fixture
@@ -61,19 +62,19 @@ def test_conditions_that_do_not_exist_are_one_line():
 
 def test_noise_that_is_slow_is_sampled_with_a_standard_error_and_its_time_told_before(path, monkeypatch):
     monkeypatch.setattr(density, "is_quick", lambda circuit: False)
-    monkeypatch.setattr(shots_and_noise, "TELL", 0.0)
+    monkeypatch.setattr(forecast, "TELL", 0.0)
     lines: list[str] = []
     conditions = grid([], "depolarizing", [0.01], 0, {"two_qubit": 0.02, "readout": 0.01})
     rows = evaluate_hardware(load(path), conditions, views=1, patterns=3, tell=lines.append)
     assert rows["noise"].tolist() == ["none", "depolarizing two_qubit=0.02 readout=0.01"]
     assert rows["psnr"].nunique() == 2
-    assert "about 0 minutes for 1 views" in lines[1]
+    assert ", 1 views: about 0 minutes" in lines[1]
     assert "standard error of a value 0." in lines[2]
     lines.clear()
     evaluate_hardware(load(path), grid([10], "none", [], 0), views=1, tell=lines.append)
-    assert "about 0 minutes for 1 views; views= renders fewer" in lines[1]
+    assert ", 1 views: about 0 minutes; views= renders fewer" in lines[1]
     monkeypatch.setattr(shots_and_noise, "seconds_of", lambda *_: 1e5)
-    with pytest.raises(ValueError, match=r"about 1,667 minutes for 1 views; .*, or run.hours=56 goes on"):
+    with pytest.raises(ValueError, match=r", 1 views: about 1,667 minutes; .*, or run.hours=56 goes on"):
         evaluate_hardware(load(path), grid([10], "none", [], 0), views=1)
     longer = dataclasses.replace(load(path).settings.run, hours=56.0)
     patient = dataclasses.replace(load(path), settings=dataclasses.replace(load(path).settings, run=longer))

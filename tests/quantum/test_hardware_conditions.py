@@ -9,7 +9,7 @@ import pennylane as qml
 import pytest
 import torch
 
-from qnerf.quantum import hardware_conditions
+from qnerf.quantum import diagnostics, from_qnode, hardware_conditions
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pennylane import apply, measurements
@@ -73,6 +73,31 @@ def test_conditions_that_are_wrong_are_refused() -> None:
     for options in ({"shots": 0}, {"shots": 2.5}, {"noise": 1.5}, {"noise": Noise}, {"method": "x"}, {"patterns": 0}):
         with pytest.raises(ValueError), hardware_conditions.conditions(layer, **options):  # noqa: PT011
             pass
+
+
+def test_conditions_and_diagnostics_of_a_circuit_of_pennylane_are_refused_with_the_cure() -> None:
+    @qml.qnode(qml.device("default.qubit", wires=2))
+    def circuit(inputs, w):  # type: ignore[no-untyped-def]
+        qml.AngleEmbedding(inputs, wires=range(2))
+        qml.StronglyEntanglingLayers(w, wires=range(2))
+        return [qml.expval(qml.Z(0)), qml.expval(qml.Z(1))]
+
+    layer = from_qnode(circuit, {"w": (2, 2, 3)})
+    model, x = torch.nn.Sequential(torch.nn.Linear(2, 2), layer), torch.rand(5, 2)
+    for noise, shots in ((None, 10), (0.1, None)):
+        refused = pytest.raises(ValueError, match=r"got Sequential.* QuantumLayer\(layer.circuit\(features\)\)")
+        with refused, hardware_conditions.conditions(model, noise=noise, shots=shots):
+            pass
+    for diagnostic in (diagnostics.expressibility, diagnostics.entangling_capability):
+        with pytest.raises(ValueError, match=r"got TorchLayer.* QuantumLayer\(layer.circuit\(features\)\)"):
+            diagnostic(layer)  # type: ignore[arg-type]
+    cured = QuantumLayer(layer.circuit(2))  # type: ignore[operator]
+    cured.load_state_dict(layer.state_dict())
+    torch.testing.assert_close(cured(x), layer(x))
+    both = torch.nn.Sequential(cured, layer)
+    warned = pytest.warns(UserWarning, match="1: circuits of PennyLane stay")
+    with warned, torch.no_grad(), hardware_conditions.conditions(both, shots=10):
+        assert not torch.equal(cured(x), layer(x))
 
 
 def test_a_circuit_trains_on_any_device_of_pennylane() -> None:

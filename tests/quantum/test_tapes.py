@@ -167,3 +167,20 @@ def test_transformed_and_own_devices_are_not_taken_for_their_base() -> None:
         layer = from_qnode(node, {})
         torch.testing.assert_close(layer(x), qml.qnn.TorchLayer(node, {})(x))
         assert layer.runs_on.startswith("default.qubit")
+
+
+def test_a_transform_of_the_device_sees_the_same_operations_on_fast_as_on_default_qubit() -> None:
+    @qml.transform
+    def overrotated(tape: Any) -> Any:
+        turned = [type(own)(1.1 * own.data[0], own.wires) if own.name == "RX" else own for own in tape.operations]
+        return [tape.copy(operations=turned)], lambda results: results[0]
+
+    def circuit(x: Any) -> Any:
+        qml.AngleEmbedding(x, wires=range(2))
+        return qml.expval(qml.Z(0))
+
+    x = torch.tensor([0.4, 0.8], dtype=torch.float64)
+    own, expected = (
+        qml.QNode(circuit, overrotated(qml.device(name, wires=2)))(x) for name in ("qnerf.fast", "default.qubit")
+    )
+    torch.testing.assert_close(own, expected)

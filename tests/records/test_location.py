@@ -12,7 +12,7 @@ from qnerf.records.location import existing_store
 from tests.helpers.stores import CONFIG, claimed
 
 
-@pytest.mark.parametrize("store", ["s3://bucket/runs", "http://localhost:1/x", "", "  ", "a\0b"])
+@pytest.mark.parametrize("store", ["s3://bucket/runs", "http://localhost:1/x", "~/runs", "", "  ", "a\0b"])
 def test_no_run_is_written_elsewhere_than_in_a_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: str
 ) -> None:

@@ -11,6 +11,7 @@ from PIL import Image
 from qnerf.cli import main
 from qnerf.cli.commands import render
 from qnerf.geometry.camera_paths import PATHS, Camera
+from qnerf.training import forecast
 from qnerf.training.evaluation import Evaluator
 from qnerf.viewing import video
 from qnerf.viewing.frames import Renderer
@@ -99,6 +100,26 @@ def test_the_command_writes_videos_of_colour_and_depth(tiny_run, tmp_path, capsy
     with Image.open(color) as one, Image.open(depth) as other:
         assert one.n_frames == other.n_frames == 2
         assert not np.array_equal(np.asarray(one.convert("RGB")), np.asarray(other.convert("RGB")))
+
+
+def test_long_work_is_announced_and_refused_from_a_day_on(tiny_run, tmp_path, capsys, monkeypatch):
+    jobs = {
+        "render": ["--size", "10x6", "--frames", "2", "--out", str(tmp_path / "video.webp")],
+        "export": ["--to", "points", "--within", "900", "--out", str(tmp_path / "points.ply")],
+    }
+    for name, arguments in jobs.items():
+        monkeypatch.setattr(forecast, "TELL", 0.0)
+        assert main.dispatch(name, [str(tiny_run), *arguments]) == 0
+        assert ": about 0 minutes; --" in capsys.readouterr().out
+        (written,) = tmp_path.iterdir()
+        written.unlink()
+        monkeypatch.setattr(Evaluator, "seconds", lambda *_: 1e5)
+        assert main.dispatch(name, [str(tiny_run), *arguments]) in (1, 2)
+        assert "or run.hours=56 goes on" in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
+        assert main.dispatch(name, [str(tiny_run), *arguments, "run.hours=56"]) == 0
+        written.unlink()
+        monkeypatch.undo()
 
 
 def test_a_path_from_a_file_renders_what_it_says(tiny_run, trained, tmp_path):

@@ -4,8 +4,10 @@ The values that a sweep would combine are the space of the search. The trials ru
 """
 
 import json
+import math
 import os
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,6 +36,7 @@ from qnerf.search.loop import NoObjective, search
 from qnerf.search.pruning import Judge
 from qnerf.search.space import Choices, Interval, Point, Space, overrides
 from qnerf.search.study import Options, Trial, best
+from qnerf.training.forecast import announced
 
 FILE = "judge.json"
 """In the folder of a sweep: what its jobs need to know to judge themselves."""
@@ -123,8 +126,15 @@ class OptunaSweeper(Sweeper):
                 peers = [name for trial in trials if trial.state == "finished" for name in trial.runs]
                 (sweep.folder / FILE).write_text(json.dumps({"metric": metric, "peers": peers, **options["prune"]}))
             jobs = [[*fixed, *overrides(space, point), *seed] for point in points for seed in seeds]
+            begun = time.monotonic()
             for job in self.launcher.launch(jobs, initial_job_idx=self.jobs):
                 _ = job.return_value  # raises what a job has raised
+            left = min(options["n_trials"], size(space)) - len(trials) - len(points)
+            if not self.jobs and left > 0:
+                seconds = (time.monotonic() - begun) / len(points) * left
+                hours = composer.configuration(jobs[0])["run"]["hours"]
+                if line := announced(f"{left} trials more", seconds, hours, "hydra.sweeper.n_trials takes fewer"):
+                    print(line, flush=True)
             self.jobs += len(jobs)
 
         history = History(space, options["objectives"], store, ids, self._defaults(space))
@@ -163,6 +173,11 @@ def values_of(override: Override) -> Choices | Interval:
     if not texts:
         raise ValueError(f"{override.input_line}: an empty list of values")
     return Choices.of(texts)
+
+
+def size(space: Space) -> float:
+    """How many points there are; infinite where an option has an interval."""
+    return math.prod(len(own.texts) if isinstance(own, Choices) else math.inf for own in space.values())
 
 
 def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> None:

@@ -1,14 +1,11 @@
 """A trained run rendered as on hardware: with finitely many shots, or with noisy gates."""
 
 import itertools
-import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import pandas as pd
-import torch
 
 from qnerf.config import bounds
 from qnerf.metrics import image_metrics, metric_of
@@ -18,11 +15,10 @@ from qnerf.quantum.noise import CHANNELS, Noise
 from qnerf.records.files import replace
 from qnerf.records.read import read_probe
 from qnerf.training.evaluation import Evaluator
+from qnerf.training.forecast import announced
 
 FILE = "eval_hardware.parquet"
 OTHERS = tuple(field.name for field in fields(Noise) if field.name not in CHANNELS)
-TELL = 60  # seconds of a condition, from which on its time is told before
-RAYS = 64  # on which the time of a view is estimated
 KEYS = ["shots", "noise", "p", "seed"]
 """A row is one image under one condition: shots (0: exact), channel ("none": no noise), its probability, seed."""
 
@@ -81,18 +77,11 @@ def grid(
     return list(dict.fromkeys([Condition(seed=seed), *conditions]))
 
 
-@torch.no_grad()
-def seconds_of(evaluator: Evaluator, condition: Condition, patterns: int, views: int) -> float:
+def seconds_of(evaluator: Evaluator, condition: Condition, patterns: int, views: Sequence[int]) -> float:
     """About how long a condition takes, from rendering a few rays under it."""
-    pixels = evaluator.table.view(evaluator.scene.eval[0])
-    rays = pixels[:RAYS]
-    begun = 0.0
     given = {"shots": condition.shots or None, "noise": condition.device, "patterns": patterns}
     with hardware_conditions.conditions(evaluator.model, **given, seed=condition.seed):
-        for _ in range(2):  # the first time compiles, and computes the polynomials of small light cones
-            begun = time.perf_counter()
-            evaluator.model.eval()(rays, background=evaluator.background, step=0, watch=evaluator.watch)
-    return (time.perf_counter() - begun) / len(rays) * views * len(pixels)
+        return evaluator.seconds(int(evaluator.scene.cameras.all_sizes[list(views)].prod(1).sum()))
 
 
 def evaluate_hardware(
@@ -130,18 +119,17 @@ def evaluate_hardware(
     measured()  # a damaged table is reported now
     table = pd.DataFrame()
     for condition in conditions:
-        count = len(scene.eval[: views or None])
-        drawn = condition.device.gates or condition.shots
-        if drawn and (seconds := seconds_of(evaluator, condition, patterns, count)) > TELL:
-            told = f"{_text(condition)}: about {seconds / 60:,.0f} minutes for {count} views; views= renders fewer"
-            if seconds > 3600 * trained.settings.run.hours:
-                raise ValueError(f"{told}, or run.hours={math.ceil(seconds / 1800)} goes on")
-            tell(told)
+        chosen = scene.eval[: views or None]
+        if condition.device.gates or condition.shots:
+            seconds = seconds_of(evaluator, condition, patterns, chosen)
+            less = "views= renders fewer"
+            if line := announced(f"{_text(condition)}, {len(chosen)} views", seconds, trained.settings.run.hours, less):
+                tell(line)
         rows = []
         with hardware_conditions.conditions(
             model, shots=condition.shots or None, noise=condition.device, seed=condition.seed, patterns=patterns
         ) as measuring:
-            for _, row in evaluator.views(scene.eval[: views or None], trained.step):
+            for _, row in evaluator.views(chosen, trained.step):
                 rows.append(row | condition.keys)
         new = pd.DataFrame(rows).astype({item.key: "float64" for item in image_metrics()})
         # Read and written after each condition, so that no row is lost if this stops or another command writes too.

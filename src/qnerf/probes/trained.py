@@ -16,6 +16,7 @@ from qnerf.config.settings import Settings
 from qnerf.geometry.rays import RayTable
 from qnerf.model.model import Model
 from qnerf.quantum import QuantumLayer
+from qnerf.quantum.hardware_conditions import CURE
 from qnerf.records import read_config, state
 from qnerf.records.checkpoints import load_archive
 from qnerf.records.files import reporting
@@ -76,7 +77,7 @@ class Trained:
         """Head -> its circuits by their place in it, for heads with circuits. ValueError if no head has one."""
         circuits = {name: found for name, head in self.heads.items() if (found := circuits_of(head))}
         if not circuits:
-            raise ValueError(f"{self.folder}: neither of its heads has a circuit of qnerf (QuantumLayer)")
+            raise ValueError(f"{self.folder}: neither of its heads has a circuit of qnerf (QuantumLayer); {CURE}")
         return circuits
 
     @torch.no_grad()

@@ -22,7 +22,7 @@ from qnerf.quantum.blocks import rotations_of
 from qnerf.quantum.circuit import Circuit, Gate
 from qnerf.quantum.cones import TooLarge, scales_of
 from qnerf.quantum.effects import without_effect as without_effect
-from qnerf.quantum.hardware_conditions import conditions
+from qnerf.quantum.hardware_conditions import conditions, require_layers
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.program import program
 from qnerf.quantum.simulator import Simulator
@@ -77,6 +77,7 @@ def states(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
 
 def _sampled_states(layer: QuantumLayer, count: int, x: Tensor | None, trained: bool) -> Tensor:
     """States (count, 2^n): of inputs that are drawn from the given ones, or uniform."""
+    require_layers(layer)
     features = layer.circuit.features or 0
     inputs = uniform_angles(count, features) if x is None else x.double().cpu()[torch.randint(len(x), (count,))]
     weights = weights_of(layer) if trained else random_weights(layer, count)
@@ -137,6 +138,7 @@ def fisher(layer: QuantumLayer, x: Tensor, weights: Tensor | None = None) -> Ten
     order is that of `weights_of`. `weights` of None are the layer's own. Where the circuit measures each wire in one
     basis, it is read there, else in the computational basis.
     """
+    require_layers(layer)
     circuit = _as_read(layer.circuit)
     point = weights_of(layer) if weights is None else weights.double()
     size = point.numel()
@@ -228,6 +230,7 @@ def surrogate(layer: QuantumLayer, fitted: Tensor, tested: Tensor, waves: int) -
     whole spectrum has more than `waves` vectors, as many are drawn, each encoding's part being the difference of two of
     its eigenvalues (random Fourier features, arXiv:2210.13200).
     """
+    require_layers(layer)
     frequencies, covered = _frequencies(_encodings(layer.circuit), waves)
     with torch.no_grad():
         targets, expected = (_exact(layer, x) for x in (fitted, tested))

@@ -26,6 +26,10 @@ EXACT = {"backprop", None}
 """Gradient methods with which the results stay in the tape's interface; with others they are arrays of NumPy."""
 
 
+class Decomposing(ExecutionConfig):
+    """Of a device whose transforms see the tapes as on `default.qubit`, not the templates that qnerf takes whole."""
+
+
 @simulator_tracking
 @single_tape_support
 class _Executing(Device):
@@ -72,12 +76,18 @@ class FastDevice(_Executing, DefaultQubit):
     def setup_execution_config(
         self, config: ExecutionConfig | None = None, circuit: QuantumScript | None = None
     ) -> ExecutionConfig:
-        """The configuration of `default.qubit`, with backprop for the methods of other simulators."""
-        return super().setup_execution_config(_backprop(config), circuit)
+        """The configuration of `default.qubit`, with backprop for the methods of other simulators.
+
+        Of a transformed device or of a subclass it is a `Decomposing` one.
+        """
+        own = super().setup_execution_config(_backprop(config), circuit)
+        return own if type(self) is FastDevice else Decomposing(**vars(own))
 
     def preprocess_transforms(self, execution_config: ExecutionConfig | None = None) -> CompilePipeline:
         """The transforms of `default.qubit`, for the tapes that it simulates."""
         config = execution_config or ExecutionConfig()
+        if isinstance(config, Decomposing):
+            return super().preprocess_transforms(config)
         pipeline = CompilePipeline()
         pipeline.add_transform(_unless_fast, self.wires, config, super().preprocess_transforms(config))
         return pipeline

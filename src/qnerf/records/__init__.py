@@ -4,7 +4,7 @@
       config.yaml          the resolved configuration
       overrides.txt        what the user typed
       environment.json     code, packages, machine; dirty.diff: changes since the commit
-      status.json          state, step, heartbeat, owner, error
+      status.json          state, step, heartbeat, owner, error, and the row of summary.parquet
       metrics/             part-00000.parquet ...: step int64, time_s float64, key string, value float64
       eval.parquet         one row per evaluated image
       summary.parquet      one row: final metrics, parameter counts, timings, the flat configuration

@@ -146,7 +146,8 @@ def _row(folder: Path) -> Row | None:
 
 def _frame(root: Path, rows: Sequence[Row], columns: Sequence[str] | None) -> pd.DataFrame:
     """A table of the rows. A column with text in some runs and other values in others is text."""
-    names = dict.fromkeys([*RUN_COLUMNS, *(name for row in rows for name in row)])
+    known = dict.fromkeys([*RUN_COLUMNS, *(name for row in rows for name in row)])
+    names = [name for name in known if columns is None or name in columns]
     frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names})
     for name, column in frame.items():
         if infer_dtype(column, skipna=True).startswith("mixed"):
@@ -154,12 +155,12 @@ def _frame(root: Path, rows: Sequence[Row], columns: Sequence[str] | None) -> pd
         elif known_kind(str(name)) in ("int", "float") and column.isna().all():
             frame[name] = column.astype(float)
     own = {
-        "state": [_true_state(root / row["run_id"], row["state"]) for row in rows],
-        "path": [str(root / row["run_id"]) for row in rows],
-        "tags": [tuple(row["tags"]) for row in rows],
+        "state": lambda row: _true_state(root / row["run_id"], row["state"]),
+        "path": lambda row: str(root / row["run_id"]),
+        "tags": lambda row: tuple(row["tags"]),
     }
-    for name, values in own.items():
-        frame[name] = pd.Series(values, index=frame.index, dtype=object)
+    for name in own.keys() & names:
+        frame[name] = pd.Series(list(map(own[name], rows)), index=frame.index, dtype=object)
     return frame if columns is None else frame[[name for name in columns if name in frame.columns]]
 
 

@@ -1,5 +1,6 @@
 """Where a store may be: in a folder of this machine."""
 
+import os
 import re
 from pathlib import Path
 
@@ -18,7 +19,8 @@ def store_folder(store: str | Path) -> Path:
     """The folder of a store, which need not exist yet.
 
     Raises:
-        ValueError: it is a URL, empty, not a path or not Unicode.
+        ValueError: it is a URL, empty, not a path, not Unicode, or begins with the `~` of a home folder, which a shell
+            replaces and nobody else.
     """
     text = str(store)
     if not text.strip() or "\0" in text:
@@ -27,6 +29,8 @@ def store_folder(store: str | Path) -> Path:
         raise ValueError(f"store: expected a folder whose name is UTF-8, got {text!r}")
     if _URL.match(text):
         raise ValueError(f"store: expected a folder, got {text}; copy the store here, or read its files with DuckDB")
+    if (home := os.path.expanduser(text)) != text:
+        raise ValueError(f"store: expected a folder, got {text}; write {home}")
     return Path(text)
 
 

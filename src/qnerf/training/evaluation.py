@@ -14,6 +14,7 @@ from qnerf.model.model import Model
 from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
+from qnerf.training.forecast import seconds_each
 from qnerf.training.image_metrics import Comparison, measure
 from qnerf.types import Rays
 
@@ -102,6 +103,17 @@ class Evaluator:
         return RenderedView(
             view, color.view(height, width, 3), depth.view(height, width), accumulation.view(height, width), stride
         )
+
+    @torch.no_grad()
+    def seconds(self, count: int) -> float:
+        """About how long it takes to render so many rays, under the conditions that the model is in."""
+        rays = self.table.view(self.scene.train[0])
+        self.model.eval()
+
+        def work(few: int) -> None:
+            self.model(rays[:few], background=self.background, step=0, watch=self.watch)
+
+        return count * seconds_each(work, min(self.chunk, len(rays)))
 
     def truth(self, view: int) -> Tensor:
         """(H, W, 3) in [0, 1], composited on the background where the image has alpha."""

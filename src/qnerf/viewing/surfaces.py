@@ -15,6 +15,7 @@ from torch import Tensor
 
 from qnerf.config import memory
 from qnerf.probes.trained import Trained
+from qnerf.training.forecast import announced, seconds_each
 from qnerf.viewing.frames import Renderer, as_bytes
 from qnerf.viewing.ply import Surface
 
@@ -87,24 +88,42 @@ def cloud(hits: Hits) -> Surface:
     return Surface(points[kept], normals, as_bytes(hits.colors[torch.from_numpy(kept)]))
 
 
-def mesh(renderer: Renderer, hits: Hits, cells: int = CELLS, level: float | None = None) -> Surface:
+def mesh(
+    renderer: Renderer,
+    hits: Hits,
+    cells: int = CELLS,
+    level: float | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Surface:
     """Marching cubes (Lorensen and Cline 1987, as scikit-image has them) on the logarithm of the density.
 
     The grid spans the points but for the outermost percent on each side. Only the triangles stay that training views
     see: behind a wall, where no ray gets, a field may hold anything.
 
     cells: of the grid along its longest side. level: density per world unit; None: half of the light is absorbed within
-    a twentieth of the longest side. ValueError where the density passes the level nowhere, or memory is too small.
+    a twentieth of the longest side. tell: takes the time of a long one before it starts.
+
+    ValueError where the density passes the level nowhere, memory is too small, or it takes more than `run.hours`.
     """
     low, high = (np.percentile(hits.points.double().numpy(), share, axis=0) for share in (1, 99))
     margin = 0.05 * (high - low).max()
     low, high = low - margin, high + margin
     cell = float((high - low).max()) / cells
     shape = tuple(int(size) for size in np.ceil((high - low) / cell) + 1)
-    memory.require(f"a grid of {' x '.join(map(str, shape))}", 40 * math.prod(shape), hint="use fewer --cells")
+    what, fewer = f"a grid of {' x '.join(map(str, shape))}", "use fewer --cells"
+    memory.require(what, 40 * math.prod(shape), hint=fewer)
     level = math.log(2) / (THICKNESS * cell * cells) if level is None else level
     field = renderer.trained.model.field
-    grid = sampled(lambda points: field.density(points[:, None])[:, 0], low, cell, shape, renderer)
+
+    def density(points: Tensor) -> Tensor:
+        return field.density(points[:, None])[:, 0]
+
+    some = hits.points[:SLAB].to(renderer.table.device, renderer.table.dtype)
+    with torch.no_grad():
+        seconds = math.prod(shape) * seconds_each(lambda few: density(some[:few]), len(some))
+    if line := announced(what, seconds, renderer.trained.settings.run.hours, fewer):
+        tell(line)
+    grid = sampled(density, low, cell, shape, renderer)
     try:
         surface = marched(grid, low, cell, level)
     except ValueError:

@@ -43,6 +43,7 @@ def main(options: argparse.Namespace) -> None:
     if not folders:
         raise ValueError("expected a run")
 
+    from qnerf.training.forecast import announced
     from qnerf.viewing import ply, surfaces
     from qnerf.viewing.frames import Renderer
 
@@ -53,11 +54,18 @@ def main(options: argparse.Namespace) -> None:
     for folder in folders:
         trained = load_stored(folder, overrides)
         renderer = Renderer(trained)
-        hits = surfaces.ray_ends(renderer, options.points or surfaces.RAYS, options.within or surfaces.WITHIN)
+        count = options.points or surfaces.RAYS
+        pixels = int(trained.scene.cameras.all_sizes[trained.scene.train].prod(1).sum())
+        seconds = renderer.evaluator.seconds(min(count, pixels))
+        if line := announced(
+            f"{min(count, pixels):,} rays", seconds, trained.settings.run.hours, "--points takes fewer"
+        ):
+            print(line, flush=True)
+        hits = surfaces.ray_ends(renderer, count, options.within or surfaces.WITHIN)
         if options.to == "points":
             surface = surfaces.cloud(hits)
         else:
-            surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level)
+            surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level, print)
         file = out if single else out / f"{folder.name}.ply"
         ply.write(file, surfaces.world(trained, surface))
         triangles = "" if surface.faces is None else f", {len(surface.faces):,} triangles"

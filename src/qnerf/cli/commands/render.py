@@ -72,6 +72,7 @@ def main(options: argparse.Namespace) -> None:
         raise ValueError("--coordinates is for a path from a file")
 
     from qnerf.cli.stored import load_stored
+    from qnerf.training.forecast import announced
     from qnerf.viewing import video
     from qnerf.viewing.frames import Renderer
 
@@ -82,11 +83,15 @@ def main(options: argparse.Namespace) -> None:
     cameras = cameras_of(trained, renderer, options)
     width, height = cameras[0].width, cameras[0].height
     video.check(out, width, height, len(cameras))
+    what = f"{count(len(cameras))} frames of {width} x {height}"
+    seconds = renderer.evaluator.seconds(len(cameras) * width * height)
+    if line := announced(what, seconds, trained.settings.run.hours, "--frames and --size make it shorter"):
+        print(line, flush=True)
     start, screen = time.monotonic(), console()
     pictures = renderer.pictures(cameras, options.what)
     shown = track(pictures, "rendering", len(cameras), console=screen, disable=not screen.is_terminal)
     video.write(out, shown, options.fps)
-    frame_text = f"{count(len(cameras))} frames of {width} x {height}, {len(cameras) / options.fps:.1f} s of video"
+    frame_text = f"{what}, {len(cameras) / options.fps:.1f} s of video"
     took = f"step {count(trained.step)}, rendered in {duration(time.monotonic() - start)}"
     print(f"{frame_text}, {took} -> {printable(out)}")
 
