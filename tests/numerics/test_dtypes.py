@@ -48,7 +48,7 @@ class Watcher(TorchDispatchMode):
         return out
 
 
-BACKWARD = ("training/trainer.py", "training/chain.py")
+BACKWARD = "training/trainer.py"
 
 
 def _place() -> str:
@@ -59,7 +59,7 @@ def _place() -> str:
         if path.is_relative_to(SOURCE):
             name = path.relative_to(SOURCE).as_posix()
             line = linecache.getline(frame.f_code.co_filename, frame.f_lineno)
-            return "backward" if name in BACKWARD and ".backward(" in line else name
+            return "backward" if name == BACKWARD and ".backward(" in line else name
         frame = frame.f_back
     return "elsewhere"
 

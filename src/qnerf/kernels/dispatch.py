@@ -35,19 +35,8 @@ _SHADINGS = {
     "qnerf.rendering.shading.EverySample": frozenset[str](),
     "qnerf.rendering.shading.MergeShading": frozenset(["parts"]),
 }
-_PROPOSAL = (
-    "samples final spacing update_every update_warmup anneal_steps anneal_slope padding levels base_resolution "
-    "max_resolutions log2_table_size features hidden"
-)
-_MODEL = {
-    "qnerf.model.model.Model": frozenset[str](),
-    "qnerf.model.field.Field": frozenset[str](),
-    "qnerf.geometry.pose_refinement.FixedPoses": frozenset[str](),
-    "qnerf.rendering.proposal_sampler.ProposalSampler": frozenset(_PROPOSAL.split()),
-}
 
 LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
-    "whole step": _SPACE | _NETWORK | _SHADINGS | _MODEL | {"qnerf.heads.mlp.MLPHead": _MLP},
     "training rays": {},
     "proposals": _SPACE | _NETWORK,
     "sample places": _SPACE,

@@ -101,7 +101,7 @@ class _GridMLP(torch.autograd.Function):
         if keeps:
             ctx.save_for_backward(points, inside, resolutions, table, *parameters)
             ctx.dense = dense
-        values: Tensor = ctx.work.forward(keeps)
+        values: Tensor = ctx.work.forward()
         return values.detach()  # the result will point to `ctx`, which must not point back to it
 
     @staticmethod
@@ -117,7 +117,7 @@ class _GridMLP(torch.autograd.Function):
 
 
 class GridPass(Pass):
-    """The loops in both directions at some points, with their buffers, for many calls.
+    """The loops in both directions at some points, with their buffers.
 
     Args:
         points: (N, 3), and which of them to evaluate, `inside` (N,); None: all. See `grid_mlp`.
@@ -126,13 +126,13 @@ class GridPass(Pass):
     """
 
     def __init__(
-        self, points: Tensor, inside: Tensor | None, network: tuple[Grid, Sequence[Layer]], keeps: bool = True
+        self, points: Tensor, inside: Tensor | None, network: tuple[Grid, Sequence[Layer]], keeps: bool
     ) -> None:
         (table, resolutions, dense), layers = network
         blocks = -(-len(points) // BLOCK)
         kept, blocks = np.empty(blocks, np.int32), blocks if keeps else 0
         super().__init__(layers, -(-blocks // PART))
-        self.table, self.to_table = table, empty(tuple(table.shape) if keeps else (0,), self.weights.dtype)
+        self.keeps = keeps
         self.values = points.new_empty(len(points), len(layers[-1].bias))
         number_of = np.empty((blocks, BLOCK), np.int32)
         encoded, to_encoded = empty((2, blocks, BLOCK * int(self.widths[0])), self.weights.dtype).unbind()
@@ -146,10 +146,9 @@ class GridPass(Pass):
         of_table = (points, number_of, kept, to_encoded, *grid)
         self._table = prepared(table_gradient, len(table), *of_table, grain=1)
 
-    def forward(self, keeps: bool = True) -> Tensor:
+    def forward(self) -> Tensor:
         """The values (N, O)."""
-        self.pack()
-        self._values(keeps)
+        self._values(self.keeps)
         return self.values
 
     def gradients(self, upstream: Tensor, to_table: Tensor) -> list[Tensor]:
@@ -157,12 +156,6 @@ class GridPass(Pass):
         self._layers(flat(upstream))
         self._table(flat(to_table))
         return [to_table, *self.summed()]
-
-    def backward(self, upstream: Tensor) -> None:
-        """Writes the gradients into the parameters."""
-        gradients = self.gradients(upstream, self.to_table)
-        for parameter, gradient in zip((self.table, *self.of_layers), gradients, strict=True):
-            parameter.grad = gradient
 
 
 @inner

@@ -88,7 +88,7 @@ class _MLP(torch.autograd.Function):
         ctx.work = MLPPass(rows, layers_of(parameters), keeps)
         if keeps:
             ctx.save_for_backward(rows, *parameters)
-        return ctx.work.forward(len(rows)).detach()  # the result will point to `ctx`, which must not point back to it
+        return ctx.work.forward().detach()  # the result will point to `ctx`, which must not point back to it
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -104,25 +104,20 @@ class _MLP(torch.autograd.Function):
 
 
 class Pass:
-    """Buffers for layers that change from call to call."""
+    """Packed layers, and buffers for the gradients of each part."""
 
     def __init__(self, layers: Sequence[Layer], parts: int) -> None:
         self.of_layers = [tensor for layer in layers for tensor in layer]
-        self.own = [flat(parameter) for parameter in self.of_layers]
         self.weights, self.widths = packed(layers)
         self.sums = np.empty((parts, len(self.weights)), self.weights.dtype)
 
-    def pack(self) -> None:
-        """Takes the weights and biases as they are now."""
-        np.concatenate(self.own, out=self.weights)
-
-    def summed(self, parts: int | None = None) -> list[Tensor]:
-        """The gradients of weights and biases, added up over the first `parts`; None: all."""
-        return unpacked(self.sums[:parts].sum(0), self.of_layers)
+    def summed(self) -> list[Tensor]:
+        """The gradients of weights and biases, added up over the parts."""
+        return unpacked(self.sums.sum(0), self.of_layers)
 
 
 class MLPPass(Pass):
-    """The loops in both directions on at most so many rows (N, D), with their buffers, for many calls.
+    """The loops in both directions on rows (N, D), with their buffers.
 
     Args:
         keeps: whether `gradients` may follow.
@@ -134,26 +129,18 @@ class MLPPass(Pass):
         self.rows, self.kept = flat(rows), flat(rows.new_empty(blocks, units * BLOCK))
         self.values = rows.new_empty(len(rows), len(layers[-1].bias))
 
-    def forward(self, count: int) -> Tensor:
-        """The values (count, O) of the first rows."""
-        self.pack()
-        values = self.values[:count]
-        blocks = -(-count // BLOCK)
-        run(_values, blocks, self.rows, self.weights, self.widths, self.kept, flat(values), grain=PART)
-        return values
+    def forward(self) -> Tensor:
+        """The values (N, O)."""
+        blocks = -(-len(self.values) // BLOCK)
+        run(_values, blocks, self.rows, self.weights, self.widths, self.kept, flat(self.values), grain=PART)
+        return self.values
 
     def gradients(self, upstream: Tensor, to_rows: Tensor | None) -> list[Tensor]:
-        """Of weights and biases, for the gradients (count, O) of the values. Those of the rows are written."""
+        """Of weights and biases, for the gradients (N, O) of the values. Those of the rows are written."""
         to = self.weights[:0] if to_rows is None else flat(to_rows)
-        parts = -(-len(upstream) // (PART * BLOCK))
         arrays = (self.rows, self.kept, self.weights, self.widths, *ALL_POINTS, to, self.sums, flat(upstream))
-        run(gradients, parts, *arrays, grain=1)
-        return self.summed(parts)
-
-    def backward(self, upstream: Tensor, to_rows: Tensor) -> None:
-        """Writes the gradients into the parameters and those of the rows."""
-        for parameter, gradient in zip(self.of_layers, self.gradients(upstream, to_rows), strict=True):
-            parameter.grad = gradient
+        run(gradients, len(self.sums), *arrays, grain=1)
+        return self.summed()
 
 
 def packed(layers: Sequence[Layer]) -> tuple[np.ndarray, np.ndarray]:

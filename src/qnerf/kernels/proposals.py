@@ -1,8 +1,8 @@
 """The way of a ray through a proposal network, from its first edges to the next ones, in one compiled CPU loop.
 
 It is what `qnerf.rendering.proposal_sampler` does, which is the plain PyTorch reference: each other loop of the way,
-called for a few rays at a time. The chain of a training step (`qnerf.training.chain`) also takes gradients back
-through it.
+called for a few rays at a time. It makes no gradients: in steps in which the networks learn, the loops are called one
+by one.
 """
 
 from math import gcd
@@ -19,8 +19,7 @@ from qnerf.kernels.histogram import draw_edges
 from qnerf.kernels.jit import Call, jit, prepared
 from qnerf.kernels.mlp import Layer
 from qnerf.kernels.points import place
-from qnerf.kernels.shading import bounded
-from qnerf.kernels.transmittance import GRAIN, backward, forward
+from qnerf.kernels.transmittance import forward
 
 RAYS = 32  # at least so many rays at a time
 KNOWN_SPACINGS = ("uniform", "disparity", "geometric", "piecewise")  # by their numbers in `to_world`
@@ -49,18 +48,15 @@ class Draws(NamedTuple):
 
 
 class Proposal:
-    """One network's proposals for R rays, with the buffers of the loop, for many calls.
+    """One network's proposals for R rays, with the buffers of the loop.
 
     Args:
         s: (R, K + 1) edges in the normalised coordinate.
         network: as `grid_mlp` takes it.
-        keeps: whether `backward` may follow.
     """
 
-    def __init__(
-        self, space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws, keeps: bool = True
-    ) -> None:
-        self.s = s = s.contiguous()  # even edges are the same for all rays
+    def __init__(self, space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws) -> None:
+        s = s.contiguous()  # even edges are the same for all rays
         rays, count = s.shape[0], s.shape[1] - 1
         self.t, self.weights, self.drawn = (
             s.new_empty(s.shape),
@@ -69,37 +65,36 @@ class Proposal:
         )
         unit = s.new_empty(rays * count, 3)
         inside = None if space.mask is None else torch.empty(rays * count, dtype=torch.bool)
-        density, delta, after, annealed, self.to_values = s.new_empty(5, rays, count).unbind()
-        self.grid_pass = GridPass(unit, inside, network, keeps)
+        density, delta, after, annealed = s.new_empty(4, rays, count).unbind()
         cells, side = (np.ones(1, np.bool_), 0) if space.mask is None else (space.mask, space.mask.shape[0])
         group = _group(count)
         self._forward = prepared(
             _propose,
             -(-rays // group),
             *(group, space.origins, space.directions, space.near, space.far, KNOWN_SPACINGS.index(space.spacing)),
-            *(space.contraction, space.half_extent, cells, side, s, s.numpy(), *self.grid_pass.arrays),
+            *(
+                space.contraction,
+                space.half_extent,
+                cells,
+                side,
+                s,
+                s.numpy(),
+                *GridPass(unit, inside, network, keeps=False).arrays,
+            ),
             np.full(rays, 0.5, s.numpy().dtype) if draws.jitter is None else draws.jitter,
             *(draws.padding, draws.min_total, self.t, self.weights.numpy(), self.drawn.numpy()),
             *(np.empty(0, np.bool_) if inside is None else inside, unit, density, delta, after, annealed),
             grain=1,
         )
-        arrays = (count, density, delta, after, self.weights, self.to_values)
-        self._backward = prepared(_value_gradient, rays, *arrays, grain=GRAIN)
 
-    def forward(self, exponent: float, keeps: bool = True) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, exponent: float) -> tuple[Tensor, Tensor, Tensor]:
         """Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
 
         Args:
             exponent: power of the weights from which edges are drawn.
         """
-        self.grid_pass.pack()
-        self._forward(exponent, keeps)
+        self._forward(exponent, False)
         return self.t, self.weights, self.drawn
-
-    def backward(self, upstream: np.ndarray) -> None:
-        """Writes the gradients of the network's parameters, for those of the weights."""
-        self._backward(upstream)
-        self.grid_pass.backward(self.to_values)
 
 
 def in_world(space: Space, s: Tensor, t: Tensor) -> Call:
@@ -146,14 +141,6 @@ def to_world(start, stop, spacing, near, far, s, t):  # type: ignore[no-untyped-
                 curve = g_near + width * s[i]
                 beyond = half / (rest_far + rest * (one - s[i]))
                 t[i] = curve * two if curve < half else max(beyond, one)
-
-
-@jit
-def _value_gradient(start, stop, count, density, delta, after, weights, to_values, upstream):  # type: ignore[no-untyped-def]
-    """Writes the gradients of rays start..stop by the network's values, of which the density is the exponential."""
-    backward(start, stop, count, delta, after, weights, upstream, to_values)
-    for i in range(U(start) * U(count), U(stop) * U(count)):
-        to_values[i] *= bounded(density[i])
 
 
 @jit

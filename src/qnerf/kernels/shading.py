@@ -34,7 +34,7 @@ class Options(NamedTuple):
 
 
 class Buffers(NamedTuple):
-    """What the loops write; the chain of a training step makes it once."""
+    """What the loops write."""
 
     weights: Tensor  # (R, K)
     shares: Tensor  # (R, M) of the colours

@@ -146,17 +146,13 @@ class ProposalSampler(Sampler):
         proposals = []
         for network, jitter, count in zip(self.networks, jitters[1:], (*self.samples[1:], self.final), strict=True):
             assert isinstance(network, ProposalNetwork)
-            proposal = Proposal(space, s, network.parts, self.draws(count, jitter), keeps=False)
-            t, weights, drawn = proposal.forward(exponent, keeps=False)
+            proposal = Proposal(space, s, network.parts, Draws(count + 1, jitter, self.padding, MIN_TOTAL))
+            t, weights, drawn = proposal.forward(exponent)
             proposals.append((Samples(t, s), weights))
             s = drawn
         t = torch.empty_like(s)
         in_world(space, s, t)()
         return SampledRays(Samples(t, s), proposals)
-
-    def draws(self, count: int, jitter: Tensor | None) -> Draws:
-        """How the edges of the next `count` intervals are drawn."""
-        return Draws(count + 1, jitter, self.padding, MIN_TOTAL)
 
     def space(self, rays: Rays) -> Space | None:
         """What the loop over a proposal takes besides its network; None: it does not know one of the components."""

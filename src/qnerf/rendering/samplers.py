@@ -81,10 +81,10 @@ def draw_jitter(rays: Rays, draws: int, generator: torch.Generator | None) -> li
     return list(jitter.to(rays.origins.device))
 
 
-def even_edges(rays: Rays, samples: int, jitter: Tensor | None, out: Tensor | None = None) -> Tensor:
+def even_edges(rays: Rays, samples: int, jitter: Tensor | None) -> Tensor:
     """Evenly spaced edges (R, K + 1) in [0, 1]; `jitter` (R, 1) moves each edge between its neighbouring midpoints."""
     edges, low, width = _even(samples, rays.near.dtype, rays.near.device)
-    return edges.expand(len(rays), -1) if jitter is None else torch.addcmul(low, width, jitter, out=out)
+    return edges.expand(len(rays), -1) if jitter is None else torch.addcmul(low, width, jitter)
 
 
 @cache

@@ -19,7 +19,6 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
-from qnerf.training.chain import Chain
 from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.schedules import falls_from, learning_rate
@@ -103,10 +102,6 @@ class Loop:
         """Draws a batch from the streams; the weighted terms whose sum is minimised."""
         raise NotImplementedError
 
-    def backward(self, loss: Tensor) -> None:
-        """Gives each parameter its gradient."""
-        loss.backward()
-
     def take_step(self, measure: bool) -> dict[str, float]:
         """One optimisation step.
 
@@ -132,7 +127,7 @@ class Loop:
                 raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
             with self.watch.stage("backward"):
                 forget_gradients(self.optimiser)
-                self.backward(loss)
+                loss.backward()
             if not self.step_seconds:
                 self.untaught = [name for name, parts in self.model.parts.items() if parts and not _learns(parts)]
         with self.watch.stage("optimiser"):
@@ -291,7 +286,6 @@ class Trainer(Loop):
         super().__init__(model, settings, watch, plateau)
         self.table = table
         self.background = settings.render.background
-        self.chain, self.chained = Chain(model, table, self.train, self.background), False
         self.validation_rays = stop.rays
 
     def prepare_step(self) -> None:
@@ -301,10 +295,6 @@ class Trainer(Loop):
             mask.look(self.model.field, self.streams["samples"])
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
-        own = type(self).loss_terms is not Trainer.loss_terms or "loss_terms" in vars(self)
-        self.chained = self.chain.serves("another loss" if own else None)
-        if self.chained:
-            return self.chain.terms(streams, step, self.watch)
         with self.watch.stage("sampling"):
             rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras)
         rendering, sampled, behind = self.model(
@@ -312,12 +302,6 @@ class Trainer(Loop):
         )
         with self.watch.stage("render"):
             return self.loss_terms(rendering, sampled, composite(pixels, behind))
-
-    def backward(self, loss: Tensor) -> None:
-        if self.chained:
-            self.chain.backward()
-        else:
-            super().backward(loss)
 
     def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
         """The weighted terms whose sum is minimised; `target` are the true colours (R, 3)."""
