@@ -6,6 +6,7 @@ from random import Random
 from typing import Any
 
 import torch
+from hypothesis import strategies as st
 from torch import Tensor
 
 from qnerf.quantum.circuit import GATES, Amplitudes, Circuit, Gate, Hamiltonian, Probabilities, Weights, feature
@@ -37,6 +38,9 @@ def random_circuit(number: int) -> Circuit:
             angles = [angle.parts()[0] for angle in angles]
         operations.append(Gate(name, wires, tuple(angles), word))
     return Circuit(f"number {number}", n, operations, _observables(rng, n), FEATURES, W)
+
+
+any_circuits = st.integers(0, 10**6).map(random_circuit)
 
 
 def _angle(rng: Random) -> Expression:

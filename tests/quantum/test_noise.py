@@ -30,7 +30,7 @@ from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pennylane import apply, measurements, observables
 from qnerf.quantum.simulator import Simulator
-from tests.quantum.test_any_circuit import circuits
+from tests.helpers.circuits import any_circuits
 
 MIXTURE = Noise(depolarizing=0.02, two_qubit=0.05, phase_damping=0.03, bit_flip=0.01)
 RELAXATION = {"t1": 50e-6, "t2": 30e-6, "one_qubit_time": 1e-6, "two_qubit_time": 4e-6}
@@ -124,7 +124,7 @@ def test_derivatives_with_sampled_noise_are_those_of_the_patterns() -> None:
 
 
 @settings(max_examples=6)
-@given(circuit=circuits())
+@given(circuit=any_circuits)
 def test_density_matrices_of_any_circuit_equal_default_mixed(circuit: Circuit) -> None:
     noise = replace(MIXTURE, amplitude_damping=0.1)
     layer = QuantumLayer(circuit).double()

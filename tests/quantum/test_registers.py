@@ -5,19 +5,18 @@ from dataclasses import replace
 import pytest
 import torch
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from qnerf.quantum.circuit import ANSATZE, Circuit
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.registers import is_split, registers
 from qnerf.quantum.simulator import Simulator
 from qnerf.quantum.statevector import PlainCircuit, gate_by_gate
-from tests.quantum.test_any_circuit import circuits as any_circuits
-from tests.quantum.test_engines import assert_same, circuits, results
+from tests.helpers.circuits import any_circuits
+from tests.quantum.test_engines import assert_same, results
 
 
 @settings(max_examples=20)
-@given(circuit=st.one_of(circuits(), any_circuits()))
+@given(circuit=any_circuits)
 def test_registers_of_a_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
     simulator = Simulator(circuit, "statevector")
     assert_same(results(simulator.of_registers, circuit), results(simulator, circuit), 1e-12, 1e-11)

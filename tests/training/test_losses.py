@@ -1,10 +1,13 @@
+import pytest
 import torch
 
 from qnerf.training.losses import (
     distortion,
     interlevel,
 )
+from qnerf.training.terms import LOSSES
 from qnerf.types import Samples
+from tests.helpers.trainer import trainer
 
 
 def histogram(rays: int, bins: int, seed: int, dtype: torch.dtype = torch.float64) -> tuple[Samples, torch.Tensor]:
@@ -36,3 +39,25 @@ def test_dtypes_that_are_not_compiled_take_the_reference() -> None:
     samples, weights = histogram(2, 6, 0)
     half = Samples(samples.edges.bfloat16(), samples.spacing.bfloat16())
     assert distortion(half, weights.bfloat16()).dtype == torch.bfloat16
+
+
+def test_a_registered_term_trains_from_the_step_in_which_it_acts(tiny, monkeypatch):
+    monkeypatch.setitem(LOSSES._components, "bright", lambda step: step.rendering.color.mean() if step.number else None)
+    config = ("field=classical", "train.rays=40", "train.steps=9")
+    plain, more = trainer(tiny(*config)), trainer(tiny(*config, "train.losses={bright: 5.0}"))
+    assert plain.take_step(measure=True)["train/loss"] == more.take_step(measure=True)["train/loss"]
+    expected, found = plain.take_step(measure=True), more.take_step(measure=True)
+    assert found["train/mse"] == expected["train/mse"]
+    assert found["train/loss"] == pytest.approx(
+        found["train/mse"] + found["train/bright"] + found["train/distortion"] + found["train/interlevel"]
+    )
+    one, other = (torch.cat([part.flatten() for part in taken.model.parameters()]) for taken in (plain, more))
+    assert not torch.equal(one, other)
+
+
+def test_a_built_in_term_can_be_taken_out_and_an_unknown_one_is_named(tiny):
+    without = trainer(tiny("field=classical", "train.losses={distortion: 0}")).take_step(measure=True)
+    assert "train/mse" in without
+    assert "train/distortion" not in without
+    with pytest.raises(ValueError, match="unknown name 'opacety'; known: distortion, interlevel, mse, poses"):
+        trainer(tiny("field=classical", "train.losses={opacety: 1}"))

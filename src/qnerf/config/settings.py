@@ -72,6 +72,7 @@ class Train(Schedule):
     rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
     interlevel: NonNegativeFactor = 0.0  # weight of the interlevel loss
     distortion: NonNegativeFactor = 0.0  # weight of the distortion loss
+    losses: dict[str, NonNegativeFactor] | None = None  # weights of further registered terms
     eval_views: NonNegativeInt = 0  # views evaluated during training; 0: all
     chunk: Annotated[int, Interval(ge=1, le=2**24)] = 2048  # rays rendered at once in evaluation
 

@@ -19,11 +19,11 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
-from qnerf.training.losses import distortion, interlevel, mse
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients, kept_of_a_parameter
 from qnerf.training.schedules import falls_from, learning_rate
 from qnerf.training.state_checks import check_integer, check_like, check_optimiser, check_stream, first_non_finite
 from qnerf.training.stopping import Plateau
+from qnerf.training.terms import LOSSES, Step, weights_of
 from qnerf.training.threads import few_products
 from qnerf.types import Rendering
 
@@ -287,6 +287,7 @@ class Trainer(Loop):
         self.table = table
         self.background = settings.render.background
         self.validation_rays = stop.rays
+        self.weights = weights_of(settings.train)
 
     def prepare_step(self) -> None:
         """Updates the occupancy, if that is due."""
@@ -304,20 +305,10 @@ class Trainer(Loop):
             return self.loss_terms(rendering, sampled, composite(pixels, behind))
 
     def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
-        """The weighted terms whose sum is minimised; `target` are the true colours (R, 3)."""
-        terms = {"mse": mse(rendering.color, target)}
-        if self.train.distortion:
-            terms["distortion"] = self.train.distortion * distortion(sampled.samples, rendering.weights)
-        learns = any(weights.requires_grad for _, weights in sampled.proposals)
-        # In other steps it has no gradient, and is computed only to be logged.
-        if self.train.interlevel and sampled.proposals and (learns or self.watch.active):
-            terms["interlevel"] = self.train.interlevel * interlevel(
-                sampled.samples, rendering.weights, sampled.proposals
-            )
-        penalty = self.model.cameras.penalty()
-        if penalty is not None:
-            terms["poses"] = penalty
-        return terms
+        """The weighted terms of `qnerf.training.terms`; their sum is minimised. `target` (R, 3): true colours."""
+        step = Step(rendering, sampled, target, self.model, self.step, self.watch.active)
+        terms = {name: (weight, LOSSES.get(name)(step)) for name, weight in self.weights.items()}
+        return {name: weight * term for name, (weight, term) in terms.items() if term is not None}
 
     @torch.no_grad()
     def validate(self) -> float:
