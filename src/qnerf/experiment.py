@@ -297,7 +297,13 @@ class _Training:
         return result
 
     def evaluate(self, views: Sequence[int], rays: int | None = None) -> tuple[list[Measures], Measures | None]:
-        return evaluate(self.evaluator, self.record, views, self.trainer.step, self.stopping, self.display.phase, rays)
+        step = self.trainer.step
+        found = evaluate(self.evaluator, self.record, views, step, self.stopping, self.display.phase, rays)
+        share = (found[1] or {}).get("explained")
+        if is_number(share) and share < COLORLESS and step >= EARLY:
+            told = f"after {step} steps the model explains {max(share, 0):.0%} of the variance of the colours"
+            self.record.warn(f"colourless: {told}; {self.task.brings_color} may mend it")
+        return found
 
     def stopping(self) -> bool:
         return self.pruned or self.stopped()
@@ -374,12 +380,6 @@ def evaluate(
     if measured.get("psnr", 0.0) is None:
         measured["psnr_reason"] = "the masks leave no pixel of the held-out views"
         record.warn(f"no psnr: {measured['psnr_reason']}")
-    share = measured.get("explained")
-    if is_number(share) and share < COLORLESS and step >= EARLY:
-        record.warn(
-            f"colourless: after {step} steps the model explains {max(share, 0):.0%} of the variance of the held-out "
-            "colours; render.background=random, a larger density.initial or a lower train.rates.color may mend it"
-        )
     record.write_summary(measured | {"steps": step})
     return rows, measured
 

@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 from rich.console import Console
 
+from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.cli.commands import show
 from qnerf.cli.display import print_outcome
@@ -74,6 +75,14 @@ def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
     resumed = run(config)
     assert resumed.state == "finished"
     assert resumed.summary["psnr"] == whole["psnr"]
+
+
+def test_a_colourless_run_says_so_with_options_that_it_has(fit, tiny, monkeypatch):
+    monkeypatch.setattr(experiment, "EARLY", 1)
+    photograph, field = fit("scene=photograph", "train.lr=1e-9"), tiny("field=classical", "train.lr=1e-9")
+    for config, cure in ((photograph, "; a lower train.lr may"), (field, "a lower train.rates.color may")):
+        lines = (run(config).path / "log.txt").read_text().splitlines()
+        assert cure in next(line for line in lines if "colourless" in line)
 
 
 def test_the_eikonal_error_is_that_of_the_gradient(fit):

@@ -23,6 +23,7 @@ class FieldTask(Task):
 
     options = Settings
     headline = Scene.headline
+    brings_color = "render.background=random, a larger density.initial or a lower train.rates.color"
     settings: Settings
     model: Model
 

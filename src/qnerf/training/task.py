@@ -41,6 +41,9 @@ class Task(ABC):
     held_out: ClassVar[str] = "views"
     """What is held out; empty where the whole is one view."""
 
+    brings_color: ClassVar[str] = "a lower train.lr"
+    """Options that may mend a model which shows one colour, for the line that says so."""
+
     name: str
     fingerprint: str
     """Hash of what the scene is made from; the same on every machine."""
