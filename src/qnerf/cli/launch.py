@@ -8,6 +8,7 @@ import logging
 import os
 import re
 import sys
+import threading
 import traceback
 import warnings
 from functools import partial
@@ -39,6 +40,7 @@ from qnerf.records import owner, state
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
 _jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
+_working = threading.Lock()  # held while a job runs
 _full_errors: list[bool] = []  # whether the user asked for tracebacks, with Hydra's HYDRA_FULL_ERROR=1
 
 
@@ -59,12 +61,19 @@ class _Prefixed:
 @ends.stoppable()  # the processes of a launcher start here
 def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
+    with _working:
+        _job(composed)
+
+
+def _job(composed: DictConfig) -> None:
     ends.escape_unencodable()  # in a launcher's process, too
     own = HydraConfig.get()
     sweep = Sweep(own.sweep.dir) if own.mode == RunMode.MULTIRUN else None
     _jobs.append(sweep)
     side_by_side = sweep is not None and own.runtime.choices["hydra/launcher"] == "joblib"
     prefix = f"{own.job.num} | " if side_by_side else ""
+    if side_by_side and len(_jobs) == 1:
+        sweeps.leave_when_abandoned(_working)
     try:
         if not _stopping(sweep):
             _train(composed, prefix, sweep)
@@ -74,9 +83,6 @@ def job(composed: DictConfig) -> None:
             sys.exit(ends.stopped_code())
     except Exception as error:
         _failed(error, prefix, sweep)
-    finally:
-        if sweep is not None and sweeps.is_abandoned():
-            os._exit(FAILED)  # otherwise joblib's process waits for its next job
 
 
 def _failed(error: Exception, prefix: str, sweep: Sweep | None) -> None:

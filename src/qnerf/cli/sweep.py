@@ -31,7 +31,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from qnerf.building.configuration import Configuration
 from qnerf.cli import compose
-from qnerf.cli.ends import INTERRUPTED
+from qnerf.cli.ends import FAILED, INTERRUPTED
 from qnerf.cli.errors import one_line
 from qnerf.records import StoreError, owner, state
 from qnerf.records.files import read_json, replace
@@ -292,6 +292,21 @@ def stop_together(sweep: Sweep) -> None:
         signal.signal(kind, stop)
     signal.pthread_sigmask(signal.SIG_BLOCK, requests)
     threading.Thread(target=receive, name="qnerf-signals", daemon=True).start()
+
+
+def leave_when_abandoned(working: threading.Lock) -> None:
+    """Ends this process, one of joblib's, once the sweep's process is dead and no job holds `working`.
+
+    Without this, a process that waits for its next job would wait for minutes, and keep the sweep's output open.
+    """
+
+    def watch() -> None:
+        while not is_abandoned():
+            time.sleep(1)
+        with working:
+            os._exit(FAILED)
+
+    threading.Thread(target=watch, name="qnerf-abandoned", daemon=True).start()
 
 
 def is_abandoned() -> bool:
