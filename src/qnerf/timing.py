@@ -42,9 +42,9 @@ class Stopwatch:
         self.active = measure
         self.seconds = dict.fromkeys(STAGES, 0.0)
 
-    def now(self) -> float:
-        """Seconds on a monotonic clock, after the device has finished its work."""
-        if self.device.type != "cpu":
+    def now(self, wait: bool = True) -> float:
+        """Seconds on a monotonic clock; if `wait`, after the device has finished its work."""
+        if wait and self.device.type != "cpu":
             torch.accelerator.synchronize(self.device)
         return time.perf_counter()
 

@@ -14,14 +14,14 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch._subclasses.fake_tensor import FakeTensorMode
+from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 from torch.overrides import TorchFunctionMode
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
+from qnerf.model.occupancy import Occupancy
 from qnerf.quantum import QuantumLayer
-from qnerf.training.losses import distortion, interlevel, mse
 from tests.helpers.configs import TINY, composed
-from tests.helpers.trainer import built
+from tests.helpers.trainer import trainer as built_trainer
 
 DEVICE = "elsewhere"
 CASES = (("qiren", 1, None), ("qiren", 2, 0.1), ("cnot", 2, None), ("rx", 2, None))  # ansatz, re-uploadings, noise
@@ -90,23 +90,32 @@ def main() -> None:
 
 
 def step(field: str) -> None:
-    """Forward and backward pass of a training step; boolean masks need values, so nothing is left out of it."""
+    """A training step as the trainer takes it: its rays, its terms, backward, and a look of the occupancy grid.
+
+    A number that is read, or a shape that depends on values, is an error of fake tensors.
+    """
     config = composed(
-        "scene=poster", *TINY, f"field={field}", "qiren.qubits=3", "hash=C7", "train.rays=8", "shading=none",
-        "visibility.cameras=0", "device=cpu",
+        "scene=poster", *TINY, f"field={field}", "qiren.qubits=3", "hash=C7", "train.rays=8", "device=cpu",
+        "occupancy.every=1", "visibility.resolution=16",
     )  # fmt: skip
-    _, _, model, table, watch = built(config)
-    rays, pixels = table.batch(8, torch.Generator().manual_seed(0), model.cameras)
+    trainer = built_trainer(config)
+    model, table = trainer.model, trainer.table
     with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():
         moved(model)
-        rays, pixels = on_device(rays), pixels.detach().to(DEVICE)
-        rendering, sampled, _ = model(rays, background="last_sample", step=0, watch=watch)
-        losses = [
-            mse(rendering.color, pixels[..., :3]),
-            distortion(sampled.samples, rendering.weights),
-            interlevel(sampled.samples, rendering.weights, sampled.proposals),
-        ]
-        check(field, losses, [p for p in model.parameters() if p.requires_grad])
+        table.device = torch.device(DEVICE)
+        for name, value in vars(table).items():
+            if torch.is_tensor(value):
+                setattr(table, name, value.detach().to(DEVICE))
+        assert isinstance(model.field.mask, Occupancy)
+        streams = {"pixels": torch.Generator().manual_seed(0), "samples": torch.Generator().manual_seed(1)}
+        with suppress(DataDependentOutputException):
+            bool(model.field.mask.grid.any())
+            raise AssertionError("a number was read unseen")
+        for number in (0, 10):  # the proposal networks learn in the first of them
+            model.field.mask.look(model.field, streams["samples"])
+            terms = trainer.terms(streams, number)
+            parameters = [p for p in model.parameters() if p.requires_grad]
+            check(f"{field} {number}", terms.values(), parameters)
 
 
 if __name__ == "__main__":

@@ -76,7 +76,7 @@ def rays_from(directions: Tensor, poses: Tensor, views: Tensor, near: float, far
         near, far: world units.
     """
     rotated = (poses[:, :, :3] * directions[:, None, :]).sum(-1)
-    bounds = (poses.new_tensor([value]).expand(len(views), 1) for value in (near, far))
+    bounds = (poses.new_full((), value).expand(len(views), 1) for value in (near, far))
     return Rays(poses[:, :, 3], rotated, views, *bounds)
 
 
@@ -122,6 +122,11 @@ def spread_rays(scene: Scene, count: int) -> Rays:
     widths = scene.cameras.all_sizes[views, 0]
     centres = torch.stack([pixel % widths, pixel // widths], dim=-1) + 0.5
     return camera_rays(scene.cameras, views, centres, 0.0, 1.0, torch.float64)
+
+
+def _sent(values: Tensor, device: torch.device) -> Tensor:
+    """The values (R,) on the device. A copy from pinned memory to a GPU waits for nothing."""
+    return values.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else values.to(device)
 
 
 class RayTable:
@@ -232,7 +237,7 @@ class RayTable:
             rays, colors = self.empty_batch(len(numbers))
             self.gather(numbers, rays, colors)()
             return rays, colors
-        views, pixels = (index.to(self.device) for index in self.training.locate(numbers))
+        views, pixels = (_sent(index, self.device) for index in self.training.locate(numbers))
         colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
 

@@ -39,6 +39,8 @@ class Normalisation(nn.BatchNorm1d):
             `first`: of the first training batch, from then on and in evaluation too.
     """
 
+    counted: Tensor | None = None
+    """(N,) bool: the rows of which mean and variance are taken; None: all. Set by `model/chosen_rows.py`."""
     momentum: float
     running_mean: Tensor
     running_var: Tensor
@@ -52,6 +54,8 @@ class Normalisation(nn.BatchNorm1d):
         x = x.to(self.running_mean.dtype)  # under autocast, a linear map before this returns half precision
         if self.statistics == "first":
             return self._forward_first(x)
+        if self.training and self.counted is not None:
+            return self._forward_counted(x, self.counted)
         mean = x.detach().mean(0) if self.training else self.running_mean
         zero = torch.zeros_like(mean)  # in training it receives the running mean of the centred values
         normalised = nn.functional.batch_norm(
@@ -67,14 +71,34 @@ class Normalisation(nn.BatchNorm1d):
         """Whether the statistics are fixed already."""
         return self.statistics == "first" and bool(self.num_batches_tracked)
 
+    def _forward_counted(self, x: Tensor, counted: Tensor) -> Tensor:
+        """Training with the mean and the variance of the rows that count, without a wait for their number."""
+        mean, centred, variance = _moments(x, counted)
+        count = counted.sum()
+        with torch.no_grad():
+            self.running_mean.lerp_(mean, self.momentum)
+            self.running_var.lerp_(variance * count / (count - 1), self.momentum)
+            self.num_batches_tracked += 1
+        return centred * (variance + self.eps).rsqrt() * self.weight + self.bias
+
     def _forward_first(self, x: Tensor) -> Tensor:
         if self.training and not self.known:
-            centred = x.detach() - x.detach().mean(0)
-            self.running_mean.copy_(x.detach().mean(0))
-            self.running_var.copy_(centred.square().mean(0))
+            mean, _, variance = _moments(x.detach(), self.counted)
+            self.running_mean.copy_(mean)
+            self.running_var.copy_(variance)
             self.num_batches_tracked += 1
         scale = self.weight * (self.running_var + self.eps).rsqrt()
         return (x - self.running_mean) * scale + self.bias
+
+
+def _moments(x: Tensor, counted: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+    """The mean (C,) of the counted rows of x (N, C), all rows less it, and the variance (C,) of the counted rows."""
+    share = torch.ones_like(x[:, :1]) if counted is None else counted[:, None].to(x.dtype)
+    share = share / share.sum()
+    rough = (x.detach() * share).sum(0)
+    rest = ((x - rough) * share).sum(0)  # what rounding has left
+    centred = x - rough - rest
+    return rough + rest, centred, (centred.square() * share).sum(0)
 
 
 def without_drift(linear: nn.Linear, features: Tensor, normalised: bool) -> Tensor:

@@ -14,6 +14,7 @@ from qnerf.heads.mlp import MLPHead
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.mlp import Layer
+from qnerf.model.chosen_rows import at_rows
 from qnerf.rendering.shading import activated
 
 
@@ -96,8 +97,11 @@ class Field(nn.Module):
             return values.view(*shape, -1), evaluated
         if evaluated is None:
             return self.density_head(self.encoder(points)).view(*shape, -1), None
-        index = evaluated.flatten().nonzero()[:, 0]
-        return scatter(self.density_head(self.encoder(points[index])), index, shape), evaluated
+
+        def rows(index: Tensor | None) -> Tensor:
+            return self.density_head(self.encoder(points if index is None else points[index]))
+
+        return at_rows(self.density_head, rows, evaluated), evaluated
 
     def on_grid(self, points: Tensor) -> tuple[Grid, list[Layer]] | None:
         """The arguments of the loop that computes encoder and density head together; None: the two are called."""
@@ -153,12 +157,17 @@ class Field(nn.Module):
             mask: (R, K) bool, samples to evaluate; the others are black. None: all.
         """
         of_rays = self.of_rays(directions, cameras)
-        if mask is None:
-            expanded = of_rays[:, None, :].expand(-1, geometry.shape[1], -1)
-            features = torch.cat([expanded, geometry], dim=-1)
-            return self.activated_color(self.color_head(features.flatten(0, 1))).view(*geometry.shape[:2], 3)
-        features, index = color_inputs(of_rays, geometry, mask)
-        return scatter(self.activated_color(self.color_head(features)), index, mask.shape)
+        count = geometry.shape[1]
+
+        def rows(index: Tensor | None) -> Tensor:
+            if index is None:
+                features = torch.cat([of_rays[:, None, :].expand(-1, count, -1), geometry], dim=-1).flatten(0, 1)
+            else:
+                ray = torch.div(index, count, rounding_mode="floor")
+                features = torch.cat([of_rays[ray], geometry.flatten(0, 1)[index]], dim=-1)
+            return self.activated_color(self.color_head(features))
+
+        return rows(None).view(*geometry.shape[:2], 3) if mask is None else at_rows(self.color_head, rows, mask)
 
     def activated_color(self, raw: Tensor) -> Tensor:
         """Raw colours (N, 3) -> colours (N, 3)."""
@@ -173,28 +182,8 @@ class Field(nn.Module):
 
 def evaluate_last(inside: Tensor, last: bool) -> Tensor:
     """Adds each ray's `last` sample to those (R, K) whose density is computed; also where they are too few."""
-    if last or int(inside.sum()) < MIN_BATCH:
+    if last:
         inside[:, -1] = True
+    else:
+        inside[:, -1].logical_or_(inside.sum() < MIN_BATCH)
     return inside
-
-
-def color_inputs(of_rays: Tensor, geometry: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Features of rays (R, D) beside the geometry (R, M, G) of their points in `mask` (R, M): (N, D + G).
-
-    Returns:
-        These rows, and the numbers (N,) of the points among all R M.
-    """
-
-    index = mask.flatten().nonzero()[:, 0]
-    ray = torch.div(index, geometry.shape[1], rounding_mode="floor")
-    return torch.cat([of_rays[ray], geometry.flatten(0, 1)[index]], dim=-1), index
-
-
-def scatter(values: Tensor, index: Tensor, shape: torch.Size) -> Tensor:
-    """Puts values (N, ...) at the row-major positions `index` (N,) of a tensor (R, K, ...) that is 0 elsewhere.
-
-    >>> scatter(torch.tensor([5.0, 7.0]), torch.tensor([1, 2]), torch.Size((2, 2))).tolist()
-    [[0.0, 5.0], [7.0, 0.0]]
-    """
-    rest = values.shape[1:]
-    return values.new_zeros(shape.numel(), *rest).index_copy(0, index, values).view(*shape, *rest)

@@ -69,7 +69,7 @@ class Occupancy(SpaceMask):
         occupied[self.cells] = (self.opacity >= self.min_opacity).to(occupied.dtype)
         around = torch.nn.functional.max_pool3d(occupied.view(1, 1, n, n, n), 3, stride=1, padding=1)[0, 0] > 0
         opened = around & self.allowed
-        self.grid.copy_(opened if bool(opened.any()) else self.allowed)
+        self.grid.copy_(torch.where(opened.any(), opened, self.allowed))
 
 
 def reachable(contraction: Contraction, n: int) -> Tensor:

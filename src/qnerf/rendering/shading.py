@@ -77,8 +77,7 @@ class Selection(Shading):
         with torch.no_grad():
             ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
             mask = self.select(ranked) & (ranked >= 0)
-            if int(mask.sum()) < MIN_BATCH:  # nearly all rays are empty
-                mask = ranked >= 0
+            mask = torch.where(mask.sum() < MIN_BATCH, ranked >= 0, mask)  # nearly all rays are empty
         selected = shares * mask
         total = shares.sum(-1, keepdim=True)
         scale = total / selected.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
@@ -144,8 +143,7 @@ class MergeShading(Shading):
 
     def chosen(self, shares: Tensor, evaluated: Tensor | None) -> Tensor:
         mask = shares > 0
-        if int(mask.sum()) < MIN_BATCH:  # all rays are empty
-            mask[:, 0] = True
+        mask[:, 0].logical_or_(mask.sum() < MIN_BATCH)  # all rays are empty
         return mask
 
 

@@ -106,12 +106,14 @@ class Loop:
         """One optimisation step.
 
         Args:
-            measure: return the step's metrics, with the time of each stage; else the result is empty.
+            measure: return the step's metrics, with the time of each stage; else the result is empty. Only a measured
+                step waits for a device other than the CPU; then it also waits for the steps before it.
 
         Raises:
-            Diverged: the loss is not finite; the message names the step and the term or parameters at fault.
+            Diverged: the loss is not finite; the message names the step and the term or parameters at fault. On a
+                device other than the CPU only a measured step looks.
         """
-        start, cpu = self.watch.now(), time.process_time()
+        start, cpu = self.watch.now(wait=measure), time.process_time()
         self.watch.begin(measure=measure)
         rate = self.rate
         with one_torch_thread(self.few_products and not is_plain()):
@@ -122,7 +124,8 @@ class Loop:
                 require_tensor(f"the loss term {name!r}", term, ())
             with self.watch.stage("render"):
                 loss = torch.stack(list(terms.values())).sum()
-                value = float(loss.detach())
+                # Another device computes on while its next steps are sent. To read a number is to wait for it.
+                value = float(loss.detach()) if measure or loss.is_cpu else 0.0
             if not math.isfinite(value):
                 raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
             with self.watch.stage("backward"):
@@ -133,7 +136,7 @@ class Loop:
         with self.watch.stage("optimiser"):
             apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
-        seconds = self.watch.now() - start
+        seconds = self.watch.now(wait=measure) - start
         self.step_seconds.append(seconds)
         self.seconds += seconds
         if not measure:
