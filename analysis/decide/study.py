@@ -129,6 +129,7 @@ def trained(
                     foresee(3600 * float(told[1].replace(",", "")))
         except BaseException:
             process.terminate()
+            process.wait()
             raise
     code = process.returncode
     if code in (130, -2):
