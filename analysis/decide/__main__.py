@@ -188,16 +188,9 @@ def foreseer(record: Record, budget: float) -> Callable[[float], None]:
         said = True
         cost = seconds * len(record.question.pairs)
         seeds = most(budget, cost)
-        what = f"the whole study, {FIRST} to {seeds} seeds" if seeds > FIRST else f"the study's {FIRST} seeds"
-        less = "a smaller --budget takes fewer seeds" if seeds > FIRST else "train.steps takes fewer steps"
-        told = announced(
-            f"{what} of {len(record.question.pairs)} configurations",
-            seeds * cost,
-            max(budget / 3600, DAY),
-            less,
-            "--budget {}h",
-        )
-        if told:
+        what = f"the whole study, up to {seeds} seeds of {len(record.question.pairs)} configurations"
+        hours = max(budget / 3600, DAY)
+        if told := announced(what, seeds * cost, hours, "fewer candidates or train.steps take less", "--budget {}h"):
             print(told, flush=True)
 
     return foresee

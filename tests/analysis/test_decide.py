@@ -147,7 +147,7 @@ def test_a_study_goes_on_where_it_was_stopped(trainings, tmp_path):
 def test_a_study_says_its_whole_time_before_its_first_run_is_trained(trainings, tmp_path, capsys):
     decide.main(["x=a", "x=b", "--store", str(tmp_path), "--budget", "9m"])
     said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith("the whole study, 4 to 9 seeds of 2 configurations: about 9 minutes; ")
+    assert said[0].startswith("the whole study, up to 9 seeds of 2 configurations: about 9 minutes; ")
     trainings.seconds, trainings.asked = 4 * 3600.0, []
     with pytest.raises(ValueError, match=r"about 1,920 minutes; .* or --budget 64h goes on"):
         decide.main(["x=a", "x=c", "--store", str(tmp_path)])
