@@ -4,7 +4,7 @@ import argparse
 import itertools
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import pandas as pd
 from qnerf.cli import compose
 from qnerf.metrics import metric_of
 from qnerf.records.location import DEFAULT
+from qnerf.training.forecast import announced
 
 from .. import command
 from ..selection import colorless
@@ -42,6 +43,7 @@ CHOSEN = {
     "run.force": "finished runs count; `qnerf run` does one over",
 }
 """Overrides that a study cannot honour, and why."""
+DAY = 24.0  # hours of a study that need no --budget
 UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -144,14 +146,14 @@ def plan(record: Record, store: Path) -> None:
 
 def study(record: Record, store: Path, budget: float) -> None:
     """Trains and looks until everything is decided or the last look, which `budget` seconds of training pay for."""
-    question = record.question
+    question, foresee = record.question, foreseer(record, budget)
     while scenes := [scene for scene in question.scenes if len(record.open(scene)) > 1]:
         before = max((look["seeds"] for look in record.looks), default=0)
         count = next(n for n in looks(record.most or FIRST) if n > before)
-        frames = {scene: runs_of(record, scene, count, store) for scene in scenes}
+        frames = {scene: runs_of(record, scene, count, store, foresee) for scene in scenes}
         cost = {(scene, name): run["train_s"].median() for scene in scenes for name, run in frames[scene].items()}
         if not record.most:
-            record.most = int(min(MOST, max(FIRST, budget // sum(cost.values()))))
+            record.most = most(budget, sum(cost.values()))
         alpha = shares(record.most)[count] / question.comparisons
         for scene in scenes:
             values = {name: runs[question.metric] for name, runs in frames[scene].items()}
@@ -167,18 +169,49 @@ def study(record: Record, store: Path, budget: float) -> None:
     print("", *(line(look) for look in record.looks if look["ended"]), sep="\n")
 
 
-def runs_of(record: Record, scene: str, count: int, store: Path) -> dict[str, pd.DataFrame]:
+def most(budget: float, cost: float) -> int:
+    """Seeds a side at the last look, where one seed of everything takes `cost` seconds."""
+    return int(min(MOST, max(FIRST, budget // cost)))
+
+
+def foreseer(record: Record, budget: float) -> Callable[[float], None]:
+    """What hears how many seconds a run takes. It says once what the whole study takes if all runs take as long.
+
+    ValueError where that is more than the budget, and than a day.
+    """
+    said = bool(record.most)
+
+    def foresee(seconds: float) -> None:
+        nonlocal said
+        if said or not seconds > 0:
+            return
+        said = True
+        cost = seconds * len(record.question.pairs)
+        seeds = most(budget, cost)
+        what = f"the whole study, up to {seeds} seeds of {len(record.question.pairs)} configurations"
+        hours = max(budget / 3600, DAY)
+        if told := announced(what, seeds * cost, hours, "fewer candidates or train.steps take less", "--budget {}h"):
+            print(told, flush=True)
+
+    return foresee
+
+
+def runs_of(
+    record: Record, scene: str, count: int, store: Path, foresee: Callable[[float], None]
+) -> dict[str, pd.DataFrame]:
     """The runs of every candidate that is still in question; for equal times, steps are measured before, once."""
     names = record.open(scene)
     if record.question.equal == "time" and title(scene, names[0]) not in record.steps:
-        first = {name: trained(record.overrides(scene, name), [0], store).iloc[0] for name in names}
+        first = {name: trained(record.overrides(scene, name), [0], store, foresee).iloc[0] for name in names}
         dearest = max(run["step_cpu_ms"] for run in first.values())
         for name, run in first.items():
             steps = record.steps[title(scene, name)] = round(run["train.steps"] * dearest / run["step_cpu_ms"])
             print(f"{title(scene, name)}: {run['step_cpu_ms']:.1f} ms of CPU a step, so {steps:,} steps")
         record.save(store)
-    frames = {name: trained(record.overrides(scene, name), range(count), store) for name in names}
-    for name, frame in frames.items():
+    frames = {}
+    for name in names:
+        frames[name] = frame = trained(record.overrides(scene, name), range(count), store, foresee)
+        foresee(frame["train_s"].median())
         if record.question.metric not in frame:
             raise ValueError(
                 f"{title(scene, name)}: its runs have no {record.question.metric}; choose another --metric"

@@ -5,7 +5,7 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -108,18 +108,29 @@ def title(scene: str, candidate: str) -> str:
     return f"{name_of(scene)}: {candidate}" if scene else candidate
 
 
-def trained(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
+def trained(
+    overrides: Sequence[str], seeds: Sequence[int], store: Path, foresee: Callable[[float], object]
+) -> pd.DataFrame:
     """`found` after the runs that are not finished were trained, by any launcher; a run that diverged has no metric.
 
     Of what the trainings print, the run's folder and how long it takes stay; with Slurm, where its output is.
+    foresee: gets the seconds that a run is going to take. What it raises, and what stops this process, stops the
+    trainings, too.
     ValueError where a run failed for another reason, KeyboardInterrupt where it was stopped.
     """
     command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"store={store}"]
     command.append(f"seed={','.join(map(str, seeds))}")
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        for line in process.stdout or ():
-            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to ", line):
-                print(line, end="", flush=True)
+        try:
+            for line in process.stdout or ():
+                if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to ", line):
+                    print(line, end="", flush=True)
+                if told := re.search(r"a step takes about .* the whole ([\d,.]+) hours", line):
+                    foresee(3600 * float(told[1].replace(",", "")))
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
     code = process.returncode
     if code in (130, -2):
         raise KeyboardInterrupt

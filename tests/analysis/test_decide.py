@@ -96,8 +96,10 @@ class Trainings:
         self.asked = []
         self.stopped = None
         self.contents = ""  # of the scene
+        self.seconds = 30.0
 
-    def __call__(self, overrides, seeds, store):
+    def __call__(self, overrides, seeds, store, foresee):
+        foresee(self.seconds)
         if self.stopped == 0:
             self.stopped = None
             raise KeyboardInterrupt
@@ -105,7 +107,7 @@ class Trainings:
         self.asked.append((overrides, list(seeds)))
         name = next(item for item in overrides if item in VALUES)
         psnr = [VALUES[name] + 0.5 * np.sin(7 * n + len(name)) + 0.3 * np.cos(n * VALUES[name]) for n in seeds]
-        rows = {"psnr": psnr, "train_s": 30.0, "step_cpu_ms": {"x=a": 10.0}.get(name, 20.0), "train.steps": 100}
+        rows = {"psnr": psnr, "train_s": self.seconds, "step_cpu_ms": {"x=a": 10.0}.get(name, 20.0), "train.steps": 100}
         return pd.DataFrame(rows)
 
 
@@ -120,7 +122,7 @@ def trainings(monkeypatch):
 def test_a_study_stops_at_the_verdict_and_keeps_its_record(trainings, tmp_path, capsys):
     decide.main(["x=a", "x=b", "--store", str(tmp_path), "--budget", "1h"])
     said = capsys.readouterr().out
-    assert said.startswith("4 seeds: x=b - x=a: +0.")
+    assert "\n4 seeds: x=b - x=a: +0." in said
     assert "(99.8 %)" in said
     assert "next look at 6 seeds, about 2 minutes of training more" in said
     (row,) = records(tmp_path).to_dict("records")
@@ -140,6 +142,18 @@ def test_a_study_goes_on_where_it_was_stopped(trainings, tmp_path):
         decide.main(["x=a", "x=b", "--store", str(tmp_path)])
     decide.main(["x=a", "x=b", "--store", str(tmp_path)])
     assert records(tmp_path).equals(records(whole))
+
+
+def test_a_study_says_its_whole_time_before_its_first_run_is_trained(trainings, tmp_path, capsys):
+    decide.main(["x=a", "x=b", "--store", str(tmp_path), "--budget", "9m"])
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("the whole study, up to 9 seeds of 2 configurations: about 9 minutes; ")
+    trainings.seconds, trainings.asked = 4 * 3600.0, []
+    with pytest.raises(ValueError, match=r"about 1,920 minutes; .* or --budget 64h goes on"):
+        decide.main(["x=a", "x=c", "--store", str(tmp_path)])
+    assert trainings.asked == []
+    decide.main(["x=a", "x=c", "--store", str(tmp_path), "--budget", "64h"])
+    assert trainings.asked
 
 
 def test_the_last_look_is_not_moved(trainings, tmp_path):

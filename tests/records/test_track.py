@@ -272,9 +272,13 @@ def test_a_result_has_a_name_of_its_own(tmp_path: Path, results: dict[str, Any],
 
 
 def test_two_options_of_one_name_are_refused(tmp_path: Path) -> None:
-    config = {"lr": 0.1, "train": {"lr": 0.2}}
-    with pytest.raises(ValueError, match=r"train\.lr twice"), qnerf.track(config, name="a", store=tmp_path):
-        pass
+    for config in (
+        {"train.lr": 0.1, "train": {"lr": 0.2}},
+        {"lr": 0.1, "train": {"lr": 0.2}},
+        {"opt.lr": 0.1, "opt": {"lr": 0.1}},
+    ):
+        with pytest.raises(ValueError, match=r"\.lr twice"), qnerf.track(config, name="a", store=tmp_path):
+            pass
     assert not records.runs(tmp_path)
 
 

@@ -187,6 +187,7 @@ def _grouped(config: Mapping[str, Any]) -> dict[str, Any]:
     train = {key: value for key, value in config.items() if key not in own}
     names = [name for name, _ in leaves(plain({**own, "train": {}}))]
     names += [f"train.{name}" for group in (own.get("train", {}), train) for name, _ in leaves(plain(group))]
+    names += [name for name in train if name in names]  # as a dotted key, and in a group
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"config: expected options of different names, got {twice[0]} twice")
     return own | {"train": {**own.get("train", {}), **train}} if train else own

@@ -49,15 +49,15 @@ def seconds_each(work: Callable[[int], object], most: int) -> float:
         count = min(8 * count, most)
 
 
-def announced(what: str, seconds: float, hours: float, less: str) -> str | None:
+def announced(what: str, seconds: float, hours: float, less: str, option: str = "run.hours={}") -> str | None:
     """A line with the time of work that is not a training; None where it is short.
 
-    less: what makes it shorter.
+    less: what makes it shorter. option: what says that it may take so many hours.
 
     Raises:
-        ValueError: it takes more than `hours`, which is `run.hours`.
+        ValueError: it takes more than `hours`.
     """
     told = f"{what}: about {seconds / 60:,.0f} minutes; {less}"
     if seconds > 3600 * hours:
-        raise ValueError(f"{told}, or run.hours={math.ceil(seconds / 1800)} goes on")
+        raise ValueError(f"{told}, or {option.format(math.ceil(seconds / 1800))} goes on")
     return told if seconds > TELL else None

@@ -54,9 +54,7 @@ def ray_ends(renderer: Renderer, limit: int, within: float = WITHIN) -> Hits:
         parts.append((points[kept], directions[kept], seen.color[kept]))
     hits = Hits(*map(torch.cat, zip(*parts, strict=True)))
     if not len(hits.points):
-        raise ValueError(
-            f"{trained.folder}: no ray of a training view ends within {within:g} world units; see --within"
-        )
+        raise ValueError(f"no ray of a training view ends within {within:g} world units; see --within")
     return hits
 
 

@@ -61,11 +61,14 @@ def main(options: argparse.Namespace) -> None:
             f"{min(count, pixels):,} rays", seconds, trained.settings.run.hours, "--points takes fewer"
         ):
             print(line, flush=True)
-        hits = surfaces.ray_ends(renderer, count, options.within or surfaces.WITHIN)
-        if options.to == "points":
-            surface = surfaces.cloud(hits)
-        else:
-            surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level, print)
+        try:
+            hits = surfaces.ray_ends(renderer, count, options.within or surfaces.WITHIN)
+            if options.to == "points":
+                surface = surfaces.cloud(hits)
+            else:
+                surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level, print)
+        except ValueError as error:
+            raise ValueError(f"{folder.name}: {error}") from None
         file = out if single else out / f"{folder.name}.ply"
         ply.write(file, surfaces.world(trained, surface))
         triangles = "" if surface.faces is None else f", {len(surface.faces):,} triangles"
