@@ -21,15 +21,12 @@ NEEDED = (
     "step_ms", "train_s", *(f"{head}.{key}" for head in ("density", "color") for key in _HEADS),
 )  # fmt: skip
 """Columns that tables and figures read; in runs that lack them they are empty."""
-NO_SCENE = "none"
-"""The name of the scene of tracked runs that name none."""
 
 
 def runs(store: str | Path, filter: str | Mapping[str, Any] | None = None) -> pd.DataFrame:
     """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`.
 
-    See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed. `scene_name` is the
-    last part of scene.path, or the scene's name.
+    See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed.
 
     store: a folder of runs, or a folder that `qnerf pack` made.
     filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
@@ -47,13 +44,8 @@ def runs(store: str | Path, filter: str | Mapping[str, Any] | None = None) -> pd
         frame = index.load(store)
         if frame.empty:
             raise ValueError(f"{store}: no runs found; expected folders that hold a summary.parquet")
-        frame = completed(frame)
+        frame = with_needed(frame)
     return frame if filter is None else filters.require(frame, filter)
-
-
-def completed(frame: pd.DataFrame) -> pd.DataFrame:
-    """The frame of `qnerf.records.index` with what `runs` adds: scenes, and the columns of `LABELS` and `NEEDED`."""
-    return with_needed(frame.assign(scene_name=_scene_names(frame)))
 
 
 def metrics(run: str | Path | pd.DataFrame, key: str | None = None) -> pd.DataFrame:
@@ -77,10 +69,3 @@ def with_needed(frame: pd.DataFrame) -> pd.DataFrame:
     """The frame with the columns of `LABELS` and `NEEDED` that are missing, without values."""
     missing = {name: None if name in LABELS else np.nan for name in (*LABELS, *NEEDED) if name not in frame}
     return pd.concat([frame, pd.DataFrame(missing, index=frame.index)], axis=1)
-
-
-def _scene_names(frame: pd.DataFrame) -> pd.Series:
-    missing = pd.Series(None, index=frame.index, dtype=object)
-    pairs = zip(frame.get("scene.path", missing), frame.get("scene", missing), strict=True)
-    names = pd.Series([Path(path).name if isinstance(path, str) and path else scene for path, scene in pairs])
-    return names.set_axis(frame.index).mask(names.isna().to_numpy() & frame["state"].ne("damaged"), NO_SCENE)

@@ -118,7 +118,7 @@ class Answers:
             raise ValueError("there are no runs yet")
         chosen = filters.require(frame, filter) if filter.strip() else frame
         metric = metric or "psnr"
-        keys = [key.strip() for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
+        keys = [filters.column(key) for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
         if metric not in {item.key for item in quality_metrics()}:
             baseline = ""
         try:

@@ -17,7 +17,7 @@ from qnerf.records.index import Stamps
 from qnerf.records.location import existing_store
 
 from .. import packed
-from ..load import completed
+from ..load import with_needed
 from ..report import content
 from ..report.columns import plain
 
@@ -64,7 +64,7 @@ class WatchedStore:
         frame = index.load(self.folder)
         if frame.empty:
             return version, frame
-        return version, content.named(content.described(completed(frame)))
+        return version, content.named(content.described(with_needed(frame)))
 
     def path(self, run: str) -> Path:
         """The folder of a run. ValueError if the store has no such run."""
@@ -90,7 +90,7 @@ class WatchedStore:
     def _read(self, runs: list[str]) -> dict[str, Row | None]:
         if not runs:
             return {}
-        shown = content.described(completed(index.load_runs(self.folder, runs)))
+        shown = content.described(with_needed(index.load_runs(self.folder, runs)))
         rows: dict[str, Row | None] = {}
         for record in shown.drop(columns=["store", "scene"], errors="ignore").to_dict("records"):
             row = {str(name): plain(value) for name, value in record.items()}

@@ -5,6 +5,7 @@ from inspect import signature
 
 from qnerf.cli.numbers import number
 from qnerf.metrics import METRICS
+from qnerf.records import filters
 
 from .. import command
 from ..paper import PAPER_TABLES
@@ -51,7 +52,7 @@ INSTEAD: dict[str, tuple[Callable[..., Table], str]] = {
 
 
 def words(text: str) -> list[str]:
-    return text.split(",")
+    return [filters.column(name) for name in text.split(",")]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

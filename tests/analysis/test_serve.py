@@ -112,9 +112,9 @@ def test_differences_are_those_of_the_tables(address, many):
     table = ablation(frame[frame["state"] == "finished"], ["field"], baseline={"field": "classical"}).text
     for cell in table.loc[table["field"] == "qcolor"].iloc[0]:
         assert f">{cell}<" in text
-    status, text = query(address, "differences", filter="", rows="colour", baseline="", metric="")
+    status, text = query(address, "differences", filter="", rows="colur", baseline="", metric="")
     assert status == 400
-    assert "colour" in text
+    assert "did you mean color" in text
     assert "\n" not in text
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from qnerf import records
@@ -16,7 +17,7 @@ from qnerf.config.registry import Registry
 from tests.helpers.configs import ROOT, TINY, composed
 from tests.helpers.processes import call
 
-MODULES = ("my_module.py", "my_signal.py")  # as the page names its blocks of code
+MODULES = ("my_circuit.py", "my_module.py", "my_signal.py")  # as the page names its blocks of code
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SMALL = (
     "plugins=[my_module]", "scene=poster", "scene.views=6",
@@ -72,6 +73,21 @@ def test_the_page_s_components_train_side_by_side_and_are_not_imported_unasked(f
         status.write_text(finished)
         assert refused.returncode == 2
         assert re.fullmatch(r"error: .*repeat plugins=\[my_module\] on the command line.*\n", refused.stderr)
+
+
+def test_the_page_s_qnode_is_a_head_whose_options_name_its_run_and_which_is_probed(folder):
+    small = (one for one in SMALL if not one.startswith("plugins="))
+    head = ("plugins=[my_circuit]", "color=mine", "color.mine.layers=1", "color.mine.wires=3")
+    trained = qnerf(folder, "run", *head, *small)
+    assert trained.returncode == 0, trained.stderr
+    (run,) = records.runs(folder / "runs")
+    summary = records.read_summary(run)
+    assert (summary["color"], summary["field"]) == ("mine-wires3-layers1", "qcolor")
+    assert (summary["color.mine.layers"], summary["color.mine.gain"]) == (1, 10)
+    assert "-mine-wires3-layers1-s0-" in run.name
+    probed = qnerf(folder, "probe", str(run), "cost", "plugins=[my_circuit]")
+    assert probed.returncode == 0, probed.stderr
+    assert pd.read_parquet(run / "cost.parquet")["wires"].tolist() == [3]
 
 
 def test_a_module_that_is_not_there_is_one_line(folder):

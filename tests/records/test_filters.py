@@ -63,6 +63,13 @@ def test_a_filter_chooses_runs() -> None:
         assert "".join(filters.require(RUNS, condition)["run_id"]) == chosen, condition
 
 
+def test_columns_have_one_list_of_names():
+    frame = pd.DataFrame({"scene_name": ["a", "b"], "color": ["x", "y"], "color.mlp.width": [1, 2]})
+    for condition in ("scene=b", "scene_name=b", "color=y", "colour=y", "color.mlp.width=2", "colour.mlp.width=2"):
+        assert filters.require(frame, condition)["scene_name"].tolist() == ["b"], condition
+    assert filters.column(" scene.name ") == "scene.name"
+
+
 def test_a_filter_that_chooses_nothing_says_why() -> None:
     for condition, told in (
         ("field=qboth", "no run of 4 has field=qboth; there are field: classical, qcolor"),

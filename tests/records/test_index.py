@@ -52,7 +52,9 @@ def test_row_is_what_the_run_wrote(tmp_path: Path) -> None:
     assert row["heartbeat"] >= row["created"] > 1e9
     assert pd.isna(row["error"])
     assert frame.columns.is_unique
-    assert set(frame.columns) == set(pd.read_parquet(claim.dir / SUMMARY).columns) | set(index.RUN_COLUMNS)
+    assert set(frame.columns) == set(pd.read_parquet(claim.dir / SUMMARY).columns) | set(index.RUN_COLUMNS) | {
+        "scene_name"
+    }
 
 
 def test_state_is_the_true_one(tmp_path: Path) -> None:

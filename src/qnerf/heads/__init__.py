@@ -8,6 +8,7 @@ from qnerf.heads.qfgn import QFGNHead
 from qnerf.heads.qiren import HybridLayer, QirenHead
 from qnerf.heads.qiren_bypass import QirenBypassHead
 from qnerf.heads.qkan import QKANHead
+from qnerf.heads.qnode import QnodeHead, qnode_head
 from qnerf.heads.qrun import QRunHead
 from qnerf.heads.siren import SirenHead
 from qnerf.heads.surrogate import SurrogateHead
@@ -15,5 +16,6 @@ from qnerf.heads.tensor_train import TensorTrainHead
 
 __all__ = [
     "HEADS", "AmplitudeHead", "Head", "HybridLayer", "HyperHead", "MLPHead", "QFGNHead", "QKANHead", "QRunHead",
-    "QirenBypassHead", "QirenHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen", "head_options",
+    "QirenBypassHead", "QirenHead", "QnodeHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen",
+    "head_options", "qnode_head",
 ]  # fmt: skip

@@ -186,9 +186,11 @@ class QirenHead(Head):
 
     @classmethod
     def label(cls, options: Mapping[str, Any]) -> str:
-        """`1L2S`: hidden layers and re-uploadings; `1L2S-local`: a control."""
+        """`1L2S`: hidden layers and re-uploadings; `1L2S-local`: a control; `mine-1L2S`: an ansatz of the user's."""
         control = "" if options["unitary"] == "circuit" else f"-{options['unitary']}"
-        return f"{options['layers']}L{options['spectral']}S{control}"
+        ansatz = options["ansatz"]
+        own = "" if ANSATZE.get(ansatz).__module__.startswith("qnerf.") else f"{ansatz}-"
+        return f"{own}{options['layers']}L{options['spectral']}S{control}"
 
     @classmethod
     def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:

@@ -25,7 +25,8 @@ import pandas as pd
 
 from qnerf.config.checks import is_number
 
-ALIASES = {"id": "run_id", "tag": "tags"}
+ALIASES = {"id": "run_id", "tag": "tags", "scene": "scene_name", "colour": "color"}
+"""Other names of columns, wherever a user names one. `scene.name` is how a scene is read."""
 HELP = "only these runs, as `qnerf runs` takes it: \"field=qcolor seed=0,1 'psnr>25'\""
 _CONDITION = re.compile(r"([^=<>!,]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
 _COMMA = re.compile(r",(?![^\[]*\])")  # not inside a list
@@ -91,8 +92,9 @@ def _alternatives(value: Any) -> tuple[str, ...]:
 
 
 def column(name: str) -> str:
-    """The column's own name for `id` and `tag`."""
-    return ALIASES.get(name.strip(), name.strip())
+    """The column's own name for any in `ALIASES`, also of a group: `colour.mlp.width`."""
+    first, dot, rest = name.strip().partition(".")
+    return f"color.{rest}" if dot and first == "colour" else ALIASES.get(name.strip(), name.strip())
 
 
 def select(frame: pd.DataFrame, filters: Sequence[Filter]) -> pd.DataFrame:

@@ -27,6 +27,8 @@ from qnerf.records.location import existing_store
 from qnerf.records.schemas import RUN_COLUMNS, known_kind
 
 INDEX = Path(".index", "runs.json")  # below a store
+NO_SCENE = "none"
+"""The name of the scene of tracked runs that name none."""
 
 _YOUNG_NS = 300 * 10**9
 _CHANGES_WORTH_SAVING = 0.01  # share of the runs; below it, reading them again takes less time than writing the index
@@ -42,7 +44,8 @@ def load(store: str | Path, columns: Sequence[str] | None = None) -> pd.DataFram
 
     state: running | finished | interrupted | failed, or damaged if summary.parquet or status.json cannot be
     read, or the folder is a copy of another run. error: why the run failed, or what is damaged. path: the run's
-    folder. step: the last one logged. created, heartbeat: Unix times. tags: a tuple. note: text.
+    folder. scene_name: the last part of scene.path, or the scene's name, or "none". step: the last one logged.
+    created, heartbeat: Unix times. tags: a tuple. note: text.
 
     A column with numbers in some runs and text in others is text.
 
@@ -161,7 +164,15 @@ def _frame(root: Path, rows: Sequence[Row], columns: Sequence[str] | None) -> pd
     }
     for name in own.keys() & names:
         frame[name] = pd.Series(list(map(own[name], rows)), index=frame.index, dtype=object)
+    if columns is None or "scene_name" in columns:
+        frame["scene_name"] = pd.Series(list(map(_scene_name, rows)), index=frame.index, dtype=object)
     return frame if columns is None else frame[[name for name in columns if name in frame.columns]]
+
+
+def _scene_name(row: Row) -> str | None:
+    path = row.get("scene.path")
+    name = Path(path).name if isinstance(path, str) and path else row.get("scene")
+    return NO_SCENE if name is None and row["state"] != "damaged" else name
 
 
 def _true_state(folder: Path, stored: str) -> str:

@@ -139,12 +139,6 @@ def tags(row: Row) -> str:
     return ",".join(row.get("tags") or [])
 
 
-def scene(row: Row) -> str:
-    """The last part of the scene's path, or its name."""
-    path = row.get("scene.path")
-    return _cell("scene")(row) if missing(path) else str(path).rstrip("/").rpartition("/")[2]
-
-
 def qiren(row: Row) -> str:
     """Layers and re-uploadings, if a head is a circuit."""
     return "-" if row.get("field") == "classical" else _cell("qiren")(row)
@@ -174,7 +168,7 @@ def _heads(row: Row) -> str:
 COLUMNS = (
     Column("id", lambda row: row["run_id"], min_width=14, tail=13, limit=255),
     Column("state", lambda row: row["state"], style=lambda row: STATE_STYLES.get(row["state"], "")),
-    Column("scene", scene, rank=6),
+    Column("scene", _cell("scene_name"), rank=6),
     Column("field", _cell("field"), rank=1),
     Column("encoder", _cell("encoder"), rank=8),
     Column("qiren", qiren, rank=3),
@@ -190,5 +184,5 @@ COLUMNS = (
 
 NEEDED = (
     "run_id", "state", "error", "field", "encoder", "qiren", "params.total", *HEAD_PARAMETERS,
-    "psnr", "ssim", "scene", "scene.path", "step", "train.steps", "train_s", "created", "tags", "path",
+    "psnr", "ssim", "scene_name", "step", "train.steps", "train_s", "created", "tags", "path",
 )  # fmt: skip
