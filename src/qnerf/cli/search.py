@@ -41,6 +41,10 @@ from qnerf.training.forecast import announced
 FILE = "judge.json"
 """In the folder of a sweep: what its jobs need to know to judge themselves."""
 SHOWN = 10  # trials in the closing table of a search with one objective
+UNVALIDATED = (
+    "scene.validation: a search looks at validation views, never at test views, and none are held out; "
+    "scene.validation=0.1 holds out a tenth of what trains"
+)
 OPTIONS: Mapping[str, Any] = {
     "objectives": Annotated[list[str], MinLen(1)],
     "n_trials": PositiveInt,
@@ -108,7 +112,8 @@ class OptunaSweeper(Sweeper):
         sweep.folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(self.config, sweep.folder / "multirun.yaml")
         seeds = [[f"seed={seed}"] for seed in options["seeds"] or ()] or [[]]
-        metric = goals.judged(options["objectives"]) if len(options["objectives"]) == 1 else None
+        judged = goals.judged(options["objectives"])
+        metric = judged if len(options["objectives"]) == 1 else None
         scenes: dict[str, Any] = {}
 
         def ids(point: Point) -> list[str]:
@@ -118,6 +123,8 @@ class OptunaSweeper(Sweeper):
                 scene = json.dumps(own.complete["scene"], sort_keys=True)
                 prepared = prepare(own, scenes.get(scene))
                 scenes.setdefault(scene, prepared.source)
+                if judged and prepared.task.tests_unseen and not own["scene.validation"]:
+                    raise NoObjective(UNVALIDATED)
                 found.append(prepared.find_id(store))
             return found
 
