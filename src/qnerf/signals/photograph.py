@@ -64,7 +64,7 @@ class Photograph(Signal):
         if gray:
             pixels = pixels @ np.array(LUMINANCE)[:, None]
         self.truth = torch.from_numpy(pixels)  # (H, W, C)
-        height, width, channels = pixels.shape
+        height, width = pixels.shape[:2]
         y, x = torch.meshgrid(centres(height), centres(width), indexing="ij")
         self.everywhere = torch.stack([x, y], dim=-1).view(-1, 2)
         unseen = round(held_out * height * width)
