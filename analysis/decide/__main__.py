@@ -204,7 +204,7 @@ def judged(
         for name, own in values.items()
         if name != baseline
     }
-    decided = {name: one.kind != "undecided" or one.uneven for name, one in found.items()}
+    decided = {name: one.kind != "undecided" for name, one in found.items()}
     over = last or (race and all(decided[name] or one.excluded == "a gain" for name, one in found.items()))
     for name, one in found.items():
         numbers = {"difference": one.difference, "reach": one.reach, "shown": interval(one, question.metric)}
