@@ -29,6 +29,10 @@ _OF_TRACKED = ("field", *RECORDED)
 """Settings of tracked runs alone: in others the heads decide the field, and the options are only recorded."""
 
 
+TUNING = (10_000, 10_001, 10_002)
+"""Seeds of `qnerf decide --tune`, which judge nothing: of the search, and of its best trials."""
+
+
 @dataclass(frozen=True)
 class Selection:
     """The finished runs that have the metric, and how many were left out for which reason."""
@@ -76,7 +80,7 @@ def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) 
         refuse_mixtures(usable, rows)
     left_out: dict[str, int] = {str(name): count for name, count in states.drop("finished").items()}
     if not searched.all():
-        left_out["of a search, with validation views"] = int(searched.sum())
+        left_out["of a search"] = int(searched.sum())
     left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
     return Selection(usable, {reason: count for reason, count in left_out.items() if count})
 
@@ -87,8 +91,9 @@ def colorless(runs: pd.DataFrame) -> pd.Series:
 
 
 def validating(runs: pd.DataFrame) -> pd.Series:
-    """Which runs measured validation views, not test views: bool."""
-    return runs["scene.validation"].notna() if "scene.validation" in runs else pd.Series(False, runs.index)
+    """Which runs measured validation views, or have a seed that judges nothing: bool."""
+    held_out = runs["scene.validation"].notna() if "scene.validation" in runs else False
+    return held_out | runs["seed"].isin(TUNING)
 
 
 def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -236,5 +236,5 @@ def method(metric: str, within: float) -> str:
     return (
         f"trimmed means of the runs over the same views (Yuen's t), ± of 95 %; equivalent: the 90 % interval is within "
         f"± {band}; "
-        "* holds for all rows together"
+        "* holds for all rows together; no registered study"
     )

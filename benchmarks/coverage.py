@@ -8,7 +8,8 @@ to 20 seeds, which look once, and `qnerf decide`, which looks several times.
 
 `luck` is the standard deviation of a validation score around the quality of a trial, in dB, where each side was
 searched first: 12 trials whose qualities have a standard deviation of 0.3 dB, the best three scored twice more. `wrong`
-is then about the two configurations that were chosen, `wrong_heads` about heads that are alike in what a search can find.
+is then about the two configurations that were chosen, `wrong_heads` about heads that are alike in what a search can
+find.
 
 Prints the table and saves it in benchmarks/results/coverage.parquet.
 """

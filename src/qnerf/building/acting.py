@@ -45,8 +45,8 @@ SOURCES: dict[str, tuple[tuple[str, ...], str]] = {
 """Group of defaults -> the groups that copy its values, and the name of the component whose options they are."""
 EVERY_SCENE = ("validation",)
 """Options of the group `scene` whatever scene it names."""
-HEAD_SOURCES = ("initials", "rates", "activations")
-"""Tables by head in the groups of heads, from which other options take their values."""
+HEAD_SOURCES = ("initials", "rates", "activations", "space")
+"""Tables in the groups of heads: by head, from which other options take their values; and what a search may vary."""
 
 
 @dataclass(frozen=True)

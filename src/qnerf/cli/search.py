@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,6 +41,8 @@ from qnerf.training.forecast import announced
 
 FILE = "judge.json"
 """In the folder of a sweep: what its jobs need to know to judge themselves."""
+TRIALS = "trials.json"
+"""In the folder of a sweep: what a search has found."""
 SHOWN = 10  # trials in the closing table of a search with one objective
 UNVALIDATED = (
     "scene.validation: a search looks at validation views, never at test views, and none are held out; "
@@ -103,6 +106,8 @@ class OptunaSweeper(Sweeper):
             report(ValueError(error))
             sys.exit(FAILED)
         show(space, self.options["objectives"], trials)
+        found = [{"overrides": overrides(space, one.point), **asdict(one)} for one in trials]
+        (Path(self.config.hydra.sweep.dir) / TRIALS).write_text(json.dumps(found))
         if trials and not any(trial.state in ("finished", "pruned") for trial in trials):
             sys.exit(FAILED)
 
