@@ -24,8 +24,8 @@ from .records import FOLDER
 class Question:
     """What is compared: the first candidate is the baseline. Each text holds overrides, as on the command line.
 
-    scenes: overrides that choose a scene, one text a scene. equal: "steps", or "time" for equal CPU seconds. tune: trials
-    of a search for each candidate before; 0: none. space: options with other values than that of the candidates' heads.
+    scenes: overrides that choose a scene, one text a scene. equal: "steps", or "time" for equal CPU seconds. tune:
+    trials of a search for each candidate before; 0: none. space: options with other values than those of the heads.
     """
 
     candidates: tuple[str, ...]

@@ -3,6 +3,7 @@
 import json
 import uuid
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
     Raises:
         ValueError: nothing is left to search for a candidate, or `--space` names an option of none.
     """
-    trees = {name: configuration(record.overrides(scene, name)) for name in record.question.candidates}
+    asked_for = replace(record, tuned={})  # also where a part of the study was searched before
+    trees = {name: configuration(asked_for.overrides(scene, name)) for name in record.question.candidates}
     groups = [part for part in HEAD_GROUPS if len({json.dumps(tree.get(part)) for tree in trees.values()}) > 1]
     asked = dict(text.partition("=")[::2] for text in record.question.space)
     made = {}

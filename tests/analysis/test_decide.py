@@ -1,5 +1,6 @@
 """Seeds on demand: error rates over all looks, races, plans, and a study that is stopped and goes on."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -7,11 +8,16 @@ import pandas as pd
 import pytest
 from qnerf.analysis.decide import __main__ as decide
 from qnerf.analysis.decide import study
+from qnerf.analysis.decide import tune as tuning
 from qnerf.analysis.decide.looks import looks, planned, seeds_needed, shares
 from qnerf.analysis.decide.records import records
 from qnerf.analysis.decide.study import Question, Record
+from qnerf.analysis.decide.tune import spaces
 from qnerf.analysis.verdict import fisher, verdict
 from scipy import stats
+
+from qnerf.heads import HEADS
+from tests.helpers.configs import composed, worked_out
 
 
 def test_looks_spend_five_percent_together():
@@ -212,6 +218,75 @@ def test_equal_time_measures_once_and_gives_the_cheaper_side_more_steps(training
     assert "ms of CPU" not in capsys.readouterr().out
     assert any("train.steps=200" in overrides for overrides, _ in trainings.asked)
     assert set(records(tmp_path)["steps"]) == {"x=a 200, x=b 100"}
+
+
+def test_the_record_is_written_before_the_first_run_and_keeps_later_budgets(trainings, tmp_path):
+    trainings.stopped = 0
+    with pytest.raises(KeyboardInterrupt):
+        decide.main(["x=a", "x=b", "--budget", "1h", "--store", str(tmp_path)])
+    (path,) = tmp_path.glob(".decisions/*.json")
+    first = json.loads(path.read_text())["registered"]
+    for _ in range(2):
+        decide.main(["x=a", "x=b", "--budget", "2h", "--store", str(tmp_path)])
+    kept = json.loads(path.read_text())
+    assert (kept["registered"], [change["budget"] for change in kept["changes"]]) == (first, [7200])
+    assert "budget 7200 s at" in records(tmp_path)["changes"].iloc[0]
+
+
+SIRENS = ("color=mlp color.mlp.layers=3", "color=siren")
+
+
+def test_the_space_is_that_of_the_heads_in_which_candidates_differ():
+    question = Question(SIRENS, ("",), "field=classical", 0.5, tune=4, space=("color.siren.omega=5,10",))
+    found = spaces(Record(question, ""), "")
+    assert found[SIRENS[0]] == {"train.rates.color": "tag(log,interval(0.1,3))", "color.mlp.init": "torch,he"}
+    assert found[SIRENS[1]]["color.siren.omega"] == "5,10"
+    with pytest.raises(
+        ValueError, match=r"^--space density.mlp.width: searched in no candidate; known: color.mlp.init"
+    ):
+        spaces(Record(dataclasses.replace(question, space=("density.mlp.width=8",)), ""), "")
+
+
+def test_every_head_has_a_space_of_five_options_at_most():
+    for name in HEADS.names():
+        own = composed(f"color={name}")["color"]["space"]
+        assert 1 <= len(own) <= 5
+        known = {option.name for option in worked_out("field=qcolor", f"color={name}").options}
+        assert {f"color.{key}" for key in own if key != "rate"} <= known, name
+
+
+def test_the_expected_best_of_several_trials():
+    values = np.random.default_rng(0).normal(size=6)
+    drawn = np.random.default_rng(1).choice(values, (20000, 3))
+    assert tuning.expected(values, 1)[2] == pytest.approx(drawn.max(axis=1).mean(), abs=0.02)
+    assert tuning.expected(values, -1)[2] == pytest.approx(drawn.min(axis=1).mean(), abs=0.02)
+
+
+def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_path, monkeypatch):
+    """The best of the search is trained again with two new seeds; what it says there decides. A kill loses nothing."""
+    scores = {"omega=1": (25.0, 20.0), "omega=2": (24.0, 23.0), "omega=3": (22.0, 22.0), "omega=4": (21.0, 29.0)}
+    asked = []
+
+    def searched(record, overrides, space, store):
+        asked.append(overrides)
+        return [{"state": "finished", "values": [scores[key][0]], "overrides": [key]} for key in scores]
+
+    def again(overrides, seeds, store):
+        assert list(seeds) == [10001, 10002]
+        assert "scene.validation=0.1" in overrides
+        return pd.DataFrame({"psnr": [scores[overrides[-1]][1]] * 2})
+
+    monkeypatch.setattr(tuning, "searched", searched)
+    monkeypatch.setattr(tuning, "trained", again)
+    monkeypatch.setattr(tuning, "found", lambda *_: pd.DataFrame({"train_s": [30.0]}))
+    record = Record(Question(SIRENS, ("scene=poster",), "field=classical", 0.5, tune=4), "x")
+    tuning.tune(record, "scene=poster", tmp_path)
+    assert [one["chosen"] for one in record.tuned.values()] == [["omega=2"], ["omega=2"]]  # omega=4 was not among three
+    assert record.overrides("scene=poster", SIRENS[1])[-1] == "omega=2"
+    assert {one["seconds"] for one in record.tuned.values()} == {7 * 30.0}
+    assert all("seed=10000" in overrides for overrides in asked)
+    tuning.tune(record, "scene=poster", tmp_path)
+    assert len(asked) == 2
 
 
 def test_scenes_are_named_by_their_folders(trainings, tmp_path):
