@@ -38,7 +38,7 @@ def test_selection_tells_everything_left_out():
 
 def test_runs_of_a_search_are_in_no_table_with_others():
     searched = FRAME[:2].assign(**{"scene.validation": [0.1, None]})
-    made = select(searched, rows=["field"])
+    made = select(searched)
     assert (list(made.runs["psnr"]), made.note) == ([21.0], "left out: 1 of a search")
     assert len(select(searched[:1]).runs) == 1
 
