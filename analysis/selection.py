@@ -29,6 +29,10 @@ _OF_TRACKED = ("field", *RECORDED)
 """Settings of tracked runs alone: in others the heads decide the field, and the options are only recorded."""
 
 
+TUNING = (10_000, 10_001, 10_002)
+"""Seeds of `qnerf decide --tune`, which judge nothing: of the search, and of its best trials."""
+
+
 @dataclass(frozen=True)
 class Selection:
     """The finished runs that have the metric, and how many were left out for which reason."""
@@ -51,12 +55,17 @@ class Selection:
 def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) -> Selection:
     """The runs of `frame` (from `load.runs`) that finished with a finite `metric`.
 
+    Runs that measured validation views are left out, unless there are no others.
+
     rows: keys by which they will be grouped, as `check_keys` and `refuse_mixtures` want them. ValueError also where no
     run finished so; the message counts the states and lists the metrics that runs have.
     """
     check_keys(frame, rows)
     states = frame["state"].fillna("unknown").value_counts()
     finished = frame[frame["state"] == "finished"]
+    searched = validating(finished)
+    if not searched.all():
+        finished = finished[~searched]
     if finished.empty:
         raise ValueError(f"no finished runs among {len(frame)}: {states.to_dict()}")
     if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
@@ -70,6 +79,8 @@ def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) 
     if rows:
         refuse_mixtures(usable, rows)
     left_out: dict[str, int] = {str(name): count for name, count in states.drop("finished").items()}
+    if not searched.all():
+        left_out["of a search"] = int(searched.sum())
     left_out |= {f"NaN {metric}": int(values.isna().sum()), f"infinite {metric}": int(np.isinf(values).sum())}
     return Selection(usable, {reason: count for reason, count in left_out.items() if count})
 
@@ -77,6 +88,12 @@ def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) 
 def colorless(runs: pd.DataFrame) -> pd.Series:
     """Which runs show one colour, or nothing: bool."""
     return runs["explained"] < COLORLESS if "explained" in runs else pd.Series(False, runs.index)
+
+
+def validating(runs: pd.DataFrame) -> pd.Series:
+    """Which runs measured validation views, or have a seed that judges nothing: bool."""
+    held_out = runs["scene.validation"].notna() if "scene.validation" in runs else False
+    return held_out | runs["seed"].isin(TUNING)
 
 
 def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -1,8 +1,10 @@
 """Is one configuration better than another, worse, equivalent, or is that undecided?
 
 Two groups of runs that differ only in their seeds are compared by the mean of a metric over the held-out views that
-every run of both groups has. The difference of the groups' means has Welch's standard error, because the seeds of two
-heads are not paired: equal seeds draw the same rays, and that explains nothing of how two different heads end.
+every run of both groups has. A verdict is about the typical run, the mean of a group without its lowest and its highest
+fifth, so runs that slip do not decide it: how many do is counted apart. The test is Yuen's (Biometrika 61, 1974), which
+is Welch's on trimmed means. Seeds of two heads are not paired: equal seeds draw the same rays, and that explains
+nothing of how two different heads end.
 
 `within` is the smallest difference that matters, in the metric's unit. Only one of "equivalent" and "better or worse"
 can be wrong, so both are tested at the whole error rate `alpha`.
@@ -25,8 +27,10 @@ from . import packed
 
 ALPHA = 0.05
 """The share of verdicts that may be wrong, where there is no difference or one of exactly `within`."""
-COLLAPSE, MADS = 5.0, 7.4
-"""dB, and median absolute deviations (five standard deviations of normal seeds), see `collapses`."""
+TRIM, TRIMMED_FROM = 0.2, 6
+"""The share of a group that is trimmed at either end, and the smallest group that is trimmed."""
+SLIP = 1.5
+"""A run that is more dB below the median of its group slipped."""
 
 Kind = Literal["better", "worse", "equivalent", "undecided"]
 
@@ -37,8 +41,8 @@ class Verdict:
 
     `reach` is the half width of its interval of level 1 - alpha, infinite where a side has fewer than two runs.
     `excluded` names what an undecided comparison rules out, "a loss" or "a gain" of at least `within`; of an
-    equivalent one, "above 0" or "below 0" where the interval excludes 0. `seeds` and `collapsed` count the runs that
-    were compared and those that were set aside, baseline first; `uneven`: one side collapses more often (Fisher).
+    equivalent one, "above 0" or "below 0" where the interval excludes 0. `seeds` and `slipped` count all runs and those
+    that slipped or diverged, baseline first; `uneven`: one side slips more often (Fisher).
     """
 
     kind: Kind
@@ -50,7 +54,7 @@ class Verdict:
     excluded: str = ""
     star: bool = False
     seeds: tuple[int, int] = (0, 0)
-    collapsed: tuple[int, int] = (0, 0)
+    slipped: tuple[int, int] = (0, 0)
     uneven: bool = False
 
     def text(self, metric: str = "psnr") -> str:
@@ -60,10 +64,10 @@ class Verdict:
             if self.kind == "equivalent"
             else f": {self.excluded} of {self.within:g} {metric_of(metric).unit}".rstrip() + " is ruled out"
         )
-        sides = zip(("baseline ", ""), self.collapsed, self.seeds, strict=True)
-        collapsed = [f"; {side}collapsed {gone} of {gone + kept}" for side, gone, kept in sides if gone]
+        sides = zip(("baseline ", ""), self.slipped, self.seeds, strict=True)
+        slipped = [f"; {side}slipped {gone} of {runs}" for side, gone, runs in sides if gone]
         often = ", one side more often" if self.uneven else ""
-        return self.kind + more + (" *" if self.star else "") + "".join(collapsed) + often
+        return self.kind + more + (" *" if self.star else "") + "".join(slipped) + often
 
 
 def judge(
@@ -99,30 +103,36 @@ def pooled(squares: np.ndarray, freedoms: np.ndarray) -> tuple[float, float]:
     return total**0.5, float(freedom)
 
 
-def welch(baseline: np.ndarray, other: np.ndarray) -> tuple[float, float, float]:
-    """Difference of the means, its standard error and degrees of freedom: 0 for a group of one."""
-    difference = float(np.mean(other) - np.mean(baseline))
-    sizes = np.array([len(baseline), len(other)])
-    if sizes.min() < 2:
-        return difference, float("nan"), 0.0
-    squares = np.array([np.var(baseline, ddof=1), np.var(other, ddof=1)]) / sizes
-    squares *= squares.sum() > (1e-12 * np.abs([*baseline, *other]).max()) ** 2  # rounding alone is no spread
-    return difference, *pooled(squares, sizes - 1)
+def yuen(baseline: np.ndarray, other: np.ndarray) -> tuple[float, float, float]:
+    """Difference of the trimmed means, its standard error and degrees of freedom: 0 for a group of one.
 
-
-def collapses(baseline: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which values of each group, in dB, are of runs that collapsed.
-
-    Such a value is NaN, or both `COLLAPSE` below the better of the two medians and, below the median of its own group,
-    more than `COLLAPSE` and `MADS` median absolute deviations.
+    Groups of fewer than `TRIMMED_FROM` are not trimmed: then it is Welch's test of the means.
     """
-    medians = [np.nanmedian(group) if np.isfinite(group).any() else -np.inf for group in (baseline, other)]
-    found = []
-    for group, median in zip((baseline, other), medians, strict=True):
-        spread = np.nanmedian(np.abs(group - median)) if np.isfinite(median) else 0.0
-        low = (group < max(medians) - COLLAPSE) & (group < median - max(COLLAPSE, MADS * spread))
-        found.append(low | np.isnan(group))
-    return found[0], found[1]
+    centres, squares, freedoms = np.array([trimmed(np.sort(group)) for group in (baseline, other)]).T
+    difference = float(centres[1] - centres[0])
+    if freedoms.min() < 1:
+        return difference, float("nan"), 0.0
+    squares *= squares.sum() > (1e-12 * np.abs([*baseline, *other]).max()) ** 2  # rounding alone is no spread
+    return difference, *pooled(squares, freedoms)
+
+
+def trimmed(values: np.ndarray) -> tuple[float, float, int]:
+    """Trimmed mean of sorted values, its squared error by the winsorised variance, and degrees of freedom."""
+    number = len(values)
+    cut = int(TRIM * number) if number >= TRIMMED_FROM else 0
+    kept = number - 2 * cut
+    if kept < 2:
+        return float(values.mean()), float("nan"), 0
+    spread = np.var(values.clip(values[cut], values[-cut - 1]), ddof=1)
+    return float(values[cut : number - cut].mean()), float((number - 1) * spread / (kept * (kept - 1))), kept - 1
+
+
+def slips(group: np.ndarray, unit: str) -> int:
+    """How many runs diverged (NaN) or, of a metric in dB, are more than `SLIP` below the median of the group."""
+    low = (
+        group < np.nanmedian(group) - SLIP if unit == "dB" and np.isfinite(group).any() else np.zeros(len(group), bool)
+    )
+    return int((low | np.isnan(group)).sum())
 
 
 def verdict(
@@ -137,27 +147,27 @@ def verdict(
     """The verdict on the runs of `other` against the runs of `baseline`, a value a run.
 
     comparisons: how many rows the table has; a star stands where the verdict holds at alpha / comparisons, too.
-    Collapsed runs are set aside for metrics in dB. ValueError for a value of infinity: an exact fit has no PSNR.
+    A run that diverged has no value and only counts as a slip. ValueError for a value of infinity: an exact fit has no
+    PSNR.
     """
     groups = [np.asarray(group, dtype=float) for group in (baseline, other)]
     if infinite := sum(int(np.isinf(group).sum()) for group in groups):
         raise ValueError(f"{metric} of {infinite} runs is infinite, so their mean says nothing: compare another metric")
     item = metric_of(metric)
-    dropped = collapses(*groups) if item.unit == "dB" else tuple(np.isnan(group) for group in groups)
-    kept = [group[~out] for group, out in zip(groups, dropped, strict=True)]
-    seeds, collapsed = (len(kept[0]), len(kept[1])), (int(dropped[0].sum()), int(dropped[1].sum()))
-    found = welch(*kept) if min(seeds) else (np.nan, np.nan, 0.0)
+    kept = [group[~np.isnan(group)] for group in groups]
+    seeds = len(groups[0]), len(groups[1])
+    slipped = slips(groups[0], item.unit), slips(groups[1], item.unit)
+    found = yuen(*kept) if min(map(len, kept)) else (np.nan, np.nan, 0.0)
     made = judge(*found, within, sign=item.sign, alpha=alpha)
     strict = judge(*found, within, sign=item.sign, alpha=alpha / comparisons).kind if comparisons else "undecided"
-    star, uneven = made.kind == strict != "undecided", fisher(collapsed, seeds) < alpha
-    return replace(made, star=star, seeds=seeds, collapsed=collapsed, uneven=uneven)
+    star, uneven = made.kind == strict != "undecided", fisher(slipped, seeds) < alpha
+    return replace(made, star=star, seeds=seeds, slipped=slipped, uneven=uneven)
 
 
-def fisher(collapsed: tuple[int, int], seeds: tuple[int, int]) -> float:
-    """The p-value of Fisher's exact test that both sides collapse equally often."""
-    one, two = (gone + kept for gone, kept in zip(collapsed, seeds, strict=True))
-    ways = [comb(one, gone) * comb(two, sum(collapsed) - gone) for gone in range(sum(collapsed) + 1)]
-    return sum(way for way in ways if way <= ways[collapsed[0]]) / sum(ways)
+def fisher(slipped: tuple[int, int], seeds: tuple[int, int]) -> float:
+    """The p-value of Fisher's exact test that both sides slip equally often."""
+    ways = [comb(seeds[0], gone) * comb(seeds[1], sum(slipped) - gone) for gone in range(sum(slipped) + 1)]
+    return sum(way for way in ways if way <= ways[slipped[0]]) / sum(ways)
 
 
 def over_scenes(verdicts: Sequence[Verdict], *, sign: int = 1) -> list[Verdict]:
@@ -224,6 +234,7 @@ def method(metric: str, within: float) -> str:
     """What a table's verdicts are, for under it."""
     band = f"{within:g} {metric_of(metric).unit}".rstrip()
     return (
-        f"Welch's t on run means over the same views, ± of 95 %; equivalent: the 90 % interval is within ± {band}; "
-        "* holds for all rows together"
+        f"trimmed means of the runs over the same views (Yuen's t), ± of 95 %; equivalent: the 90 % interval is within "
+        f"± {band}; "
+        "* holds for all rows together; no registered study"
     )

@@ -17,11 +17,12 @@ from qnerf.records.location import DEFAULT
 from qnerf.training.forecast import announced
 
 from .. import command
-from ..selection import colorless
+from ..selection import TUNING, colorless
 from ..tables.differences import interval
 from ..verdict import verdict, within_of
 from .looks import FIRST, MOST, looks, planned, shares
 from .study import Question, Record, found, name_of, title, trained
+from .tune import AGAIN, tune
 
 DESCRIPTION = """\
 Trains seeds of each candidate until it is decided which is better, or that they are equivalent, or until the end of
@@ -40,6 +41,7 @@ EXAMPLES = """\
 CHOSEN = {
     "seed": "the study chooses the seeds, 0, 1, 2, ...; leave it out",
     "store": "the store is an option of its own, --store DIR",
+    "scene.validation": "the study holds out validation views where it searches, --tune",
     "run.force": "finished runs count; `qnerf run` does one over",
 }
 """Overrides that a study cannot honour, and why."""
@@ -53,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise ValueError(f"expected at least two candidates, each once, got {' '.join(options.candidates)}")
     question = Question(
         tuple(options.candidates), tuple(options.scene or [""]), " ".join(options.all),
-        within_of(options.metric, options.within), options.metric, options.equal,
+        within_of(options.metric, options.within), options.metric, options.equal, options.tune, tuple(options.space),
     )  # fmt: skip
     check(question)
     names = [name_of(scene) for scene in question.scenes]
@@ -108,6 +110,14 @@ def parser() -> argparse.ArgumentParser:
         "--equal", choices=("steps", "time"), default="steps",
         help="time: the cheaper candidate trains as many more steps as the same CPU seconds allow",
     )  # fmt: skip
+    made.add_argument(
+        "--tune", type=int, default=0, metavar="N",
+        help="search each candidate before, N trials on validation views and on seeds that judge nothing",
+    )  # fmt: skip
+    made.add_argument(
+        "--space", action="append", default=[], metavar="OPTION=VALUES",
+        help="other values of a searched option, as those of a search",
+    )  # fmt: skip
     made.add_argument("--plan", action="store_true", help="instead: how many seeds and hours it may take")
     made.add_argument("--store", default=DEFAULT, metavar="DIR", help="folder of runs (default: %(default)s)")
     return made
@@ -147,6 +157,15 @@ def plan(record: Record, store: Path) -> None:
 def study(record: Record, store: Path, budget: float) -> None:
     """Trains and looks until everything is decided or the last look, which `budget` seconds of training pay for."""
     question, foresee = record.question, foreseer(record, budget)
+    record.register(budget, store)
+    for scene in question.scenes if question.tune and not record.looks else ():
+        measure(record, scene, store, foresee)
+        tune(record, scene, store, foresee)
+        if question.equal == "time":  # a chosen option may cost more
+            record.steps = {
+                name: steps for name, steps in record.steps.items() if not name.startswith(title(scene, ""))
+            }
+    after_trials = f", after {question.tune} trials each" if question.tune else ""
     while scenes := [scene for scene in question.scenes if len(record.open(scene)) > 1]:
         before = max((look["seeds"] for look in record.looks), default=0)
         count = next(n for n in looks(record.most or FIRST) if n > before)
@@ -158,6 +177,7 @@ def study(record: Record, store: Path, budget: float) -> None:
         for scene in scenes:
             values = {name: runs[question.metric] for name, runs in frames[scene].items()}
             for look in judged(question, values, alpha, last=count == record.most):
+                look["verdict"] += after_trials
                 record.looks.append({"scene": name_of(scene), "seeds": count, "spent": alpha, **look})
                 print(line(record.looks[-1]))
         record.save(store)
@@ -189,6 +209,9 @@ def foreseer(record: Record, budget: float) -> Callable[[float], None]:
         cost = seconds * len(record.question.pairs)
         seeds = most(budget, cost)
         what = f"the whole study, up to {seeds} seeds of {len(record.question.pairs)} configurations"
+        if trials := record.question.tune:
+            what += f" after {trials} trials of each"
+            seeds += trials + len(TUNING[1:]) * min(AGAIN, trials)
         hours = max(budget / 3600, DAY)
         if told := announced(what, seeds * cost, hours, "fewer candidates or train.steps take less", "--budget {}h"):
             print(told, flush=True)
@@ -196,18 +219,25 @@ def foreseer(record: Record, budget: float) -> Callable[[float], None]:
     return foresee
 
 
+def measure(record: Record, scene: str, store: Path, foresee: Callable[[float], None]) -> None:
+    """For equal times, finds the steps of each candidate, once: from a training of its seed 0."""
+    names = record.question.candidates
+    if record.question.equal != "time" or title(scene, names[0]) in record.steps:
+        return
+    first = {name: trained(record.overrides(scene, name), [0], store, foresee).iloc[0] for name in names}
+    dearest = max(run["step_cpu_ms"] for run in first.values())
+    for name, run in first.items():
+        steps = record.steps[title(scene, name)] = round(run["train.steps"] * dearest / run["step_cpu_ms"])
+        print(f"{title(scene, name)}: {run['step_cpu_ms']:.1f} ms of CPU a step, so {steps:,} steps")
+    record.save(store)
+
+
 def runs_of(
     record: Record, scene: str, count: int, store: Path, foresee: Callable[[float], None]
 ) -> dict[str, pd.DataFrame]:
-    """The runs of every candidate that is still in question; for equal times, steps are measured before, once."""
+    """The runs of every candidate that is still in question."""
     names = record.open(scene)
-    if record.question.equal == "time" and title(scene, names[0]) not in record.steps:
-        first = {name: trained(record.overrides(scene, name), [0], store, foresee).iloc[0] for name in names}
-        dearest = max(run["step_cpu_ms"] for run in first.values())
-        for name, run in first.items():
-            steps = record.steps[title(scene, name)] = round(run["train.steps"] * dearest / run["step_cpu_ms"])
-            print(f"{title(scene, name)}: {run['step_cpu_ms']:.1f} ms of CPU a step, so {steps:,} steps")
-        record.save(store)
+    measure(record, scene, store, foresee)
     frames = {}
     for name in names:
         frames[name] = frame = trained(record.overrides(scene, name), range(count), store, foresee)
@@ -237,7 +267,7 @@ def judged(
         for name, own in values.items()
         if name != baseline
     }
-    decided = {name: one.kind != "undecided" or one.uneven for name, one in found.items()}
+    decided = {name: one.kind != "undecided" for name, one in found.items()}
     over = last or (race and all(decided[name] or one.excluded == "a gain" for name, one in found.items()))
     for name, one in found.items():
         numbers = {"difference": one.difference, "reach": one.reach, "shown": interval(one, question.metric)}

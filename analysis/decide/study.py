@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,8 @@ from .records import FOLDER
 class Question:
     """What is compared: the first candidate is the baseline. Each text holds overrides, as on the command line.
 
-    scenes: overrides that choose a scene, one text a scene. equal: "steps", or "time" for equal CPU seconds.
+    scenes: overrides that choose a scene, one text a scene. equal: "steps", or "time" for equal CPU seconds. tune:
+    trials of a search for each candidate before; 0: none. space: options with other values than those of the heads.
     """
 
     candidates: tuple[str, ...]
@@ -32,6 +34,8 @@ class Question:
     within: float
     metric: str = "psnr"
     equal: str = "steps"
+    tune: int = 0
+    space: tuple[str, ...] = ()
 
     @property
     def comparisons(self) -> int:
@@ -51,6 +55,8 @@ class Record:
     name: of the file; another question, or the same about other runs, has another. runs: "scene: candidate" -> the ids
     of its runs. most: seeds a side at the last look, fixed after the first. steps: "scene: candidate" -> training steps
     where CPU time is to be equal. looks: what each look at each comparison found, in order; `ended`: that was its last.
+    tuned: "scene: candidate" -> what was searched, what was chosen and what it cost. registered: when the record was
+    written, before the first run, and the budget in seconds; changes: the same of later commands with another budget.
     """
 
     question: Question
@@ -59,12 +65,25 @@ class Record:
     most: int = 0
     steps: dict[str, int] = field(default_factory=dict)
     looks: list[dict[str, Any]] = field(default_factory=list)
+    tuned: dict[str, dict[str, Any]] = field(default_factory=dict)
+    registered: dict[str, Any] = field(default_factory=dict)
+    changes: list[dict[str, Any]] = field(default_factory=list)
 
     def overrides(self, scene: str, candidate: str) -> list[str]:
         """Of a run; `steps` come last, so that they hold."""
         steps = self.steps.get(title(scene, candidate))
         last = [f"train.steps={steps}"] if steps else []
-        return [*scene.split(), *self.question.common.split(), *candidate.split(), *last]
+        chosen = self.tuned.get(title(scene, candidate), {}).get("chosen", [])
+        return [*scene.split(), *self.question.common.split(), *candidate.split(), *chosen, *last]
+
+    def register(self, budget: float, store: Path) -> None:
+        """Writes the record before anything is trained; a later command with another budget is a change."""
+        now = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "budget": budget}
+        if not self.registered:
+            self.registered = now
+        elif budget != (self.changes or [self.registered])[-1]["budget"]:
+            self.changes.append(now)
+        self.save(store)
 
     def open(self, scene: str) -> list[str]:
         """The candidates still in question; one alone: the scene is decided."""
@@ -118,8 +137,18 @@ def trained(
     trainings, too.
     ValueError where a run failed for another reason, KeyboardInterrupt where it was stopped.
     """
-    command = [sys.executable, "-m", "qnerf", "run", "-m", *overrides, f"store={store}"]
-    command.append(f"seed={','.join(map(str, seeds))}")
+    started([*overrides, f"store={store}", f"seed={','.join(map(str, seeds))}"], foresee)
+    frame = found(overrides, seeds, store)
+    diverged = frame["error"].astype(str).str.contains("diverged|not finite")
+    for name in frame.index[frame["state"].ne("finished") & ~diverged]:
+        raise ValueError(f"{name}: {frame.loc[name, 'state']}; `qnerf show {name}` says why")
+    return frame
+
+
+def started(arguments: Sequence[str], foresee: Callable[[float], object]) -> None:
+    """Trains what `qnerf run -m` with these arguments trains; `foresee` and errors as `trained` has them, but for runs
+    that failed."""
+    command = [sys.executable, "-m", "qnerf", "run", "-m", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             for line in process.stdout or ():
@@ -136,11 +165,6 @@ def trained(
         raise KeyboardInterrupt
     if code not in (0, 1):  # 1: a job failed
         raise ValueError(f"training ended with exit code {code}: {' '.join(command[3:])}")
-    frame = found(overrides, seeds, store)
-    diverged = frame["error"].astype(str).str.contains("diverged|not finite")
-    for name in frame.index[frame["state"].ne("finished") & ~diverged]:
-        raise ValueError(f"{name}: {frame.loc[name, 'state']}; `qnerf show {name}` says why")
-    return frame
 
 
 def found(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:

@@ -7,10 +7,11 @@ import pandas as pd
 from qnerf.metrics import metric_of
 
 from ..selection import SCENES, label, select
+from ..verdict import SLIP
 from .seeds import mean_and_spread
 from .table import Table
 
-SLIP, COLLAPSE = 1.5, 5.0  # dB
+COLLAPSE = 5.0  # dB
 
 
 def stability(frame: pd.DataFrame, rows: Sequence[str]) -> Table:

@@ -36,6 +36,13 @@ def test_selection_tells_everything_left_out():
     assert select(gone).note == "colourless (explained variance below 0.25): 1"
 
 
+def test_runs_of_a_search_are_in_no_table_with_others():
+    searched = FRAME[:2].assign(**{"scene.validation": [0.1, None]})
+    made = select(searched)
+    assert (list(made.runs["psnr"]), made.note) == ([21.0], "left out: 1 of a search")
+    assert len(select(searched[:1]).runs) == 1
+
+
 def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():
     """An absent column means that: the runs of a signal beside the runs of a field."""
     base = {"state": "finished", "seed": 0, "psnr": 20.0, "train.steps": 10}

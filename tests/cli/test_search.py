@@ -10,7 +10,7 @@ from qnerf.experiment import run
 from qnerf.records import read_summary, runs, state
 from qnerf.search.space import Choices, Interval
 
-SEARCH = ("-m", "hydra/sweeper=qnerf_optuna", "run.progress=false", "train.eval_views=1")
+SEARCH = ("-m", "hydra/sweeper=qnerf_optuna", "run.progress=false", "train.eval_views=1", "scene.validation=0.4")
 
 
 def test_a_search_prunes_ends_with_a_table_and_is_not_done_twice(small, tmp_path, qnerf):
@@ -59,6 +59,12 @@ def test_configurations_that_differ_in_nothing_that_acts_are_tried_once(small, t
     assert done.code == 0, done.err
     assert "of 3 trials" in done.out
     assert len(runs(tmp_path / "runs")) == 3
+
+
+def test_a_search_without_validation_views_is_refused_before_it_trains(small, tmp_path, qnerf):
+    done = qnerf("run", *SEARCH, *small, "seed=0,1", "scene.validation=null")
+    assert done.err.startswith("error: scene.validation: a search looks at validation views, never at test views")
+    assert (done.code, done.err.count("\n"), runs(tmp_path / "runs")) == (1, 1, [])
 
 
 def test_a_search_of_more_than_run_hours_is_refused_after_its_first_trial(small, tmp_path, qnerf):

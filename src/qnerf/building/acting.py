@@ -15,7 +15,7 @@ from qnerf.auto.rules import AUTO, RULES
 from qnerf.config import bounds
 from qnerf.config.identity import plain
 from qnerf.config.registry import Registry, options_of
-from qnerf.config.settings import HEAD_GROUPS, Common, Settings
+from qnerf.config.settings import HEAD_GROUPS, Common, Settings, Validation
 from qnerf.encoders import ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
@@ -43,8 +43,10 @@ SOURCES: dict[str, tuple[tuple[str, ...], str]] = {
     "qfgn": (tuple(HEAD_GROUPS), "qfgn"),
 }
 """Group of defaults -> the groups that copy its values, and the name of the component whose options they are."""
-HEAD_SOURCES = ("initials", "rates", "activations")
-"""Tables by head in the groups of heads, from which other options take their values."""
+EVERY_SCENE = ("validation",)
+"""Options of the group `scene` whatever scene it names."""
+HEAD_SOURCES = ("initials", "rates", "activations", "space")
+"""Tables in the groups of heads: by head, from which other options take their values; and what a search may vary."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def _of_component(group: str, node: Mapping[str, Any]) -> Iterator[Option]:
     if name is None:
         raise ValueError(f"{group}: missing name")
     yield Option(f"{group}.name", name, str)
-    given = {key: value for key, value in node.items() if key != "name"}
+    given = {key: value for key, value in node.items() if key not in ("name", *EVERY_SCENE * (group == "scene"))}
     if name == AUTO and f"{group}.name" in RULES:
         parameters: dict[str, tuple[Parameter, Any]] = {}
         for candidate in registry.names():
@@ -170,6 +172,8 @@ def _of_component(group: str, node: Mapping[str, Any]) -> Iterator[Option]:
         _check_names(f"{group}={name}", given, parameters)
     for key, parameter in parameters.items():
         yield _option(f"{group}.{key}", given, key, *parameter)
+    if group == "scene":
+        yield Option("scene.validation", node.get("validation"), Validation, None)
 
 
 def _of_head(group: str, node: Mapping[str, Any]) -> Iterator[Option]:

@@ -68,11 +68,13 @@ def prepare(config: Mapping[str, Any] | Configuration, source: Scene | Task | No
     if not isinstance(config, Configuration):
         import_plugins(config.get("plugins", []))
     configuration = Configuration.of(config)  # before the scene is read, which may take long
-    node = configuration.complete["scene"]
+    node = dict(configuration.complete["scene"])
+    share = node.pop("validation")
     source = component(SCENES, node) if source is None else source
     if not isinstance(source, Scene | Task):
         raise ValueError(f"scene={node['name']}: expected a Scene or a Task, got {type(source).__name__}")
-    task = FieldTask(source) if isinstance(source, Scene) else source
+    chosen = source.validating(share) if share else source
+    task = FieldTask(chosen) if isinstance(chosen, Scene) else chosen
     configuration, decisions = task.decide(configuration)
     for option in configuration.options:
         if option.value == auto.AUTO:  # and nothing has decided it

@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,7 +41,13 @@ from qnerf.training.forecast import announced
 
 FILE = "judge.json"
 """In the folder of a sweep: what its jobs need to know to judge themselves."""
+TRIALS = "trials.json"
+"""In the folder of a sweep: what a search has found."""
 SHOWN = 10  # trials in the closing table of a search with one objective
+UNVALIDATED = (
+    "scene.validation: a search looks at validation views, never at test views, and none are held out; "
+    "scene.validation=0.1 holds out a tenth of what trains"
+)
 OPTIONS: Mapping[str, Any] = {
     "objectives": Annotated[list[str], MinLen(1)],
     "n_trials": PositiveInt,
@@ -99,6 +106,8 @@ class OptunaSweeper(Sweeper):
             report(ValueError(error))
             sys.exit(FAILED)
         show(space, self.options["objectives"], trials)
+        found = [{"overrides": overrides(space, one.point), **asdict(one)} for one in trials]
+        (Path(self.config.hydra.sweep.dir) / TRIALS).write_text(json.dumps(found))
         if trials and not any(trial.state in ("finished", "pruned") for trial in trials):
             sys.exit(FAILED)
 
@@ -108,7 +117,8 @@ class OptunaSweeper(Sweeper):
         sweep.folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(self.config, sweep.folder / "multirun.yaml")
         seeds = [[f"seed={seed}"] for seed in options["seeds"] or ()] or [[]]
-        metric = goals.judged(options["objectives"]) if len(options["objectives"]) == 1 else None
+        judged = goals.judged(options["objectives"])
+        metric = judged if len(options["objectives"]) == 1 else None
         scenes: dict[str, Any] = {}
 
         def ids(point: Point) -> list[str]:
@@ -118,6 +128,8 @@ class OptunaSweeper(Sweeper):
                 scene = json.dumps(own.complete["scene"], sort_keys=True)
                 prepared = prepare(own, scenes.get(scene))
                 scenes.setdefault(scene, prepared.source)
+                if judged and prepared.task.tests_unseen and not own["scene.validation"]:
+                    raise NoObjective(UNVALIDATED)
                 found.append(prepared.find_id(store))
             return found
 

@@ -19,6 +19,7 @@ from qnerf.config.bounds import Factor, NonNegativeFactor, NonNegativeInt, Posit
 Rate = Annotated[float, Interval(ge=1e-30, le=1e6)]
 Beta = Annotated[float, Interval(ge=0, lt=1)]
 Length = Annotated[float, Interval(ge=0, le=1e9)]  # world units
+Validation = Annotated[float, Interval(gt=0, le=0.5)] | None  # of what trains; None: nothing is held out for validation
 Name = Annotated[str, MinLen(1)]
 Background = Literal["last_sample", "white", "black", "random"]
 BACKGROUNDS: tuple[str, ...] = get_args(Background)

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -137,6 +138,12 @@ class Scene:
         views = f"{len(cameras)} views of {upto}{cameras.width} x {cameras.height} pixels, {counts}"
         return "; ".join([views, *self.remarks])
 
+    def validating(self, share: float) -> "Scene":
+        """The scene that holds out validation views instead of its test views, see `hold_out`."""
+        train, validation = hold_out(self.train, share)
+        remark = f"held out for validation; {len(self.eval)} test views play no part"
+        return replace(self, train=train, eval=validation, remarks=(remark, *self.remarks))
+
     @property
     def has_alpha(self) -> bool:
         return self.images.shape[-1] == 4
@@ -194,6 +201,21 @@ def even_subset(items: int, limit: int | None) -> list[int]:
     if limit is None or limit >= items:
         return list(range(items))
     return [int((2 * index + 1) * items / (2 * limit)) for index in range(limit)]
+
+
+def hold_out(train: Sequence[int], share: float) -> tuple[list[int], list[int]]:
+    """What trains, split into what still trains and what validates: a share of it, evenly spread, and at least one.
+
+    >>> hold_out([0, 1, 2, 4, 5], 0.4)
+    ([0, 2, 5], [1, 4])
+
+    ValueError where nothing is left to train on.
+    """
+    chosen = set(even_subset(len(train), max(1, round(share * len(train)))))
+    if len(chosen) == len(train):
+        raise ValueError(f"scene.validation={share:g}: leaves nothing to train on, of {len(train)} training views")
+    kept = [index for place, index in enumerate(train) if place not in chosen]
+    return kept, [train[place] for place in sorted(chosen)]
 
 
 def split_views(views: int, every: int | None = None) -> tuple[list[int], list[int]]:

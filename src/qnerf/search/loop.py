@@ -11,7 +11,7 @@ POLL = 10.0  # seconds between two looks at runs that another process trains
 
 
 class NoObjective(Exception):
-    """The runs that have finished have no number for an objective, so the search cannot learn from any."""
+    """There is nothing to search by: no run has a number for an objective, or no view is held out for validation."""
 
 
 def search(

@@ -1,5 +1,6 @@
 """The distance of a shape's surface as a function of points."""
 
+import copy
 from typing import Literal
 
 import torch
@@ -7,7 +8,7 @@ from torch import Tensor
 
 from qnerf.config.bounds import PositiveInt, Seed
 from qnerf.scenes import SCENES
-from qnerf.scenes.base import digest
+from qnerf.scenes.base import digest, hold_out
 from qnerf.signals.base import Fitted, Signal
 from qnerf.signals.photograph import centres
 from qnerf.signals.shapes import SHAPES
@@ -46,6 +47,13 @@ class Distance(Signal):
         self.plane = grid(2, PICTURE)
         if dims == 3:
             self.plane = torch.nn.functional.pad(self.plane, (0, 1), value=0.5)
+
+    def validating(self, share: float) -> "Distance":
+        """Measured on some of the training points."""
+        found = copy.copy(self)
+        kept, chosen = hold_out(range(len(self.points)), share)
+        found.points, found.targets, found.unseen = self.points[kept], self.targets[kept], self.points[chosen]
+        return found
 
     def distances(self, points: Tensor) -> Tensor:
         """Points (N, D) -> true distances (N, 1)."""

@@ -1,5 +1,6 @@
 """A photograph as a function from pixel coordinates to colour."""
 
+import copy
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from qnerf.config.bounds import Count
 from qnerf.scenes import SCENES
+from qnerf.scenes.base import hold_out
 from qnerf.scenes.folders import PHOTOGRAPHS, SceneFolder
 from qnerf.scenes.images import open_header, read_images
 from qnerf.signals.base import Fitted, Signal
@@ -62,27 +64,50 @@ class Photograph(Signal):
         if gray:
             pixels = pixels @ np.array(LUMINANCE)[:, None]
         self.truth = torch.from_numpy(pixels)  # (H, W, C)
-        height, width, channels = pixels.shape
+        height, width = pixels.shape[:2]
         y, x = torch.meshgrid(centres(height), centres(width), indexing="ij")
         self.everywhere = torch.stack([x, y], dim=-1).view(-1, 2)
         unseen = round(held_out * height * width)
         order = torch.randperm(height * width, generator=torch.Generator().manual_seed(0))
         self.unseen, seen = order[:unseen].sort().values, order[unseen:].sort().values
-        self.points, self.targets = self.everywhere[seen], self.truth.view(-1, channels)[seen]
+        self.measured = torch.arange(height * width)  # pixels: all, or without those of the test
+        self._train_on(seen)
+
+    def _train_on(self, seen: Tensor) -> None:
+        self.points, self.targets = self.everywhere[seen], self.truth.flatten(0, 1)[seen]
+        self.seen = seen
+
+    @property
+    def tests_unseen(self) -> bool:
+        return len(self.unseen) > 0
+
+    def validating(self, share: float) -> "Photograph":
+        """The picture without the pixels of the test, which are black; of the others some validate."""
+        found = copy.copy(self)
+        seen, unseen = (torch.tensor(pixels) for pixels in hold_out(self.seen.tolist(), share))
+        found.measured, found.unseen, found.truth = self.seen, unseen, self.truth.clone()
+        found.truth.flatten(0, 1)[self.unseen] = 0
+        found._train_on(seen)
+        return found
 
     def terms(self, predicted: Tensor, targets: Tensor) -> dict[str, Tensor]:
         return {"mse": torch.nn.functional.mse_loss(predicted, targets)}
 
     def evaluate(self, fitted: Fitted) -> tuple[dict[str, float | None], list[Tensor]]:
-        """PSNR and SSIM of the whole picture, and the PSNR of the pixels that training never saw."""
+        """PSNR and SSIM of the whole picture, and the PSNR of the pixels that training never saw.
+
+        Where pixels are held out for validation, those of the test are in none, and there is no SSIM.
+        """
         color = fitted.values(self.everywhere).clamp(0, 1).view(self.truth.shape)
         fit, truth = color.expand(-1, -1, 3), self.truth.expand(-1, -1, 3)
-        unseen = [image.reshape(1, -1, 3)[:, self.unseen] for image in (fit, truth)]
+        whole, unseen = (
+            [image.reshape(1, -1, 3)[:, pixels] for image in (fit, truth)] for pixels in (self.measured, self.unseen)
+        )
         measured = {
-            "psnr": psnr(fit, truth),
-            "ssim": ssim(fit, truth),
-            "explained": explained(fit.reshape(-1, 3), truth.reshape(-1, 3)),
-            "psnr_unseen": psnr(unseen[0], unseen[1]) if len(self.unseen) else None,
+            "psnr": psnr(*whole),
+            "ssim": ssim(fit, truth) if len(self.measured) == len(self.everywhere) else None,
+            "explained": explained(*(image[0] for image in whole)),
+            "psnr_unseen": psnr(*unseen) if len(self.unseen) else None,
         }
         return measured, [truth, fit, shade_error(fit, truth)]
 

@@ -69,6 +69,18 @@ class Task(ABC):
         """The data, as an evaluator shows it."""
         return self
 
+    @property
+    def tests_unseen(self) -> bool:
+        """Whether results are measured on data that training does not see."""
+        return True
+
+    def validating(self, share: float) -> "Task":
+        """The same with this share of what trains held out, which is measured instead of the test data.
+
+        See `qnerf.scenes.base.hold_out`, which chooses it. ValueError where the kind has no such thing.
+        """
+        raise ValueError(f"scene.validation={share:g}: {type(self).__name__} has no method `validating`")
+
     def decide(self, configuration: Any) -> tuple[Any, Mapping[str, Any]]:
         """The `building.configuration.Configuration` that holds for this scene, and the options that were `auto`, each
         with its `auto.Decision`. ValueError where the data are not what the kind expects, or the options do not fit."""

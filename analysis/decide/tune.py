@@ -1,0 +1,119 @@
+"""The same search for every candidate, on validation views and on seeds that judge nothing."""
+
+import json
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qnerf.building.scene import prepare
+from qnerf.cli.compose import configuration
+from qnerf.cli.search import TRIALS
+from qnerf.config.settings import HEAD_GROUPS
+from qnerf.metrics import metric_of
+
+from ..selection import TUNING
+from .study import Record, found, started, title, trained
+
+SHARE = 0.1  # of the training views, held out for validation
+AGAIN = 3  # trials that are trained again with new seeds before one is chosen
+
+
+def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
+    """Candidate -> option -> its values: of the heads in which the candidates differ, what conf/head says beside them.
+
+    An option that a candidate sets itself stays as it is. `--space` replaces values.
+
+    Raises:
+        ValueError: nothing is left to search for a candidate, or `--space` names an option of none.
+    """
+    asked_for = replace(record, tuned={})  # also where a part of the study was searched before
+    trees = {name: configuration(asked_for.overrides(scene, name)) for name in record.question.candidates}
+    groups = [part for part in HEAD_GROUPS if len({json.dumps(tree.get(part)) for tree in trees.values()}) > 1]
+    asked = dict(text.partition("=")[::2] for text in record.question.space)
+    made = {}
+    for name, tree in trees.items():
+        fixed = {word.partition("=")[0].partition(".")[2] for word in name.split()}
+        made[name] = {
+            f"train.rates.{part}" if key == "rate" else f"{part}.{key}": values
+            for part in groups
+            for key, values in tree[part]["space"].items()
+            if key not in fixed and (key != "rate" or f"rates.{part}" not in fixed)
+        }
+        made[name] |= {option: values for option, values in asked.items() if option in made[name]}
+        if not made[name]:
+            raise ValueError(f"{title(scene, name)}: --tune has nothing to search; give --space OPTION=VALUES")
+    known = sorted({option for own in made.values() for option in own})
+    if unknown := [option for option in asked if option not in known]:
+        raise ValueError(f"--space {unknown[0]}: searched in no candidate; known: {', '.join(known)}")
+    return made
+
+
+def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], object]) -> None:
+    """Searches each candidate of the scene that was not searched yet; the record keeps what was chosen and its cost."""
+    question = record.question
+    for name, space in spaces(record, scene).items():
+        if title(scene, name) in record.tuned:
+            continue
+        overrides = record.overrides(scene, name)
+        unseen = prepare(configuration(overrides)).task.tests_unseen
+        overrides += [f"scene.validation={SHARE}"] * unseen
+        tried = searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
+        finished = [trial for trial in tried if trial["state"] == "finished"]
+        if not finished:
+            raise ValueError(f"{title(scene, name)}: no trial of the search finished")
+        sign = metric_of(question.metric).sign
+        finished.sort(key=lambda trial: -sign * trial["values"][0])
+        again = {}
+        for trial in finished[:AGAIN]:
+            runs = trained([*overrides, *trial["overrides"]], TUNING[1:], store, foresee)
+            again[tuple(trial["overrides"])] = float(sign * runs[question.metric].mean())
+        runs = [[*overrides, *trial["overrides"]] for trial in finished]
+        first = [found(one, TUNING[:1], store)["train_s"].sum() for one in runs]
+        more = [found([*overrides, *point], TUNING[1:], store)["train_s"].sum() for point in again]
+        chosen = list(max(again, key=lambda point: again[point] if np.isfinite(again[point]) else -np.inf))
+        record.tuned[title(scene, name)] = {
+            "space": space,
+            "trials": len(tried),
+            "chosen": chosen,
+            "seconds": float(sum(first) + sum(more)),
+            "validation": SHARE if unseen else "other seeds: nothing was held out",
+            "expected": expected([trial["values"][0] for trial in finished], sign),
+        }
+        record.save(store)
+        told = ", ".join(chosen)
+        minutes = record.tuned[title(scene, name)]["seconds"] / 60
+        print(f"{title(scene, name)}: {len(tried)} trials, {minutes:.1f} minutes of training, chose {told}", flush=True)
+
+
+def searched(
+    record: Record, overrides: Sequence[str], space: dict[str, str], store: Path, foresee: Callable[[float], object]
+) -> list[dict[str, Any]]:
+    """The trials of one search, by the search of `qnerf run`; the store is its memory."""
+    question = record.question
+    folder = store / ".sweeps" / f"tune-{uuid.uuid4().hex[:12]}"
+    started(
+        [
+            "hydra/sweeper=qnerf_optuna", f"hydra.sweeper.n_trials={question.tune}", "hydra.sweeper.sampler=random",
+            "hydra.sweeper.prune.percentile=0", f"hydra.sweeper.objectives=[{question.metric}]",
+            f"hydra.sweep.dir={folder}", *overrides, f"store={store}",
+            *(f"{option}={values}" for option, values in space.items()),
+        ],
+        foresee,
+    )  # fmt: skip
+    trials: list[dict[str, Any]] = json.loads((folder / TRIALS).read_text())
+    return trials
+
+
+def expected(values: Sequence[float], sign: int) -> list[float]:
+    """The expected best of 1, 2, ... trials drawn from these (Dodge et al., arXiv:1909.03004).
+
+    >>> expected([20.0, 22.0], 1)
+    [21.0, 21.5]
+    """
+    ordered, number = np.sort(sign * np.asarray(values, dtype=float)), len(values)
+    share = np.arange(number + 1) / number
+    return [float(sign * ordered @ np.diff(share**count)) for count in range(1, number + 1)]
