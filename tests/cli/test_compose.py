@@ -30,6 +30,7 @@ MISTAKES = {
     "qiren.layers=1,2": "several values are a sweep, add -m",
     "color=mlp,qiren": "color=mlp,qiren: several values are a sweep, add -m",
     "hydra.verbose=1,2": "several values are a sweep, add -m",
+    "seed=range(0,2)": "seed=range(0,2): several values are a sweep, add -m",
     "hydra/sweeper=qnerf_optuna hydra.sweeper.n_trial=3": "sweeper.n_trial; did you mean hydra.sweeper.n_trials=...?",
     "hydra/sweeper=qnerf_optuna hydra.sweeper.direction=maximize": "sweeper.direction; known: n_jobs, n_trials, object",
     "hydra.swep.dir=x": "unknown option hydra.swep.dir; known: callbacks",

@@ -214,14 +214,14 @@ def message(error: Exception, typed: Sequence[str]) -> str:
             words = [word.rpartition("@")[2].partition("=") for word in typed]
             group = next((key for key, _, values in words if key in HEADS and name in values.split(",")), group)
         return f"{group or 'config'}={name}: unknown{known}"
-    if ambiguous := re.match(r"Ambiguous value for argument '(?:head@)?((.*?)=(.*))'\n", str(error)):
-        override, key, value = ambiguous.groups()
+    if several := re.match(r"(Ambig|Sweep)[\w ]+ '(?:head@)?((.*?)=(.*))'(\n| requires)", str(error)):
+        kind, override, key, value, _ = several.groups()
         key = key.lstrip("+~")
         config = _composed(typed, hydra=key.startswith("hydra."))
         if config is not None and key not in _names(config) and not key.startswith("hydra/"):
             return unknown_option(key, config)
-        known = f"a list is {key}=[{value}], a text {_quoted(key, value)}"
-        return f"{override}: several values are a sweep, add -m; {known}"
+        known = f"; a list is {key}=[{value}], a text {_quoted(key, value)}" if kind == "Ambig" else ""
+        return f"{override}: several values are a sweep, add -m{known}"
     unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
     if unknown:
         return unknown_option(unknown[1], _composed(typed, hydra=unknown[1].startswith("hydra.")))
