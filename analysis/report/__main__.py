@@ -16,6 +16,8 @@ from qnerf.records.files import replace
 from .. import command, output
 from ..load import runs
 from . import content, curves, page, parts, pictures
+from .figures import draw
+from .verdicts import verdicts
 
 DESCRIPTION = """\
 Writes one self-contained HTML page about a store of runs: a table of runs, interactive plots, curves, pictures and
@@ -84,6 +86,8 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
         "states": list(frame["state"].fillna("unknown").value_counts().items()),
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        "verdicts": verdicts(frame, options.baseline),
+        "forest": draw("forest", frame, options.baseline)[0],
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
         "note": drawn.note,
         "absent": {
@@ -105,6 +109,7 @@ def write(html: str, out: str) -> Path:
 
 
 SECTIONS = (
+    ("verdicts-section", "Verdicts"),
     ("runs-section", "Runs"),
     ("curves-section", "Curves"),
     ("compared-section", "Compare"),

@@ -55,6 +55,8 @@ EMPTY = {
     "absent": dict.fromkeys(("pictures", "curves"), ""),
     "note": "",
     "decisions": None,
+    "verdicts": None,
+    "forest": (),
 }
 """What a page may leave out."""
 

@@ -14,8 +14,8 @@ from ..verdict import within_of
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, decisions, over_seeds, smallest_configurations
 
-INTERACTIVE = ("loss",)
-"""Figures that the page's own curves show; `qnerf figures` writes them."""
+SHOWN_ABOVE = ("loss", "forest")
+"""Figures that the page's curves and verdicts show; `qnerf figures` writes them."""
 
 
 @dataclass
@@ -50,7 +50,7 @@ def parts(frame: pd.DataFrame, baseline: str | None) -> list[Part]:
     if without:
         paper.text = f"No run is a row of: {'; '.join(without)}."
     more = Part("more", "Figures", "More figures")
-    for name in [name for name in FIGURES if name not in INTERACTIVE]:
+    for name in [name for name in FIGURES if name not in SHOWN_ABOVE]:
         drawn, absent = draw(name, frame, baseline)
         part = paper if FIGURES[name].paper else more
         part.figures += drawn

@@ -20,6 +20,7 @@ from ..load import metrics
 from ..report import content, curves
 from ..report.pictures import Pictures
 from ..report.tables import ShownTable, decisions
+from ..report.verdicts import verdicts
 from ..selection import row_keys, select
 from ..tables import ablation
 from .store import WatchedStore
@@ -52,6 +53,7 @@ class Answers:
             "store": str(self.store.folder),
             "version": qnerf.__version__,
             "sections": SECTIONS,
+            "verdicts": verdicts(frame) if len(frame) else None,
             "decisions": decisions(self.store.folder),
             "data": content.data(frame, Pictures(), {}) | {"version": f"{self._boot}-{version}"},
         }
@@ -137,6 +139,7 @@ class Answers:
 
 
 SECTIONS = (
+    ("verdicts-section", "Verdicts"),
     ("training-section", "In training"),
     ("runs-section", "Runs"),
     ("curves-section", "Curves"),

@@ -1,0 +1,39 @@
+"""The first section of the page: a card for each scene with the verdict on each configuration."""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from ..figures.files import collecting
+from ..selection import classical_baseline, row_keys, select
+from ..tables import across_scenes
+
+MOST = 6  # configurations on a card
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """Scene -> lines of configuration, verdict, difference and seeds; or why there are none."""
+
+    cards: Mapping[str, list[tuple[str, ...]]] = field(default_factory=dict)
+    note: str = ""
+    absent: str = ""
+
+
+def verdicts(frame: pd.DataFrame, baseline: str | None = None) -> Verdicts:
+    """`across_scenes` of every setting that differs, by default against the classical configuration."""
+    errors: dict[str, str] = {}
+    with collecting(errors, "verdicts"):
+        runs = select(frame).runs
+        rows = row_keys(runs)
+        table = across_scenes(runs, rows, baseline or classical_baseline(runs, rows))
+        cards: dict[str, list[tuple[str, ...]]] = defaultdict(list)
+        for name, scene, difference, verdict, seeds in table.text.itertuples(index=False):
+            if seeds:  # else a mean over scenes, which the forest plot shows
+                cards[scene].append((name, verdict, f"{difference} dB", f"{seeds} seeds"))
+        more = max(map(len, cards.values()), default=0) - MOST
+        note = f"Of {more + MOST} configurations, the first {MOST} are here. " if more > 0 else ""
+        return Verdicts({scene: own[:MOST] for scene, own in cards.items()}, f"{note}{table.notes[0]}.")
+    return Verdicts(absent=f"No verdict: {errors['verdicts']}")
