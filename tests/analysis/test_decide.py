@@ -161,6 +161,27 @@ def test_a_study_says_its_whole_time_before_its_first_run_is_trained(trainings, 
     assert trainings.asked
 
 
+def test_a_study_that_is_refused_ends_its_training(tmp_path, monkeypatch):
+    training = tmp_path / "training"
+    ended = tmp_path / "ended"
+    training.write_text(
+        f"#!/bin/sh\ntrap 'touch {ended}; exit 130' TERM\necho 'a step takes about 0.04 s, the whole 1,234.5 hours'\n"
+        "while :; do sleep 0.1; done\n"
+    )
+    training.chmod(0o755)
+    monkeypatch.setattr(study.sys, "executable", str(training))
+    heard = []
+
+    def foresee(seconds):
+        heard.append(seconds)
+        raise ValueError("too long")
+
+    with pytest.raises(ValueError, match="too long"):
+        study.trained(["x=a"], [0], tmp_path, foresee)
+    assert heard == [pytest.approx(1234.5 * 3600)]
+    assert ended.exists()
+
+
 def test_the_last_look_is_not_moved(trainings, tmp_path):
     question = Question(("x=a", "y=1"), ("",), "", 0.01)
     decide.study(Record.of(question, tmp_path), tmp_path, 6 * 60)
