@@ -32,7 +32,7 @@ def stand_in_points(
 
     A rung is the label of a head. Of its configurations, such as learning rates, the best mean counts, on both sides.
     Columns scene_name, rung, `metric` and its _std, params, cpu_s (seconds of CPU in training), n, verdict, which is
-    "circuit" for the baseline, and "not worse" where nothing else is decided and a loss of `within` is ruled out.
+    "baseline" for the baseline, and "not worse" where nothing else is decided and a loss of `within` is ruled out.
     ValueError where the heads do not differ, or a scene has no baseline.
     """
     runs = select(frame, metric).runs
@@ -61,7 +61,7 @@ def stand_in_points(
             groups[found[0]], groups[number], within_of(metric, within), metric=metric, comparisons=max(1, others)
         )[0]
         kind = "not worse" if verdict.excluded == "a loss" else verdict.kind
-        verdicts.append("circuit" if number == found[0] else kind)
+        verdicts.append("baseline" if number == found[0] else kind)
     columns = ["scene_name", "rung", metric, f"{metric}_std", "params", "cpu_s", "n", "verdict"]
     return table.assign(verdict=verdicts)[columns], part
 
@@ -91,7 +91,7 @@ def stand_ins(
     figure = style.new(style.PAGE, 0.8 + 2.6 * len(scenes))
     axes = figure.subplots(len(scenes), 2, sharey="row", squeeze=False)
     drawn = []
-    looks = {"circuit": (style.ink(), "*")} | {kind: (color, "o") for kind, color in COLORS.items()}
+    looks = {"baseline": (style.ink(), "*")} | {kind: (color, "o") for kind, color in COLORS.items()}
     looks["not worse"] = looks["equivalent"]
     for line, scene in zip(axes, scenes, strict=True):
         own = table[table["scene_name"] == scene]
@@ -107,7 +107,7 @@ def stand_ins(
     what = {"head": "heads", "density": "density heads", "color": "colour heads"}[part]
     style.footnote(
         figure,
-        f"{what}, each with its best settings; star: the circuit",
+        f"{what}, each with its best settings; star: the baseline",
         points.seeds(table),
         method(metric, within_of(metric, within)),
         "not worse: a loss of that size is ruled out",

@@ -1,8 +1,9 @@
 """The cards of verdicts that open the report and the live page."""
 
-from analysis import load
-from analysis.report import page
-from analysis.report.verdicts import verdicts
+from qnerf.analysis import load
+from qnerf.analysis.report import page
+from qnerf.analysis.report.verdicts import verdicts
+
 from tests.helpers.configs import ROOT
 
 SEEDS = ROOT / "docs" / "results" / "seeds"
