@@ -25,6 +25,7 @@ def at_rows(head: nn.Module, rows: Callable[[Tensor | None], Tensor], mask: Tens
         rows: the head's values (N, out) of the rows with these numbers (N,) among all; None: of all rows.
         mask: bool, row-major as the rows are.
 
+    >>> import torch
     >>> doubled = lambda index: 2 * torch.arange(4.0)[:, None][slice(None) if index is None else index]
     >>> at_rows(nn.Identity(), doubled, torch.tensor([[False, True], [True, False]]))[..., 0].tolist()
     [[0.0, 2.0], [4.0, 0.0]]
