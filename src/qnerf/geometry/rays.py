@@ -13,7 +13,7 @@ from qnerf.config.tensors import returned
 from qnerf.geometry.bounds import bounds_of
 from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.jit import Call, prepared
+from qnerf.kernels.jit import run
 from qnerf.kernels.training_rays import GRAIN, gather_rays
 from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import directions, image_points
@@ -208,17 +208,12 @@ class RayTable:
 
         `generator` is on the CPU, so that all devices see the same batches.
         """
-        numbers = torch.empty(rays, dtype=torch.int64)
-        self.draw(numbers, generator)
-        return self._training_rays(numbers, refinement)
-
-    def draw(self, numbers: Tensor, generator: torch.Generator) -> None:
-        """Writes the numbers (R,) of a batch."""
         stride, total = self.validation_stride, len(self.training)
         held_out = total // stride if stride else 0
-        torch.randint(total - held_out, numbers.shape, generator=generator, out=numbers)
+        numbers = torch.randint(total - held_out, (rays,), generator=generator)
         if stride:  # skip every `stride`-th pixel
             numbers += numbers // (stride - 1)
+        return self._training_rays(numbers, refinement)
 
     def validation(self, rays: int, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
         """Rays and colours of at most `rays` of the held-out training pixels, evenly spread."""
@@ -234,29 +229,24 @@ class RayTable:
         but = None if fixed else "refined poses"
         but = "more directions than are kept" if self.directions is None else but
         if serves("training rays", self.poses, but=but):
-            rays, colors = self.empty_batch(len(numbers))
-            self.gather(numbers, rays, colors)()
-            return rays, colors
+            return self._gathered(numbers)
         views, pixels = (_sent(index, self.device) for index in self.training.locate(numbers))
         colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
 
-    def empty_batch(self, count: int) -> tuple[Rays, Tensor]:
-        """Rays and colours to be written by `gather`; their bounds are right already."""
+    def _gathered(self, numbers: Tensor) -> tuple[Rays, Tensor]:
+        """The same on the CPU and without refinement, in a compiled loop."""
+        assert self.directions is not None
+        training, count = self.training, len(numbers)
         origins, directions = self.poses.new_empty(2, count, 3).unbind()
         bounds = (self.poses.new_full((count, 1), value) for value in (self.near, self.far))
-        views = torch.empty(count, dtype=torch.int64)
-        return Rays(origins, directions, views, *bounds), self.poses.new_empty(count, self.colors.shape[1])
-
-    def gather(self, numbers: Tensor, rays: Rays, colors: Tensor) -> Call:
-        """Writes the rays and colours of training pixels, on the CPU and without refinement, in a compiled loop."""
-        assert self.directions is not None
-        training = self.training
+        rays = Rays(origins, directions, torch.empty(count, dtype=torch.int64), *bounds)
+        colors = self.poses.new_empty(count, self.colors.shape[1])
         unmasked = torch.empty(0, dtype=torch.int32) if training.unmasked is None else training.unmasked
         given = (numbers, training.ends, training.views, unmasked, self.first, self.lens_of_view, self.first_direction)
-        written = (rays.origins, rays.directions, colors, rays.cameras)
-        arrays = (*given, self.directions, self.poses, self.colors, *written)
-        return prepared(gather_rays, len(numbers), *arrays, grain=GRAIN)
+        written = (origins, directions, colors, rays.cameras)
+        run(gather_rays, count, *given, self.directions, self.poses, self.colors, *written, grain=GRAIN)
+        return rays, colors
 
     def view(self, view: int, refinement: PoseRefinement | None = None) -> Rays:
         """All H * W rays of a view, row by row."""

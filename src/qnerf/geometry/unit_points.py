@@ -25,11 +25,7 @@ def unit_points(
     if not serves("sample places", *ends, modules=modules, but=but):
         unit = contraction(rays.along(samples.mids))
         return unit, None if mask is None else mask(unit)
-    shape = (len(rays), samples.edges.shape[1] - 1)
-    unit = samples.edges.new_empty(*shape, 3)
-    inside = None if mask is None else torch.empty(shape, dtype=torch.bool)
-    points.places(*ends, *numbers_of(contraction), None if mask is None else mask.grid, unit, inside)()
-    return unit, inside
+    return points.places(*ends, *numbers_of(contraction), None if mask is None else mask.grid)
 
 
 def numbers_of(contraction: Contraction) -> tuple[int, float]:

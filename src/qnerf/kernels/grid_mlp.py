@@ -21,13 +21,13 @@ from qnerf.kernels.hashgrid import (
     BLOCK,
     U,
     check,
-    empty,
+    empty_like,
     hash_encode_reference,
     interpolate,
     table_gradient,
 )
-from qnerf.kernels.jit import flat, jit, prepared
-from qnerf.kernels.mlp import PART, Layer, Pass, layers_of
+from qnerf.kernels.jit import jit, run
+from qnerf.kernels.mlp import PART, Layer, layers_of
 from qnerf.kernels.simd import inner
 
 
@@ -96,13 +96,18 @@ class _GridMLP(torch.autograd.Function):
         table: Tensor,
         *parameters: Tensor,
     ) -> Tensor:
-        network = Grid(table, resolutions, dense), layers_of(parameters)
-        ctx.work = GridPass(points, inside, network, keeps)
+        weights, widths = mlp.packed(parameters)
+        blocks = -(-len(points) // BLOCK)
+        encoded = np.empty((keeps * blocks, BLOCK * int(widths[0])), weights.dtype)
+        number_of, counts = np.empty((keeps * blocks, BLOCK), np.int32), np.empty(keeps * blocks, np.int32)
+        values = points.new_empty(len(points), int(widths[-1]))
+        where = np.ones(0, np.bool_) if inside is None else inside
+        network = (table, resolutions, dense, table.shape[2], weights, widths)
+        run(network_values, blocks, points, where, *network, encoded, number_of, counts, values, grain=PART)
         if keeps:
             ctx.save_for_backward(points, inside, resolutions, table, *parameters)
-            ctx.dense = dense
-        values: Tensor = ctx.work.forward()
-        return values.detach()  # the result will point to `ctx`, which must not point back to it
+            ctx.dense, ctx.kept = dense, (weights, widths, encoded.reshape(-1), number_of, counts)
+        return values
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -113,49 +118,14 @@ class _GridMLP(torch.autograd.Function):
                 return grid_mlp_reference(points, inside, Grid(table, resolutions, ctx.dense), layers_of(parameters))
 
             return *[None] * 5, *through_reference(reference, (table, *parameters), upstream)
-        return *[None] * 5, *ctx.work.gradients(upstream, empty(tuple(table.shape), flat(table).dtype))
-
-
-class GridPass(Pass):
-    """The loops in both directions at some points, with their buffers.
-
-    Args:
-        points: (N, 3), and which of them to evaluate, `inside` (N,); None: all. See `grid_mlp`.
-        network: the grid and the layers on it.
-        keeps: whether `gradients` may follow.
-    """
-
-    def __init__(
-        self, points: Tensor, inside: Tensor | None, network: tuple[Grid, Sequence[Layer]], keeps: bool
-    ) -> None:
-        (table, resolutions, dense), layers = network
-        blocks = -(-len(points) // BLOCK)
-        kept, blocks = np.empty(blocks, np.int32), blocks if keeps else 0
-        super().__init__(layers, -(-blocks // PART))
-        self.keeps = keeps
-        self.values = points.new_empty(len(points), len(layers[-1].bias))
-        number_of = np.empty((blocks, BLOCK), np.int32)
-        encoded, to_encoded = empty((2, blocks, BLOCK * int(self.widths[0])), self.weights.dtype).unbind()
-        where = np.ones(0, np.bool_) if inside is None else inside
-        grid = (resolutions, dense, table.shape[2])
-        self.arrays = (table, *grid, self.weights, self.widths, encoded.numpy(), number_of, kept)
-        """What `network_values` takes between the points and the values."""
-        self._values = prepared(network_values, len(kept), points, where, *self.arrays, self.values, grain=PART)
-        of_layers = (encoded, self.weights[:0], self.weights, self.widths, number_of, kept, to_encoded, self.sums)
-        self._layers = prepared(mlp.gradients, len(self.sums), *of_layers, grain=1)
-        of_table = (points, number_of, kept, to_encoded, *grid)
-        self._table = prepared(table_gradient, len(table), *of_table, grain=1)
-
-    def forward(self) -> Tensor:
-        """The values (N, O)."""
-        self._values(self.keeps)
-        return self.values
-
-    def gradients(self, upstream: Tensor, to_table: Tensor) -> list[Tensor]:
-        """Of table, weights and biases, for the gradients (N, O) of the values. That of the table is written."""
-        self._layers(flat(upstream))
-        self._table(flat(to_table))
-        return [to_table, *self.summed()]
+        weights, widths, encoded, *of_blocks = ctx.kept
+        to_encoded, to_table = np.empty_like(encoded), empty_like(table)
+        sums = np.empty((-(-len(points) // (PART * BLOCK)), len(weights)), weights.dtype)
+        kept = (encoded, weights[:0], weights, widths, *of_blocks)
+        run(mlp.gradients, len(sums), *kept, to_encoded, sums, upstream, grain=1)
+        grid = (resolutions, ctx.dense, table.shape[2])
+        run(table_gradient, len(table), points, *of_blocks, to_encoded, *grid, to_table, grain=1)
+        return *[None] * 5, to_table, *mlp.unpacked(sums.sum(0), parameters)
 
 
 @inner
@@ -175,9 +145,9 @@ def _gather(points, inside, first, last, numbers, local):  # type: ignore[no-unt
 @jit
 def network_values(  # type: ignore[no-untyped-def]
     start, stop, points, inside, table, resolutions, dense, features, weights, widths, kept_features, number_of, kept,
-    values, keeps,
+    values,
 ):  # fmt: skip
-    """Writes the values of blocks start..stop and, if `keeps`, the features and numbers of the points inside."""
+    """Writes the values of blocks start..stop and, unless `kept` is empty, what the backward pass needs."""
     zero = points.dtype.type(0)
     width, outputs, b = U(widths[0]), U(widths[-1]), U(BLOCK)
     local = np.empty(3 * BLOCK, points.dtype)
@@ -211,7 +181,7 @@ def network_values(  # type: ignore[no-untyped-def]
             for k in range(count):
                 values[U(numbers[k]) * outputs + o] = units[at + o * b + k]
         # What the backward pass needs.
-        if keeps:
+        if kept.size > 0:
             # Loops: for an assignment of arrays Numba would also compile the message of a wrong shape, which takes 2 s.
             for i in range(encoded.size):
                 kept_features[block, i] = encoded[i]

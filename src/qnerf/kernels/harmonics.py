@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.hashgrid import U
-from qnerf.kernels.jit import flat, jit, run
+from qnerf.kernels.jit import jit, run
 
 GRAIN = 4096  # directions that are worth waking a thread for
 
@@ -15,7 +15,7 @@ GRAIN = 4096  # directions that are worth waking a thread for
 def harmonics(directions: Tensor, degree: int) -> Tensor:
     """Bands 0..degree - 1 of directions (..., 3): (..., degree^2)."""
     out = torch.empty(*directions.shape[:-1], degree**2, dtype=directions.dtype)
-    run(_harmonics, directions.numel() // 3, flat(directions), degree, flat(out), grain=GRAIN)
+    run(_harmonics, directions.numel() // 3, directions, degree, out, grain=GRAIN)
     return out
 
 

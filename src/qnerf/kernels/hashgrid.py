@@ -126,8 +126,7 @@ class _HashEncode(torch.autograd.Function):
     def forward(ctx: Any, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool) -> Tensor:
         levels, _, features = table.shape
         out = points.new_empty(points.shape[0], levels * features)
-        arrays = (flat(points), flat(table), flat(resolutions), dense, features, flat(out))
-        run(_forward, len(points), *arrays, grain=GRAIN)
+        run(_forward, len(points), points, table, resolutions, dense, features, out, grain=GRAIN)
         ctx.save_for_backward(points, table, resolutions)
         ctx.dense = dense
         return out
@@ -139,20 +138,20 @@ class _HashEncode(torch.autograd.Function):
             reference = partial(hash_encode_reference, resolutions=resolutions, dense=ctx.dense)
             return *through_reference(reference, (points, table), gradient), None, None
         levels, _, features = table.shape
-        common = (flat(gradient), flat(resolutions), ctx.dense, features)
+        common = (gradient, resolutions, ctx.dense, features)
         to_points = to_table = None
         if ctx.needs_input_grad[1]:
-            to_table = empty(tuple(table.shape), flat(table).dtype)  # each level is zeroed by the thread that owns it
-            run(table_gradient, levels, flat(points), *ALL_POINTS, *common, flat(to_table), grain=1)
+            to_table = empty_like(table)  # each level is zeroed by the thread that owns it
+            run(table_gradient, levels, points, *ALL_POINTS, *common, to_table, grain=1)
         if ctx.needs_input_grad[0]:
             to_points = torch.empty(points.shape, dtype=points.dtype)
-            run(_points_gradient, len(points), flat(points), *common, flat(table), flat(to_points), grain=GRAIN)
+            run(_points_gradient, len(points), points, *common, table, to_points, grain=GRAIN)
         return to_points, to_table, None, None
 
 
-def empty(shape: tuple[int, ...], dtype: np.dtype) -> Tensor:
+def empty_like(tensor: Tensor) -> Tensor:
     """A tensor with arbitrary contents. NumPy asks for huge pages, where PyTorch does not: large ones cost less."""
-    return torch.from_numpy(np.empty(shape, dtype))
+    return torch.from_numpy(np.empty(tuple(tensor.shape), flat(tensor).dtype))
 
 
 # The loops below index flat arrays with unsigned integers: Numba tests every signed index for wrap-around.

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.derivatives import is_differentiated, through_reference
-from qnerf.kernels.jit import Call, jit, prepared, run
+from qnerf.kernels.jit import jit, run
 
 EPS = 1e-7  # of the interlevel loss, against division by 0
 _GRAIN = 50_000  # weights that are worth waking a thread for
@@ -102,13 +102,13 @@ def _interlevel(start, stop, s, w, s_outer, w_outer, eps, loss, grad):  # type: 
             grad[ray, j] = running
 
 
-def interlevel(w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, losses: np.ndarray, gradient: Tensor) -> Call:
+def interlevel(w_outer: Tensor, s: Tensor, w: Tensor, s_outer: Tensor, losses: np.ndarray, gradient: Tensor) -> None:
     """Writes the sum over each ray (R,) of max(0, w - w_outer)^2 / (w + EPS), and the gradients by w_outer.
 
     w_outer stands for the outer weights of the intervals that touch that of w (Eq. 13, arXiv:2111.12077).
     """
     arrays = map(_array, (s, w, s_outer, w_outer))
-    return prepared(_interlevel, len(s), *arrays, EPS, losses, gradient.numpy(), grain=_grain(w_outer))
+    run(_interlevel, len(s), *arrays, EPS, losses, gradient.numpy(), grain=_grain(w_outer))
 
 
 @jit
@@ -141,25 +141,25 @@ def _distortion(start, stop, s, w, loss, grad):  # type: ignore[no-untyped-def]
         loss[ray] = total
 
 
-def distortion(w: Tensor, s: Tensor, losses: np.ndarray, gradient: Tensor) -> Call:
+def distortion(w: Tensor, s: Tensor, losses: np.ndarray, gradient: Tensor) -> None:
     """Writes the distortion loss (Eq. 15, arXiv:2111.12077) of each ray (R,), and the gradients by w."""
-    return prepared(_distortion, len(w), _array(s), _array(w), losses, gradient.numpy(), grain=_grain(w))
+    run(_distortion, len(w), _array(s), _array(w), losses, gradient.numpy(), grain=_grain(w))
 
 
 class Regulariser(torch.autograd.Function):
     """The sum over rays of `interlevel` or `distortion`, differentiated by the first tensor, which is the weights.
 
     Args:
-        loop: the function that makes the loop.
+        loop: one of the two.
         reference: the same function of all tensors in plain PyTorch, for second derivatives.
     """
 
     @staticmethod
     def forward(
-        ctx: Any, loop: Callable[..., Call], reference: Callable[..., Tensor], weights: Tensor, *others: Tensor
+        ctx: Any, loop: Callable[..., None], reference: Callable[..., Tensor], weights: Tensor, *others: Tensor
     ) -> Tensor:
         losses, grad = np.empty(len(weights)), torch.empty_like(weights, memory_format=torch.contiguous_format)
-        loop(weights, *others, losses, grad)()
+        loop(weights, *others, losses, grad)
         ctx.save_for_backward(grad, weights, *others)
         ctx.reference = reference
         return torch.tensor(losses.sum(), dtype=weights.dtype)

@@ -10,7 +10,6 @@ import gc
 import os
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
 from itertools import count, pairwise
 from queue import SimpleQueue
 from threading import Lock, Thread, local
@@ -165,16 +164,6 @@ def split(items: int, parts: int) -> list[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
-Call: TypeAlias = Callable[..., None]
-"""A loop with the arrays that it works on, which are made once; what changes from call to call is given to it."""
-
-
-def prepared(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> Call:
-    """`run` with these arguments, for many calls. Tensors become flat arrays of the same memory."""
-    arrays = [flat(one) if isinstance(one, torch.Tensor) else one for one in arguments]
-    return partial(run, kernel, items, *arrays, grain=grain)
-
-
 def flat(tensor: torch.Tensor) -> np.ndarray:
     """The tensor's numbers, row by row. NumPy reshapes faster than PyTorch."""
     if not tensor.is_contiguous():
@@ -186,6 +175,8 @@ def flat(tensor: torch.Tensor) -> np.ndarray:
 def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
     """Calls `kernel(start, stop, *arguments)` over range(items), on as many threads as PyTorch uses.
 
+    Tensors become flat arrays: of the same memory if they are contiguous, else of a copy.
+
     A thread takes about `grain` items at a time or more; by default each takes an equal share. Pass it where items cost
     different amounts, or where few items are not worth waking a thread for. There are at most two parts for a thread:
     between parts the threads wait for each other, because Python runs one at a time.
@@ -193,6 +184,7 @@ def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -
     The calling thread works too and waits only for parts that another thread has begun. It never needs a free thread,
     so kernels may run from any thread, even from inside another kernel's part.
     """
+    arguments = tuple([flat(one) if isinstance(one, torch.Tensor) else one for one in arguments])
     count = loop_threads()
     pieces = 1 if count == 1 else min(items, count if grain is None else min(items // grain, 2 * count))
     if pieces <= 1:

@@ -85,10 +85,15 @@ def layers_of(parameters: Sequence[Tensor]) -> list[Layer]:
 class _MLP(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, keeps: bool, rows: Tensor, *parameters: Tensor) -> Tensor:
-        ctx.work = MLPPass(rows, layers_of(parameters), keeps)
+        weights, widths = packed(parameters)
+        blocks = -(-len(rows) // BLOCK)
+        units = np.empty(keeps * blocks * BLOCK * int(widths[1:].sum()), weights.dtype)
+        values = rows.new_empty(len(rows), int(widths[-1]))
+        run(_values, blocks, rows, weights, widths, units, values, grain=PART)
         if keeps:
             ctx.save_for_backward(rows, *parameters)
-        return ctx.work.forward().detach()  # the result will point to `ctx`, which must not point back to it
+            ctx.kept = weights, widths, units
+        return values
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -99,54 +104,18 @@ class _MLP(torch.autograd.Function):
                 return mlp_reference(rows, layers_of(parameters))
 
             return None, *through_reference(reference, (rows, *parameters), upstream)
+        weights, widths, units = ctx.kept
         to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if ctx.needs_input_grad[1] else None
-        return None, to_rows, *ctx.work.gradients(upstream, to_rows)
+        sums = np.empty((-(-len(rows) // (PART * BLOCK)), len(weights)), weights.dtype)
+        written = (weights[:0] if to_rows is None else to_rows, sums)
+        run(gradients, len(sums), rows, units, weights, widths, *ALL_POINTS, *written, upstream, grain=1)
+        return None, to_rows, *unpacked(sums.sum(0), parameters)
 
 
-class Pass:
-    """Packed layers, and buffers for the gradients of each part."""
-
-    def __init__(self, layers: Sequence[Layer], parts: int) -> None:
-        self.of_layers = [tensor for layer in layers for tensor in layer]
-        self.weights, self.widths = packed(layers)
-        self.sums = np.empty((parts, len(self.weights)), self.weights.dtype)
-
-    def summed(self) -> list[Tensor]:
-        """The gradients of weights and biases, added up over the parts."""
-        return unpacked(self.sums.sum(0), self.of_layers)
-
-
-class MLPPass(Pass):
-    """The loops in both directions on rows (N, D), with their buffers.
-
-    Args:
-        keeps: whether `gradients` may follow.
-    """
-
-    def __init__(self, rows: Tensor, layers: Sequence[Layer], keeps: bool = True) -> None:
-        blocks, units = -(-len(rows) // BLOCK) if keeps else 0, sum(len(layer.bias) for layer in layers)
-        super().__init__(layers, -(-blocks // PART))
-        self.rows, self.kept = flat(rows), flat(rows.new_empty(blocks, units * BLOCK))
-        self.values = rows.new_empty(len(rows), len(layers[-1].bias))
-
-    def forward(self) -> Tensor:
-        """The values (N, O)."""
-        blocks = -(-len(self.values) // BLOCK)
-        run(_values, blocks, self.rows, self.weights, self.widths, self.kept, flat(self.values), grain=PART)
-        return self.values
-
-    def gradients(self, upstream: Tensor, to_rows: Tensor | None) -> list[Tensor]:
-        """Of weights and biases, for the gradients (N, O) of the values. Those of the rows are written."""
-        to = self.weights[:0] if to_rows is None else flat(to_rows)
-        arrays = (self.rows, self.kept, self.weights, self.widths, *ALL_POINTS, to, self.sums, flat(upstream))
-        run(gradients, len(self.sums), *arrays, grain=1)
-        return self.summed()
-
-
-def packed(layers: Sequence[Layer]) -> tuple[np.ndarray, np.ndarray]:
-    """Weight, bias, weight, bias, ... of all layers in one flat array, and the widths: inputs, units of each layer."""
-    widths = np.array([layers[0].weight.shape[1], *(len(layer.bias) for layer in layers)], np.int64)
-    return np.concatenate([flat(tensor) for layer in layers for tensor in layer]), widths
+def packed(parameters: Sequence[Tensor]) -> tuple[np.ndarray, np.ndarray]:
+    """Weight, bias, weight, bias, ... in one flat array, and the widths: inputs, units of each layer."""
+    widths = np.array([parameters[0].shape[1], *(bias.shape[0] for bias in parameters[1::2])], np.int64)
+    return np.concatenate([flat(tensor) for tensor in parameters]), widths
 
 
 def unpacked(array: np.ndarray, parameters: Sequence[Tensor]) -> list[Tensor]:

@@ -1,20 +1,20 @@
 """Where the samples of rays lie in the unit cube: a compiled CPU loop and its plain PyTorch reference."""
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from qnerf.kernels.hashgrid import U
-from qnerf.kernels.jit import Call, jit, prepared
+from qnerf.kernels.jit import jit, run
 
 GRAIN = 512  # rays that are worth waking a thread for
 CUBE, BOX = 0, 1  # contractions that the loop knows
 
 
 def places(
-    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None,
-    unit: Tensor, inside: Tensor | None,
-) -> Call:  # fmt: skip
-    """Writes the midpoints of intervals on R rays in the unit cube, `unit` (R, K, 3), and which are `inside` the mask.
+    origins: Tensor, directions: Tensor, edges: Tensor, contraction: int, half_extent: float, mask: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    """The midpoints of intervals on R rays in the unit cube, (R, K, 3), and which are inside the mask, (R, K) bool.
 
     The points equal those of `Rays.along` and of the contraction to the last bit.
 
@@ -23,12 +23,15 @@ def places(
         edges: (R, K + 1) distances along the rays.
         contraction: CUBE: all of space by the largest coordinate; BOX: [-h, h]^3.
         half_extent: h of a box, world units.
-        mask: (n, n, n) bool over the unit cube; None: everywhere, and `inside` (R, K) is None too.
+        mask: (n, n, n) bool over the unit cube; None: everywhere, and nothing is told about the points.
     """
-    grid, cells = (np.ones(1, np.bool_), 0) if mask is None else (mask, mask.shape[0])
-    flags = np.empty(0, np.bool_) if inside is None else inside
-    arrays = (origins, directions, edges, edges.shape[1] - 1, contraction, half_extent, grid, cells, unit, flags)
-    return prepared(place, len(edges), *arrays, grain=GRAIN)
+    rays, count = len(edges), edges.shape[1] - 1
+    unit = edges.new_empty(rays, count, 3)
+    inside = torch.empty(rays, 0 if mask is None else count, dtype=torch.bool)
+    grid, cells = (inside, 0) if mask is None else (mask, mask.shape[0])
+    arrays = (origins, directions, edges, count, contraction, half_extent, grid, cells, unit, inside)
+    run(place, rays, *arrays, grain=GRAIN)
+    return unit, None if mask is None else inside
 
 
 @jit

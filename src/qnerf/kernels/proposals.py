@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels.exponentials import exp, log
-from qnerf.kernels.grid_mlp import Grid, GridPass, network_values
+from qnerf.kernels.grid_mlp import Grid, network_values
 from qnerf.kernels.hashgrid import BLOCK, U
 from qnerf.kernels.histogram import draw_edges
-from qnerf.kernels.jit import Call, jit, prepared
-from qnerf.kernels.mlp import Layer
+from qnerf.kernels.jit import jit, run
+from qnerf.kernels.mlp import Layer, packed
 from qnerf.kernels.points import place
 from qnerf.kernels.transmittance import forward
 
@@ -47,60 +47,50 @@ class Draws(NamedTuple):
     min_total: float  # see `qnerf.rendering.pdf`
 
 
-class Proposal:
-    """One network's proposals for R rays, with the buffers of the loop.
+def propose(
+    space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws, exponent: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """One network's proposals for R rays.
 
     Args:
         s: (R, K + 1) edges in the normalised coordinate.
         network: as `grid_mlp` takes it.
+        exponent: power of the weights from which edges are drawn.
+
+    Returns:
+        Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
     """
-
-    def __init__(self, space: Space, s: Tensor, network: tuple[Grid, list[Layer]], draws: Draws) -> None:
-        s = s.contiguous()  # even edges are the same for all rays
-        rays, count = s.shape[0], s.shape[1] - 1
-        self.t, self.weights, self.drawn = (
-            s.new_empty(s.shape),
-            s.new_empty(rays, count),
-            s.new_empty(rays, draws.edges),
-        )
-        unit = s.new_empty(rays * count, 3)
-        inside = None if space.mask is None else torch.empty(rays * count, dtype=torch.bool)
-        density, delta, after, annealed = s.new_empty(4, rays, count).unbind()
-        cells, side = (np.ones(1, np.bool_), 0) if space.mask is None else (space.mask, space.mask.shape[0])
-        group = _group(count)
-        self._forward = prepared(
-            _propose,
-            -(-rays // group),
-            *(group, space.origins, space.directions, space.near, space.far, KNOWN_SPACINGS.index(space.spacing)),
-            *(
-                space.contraction,
-                space.half_extent,
-                cells,
-                side,
-                s,
-                s.numpy(),
-                *GridPass(unit, inside, network, keeps=False).arrays,
-            ),
-            np.full(rays, 0.5, s.numpy().dtype) if draws.jitter is None else draws.jitter,
-            *(draws.padding, draws.min_total, self.t, self.weights.numpy(), self.drawn.numpy()),
-            *(np.empty(0, np.bool_) if inside is None else inside, unit, density, delta, after, annealed),
-            grain=1,
-        )
-
-    def forward(self, exponent: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Edges (R, K + 1) in world units, weights (R, K), and the edges drawn in the normalised coordinate.
-
-        Args:
-            exponent: power of the weights from which edges are drawn.
-        """
-        self._forward(exponent, False)
-        return self.t, self.weights, self.drawn
+    (table, resolutions, dense), layers = network
+    s = s.contiguous()  # even edges are the same for all rays
+    rays, count = s.shape[0], s.shape[1] - 1
+    t, weights, drawn = s.new_empty(s.shape), s.new_empty(rays, count), s.new_empty(rays, draws.edges)
+    density, delta, after, annealed = s.new_empty(4, rays, count).unbind()
+    unit, inside = (
+        s.new_empty(rays * count, 3),
+        torch.empty(0 if space.mask is None else rays * count, dtype=torch.bool),
+    )
+    cells, side = (inside, 0) if space.mask is None else (space.mask, space.mask.shape[0])
+    group, spacing = _group(count), KNOWN_SPACINGS.index(space.spacing)
+    packed_layers = packed([tensor for layer in layers for tensor in layer])
+    run(
+        _propose,
+        -(-rays // group),
+        *(group, space.origins, space.directions, space.near, space.far, spacing),
+        *(space.contraction, space.half_extent, cells, side, s, s.numpy()),
+        *(table, resolutions, dense, table.shape[2], *packed_layers),
+        np.full(rays, 0.5, s.numpy().dtype) if draws.jitter is None else draws.jitter,
+        *(draws.padding, draws.min_total, t, weights.numpy(), drawn.numpy()),
+        *(inside, unit, density, delta, after, annealed, exponent),
+        grain=1,
+    )
+    return t, weights, drawn
 
 
-def in_world(space: Space, s: Tensor, t: Tensor) -> Call:
-    """Writes edges (R, K + 1) of the normalised coordinate in world units."""
-    spacing = KNOWN_SPACINGS.index(space.spacing)
-    return prepared(to_world, len(s), spacing, space.near, space.far, s, t, grain=8 * RAYS)
+def in_world(space: Space, s: Tensor) -> Tensor:
+    """Edges (R, K + 1) of the normalised coordinate in world units."""
+    t = torch.empty_like(s)
+    run(to_world, len(s), KNOWN_SPACINGS.index(space.spacing), space.near, space.far, s, t, grain=8 * RAYS)
+    return t
 
 
 def _group(count: int) -> int:
@@ -146,14 +136,15 @@ def to_world(start, stop, spacing, near, far, s, t):  # type: ignore[no-untyped-
 @jit
 def _propose(  # type: ignore[no-untyped-def]
     start, stop, group, origins, directions, near, far, spacing, contraction, half_extent, cells, side, s, s_rows,
-    table, resolutions, dense, features, layers, widths, kept, numbers, counts, jitter, padding, min_total, t, weights,
-    drawn, inside, unit, density, delta, after, annealed, exponent, keeps,
+    table, resolutions, dense, features, layers, widths, jitter, padding, min_total, t, weights, drawn, inside, unit,
+    density, delta, after, annealed, exponent,
 ):  # fmt: skip
     number = s.dtype.type
     rays, count = weights.shape
     block = np.int64(BLOCK)
     edges, shares, power = t, weights.reshape(-1), number(exponent)
     n = U(count)
+    nothing, no_numbers = np.empty((1, 0), s.dtype), np.empty((1, 0), np.int32)  # is kept of the network
     powers = annealed.reshape(rays, count)
     for each in range(start, stop):
         first = each * group
@@ -164,8 +155,8 @@ def _propose(  # type: ignore[no-untyped-def]
         # The network's raw values: a group of rays is whole blocks of points.
         blocks = first * count // block, (last * count + block - 1) // block
         network_values(
-            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths, kept,
-            numbers, counts, density, keeps,
+            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths,
+            nothing, no_numbers, no_numbers[0], density,
         )  # fmt: skip
         for ray in range(U(first), U(last)):
             for k in range(n):

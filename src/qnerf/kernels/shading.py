@@ -4,7 +4,7 @@ The plain PyTorch reference is in `qnerf.rendering.shading.shade`: the density's
 `color_shares` and the shading, one after the other.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from qnerf.kernels import transmittance
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.exponentials import exp
 from qnerf.kernels.hashgrid import U
-from qnerf.kernels.jit import Call, jit, prepared
+from qnerf.kernels.jit import jit, run
 
 GRAIN = 256  # rays that are worth waking a thread for
 KNOWN_ACTIVATIONS = ("trunc_exp", "softplus")  # of the raw density, by their numbers in `_density`
@@ -33,46 +33,6 @@ class Options(NamedTuple):
     floor: float  # the smallest share of a part by which the derivative of its mean is divided
 
 
-class Buffers(NamedTuple):
-    """What the loops write."""
-
-    weights: Tensor  # (R, K)
-    shares: Tensor  # (R, M) of the colours
-    mean: Tensor  # (R, M, G) their geometry
-    after: Tensor  # (R, K) transmittance behind each interval
-    samples: Tensor  # (R, K) shares of the samples
-    scratch: Tensor  # (2, R, K)
-    part: Tensor  # (R, K) int32, the part that each sample belongs to
-
-    @classmethod
-    def of(cls, raw: Tensor, options: Options) -> "Buffers":
-        """For raw values (R, K, 1 + G)."""
-        rays, count, outputs = raw.shape
-        parts, new = options.parts or count, raw.new_empty
-        weights, after, samples = new(3, rays, count).unbind()
-        shares, mean, scratch = new(rays, parts), new(rays, parts, outputs - 1), new(2, rays, count)
-        part = torch.empty(rays, count if options.parts else 0, dtype=torch.int32)
-        return cls(weights, shares, mean, after, samples, scratch, part)
-
-
-def shade(raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, to: Buffers) -> Call:
-    """Writes weights, shares and geometry, and what `shade_gradient` needs."""
-    where = np.empty(0, np.bool_) if inside is None else inside
-    kept = (to.scratch[0], to.after, to.weights, to.samples, to.part, to.shares, to.mean)
-    return prepared(_shade, len(raw), *_numbers(raw, options), raw, where, delta, *kept, grain=GRAIN)
-
-
-def shade_gradient(
-    raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, kept: Buffers, given: Sequence[Tensor],
-    to_raw: Tensor,
-) -> Call:  # fmt: skip
-    """Writes the gradient of the raw values, for those `given` of weights, shares and geometry."""
-    where = np.empty(0, np.bool_) if inside is None else inside
-    of_forward = (kept.after, kept.weights, kept.samples, kept.part, kept.shares, kept.mean)
-    arrays = (raw, where, delta, *of_forward, *given, *kept.scratch, to_raw)
-    return prepared(_shade_gradient, len(raw), *_numbers(raw, options), options.floor, *arrays, grain=GRAIN)
-
-
 class Shade(torch.autograd.Function):
     """Raw values (R, K, 1 + G) -> weights (R, K), shares (R, M) of the colours, and their geometry (R, M, G).
 
@@ -86,23 +46,36 @@ class Shade(torch.autograd.Function):
     def forward(
         ctx: Any, raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, reference: Callable[..., Any]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        buffers = Buffers.of(raw, options)
-        shade(raw, inside, delta, options, buffers)()
-        ctx.save_for_backward(raw, inside, delta, *buffers)
+        rays, count, outputs = raw.shape
+        parts, new = options.parts or count, raw.new_empty
+        weights, after, samples, density = new(4, rays, count).unbind()
+        shares, mean = new(rays, parts), new(rays, parts, outputs - 1)
+        part = torch.empty(rays, count if options.parts else 0, dtype=torch.int32)  # that each sample belongs to
+        kept = (after, weights, samples, part, shares, mean)
+        run(_shade, rays, *_numbers(raw, options), raw, _where(inside), delta, density, *kept, grain=GRAIN)
+        ctx.save_for_backward(raw, inside, delta, *kept)
         ctx.options, ctx.reference = options, reference
         ctx.set_materialize_grads(False)
-        return buffers.weights, buffers.shares, buffers.mean
+        return weights, shares, mean
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
         raw, inside, delta, *kept = ctx.saved_tensors
-        buffers = Buffers(*kept)
-        given = [torch.zeros_like(o) if u is None else u for o, u in zip(buffers, upstream, strict=False)]
+        _, weights, _, _, shares, mean = kept
+        outputs = (weights, shares, mean)
+        given = [torch.zeros_like(o) if u is None else u for o, u in zip(outputs, upstream, strict=True)]
         if is_differentiated(*given):
             return *through_reference(ctx.reference, (raw,), tuple(given)), None, None, None, None
         to_raw = torch.empty(raw.shape, dtype=raw.dtype)
-        shade_gradient(raw, inside, delta, ctx.options, buffers, given, to_raw)()
+        scratch = raw.new_empty(2, *weights.shape)
+        numbers = (*_numbers(raw, ctx.options), ctx.options.floor)
+        arrays = (raw, _where(inside), delta, *kept, *given, *scratch, to_raw)
+        run(_shade_gradient, len(raw), *numbers, *arrays, grain=GRAIN)
         return to_raw, None, None, None, None
+
+
+def _where(inside: Tensor | None) -> Tensor | np.ndarray:
+    return np.empty(0, np.bool_) if inside is None else inside
 
 
 def _numbers(raw: Tensor, options: Options) -> tuple[int, int, float, bool, int, int, float]:

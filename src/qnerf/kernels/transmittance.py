@@ -13,7 +13,7 @@ from torch import Tensor
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.exponentials import exp, expm1
 from qnerf.kernels.hashgrid import U
-from qnerf.kernels.jit import flat, jit, run
+from qnerf.kernels.jit import jit, run
 
 GRAIN = 256  # rays that are worth waking a thread for
 
@@ -25,7 +25,7 @@ class VolumeWeights(torch.autograd.Function):
     def forward(ctx: Any, density: Tensor, delta: Tensor, reference: Callable[..., Tensor]) -> Tensor:
         weights, after = torch.empty(2, *density.shape, dtype=density.dtype).unbind()
         rays, count = density.shape
-        run(forward, rays, count, flat(density), flat(delta), flat(after), flat(weights), grain=GRAIN)
+        run(forward, rays, count, density, delta, after, weights, grain=GRAIN)
         ctx.save_for_backward(density, delta, after, weights)
         ctx.reference = reference
         return weights
@@ -37,8 +37,7 @@ class VolumeWeights(torch.autograd.Function):
             return *through_reference(ctx.reference, (density, delta.detach()), upstream), None
         gradient = torch.empty(density.shape, dtype=density.dtype)
         rays, count = density.shape
-        arrays = (flat(delta), flat(after), flat(weights), flat(upstream), flat(gradient))
-        run(backward, rays, count, *arrays, grain=GRAIN)
+        run(backward, rays, count, delta, after, weights, upstream, gradient, grain=GRAIN)
         return gradient, None, None
 
 

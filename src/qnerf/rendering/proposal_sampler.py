@@ -14,7 +14,7 @@ from qnerf.heads.activations import trunc_exp
 from qnerf.kernels.dispatch import serves
 from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.mlp import Layer
-from qnerf.kernels.proposals import KNOWN_SPACINGS, Draws, Proposal, Space, in_world
+from qnerf.kernels.proposals import KNOWN_SPACINGS, Draws, Space, in_world, propose
 from qnerf.rendering.pdf import MIN_TOTAL, sample_edges
 from qnerf.rendering.render import volume_weights
 from qnerf.rendering.samplers import SAMPLERS, Density, SampledRays, Sampler, draw_jitter, even_edges
@@ -146,13 +146,11 @@ class ProposalSampler(Sampler):
         proposals = []
         for network, jitter, count in zip(self.networks, jitters[1:], (*self.samples[1:], self.final), strict=True):
             assert isinstance(network, ProposalNetwork)
-            proposal = Proposal(space, s, network.parts, Draws(count + 1, jitter, self.padding, MIN_TOTAL))
-            t, weights, drawn = proposal.forward(exponent)
+            draws = Draws(count + 1, jitter, self.padding, MIN_TOTAL)
+            t, weights, drawn = propose(space, s, network.parts, draws, exponent)
             proposals.append((Samples(t, s), weights))
             s = drawn
-        t = torch.empty_like(s)
-        in_world(space, s, t)()
-        return SampledRays(Samples(t, s), proposals)
+        return SampledRays(Samples(in_world(space, s), s), proposals)
 
     def space(self, rays: Rays) -> Space | None:
         """What the loop over a proposal takes besides its network; None: it does not know one of the components."""
