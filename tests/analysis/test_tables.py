@@ -52,7 +52,9 @@ def test_a_row_has_its_verdict_against_the_baseline(store):
     assert difference.loc["classical"].isna().all()
     assert table.text["difference, PSNR, dB"].tolist() == ["", f"+1.00 ± {reach:.2f}"]
     assert table.text["verdict"].tolist() == ["", "undecided"]
-    assert table.notes[0].endswith("equivalent: the 90 % interval is within ± 0.5 dB; * holds for all rows together; no registered study")
+    assert table.notes[0].endswith(
+        "equivalent: the 90 % interval is within ± 0.5 dB; * holds for all rows together; no registered study"
+    )
     assert ablation(runs(store), ["field"], baseline="field=classical", within=5).text["verdict"][1] == "equivalent *"
 
 
