@@ -37,6 +37,13 @@ def test_a_recycled_pid_is_not_the_owner(store_: RunStore) -> None:
     again.run.finish()
 
 
+def test_an_owner_may_let_go_twice(store_: RunStore) -> None:
+    own = claimed(store_)._ownership
+    own.release()
+    own.release()
+    assert store_.claim("a", CONFIG).outcome == "resumed"
+
+
 def test_the_next_owner_removes_what_a_killed_claim_left(store_: RunStore) -> None:
     run = claimed(store_)
     run.interrupt()

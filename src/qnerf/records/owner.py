@@ -116,8 +116,10 @@ class Ownership:
         if self.inherited or _read(path).get("nonce") != self.nonce:
             return
         with reporting(path), open(path, "r+b") as file:
-            file.seek(file.read().index(_HELD))
-            file.write(_RELEASED)  # in place: this must work on a full disk too
+            held = file.read().find(_HELD)
+            if held >= 0:  # a stop may ask for this twice
+                file.seek(held)
+                file.write(_RELEASED)  # in place: this must work on a full disk too
 
 
 def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo | None:
