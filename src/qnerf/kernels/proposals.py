@@ -65,10 +65,8 @@ def propose(
     rays, count = s.shape[0], s.shape[1] - 1
     t, weights, drawn = s.new_empty(s.shape), s.new_empty(rays, count), s.new_empty(rays, draws.edges)
     density, delta, after, annealed = s.new_empty(4, rays, count).unbind()
-    unit, inside = (
-        s.new_empty(rays * count, 3),
-        torch.empty(0 if space.mask is None else rays * count, dtype=torch.bool),
-    )
+    unit = s.new_empty(rays * count, 3)
+    inside = torch.empty(0 if space.mask is None else rays * count, dtype=torch.bool)
     cells, side = (inside, 0) if space.mask is None else (space.mask, space.mask.shape[0])
     group, spacing = _group(count), KNOWN_SPACINGS.index(space.spacing)
     packed_layers = packed([tensor for layer in layers for tensor in layer])
@@ -144,7 +142,8 @@ def _propose(  # type: ignore[no-untyped-def]
     block = np.int64(BLOCK)
     edges, shares, power = t, weights.reshape(-1), number(exponent)
     n = U(count)
-    nothing, no_numbers = np.empty((1, 0), s.dtype), np.empty((1, 0), np.int32)  # is kept of the network
+    # Nothing is kept of the network's values for a backward pass.
+    kept_features, number_of = np.empty((1, 0), s.dtype), np.empty((1, 0), np.int32)
     powers = annealed.reshape(rays, count)
     for each in range(start, stop):
         first = each * group
@@ -156,7 +155,7 @@ def _propose(  # type: ignore[no-untyped-def]
         blocks = first * count // block, (last * count + block - 1) // block
         network_values(
             blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths,
-            nothing, no_numbers, no_numbers[0], density,
+            kept_features, number_of, number_of[0], density,
         )  # fmt: skip
         for ray in range(U(first), U(last)):
             for k in range(n):
