@@ -4,7 +4,7 @@
 
 Two small networks learn a picture of stripes. `qnerf.track` keeps each training as a run: it resumes, and stands in
 `qnerf runs`, tables and pages beside qnerf's own. `qnerf decide` trains configurations of `qnerf run`; for a loop of
-one's own its rule is a few lines: look after 4, 6, 9, ... seeds, and spend a share of the 5 % at each look.
+one's own its rule is a few lines: look after 6, 9, 14, ... seeds, and spend a share of the 5 % at each look.
 """
 
 import argparse

@@ -172,6 +172,7 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
     (command,) = (line.removeprefix("next: ") for line in told.splitlines() if line.startswith("next: "))
     assert command == f"qnerf run scene=nerfstudio 'scene.path={tmp_path}/my scene' scene.width=64"
     options = composed(*shlex.split(command)[2:])["scene"]
+    assert options.pop("validation") is None
     assert SCENES.build(options.pop("name"), **options).cameras.width == 64
     assert "7 of 8 photographs were posed" in told
     assert "not posed: 9.png" in told
