@@ -13,6 +13,7 @@ from qnerf.analysis.decide.looks import looks, planned, seeds_needed, shares
 from qnerf.analysis.decide.records import records
 from qnerf.analysis.decide.study import Question, Record
 from qnerf.analysis.decide.tune import spaces
+from qnerf.analysis.selection import TUNING
 from qnerf.analysis.verdict import fisher, verdict
 from scipy import stats
 
@@ -307,7 +308,7 @@ def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_pa
         return [{"state": "finished", "values": [scores[key][0]], "overrides": [key]} for key in scores]
 
     def again(overrides, seeds, store, foresee):
-        assert list(seeds) == [10001, 10002]
+        assert list(seeds) == list(TUNING[1:])
         assert "scene.validation=0.1" in overrides
         return pd.DataFrame({"psnr": [scores[overrides[-1]][1]] * 2})
 
@@ -319,7 +320,7 @@ def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_pa
     assert [one["chosen"] for one in record.tuned.values()] == [["omega=2"], ["omega=2"]]  # omega=4 was not among three
     assert record.overrides("scene=poster", SIRENS[1])[-1] == "omega=2"
     assert {one["seconds"] for one in record.tuned.values()} == {7 * 30.0}
-    assert all("seed=10000" in overrides for overrides in asked)
+    assert all(f"seed={TUNING[0]}" in overrides for overrides in asked)
     tuning.tune(record, "scene=poster", tmp_path, [].append)
     assert len(asked) == 2
 
